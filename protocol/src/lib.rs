@@ -27,6 +27,7 @@
 
 #![no_std]
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 /// Constants of registers, and a function from their numbers to their names.
 macro_rules! registers {

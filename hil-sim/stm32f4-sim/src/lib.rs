@@ -42,6 +42,8 @@
 //! touch of a register that is neither modelled nor one of the
 //! [`sim::stored_registers`]: the simulator never makes an answer up.
 
+#![warn(missing_docs)]
+
 mod backtrace;
 mod chip;
 pub mod clock;

@@ -509,7 +509,7 @@ fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
         }
         // A twist is worked out some seconds after it.
         if !knows && at > begin + TO_TWIST_S + 5.0 {
-            knows = tracker.know(&twist.into());
+            knows = tracker.take_relation(&twist.into());
         }
         if at < end && at < (steered + STEP_EVERY_S).min(judged + JUDGED_EVERY_S) {
             continue;

@@ -11,6 +11,23 @@ pub(crate) struct Calibration {
     pub(crate) bias: Vector3<f64>,
 }
 
+impl Calibration {
+    /// Adds a step of the parameters: `C` and bias by rows.
+    pub(crate) fn step(&mut self, by: &[f64]) {
+        for (row, by) in by.as_chunks::<4>().0.iter().enumerate() {
+            for column in 0..3 {
+                self.matrix[(row, column)] += by[column];
+            }
+            self.bias[row] += by[3];
+        }
+    }
+
+    /// What it leaves of `y` at `x`.
+    pub(crate) fn residual(&self, x: &Vector3<f64>, y: &Vector3<f64>) -> Vector3<f64> {
+        y - self.matrix * x - self.bias
+    }
+}
+
 /// The rates of both at each node: `x` and `y`.
 pub(crate) type Rates = (Vector3<f64>, Vector3<f64>);
 

@@ -89,10 +89,14 @@ impl ClockRelation {
     /// distance from the reference.
     #[must_use]
     pub fn offset_at(&self, a: f64) -> WithSigma {
-        let there = self.referenced_at(a);
+        self.referenced_at(a).offset_here()
+    }
+
+    /// The offset at the reference.
+    pub(crate) fn offset_here(&self) -> WithSigma {
         WithSigma {
-            value: there.offset,
-            sigma: there.covariance[0][0].max(0.0).sqrt(),
+            value: self.offset,
+            sigma: self.covariance[0][0].max(0.0).sqrt(),
         }
     }
 

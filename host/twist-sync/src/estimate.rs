@@ -278,10 +278,10 @@ fn related(
     } else {
         (fit, 1.0)
     };
-    flexing::considered(&mut fit, &settings);
+    flexing::include_mount(&mut fit, &settings);
     let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
     let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
-    swing::considered(
+    swing::include_swings(
         &mut fit,
         settings.fit.oversampling,
         classes[0].max(classes[1]),
@@ -387,15 +387,11 @@ fn calibration(
 ) -> Calibration {
     let rates = fit.nodes.iter().map(|node| {
         let (model, data) = node.rates();
-        if pair.a_is_model {
-            (model, data)
-        } else {
-            (data, model)
-        }
+        pair.a_and_b(model, data)
     });
     let calibration = calibration::regress(rates.clone(), settings.fit.noise_variance);
     let squares: f64 = rates
-        .map(|(a, b)| (b - calibration.matrix * a - calibration.bias).norm_squared())
+        .map(|(a, b)| calibration.residual(&a, &b).norm_squared())
         .sum();
     let residual_rms = (squares / (3.0 * fit.nodes.len().max(1) as f64)).sqrt();
     let motion_rms = fit.motion_variance().sqrt();
@@ -428,7 +424,7 @@ fn together(pair: &Pair<'_>, fit: &Fit) -> Vec<(f64, f64)> {
 fn warnings(pair: &Pair<'_>, fit: &Fit) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let n = fit.nodes.len().max(1) as f64;
-    let mean = fit.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+    let mean = fit::mean(fit.nodes.iter().map(|n| n.y));
     let mut spread = Matrix3::zeros();
     for node in &fit.nodes {
         let d = node.y - mean;

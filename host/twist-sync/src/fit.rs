@@ -184,9 +184,14 @@ pub(crate) struct Part {
 
 /// Mean square about the mean, over values and axes.
 pub(crate) fn variance(values: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
-    let n = values.clone().count().max(1) as f64;
-    let mean = values.clone().sum::<Vector3<f64>>() / n;
+    let mean = mean(values.clone());
     mean_square(values.map(|v| v - mean))
+}
+
+/// Zero without values.
+pub(crate) fn mean(values: impl Iterator<Item = Vector3<f64>> + Clone) -> Vector3<f64> {
+    let n = values.clone().count().max(1) as f64;
+    values.sum::<Vector3<f64>>() / n
 }
 
 fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
@@ -216,7 +221,7 @@ impl Seen {
             t: self.t,
             y: self.y,
             x,
-            residual: self.y - calibration.matrix * x - calibration.bias,
+            residual: calibration.residual(&x, &self.y),
             slope: calibration.matrix * self.dx,
             weight: 1.0,
         }
@@ -321,12 +326,7 @@ pub(crate) fn fit(
         if (link.at_model - start.at_model).abs() > 0.5 || (link.rate - 1.0).abs() > 0.01 {
             return None;
         }
-        for row in 0..3 {
-            for column in 0..3 {
-                calibration.matrix[(row, column)] += step[row * 4 + column];
-            }
-            calibration.bias[row] += step[row * 4 + 3];
-        }
+        calibration.step(&step.as_slice()[..SHIFT]);
         let frozen = weights.is_some() || iteration >= WEIGHTS_FROZEN;
         if frozen && step[SHIFT].abs().max(step[RATE].abs()) < options.settled_s {
             settled = true;
@@ -516,10 +516,9 @@ fn equations(
                 .copy_from(&block);
         }
     }
-    normal[(SHIFT, SHIFT)] = ss[0];
-    normal[(SHIFT, RATE)] = ss[1];
-    normal[(RATE, SHIFT)] = ss[1];
-    normal[(RATE, RATE)] = ss[2];
+    normal
+        .fixed_view_mut::<2, 2>(SHIFT, SHIFT)
+        .copy_from(&Matrix2::new(ss[0], ss[1], ss[1], ss[2]));
     right[SHIFT] = sr[0];
     right[RATE] = sr[1];
 

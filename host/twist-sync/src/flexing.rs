@@ -62,8 +62,8 @@ type Parameters = SVector<f64, PARAMETERS>;
 type Row = SMatrix<f64, 3, PARAMETERS>;
 type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// Takes the mount into the fit: its relation, its residuals and its covariance.
-pub(crate) fn considered(fit: &mut Fit, settings: &Settings) {
+/// Fits the mount too, where it shows: relation, residuals and covariance of the fit.
+pub(crate) fn include_mount(fit: &mut Fit, settings: &Settings) {
     if !shows(fit, settings) {
         return;
     }
@@ -119,12 +119,7 @@ fn finish(
     fit.covariance = fit::at_least(covariance, &fit.ideal_covariance);
     fit.link.at_model += solution[SHIFT];
     fit.link.rate += solution[RATE];
-    for row in 0..3 {
-        for column in 0..3 {
-            fit.calibration.matrix[(row, column)] += solution[row * 4 + column];
-        }
-        fit.calibration.bias[row] += solution[row * 4 + 3];
-    }
+    fit.calibration.step(&solution.as_slice()[..SHIFT]);
     fit.weights = weights;
     fit.nodes = nodes;
 }

@@ -74,6 +74,11 @@ impl Gate {
         }
     }
 
+    /// Both in percent, from parts of one.
+    fn part_at_least(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
+        Self::at_least(name, 100.0 * value, 100.0 * limit, unit)
+    }
+
     fn or(self, reason: &'static str, advice: &'static str) -> Self {
         Self {
             reason,
@@ -113,9 +118,8 @@ impl Gate {
     /// `unexplained` is a part of the motion's rms.
     pub(crate) fn explained(unexplained: f64) -> Self {
         let (value, limit) = (100.0 * unexplained, 100.0 * UNEXPLAINED_AT_FIRST);
-        let unit = "% of the motion is unexplained";
-        let reason = "the gyroscopes do not match at any time shift";
-        Self::at_most("explained", value, limit, unit).or(reason, SAME_TWIST)
+        Self::at_most("explained", value, limit, "% of the motion is unexplained")
+            .or("the gyroscopes do not match at any time shift", SAME_TWIST)
     }
 
     /// `worse` is the residual power of the best rival over that of the best.
@@ -135,8 +139,7 @@ impl Gate {
 
     /// `part` of the samples, of the stream that lost more.
     pub(crate) fn usable(part: f64) -> Self {
-        let (value, limit) = (100.0 * part, 100.0 * LEAST_USABLE);
-        Self::at_least("usable", value, limit, "% of a stream is left").or(
+        Self::part_at_least("usable", part, LEAST_USABLE, "% of a stream is left").or(
             "too many samples had to be left out",
             "the list of faults says why; close other apps on the phone, and twist again",
         )
@@ -144,18 +147,17 @@ impl Gate {
 
     /// `share` is a part of the motion's power.
     pub(crate) fn one_body(share: f64) -> Self {
-        let (value, limit) = (100.0 * share, 100.0 * LEAST_ONE_BODY);
         let unit = "% of the motion is that of one body";
-        let reason = "too little is left where the two moved as one body";
-        let advice = "take a firm hold before the twist begins, and keep it to the end";
-        Self::at_least("one_body", value, limit, unit).or(reason, advice)
+        Self::part_at_least("one_body", share, LEAST_ONE_BODY, unit).or(
+            "too little is left where the two moved as one body",
+            "take a firm hold before the twist begins, and keep it to the end",
+        )
     }
 
     /// `share` is a part of the information.
     pub(crate) fn one_relation(share: f64) -> Self {
-        let (value, limit) = (100.0 * share, 100.0 * LEAST_SHARE);
         let unit = "% of the information is in one relation";
-        Self::at_least("one_relation", value, limit, unit).or(
+        Self::part_at_least("one_relation", share, LEAST_SHARE, unit).or(
             "the relation of the clocks jumps within the recording",
             "twist again; if it jumps again, the timestamps of a device are at fault",
         )

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 // Axes and rows of 3-vectors and small matrices are indices by nature.
 #![allow(clippy::needless_range_loop)]
 // A refusal carries its report, and there is one a twist.
@@ -46,7 +47,6 @@ pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset}
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
 pub use gates::Gate;
 pub use recording::{
-    GyroOpener, GyroSample, GyroStream, Prior, RecordingClock, RecordingError, course_of_tracks,
-    estimate_course,
+    GyroOpener, Prior, RecordingClock, RecordingError, course_of_tracks, estimate_course,
 };
-pub use track::GyroTrack;
+pub use track::{GyroSample, GyroStream, GyroTrack};

@@ -131,25 +131,21 @@ impl Network {
             for pair in &self.pairs {
                 let (a, b) = (out[pair.a], out[pair.b]);
                 if a.sigma.is_finite() {
-                    let there = pair.course.at(first_s + a.value);
-                    let sigma = a.sigma.hypot(there.covariance[0][0].max(0.0).sqrt());
+                    let there = pair.course.at(first_s + a.value).offset_here();
+                    let sigma = a.sigma.hypot(there.sigma);
                     if sigma < b.sigma {
-                        out[pair.b] = WithSigma {
-                            value: a.value + there.offset,
-                            sigma,
-                        };
+                        let value = a.value + there.value;
+                        out[pair.b] = WithSigma { value, sigma };
                     }
                 }
                 let b = out[pair.b];
                 if b.sigma.is_finite() {
                     let of_b = first_s + b.value;
-                    let there = pair.course.at(pair.course.b_to_a(of_b));
-                    let sigma = b.sigma.hypot(there.covariance[0][0].max(0.0).sqrt());
+                    let there = pair.course.at(pair.course.b_to_a(of_b)).offset_here();
+                    let sigma = b.sigma.hypot(there.sigma);
                     if sigma < out[pair.a].sigma {
-                        out[pair.a] = WithSigma {
-                            value: b.value - there.offset,
-                            sigma,
-                        };
+                        let value = b.value - there.value;
+                        out[pair.a] = WithSigma { value, sigma };
                     }
                 }
             }
@@ -172,11 +168,7 @@ impl Network {
                         continue;
                     };
                     let at = |k: usize| first_s + offsets[k].value;
-                    let (ab, bc, ac) = (
-                        ab.course.at(at(a)),
-                        bc.course.at(at(b)),
-                        ac.course.at(at(a)),
-                    );
+                    let [ab, bc, ac] = [(ab, a), (bc, b), (ac, a)].map(|(p, k)| p.course.at(at(k)));
                     let variance: f64 = [ab, bc, ac].iter().map(|r| r.covariance[0][0]).sum();
                     out.push(Closure {
                         devices: [a, b, c],

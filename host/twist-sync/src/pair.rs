@@ -110,22 +110,22 @@ impl<'a> Pair<'a> {
         }
     }
 
-    const fn a(&self) -> &CheckedStream<'a> {
+    /// What belongs to a, and what to b.
+    pub(crate) fn a_and_b<T>(&self, of_model: T, of_data: T) -> (T, T) {
         if self.a_is_model {
-            &self.model
+            (of_model, of_data)
         } else {
-            &self.data
+            (of_data, of_model)
         }
+    }
+
+    fn a(&self) -> &CheckedStream<'a> {
+        self.a_and_b(&self.model, &self.data).0
     }
 
     /// A time of the data in seconds from the first sample of a.
     pub(crate) fn since_first_of_a(&self, link: &Link, t: f64) -> f64 {
-        let of_a = if self.a_is_model {
-            link.model_time(t)
-        } else {
-            t
-        };
-        of_a - self.a().t[0]
+        self.a_and_b(link.model_time(t), t).0 - self.a().t[0]
     }
 
     /// Notes a stretch of the data's time that is left out.
@@ -150,12 +150,8 @@ impl<'a> Pair<'a> {
 
     /// All faults, those of a first.
     pub(crate) fn faults(&self) -> Vec<Fault> {
-        let (model, data) = (&self.model.faults, &self.data.faults);
-        if self.a_is_model {
-            [&model[..], data].concat()
-        } else {
-            [&data[..], model].concat()
-        }
+        let (a, b) = self.a_and_b(&self.model.faults, &self.data.faults);
+        [&a[..], b].concat()
     }
 
     pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
@@ -222,24 +218,29 @@ impl<'a> Pair<'a> {
         );
         // One fault may show in both: it belongs to the stream where it is larger.
         let near_s = 1.5 * (model.step_s + data.step_s);
-        let model_time = |m: &Misfit| model.t[m.index];
-        let data_time = |m: &Misfit| link.model_time(data.t[m.index]);
-        let outdone =
-            |own: &Misfit, time: f64, others: &[Misfit], time_of: &dyn Fn(&Misfit) -> f64| {
-                others.iter().any(|other| {
-                    (time_of(other) - time).abs() < near_s && other.sigmas > own.sigmas
-                })
+        type Timed = (f64, Misfit);
+        let of_data: Vec<Timed> = of_data
+            .into_iter()
+            .map(|m| (link.model_time(data.t[m.index]), m))
+            .collect();
+        let of_model: Vec<Timed> = of_model
+            .into_iter()
+            .map(|m| (model.t[m.index], m))
+            .collect();
+        let largest = |own: &[Timed], others: &[Timed]| -> Vec<usize> {
+            let is_outdone = |(time, own): &Timed| {
+                let mut near = others
+                    .iter()
+                    .filter(|other| (other.0 - time).abs() < near_s);
+                near.any(|(_, other)| other.sigmas > own.sigmas)
             };
-        let model_samples: Vec<usize> = of_model
-            .iter()
-            .filter(|m| !outdone(m, model_time(m), &of_data, &data_time))
-            .map(|m| m.index)
-            .collect();
-        let data_samples: Vec<usize> = of_data
-            .iter()
-            .filter(|m| !outdone(m, data_time(m), &of_model, &model_time))
-            .map(|m| m.index)
-            .collect();
+            own.iter()
+                .filter(|own| !is_outdone(own))
+                .map(|(_, m)| m.index)
+                .collect()
+        };
+        let model_samples = largest(&of_model, &of_data);
+        let data_samples = largest(&of_data, &of_model);
         let found = !model_samples.is_empty() || !data_samples.is_empty();
         self.model
             .leave_out(FaultKind::Outlier, model_samples, None);

@@ -21,7 +21,7 @@ use crate::clock::ClockRelation;
 use crate::course::ClockCourse;
 use crate::estimate::{Estimate, Options, Refusal, estimate_offset};
 use crate::search;
-use crate::track::GyroTrack;
+use crate::track::{GyroSample, GyroStream, GyroTrack};
 
 /// Length of a window, ns.
 const WINDOW: i64 = 10_000_000_000;
@@ -37,18 +37,6 @@ const MOST_MARGIN_S: f64 = 5.0;
 const MOST_SKEW: f64 = 500e-6;
 /// Most samples of one window: a stream with more of them in that time is damaged.
 pub(crate) const MOST_SAMPLES: usize = 200_000;
-
-/// One sample of a gyroscope in its own clock.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GyroSample {
-    /// Nanoseconds.
-    pub at: i64,
-    /// Angular rate about x, y, z in rad/s.
-    pub rate: [f64; 3],
-}
-
-/// Samples in order of time.
-pub type GyroStream<'a, E> = Box<dyn Iterator<Item = Result<GyroSample, E>> + 'a>;
 
 /// Opens a gyroscope's recording at its beginning.
 pub type GyroOpener<'a, E> = &'a dyn Fn() -> Result<GyroStream<'a, E>, E>;
@@ -192,7 +180,7 @@ impl Prior {
                 let offset = relation.offset_at(middle);
                 let distance = (middle - relation.reference).abs();
                 let drift = (6.0 * offset.sigma).min(MOST_SKEW * distance);
-                let known = 6.0 * relation.covariance[0][0].max(0.0).sqrt();
+                let known = 6.0 * relation.offset_here().sigma;
                 let margin = (LEAST_MARGIN_S + known + drift).min(MOST_MARGIN_S);
                 (offset.value, margin)
             }

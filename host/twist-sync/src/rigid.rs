@@ -197,8 +197,7 @@ pub(crate) fn part(
     noise_span: f64,
 ) -> Option<Part> {
     let blocks = blocks_of(&whole.nodes)?;
-    let n = whole.nodes.len() as f64;
-    let mean = whole.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+    let mean = fit::mean(whole.nodes.iter().map(|n| n.y));
     let own = blocks.rms(whole.nodes.iter().map(|n| (n.t, n.y - mean)));
     let around = |k: usize| {
         let near = &own[k.saturating_sub(1)..(k + 2).min(own.len())];
@@ -436,7 +435,7 @@ impl Search<'_> {
 
     /// Rms of the residual in each block that has one.
     fn residuals(&self, nodes: &[Node], calibration: &Calibration) -> Vec<f64> {
-        let residual = |n: &Node| n.y - calibration.matrix * n.x - calibration.bias;
+        let residual = |n: &Node| calibration.residual(&n.x, &n.y);
         self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))))
     }
 
@@ -452,9 +451,8 @@ impl Search<'_> {
     /// A small turn `φ` changes the prediction `v` by `φ × v`, so that the information is
     /// `Σ (|v|²·I − v·vᵀ)/σ²`, with `v` about its mean because the bias is fitted too.
     fn rotation_covariance(&self, nodes: &[Node], calibration: &Calibration) -> Matrix3<f64> {
-        let n = nodes.len().max(1) as f64;
         let rate = |n: &Node| calibration.matrix * n.x;
-        let mean = nodes.iter().map(rate).sum::<Vector3<f64>>() / n;
+        let mean = fit::mean(nodes.iter().map(rate));
         let mut information = Matrix3::zeros();
         for node in nodes {
             let v = rate(node) - mean;

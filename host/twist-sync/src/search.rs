@@ -11,8 +11,8 @@ use std::error::Error;
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
 use crate::estimate::{Options, estimate_offset};
-use crate::recording::{GyroOpener, GyroSample, MOST_SAMPLES, RecordingError};
-use crate::track::GyroTrack;
+use crate::recording::{GyroOpener, MOST_SAMPLES, RecordingError};
+use crate::track::{GyroSample, GyroTrack};
 
 /// Length of an average, ns: 40 ms.
 const BIN: i64 = 40_000_000;

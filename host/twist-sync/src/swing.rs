@@ -45,8 +45,8 @@ struct Local {
     variance: f64,
 }
 
-/// Takes slow time errors into the fit: its relation and its covariance.
-pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
+/// Adds what slow time errors leave open to the fit: relation and covariance.
+pub(crate) fn include_swings(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
     let prior_none = NONE[classes.min(NONE.len() - 1)];
     let no_shape = DMatrix::zeros(locals.len(), locals.len());

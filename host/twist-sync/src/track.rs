@@ -1,7 +1,18 @@
 //! A gyroscope's recording as the sync math takes it.
 
 use crate::interpolant::Vec3;
-use crate::recording::{GyroSample, GyroStream};
+
+/// One sample of a gyroscope in its own clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroSample {
+    /// Nanoseconds.
+    pub at: i64,
+    /// Angular rate about x, y, z in rad/s.
+    pub rate: Vec3,
+}
+
+/// Samples in order of time.
+pub type GyroStream<'a, E> = Box<dyn Iterator<Item = Result<GyroSample, E>> + 'a>;
 
 /// Angular rates over time.
 ///

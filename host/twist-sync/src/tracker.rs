@@ -65,7 +65,7 @@ impl Exchange {
         0.5 * (self.sent + self.received)
     }
 
-    fn is_one(&self) -> bool {
+    fn is_valid(&self) -> bool {
         let all = [self.sent, self.received, self.stamp];
         all.iter().all(|time| time.is_finite()) && self.received >= self.sent
     }
@@ -206,7 +206,7 @@ impl Tracker {
     /// Takes an exchange, and gives whether it has ended a window. Those of one clock come in
     /// the order in which they were asked; what is not a number is left.
     pub fn take(&mut self, asked: Asked, exchange: Exchange) -> bool {
-        if !exchange.is_one() {
+        if !exchange.is_valid() {
             return false;
         }
         let place = asked as usize;
@@ -256,7 +256,7 @@ impl Tracker {
     ///
     /// It may be some seconds old. Before the first window of either clock nothing comes
     /// of it, and `false` is given.
-    pub fn know(&mut self, relation: &ClockRelation) -> bool {
+    pub fn take_relation(&mut self, relation: &ClockRelation) -> bool {
         let ([Some(base_a), Some(base_b)], Some(filters)) = (self.base, &mut self.filters) else {
             return false;
         };
@@ -290,12 +290,7 @@ impl Tracker {
     /// both clocks have answered.
     #[must_use]
     pub fn offset_at(&self, computer: f64) -> Option<WithSigma> {
-        let (mean, covariance) = self.at(computer)?;
-        let [base_a, base_b] = self.base;
-        Some(WithSigma {
-            value: base_b? - base_a? + mean[D],
-            sigma: covariance[(D, D)].max(0.0).sqrt(),
-        })
+        Some(self.relation_at(computer)?.offset_here())
     }
 
     /// The relation of the clocks at a time of the computer, to go on from there.

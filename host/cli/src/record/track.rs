@@ -171,7 +171,7 @@ impl Tracking {
             .file
             .clock
             .filter(|clock| self.known != Some(*clock))
-            && self.tracker.know(&clock.into())
+            && self.tracker.take_relation(&clock.into())
         {
             self.known = Some(clock);
         }

@@ -57,9 +57,9 @@ fn pass(
         };
         while let Some(next) = known.next_if(|next| next.reference <= now.reference) {
             let expected = now.offset_at(next.reference);
-            let sigma = expected.sigma.hypot(next.covariance[0][0].max(0.0).sqrt());
+            let sigma = expected.sigma.hypot(next.offset_here().sigma);
             if !told || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
-                told |= tracker.know(&next);
+                told |= tracker.take_relation(&next);
             }
         }
     }

@@ -86,7 +86,7 @@ impl World {
     }
 
     fn twist(&mut self, at: f64) {
-        assert!(self.tracker.know(&twist(at, 3e-6)));
+        assert!(self.tracker.take_relation(&twist(at, 3e-6)));
     }
 
     /// Error now, and its 1-sigma, µs.
