@@ -13,7 +13,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 REAL = ROOT / "host/twist-scenarios/data/twist"
-MAKE_BAG = ROOT / "hil-sim/trials/tests/python/make_published_bag.py"
+MAKE_BAG = ROOT / "hil-sim/scenarios/tests/python/make_published_bag.py"
 
 
 def run(*args):

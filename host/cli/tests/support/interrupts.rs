@@ -1,4 +1,4 @@
-//! Processes that are to take Ctrl-C for a request. Used by the tests of the trials too, by
+//! Processes that are to take Ctrl-C for a request.
 //! path.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
 

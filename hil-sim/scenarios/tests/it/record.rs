@@ -11,7 +11,7 @@ use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::SampleRecord;
 use serde_json::Value;
-use trials::demo::judge::Truth;
+use scenarios::demo::judge::Truth;
 
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {

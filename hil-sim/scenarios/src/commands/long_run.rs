@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use rig::random::Seed;
-use trials::long_run::{Options, Report, run as run_long};
+use scenarios::long_run::{Options, Report, run as run_long};
 
 /// Options of `long-run`.
 #[derive(clap::Args)]

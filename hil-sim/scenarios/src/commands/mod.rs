@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 pub(crate) use rig::serve::speed;
 use serde::Serialize;
-use trials::programs::Programs;
+use scenarios::programs::Programs;
 
 /// Virtual time against real time in a campaign with the real program.
 const SPEED: f64 = 8.0;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use trials::beliefs::{self, BeliefOptions, Specimen, session};
-use trials::demo::frame_sync::{self, FrameSyncOptions};
+use scenarios::beliefs::{self, BeliefOptions, Specimen, session};
+use scenarios::demo::frame_sync::{self, FrameSyncOptions};
 
 /// Options of `frame-sync`.
 #[derive(clap::Args)]

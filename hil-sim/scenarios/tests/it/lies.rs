@@ -8,9 +8,9 @@ use crate::turn;
 use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig};
 use protocol::{DeviceToHost, ImuSample, TICK_HZ, TickDelta};
 use recording::session_file::SessionOutcome;
-use trials::lies::board::{Change, Liar};
-use trials::lies::campaign;
-use trials::programs::Programs;
+use scenarios::lies::board::{Change, Liar};
+use scenarios::lies::campaign;
+use scenarios::programs::Programs;
 
 // Exit codes, as docs/exit-codes.md has them.
 const REFUSED: i32 = 3;

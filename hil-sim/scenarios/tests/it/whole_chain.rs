@@ -19,9 +19,9 @@ use rig::wiring::{self, BoardKind};
 use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
-use trials::beliefs::{Kind, Specimen};
-use trials::programs::Programs;
-use trials::whole_chain::{self, Plan, believed, calibration, evaluation, extraction};
+use scenarios::beliefs::{Kind, Specimen};
+use scenarios::programs::Programs;
+use scenarios::whole_chain::{self, Plan, believed, calibration, evaluation, extraction};
 
 pub(crate) fn programs() -> Programs {
     Programs {

@@ -151,7 +151,7 @@ impl WholeRig {
 }
 
 /// A session that runs, with what it says as it says it.
-pub(crate) struct Session(trials::session::Session);
+pub(crate) struct Session(scenarios::session::Session);
 
 impl Session {
     pub(crate) fn start(command: &mut Command) -> Self {
@@ -166,7 +166,7 @@ impl Session {
     }
 
     fn spawn(command: &mut Command) -> Self {
-        Self(trials::session::Session::start(command).unwrap())
+        Self(scenarios::session::Session::start(command).unwrap())
     }
 
     /// The process's number.

@@ -6,7 +6,7 @@ use crate::whole_rig::{SPEED, Session, WholeRig};
 use protocol::{ImuClock, ImuModel};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::SensorModel;
-use trials::demo::judge::Truth;
+use scenarios::demo::judge::Truth;
 
 #[test]
 fn a_session_is_aligned_with_an_imu_on_its_own_clock() {

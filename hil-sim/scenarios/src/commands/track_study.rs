@@ -1,7 +1,7 @@
 //! `hil-sim track-study`: clocks that warm up for an hour, followed or not.
 
 use anyhow::Result;
-use trials::tracking::{Part, Place, StudyOptions, over_beliefs, study};
+use scenarios::tracking::{Part, Place, StudyOptions, over_beliefs, study};
 
 /// Options of `track-study`.
 #[derive(clap::Args)]

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use trials::demo::stage::StageOptions;
-use trials::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
-use trials::whole_chain::several::{self, SeveralPlan};
+use scenarios::demo::stage::StageOptions;
+use scenarios::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
+use scenarios::whole_chain::several::{self, SeveralPlan};
 
 /// Which rig is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -5,7 +5,7 @@ use crate::turn;
 use crate::whole_rig::{SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
-use trials::demo::judge::Truth;
+use scenarios::demo::judge::Truth;
 
 #[test]
 fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {

@@ -15,7 +15,7 @@ use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
-use trials::whole_chain::{self, Plan};
+use scenarios::whole_chain::{self, Plan};
 
 /// Numbers of the maker's enumerations (k4atypes.h).
 const NFOV_2X2BINNED: u8 = 1;

@@ -1,7 +1,7 @@
 //! `hil-sim hostile`: the hostile campaign.
 
 use anyhow::Result;
-use trials::hostile::campaign;
+use scenarios::hostile::campaign;
 
 /// Options of `hostile`.
 #[derive(clap::Args)]

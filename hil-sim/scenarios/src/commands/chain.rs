@@ -7,9 +7,9 @@ use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use serde::Serialize;
 use stm32f4_sim::time::SimDuration;
-use trials::beliefs::{self, BeliefOptions, Specimen};
-use trials::whole_chain::evaluation::EvaluationFigures;
-use trials::whole_chain::{Plan, believed, calibration, evaluation, extraction};
+use scenarios::beliefs::{self, BeliefOptions, Specimen};
+use scenarios::whole_chain::evaluation::EvaluationFigures;
+use scenarios::whole_chain::{Plan, believed, calibration, evaluation, extraction};
 
 /// Options of `chain`.
 #[derive(clap::Args)]

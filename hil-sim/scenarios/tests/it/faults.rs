@@ -3,9 +3,9 @@
 use crate::support;
 use crate::turn;
 use rig::random::Seed;
-use trials::faults::plan::{Event, Fault, Plan};
-use trials::faults::{campaign, run, run_plan};
-use trials::programs::Programs;
+use scenarios::faults::plan::{Event, Fault, Plan};
+use scenarios::faults::{campaign, run, run_plan};
+use scenarios::programs::Programs;
 
 fn programs() -> Programs {
     Programs {

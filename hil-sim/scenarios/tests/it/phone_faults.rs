@@ -1,6 +1,6 @@
 //! A part of the campaign of faults in the phone alone.
 
-use trials::phone_faults::campaign;
+use scenarios::phone_faults::campaign;
 
 use crate::turn;
 

@@ -5,7 +5,7 @@ use std::io::Write as _;
 
 use crate::support;
 use crate::turn;
-use trials::hostile::{bag, campaign, limits};
+use scenarios::hostile::{bag, campaign, limits};
 
 #[test]
 fn absurd_values_in_valid_files_do_no_harm() {

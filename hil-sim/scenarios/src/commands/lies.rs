@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context as _, Result};
-use trials::lies::campaign;
+use scenarios::lies::campaign;
 
 /// Options of `lies`.
 #[derive(clap::Args)]

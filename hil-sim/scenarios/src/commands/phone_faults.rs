@@ -1,7 +1,7 @@
 //! `hil-sim phone-faults`: faults in the phone alone.
 
 use anyhow::{Result, bail};
-use trials::phone_faults::campaign;
+use scenarios::phone_faults::campaign;
 
 /// Options of `phone-faults`.
 #[derive(clap::Args)]

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use trials::faults::plan::Fault;
-use trials::faults::{Finding, Verdict, campaign};
+use scenarios::faults::plan::Fault;
+use scenarios::faults::{Finding, Verdict, campaign};
 
 /// Options of `faults`.
 #[derive(clap::Args)]

@@ -4,8 +4,8 @@
 
 use crate::support;
 use crate::turn;
-use trials::programs::Programs;
-use trials::whole_chain::several::{self, SeveralPlan};
+use scenarios::programs::Programs;
+use scenarios::whole_chain::several::{self, SeveralPlan};
 
 #[test]
 fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {

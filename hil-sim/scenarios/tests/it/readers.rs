@@ -19,7 +19,7 @@ use extract::layout::Format;
 use recording::kalibr::into_profile;
 use recording::profile::{DEFAULT, Pose};
 use recording::session_file::SessionFile;
-use trials::whole_chain::Plan;
+use scenarios::whole_chain::Plan;
 
 fn check(script: &str, arguments: &[&Path]) {
     check_with(python::python(), script, arguments);

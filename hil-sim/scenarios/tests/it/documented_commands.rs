@@ -158,7 +158,7 @@ fn examples_and_fuzz_targets_are_there() {
             for pair in words.windows(2) {
                 let found =
                     match pair {
-                        ["--example", name] => ["host/twist-scenarios", "hil-sim/trials"]
+                        ["--example", name] => ["host/twist-scenarios", "hil-sim/scenarios"]
                             .iter()
                             .any(|package| {
                                 let file = format!("{package}/examples/{name}.rs");
