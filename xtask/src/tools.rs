@@ -17,7 +17,6 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("mkvmerge", "mkvtoolnix")?;
     ensure_program("chromium", "chromium")?;
     ensure_program("tmux", "tmux")?;
-    ensure_program("strace", "strace")?;
     ensure_program("qemu-system-arm", "qemu-system-arm")?;
     ensure_program("qemu-aarch64", "qemu-user")?;
     ensure_program("adb", "adb")

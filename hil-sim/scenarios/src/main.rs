@@ -34,12 +34,6 @@ enum Command {
     LongRun(commands::long_run::Args),
     /// Recordings during which things go wrong, judged by the truth.
     Faults(commands::faults::Args),
-    /// Faults in the phone alone: no video that was begun is left running.
-    PhoneFaults(commands::phone_faults::Args),
-    /// Sessions with a board or a phone that lies.
-    Lies(commands::lies::Args),
-    /// Absurd values in valid recordings, through whole commands in limits of their own.
-    Hostile(commands::hostile::Args),
 }
 
 fn main() -> ExitCode {
@@ -53,9 +47,6 @@ fn main() -> ExitCode {
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),
         Command::Faults(args) => commands::faults::run(&args),
-        Command::PhoneFaults(args) => commands::phone_faults::run(&args),
-        Command::Lies(args) => commands::lies::run(&args),
-        Command::Hostile(args) => commands::hostile::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

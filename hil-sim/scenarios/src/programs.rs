@@ -5,7 +5,6 @@ use std::process::{Command, Output, Stdio};
 
 use anyhow::{Context, Result};
 use rig::running_rig::Pace;
-use smartdepthsync::outcome::ExitStatus;
 
 /// What all sessions need.
 #[derive(Clone, Debug)]
@@ -62,13 +61,6 @@ impl Programs {
     pub(crate) fn output(&self, command: &mut Command) -> Result<Output> {
         command.output().with_context(|| self.cannot_start())
     }
-}
-
-/// Whether a program's exit code is one of those that the documents have.
-pub(crate) fn is_documented(code: i32) -> bool {
-    ExitStatus::ALL
-        .iter()
-        .any(|status| i32::from(status.code()) == code)
 }
 
 /// How a program ended, and what it said.

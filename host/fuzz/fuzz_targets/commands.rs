@@ -1,9 +1,6 @@
-//! See `bodies.rs`.
+//! See the crate `fuzz_bodies`.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
 
-#[path = "../bodies.rs"]
-mod bodies;
-
-fuzz_target!(|data: &[u8]| bodies::commands(data));
+fuzz_target!(|data: &[u8]| fuzz_bodies::commands(data));

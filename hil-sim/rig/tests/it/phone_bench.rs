@@ -1,6 +1,4 @@
-//! A simulated phone on a walk, and a raw connection to its app. Used by the tests of
-//! the trials too, by path.
-#![allow(dead_code, reason = "each test program uses a part of it")]
+//! A simulated phone on a walk, and a raw connection to its app.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;

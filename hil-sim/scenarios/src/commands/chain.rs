@@ -5,11 +5,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
-use serde::Serialize;
-use stm32f4_sim::time::SimDuration;
 use scenarios::beliefs::{self, BeliefOptions, Specimen};
 use scenarios::whole_chain::evaluation::EvaluationFigures;
 use scenarios::whole_chain::{Plan, believed, calibration, evaluation, extraction};
+use serde::Serialize;
+use stm32f4_sim::time::SimDuration;
 
 /// Options of `chain`.
 #[derive(clap::Args)]

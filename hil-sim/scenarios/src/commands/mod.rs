@@ -6,18 +6,15 @@ pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod frame_sync;
-pub(crate) mod hostile;
-pub(crate) mod lies;
 pub(crate) mod long_run;
-pub(crate) mod phone_faults;
 pub(crate) mod track_study;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 pub(crate) use rig::serve::speed;
-use serde::Serialize;
 use scenarios::programs::Programs;
+use serde::Serialize;
 
 /// Virtual time against real time in a campaign with the real program.
 const SPEED: f64 = 8.0;

@@ -5,7 +5,6 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
-use crate::objects;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::Session;
@@ -19,6 +18,7 @@ use rig::wiring;
 use serde_json::Value;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
+use test_support::objects;
 
 struct Bench {
     rig: RunningRig,

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
-use crate::documents;
-use crate::documents::{Code, arguments, pages};
 use crate::support;
+use test_support::documents::{Code, arguments, pages};
+use test_support::root;
 
 /// What the help of a command says.
 #[derive(Debug, Default)]
@@ -156,23 +156,22 @@ fn examples_and_fuzz_targets_are_there() {
         for line in Code::of(&text).all() {
             let words: Vec<&str> = line.split_whitespace().collect();
             for pair in words.windows(2) {
-                let found =
-                    match pair {
-                        ["--example", name] => ["host/twist-scenarios", "hil-sim/scenarios"]
-                            .iter()
-                            .any(|package| {
-                                let file = format!("{package}/examples/{name}.rs");
-                                documents::root().join(file).is_file()
-                            }),
-                        ["run", name] if line.contains("cargo +nightly fuzz") => {
-                            ["host", "protocol"].iter().any(|package| {
-                                let file = format!("{package}/fuzz/Cargo.toml");
-                                let text = std::fs::read_to_string(documents::root().join(file));
-                                text.is_ok_and(|text| text.contains(&format!("name = \"{name}\"")))
-                            })
-                        }
-                        _ => continue,
-                    };
+                let found = match pair {
+                    ["--example", name] => ["host/twist-scenarios", "hil-sim/scenarios"]
+                        .iter()
+                        .any(|package| {
+                            let file = format!("{package}/examples/{name}.rs");
+                            root().join(file).is_file()
+                        }),
+                    ["run", name] if line.contains("cargo +nightly fuzz") => {
+                        ["host", "protocol"].iter().any(|package| {
+                            let file = format!("{package}/fuzz/Cargo.toml");
+                            let text = std::fs::read_to_string(root().join(file));
+                            text.is_ok_and(|text| text.contains(&format!("name = \"{name}\"")))
+                        })
+                    }
+                    _ => continue,
+                };
                 assert!(found, "{}: {line}", page.display());
                 checked += 1;
             }

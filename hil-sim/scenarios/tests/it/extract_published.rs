@@ -4,13 +4,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::python;
 use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::{Progress, Silent};
 use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
+use test_support::python;
 
 fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use crate::extract_vendor::Case;
-use crate::python;
 use crate::synthetic::Synthetic;
 use crate::turn;
 use extract::inputs::Options;
+use test_support::python;
 
 /// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives.
 #[test]

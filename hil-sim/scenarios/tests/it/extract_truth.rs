@@ -4,7 +4,6 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::browser;
 use crate::synthetic::{Synthetic, Truth, make};
 use crate::turn;
 use extract::inputs::Options;
@@ -12,6 +11,7 @@ use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
+use test_support::browser;
 
 struct Case {
     folder: tempfile::TempDir,

@@ -6,7 +6,6 @@ use std::process::Command;
 
 use serde_json::json;
 
-use crate::python;
 use crate::synthetic::{Synthetic, make};
 use crate::turn;
 use crate::whole_chain::programs;
@@ -16,6 +15,7 @@ use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
 use scenarios::whole_chain::{self, Plan};
+use test_support::python;
 
 /// Numbers of the maker's enumerations (k4atypes.h).
 const NFOV_2X2BINNED: u8 = 1;

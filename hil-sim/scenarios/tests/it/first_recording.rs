@@ -5,11 +5,12 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use crate::documents::{self, Code};
 use crate::support;
 use crate::turn;
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Verdict};
+use test_support::documents::Code;
+use test_support::root;
 
 /// A rig that waits for commands, and what it said at first.
 struct Served {
@@ -116,7 +117,7 @@ fn the_page_is_followed_to_a_data_set() {
     let owner = Profile::load(&place.join("owner.toml")).unwrap();
     let recorder = owner.depth.recorder.command.join(" ");
 
-    let page = documents::root().join("docs/first-recording.md");
+    let page = root().join("docs/first-recording.md");
     let page = std::fs::read_to_string(page).unwrap();
     let code = Code::of(&page);
     let commands: Vec<&str> = code.lines.iter().map(String::as_str).collect();

@@ -2,11 +2,12 @@
 //! `smartdepthsync imu --csv`, and pandas.
 
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use crate::support;
 use crate::turn;
+use crate::whole_rig::run_python;
 
 /// Virtual time against real time: a program that is slow to start, by 2 s, must not miss
 /// the rest before the twist.
@@ -50,21 +51,6 @@ impl Drop for Serve {
     }
 }
 
-/// The Python environment that `cargo xtask test` makes.
-fn python() -> PathBuf {
-    let target = Path::new(env!("CARGO_BIN_EXE_hil-sim"))
-        .parent()
-        .and_then(Path::parent)
-        .unwrap();
-    let python = target.join("venv/bin/python3");
-    assert!(
-        python.is_file(),
-        "{} is missing: run this test through `cargo xtask test`, which makes it",
-        python.display()
-    );
-    python
-}
-
 #[test]
 fn pandas_sees_the_twist_in_the_csv() {
     let _turn = turn::beside_others();
@@ -82,18 +68,7 @@ fn pandas_sees_the_twist_in_the_csv() {
         String::from_utf8_lossy(&output.stdout),
         String::from_utf8_lossy(&output.stderr)
     );
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/twist_csv.py");
-    let output = Command::new(python())
-        .arg(script)
-        .arg(&csv)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    println!("{}", String::from_utf8_lossy(&output.stdout).trim());
+    println!("{}", run_python("twist_csv.py", &[&csv]).trim());
 }
 
 /// The CSV is a motion that the rig can repeat: replayed, the sensor shows the

@@ -5,11 +5,11 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::objects;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::WholeRig;
 use serde_json::Value;
+use test_support::objects;
 
 /// Runs a command and gives what it prints. It may end with loss or refusal, as long as
 /// it prints its object.

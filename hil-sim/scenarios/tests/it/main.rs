@@ -5,12 +5,8 @@
 
 mod adb_phone;
 mod bring_up;
-#[path = "../../../../host/cli/tests/support/browser.rs"]
-mod browser;
 mod doctor;
 mod documented_commands;
-#[path = "../../../../host/cli/tests/support/documents.rs"]
-mod documents;
 mod evaluate_rendered;
 mod evaluate_video;
 mod extract_mkv;
@@ -21,25 +17,15 @@ mod extract_vendor;
 mod faults;
 mod first_recording;
 mod foxglove;
-mod hostile;
 mod imu_csv;
-#[path = "../../../../host/cli/tests/support/interrupts.rs"]
-mod interrupts;
 mod json_objects;
-mod lies;
 mod live_view;
 mod long_run;
 mod moving_thing;
-#[path = "../../../../host/cli/tests/support/objects.rs"]
-mod objects;
-#[path = "../../../rig/tests/it/phone_bench.rs"]
 mod phone_bench;
 mod phone_command;
-mod phone_faults;
 mod phone_rude;
 mod phone_twist;
-#[path = "../../../../host/cli/tests/support/python.rs"]
-mod python;
 mod readers;
 mod record;
 mod record_boards;

@@ -97,8 +97,7 @@ fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
     let _turn = turn::beside_others();
     let bench = Bench::new(22, 20.0, |_| ());
     let folder = tempfile::tempdir().unwrap();
-    let mut other = bench.connect();
-    assert_eq!(other.ask("x")[0], "ERROR");
+    let other = bench.occupy();
     let blocked = bench.command(&["stop", "--timeout", "0.5"], folder.path());
     fails(&blocked, 12, "one at a time");
     drop(other);

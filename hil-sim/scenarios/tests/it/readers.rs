@@ -8,10 +8,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::browser;
 use crate::extract_vendor::{Case, NFOV_UNBINNED, calibration, said};
 use crate::json_objects::CHAIN;
-use crate::python;
 use crate::turn;
 use extract::geometry::View;
 use extract::inputs::Options;
@@ -20,6 +18,8 @@ use recording::kalibr::into_profile;
 use recording::profile::{DEFAULT, Pose};
 use recording::session_file::SessionFile;
 use scenarios::whole_chain::Plan;
+use test_support::browser;
+use test_support::{python, target};
 
 fn check(script: &str, arguments: &[&Path]) {
     check_with(python::python(), script, arguments);
@@ -87,7 +87,7 @@ fn large_readers_find_the_same() {
     let [euroc, two, one, lerobot] = extracted(&chain);
     let (calibration, color) = in_color(&chain);
     let check_large = |reader: &str, script, arguments: &[&Path]| {
-        let python = python::target().join(format!("readers/{reader}/bin/python3"));
+        let python = target().join(format!("readers/{reader}/bin/python3"));
         check_with(&python, script, arguments);
     };
     let recording = chain.case.path("recording/recording.mcap");

@@ -10,8 +10,8 @@ use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::SampleRecord;
-use serde_json::Value;
 use scenarios::demo::judge::Truth;
+use serde_json::Value;
 
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {
@@ -133,8 +133,7 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
     }
 
     let found: Value =
-        serde_json::from_slice(&run_python("read_recording.py", &[&folder.join(MCAP_FILE)]))
-            .unwrap();
+        serde_json::from_str(&run_python("read_recording.py", &[&folder.join(MCAP_FILE)])).unwrap();
     let read = found["imu"].as_array().unwrap();
     assert_eq!(read.len(), rows.len());
     for (row, (at, values)) in read.iter().zip(&rows) {

@@ -6,7 +6,6 @@
 use std::io::Write as _;
 use std::process::Command;
 
-use crate::interrupts;
 use crate::support::smartdepthsync;
 use crate::turn;
 use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig};
@@ -16,6 +15,7 @@ use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
+use test_support::interrupts;
 
 // Exit codes, as docs/exit-codes.md has them.
 const REFUSED: i32 = 3;

@@ -1,29 +1,14 @@
 //! The program under test.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
 use tempfile::TempDir;
 
-use crate::phone_bench::Bench;
-
 /// Free memory for a test's recordings, bytes: more than what `record` warns of.
 const ENOUGH: u64 = 2_000_000_000;
-
-impl Bench {
-    /// Runs `smartdepthsync phone …` against this phone.
-    pub(crate) fn command(&self, arguments: &[&str], folder: &Path) -> Output {
-        Command::new(smartdepthsync())
-            .arg("phone")
-            .args(arguments)
-            .args(["--phone", &self.address()])
-            .current_dir(folder)
-            .output()
-            .unwrap()
-    }
-}
 
 /// A folder for recordings, in memory where there is enough: while a program waits for the
 /// disk, a fast board makes seconds of data that it has not seen. Nothing may be started there.

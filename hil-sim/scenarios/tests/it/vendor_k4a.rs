@@ -7,11 +7,11 @@ use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::Path;
 
-use crate::python::run_script;
 use crate::turn;
 use formats::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
+use test_support::python::run_script;
 
 /// Device time of the first capture in the library's recordings.
 const START_US: i64 = 7_654_321;

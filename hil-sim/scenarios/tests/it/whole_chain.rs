@@ -5,7 +5,6 @@
 
 use std::process::Command;
 
-use crate::objects;
 use crate::support;
 use crate::turn;
 use protocol::{BoardModel, ImuClock, TICK_HZ};
@@ -16,12 +15,13 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring::{self, BoardKind};
-use serde_json::Value;
-use stm32f4_sim::sim::INPUT_SYNCHRONISER;
-use stm32f4_sim::time::SimDuration;
 use scenarios::beliefs::{Kind, Specimen};
 use scenarios::programs::Programs;
 use scenarios::whole_chain::{self, Plan, believed, calibration, evaluation, extraction};
+use serde_json::Value;
+use stm32f4_sim::sim::INPUT_SYNCHRONISER;
+use stm32f4_sim::time::SimDuration;
+use test_support::objects;
 
 pub(crate) fn programs() -> Programs {
     Programs {

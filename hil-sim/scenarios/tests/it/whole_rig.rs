@@ -12,6 +12,7 @@ use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
 use rustix::process::Signal;
 use stm32f4_sim::time::SimDuration;
+use test_support::python;
 
 /// The longest that anything is waited for, in real time: it only ends what hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -217,33 +218,8 @@ impl Session {
     }
 }
 
-/// The Python environment that `cargo xtask test` makes.
-pub(crate) fn python() -> PathBuf {
-    // target/<profile>/deps/<test>
-    let test = std::env::current_exe().unwrap();
-    let python = test.ancestors().nth(3).unwrap().join("venv/bin/python3");
-    assert!(
-        python.is_file(),
-        "{} is missing: run this test through `cargo xtask test`, which makes it",
-        python.display()
-    );
-    python
-}
-
 /// Runs a script beside the tests and gives what it prints.
-pub(crate) fn run_python(script: &str, arguments: &[&Path]) -> Vec<u8> {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/python")
-        .join(script);
-    let output = Command::new(python())
-        .arg(script)
-        .args(arguments)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    output.stdout
+pub(crate) fn run_python(script: &str, arguments: &[&Path]) -> String {
+    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
+    python::run_script(&scripts.join(script), arguments)
 }

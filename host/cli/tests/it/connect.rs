@@ -7,10 +7,10 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::mpsc::channel;
 
-use crate::support::interrupts::PATIENCE;
 use crate::support::{self, StandIn, code, frame, hello, polite, run};
 use protocol::{Answer, DeviceToHost, HostToDevice, Refusal, usb};
 use serde_json::Value;
+use test_support::interrupts::PATIENCE;
 
 #[test]
 fn info_says_who_the_board_is() {

@@ -8,7 +8,8 @@ use clap::CommandFactory as _;
 use clap::error::ErrorKind;
 use smartdepthsync::cli::Cli;
 
-use crate::support::documents::{self, Code, arguments, pages};
+use test_support::documents::{Code, arguments, pages};
+use test_support::root;
 
 fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -167,7 +168,7 @@ fn every_commands_object_is_described() {
     cli.build();
     let mut commands = Vec::new();
     all_commands(&cli, &mut Vec::new(), &mut commands);
-    let page = documents::root().join("docs/json.md");
+    let page = root().join("docs/json.md");
     let page = fs::read_to_string(page).unwrap();
     let headings: String = page
         .lines()

@@ -7,7 +7,7 @@ use std::time::Duration;
 use evaluate::train::{Shape, TrainGeometry, row_light};
 use serde_json::Value;
 
-use crate::support::{browser, objects};
+use test_support::{browser, objects};
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

@@ -16,14 +16,11 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
+use test_support::root;
 use twist_scenarios::TwistSpec;
 
-use crate::support::documents::root;
 use crate::support::gopro::{self, Stamps};
 use crate::support::{ros2_imu, sqlite_bag, synthetic};
-
-#[path = "../../../fuzz/bodies.rs"]
-mod bodies;
 
 /// Bytes of one kind that are right, to be changed.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
@@ -104,7 +101,7 @@ fn run(target: &str, body: fn(&[u8]), mut seeds: Vec<Vec<u8>>, rounds: u32) {
 
 #[test]
 fn bags() {
-    run("bag", bodies::bag, Vec::new(), 3_000);
+    run("bag", fuzz_bodies::bag, Vec::new(), 3_000);
 }
 
 #[test]
@@ -123,14 +120,14 @@ fn recordings_of_gyroscopes() {
     });
     sqlite_bag::write(&bag, ("/imu", "sensor_msgs/msg/Imu"), messages).unwrap();
     seeds.push(fs::read(bag).unwrap());
-    run("gyro_file", bodies::gyro_file, seeds, 1_000);
+    run("gyro_file", fuzz_bodies::gyro_file, seeds, 1_000);
 }
 
 #[test]
 fn depth_recordings() {
     run(
         "depth_recording",
-        bodies::depth_recording,
+        fuzz_bodies::depth_recording,
         Vec::new(),
         3_000,
     );
@@ -138,18 +135,18 @@ fn depth_recordings() {
 
 #[test]
 fn csv_of_the_phone() {
-    run("phone_csv", bodies::phone_csv, Vec::new(), 5_000);
+    run("phone_csv", fuzz_bodies::phone_csv, Vec::new(), 5_000);
 }
 
 #[test]
 fn answers_of_the_phone() {
-    run("phone_answer", bodies::phone_answer, Vec::new(), 5_000);
+    run("phone_answer", fuzz_bodies::phone_answer, Vec::new(), 5_000);
 }
 
 #[test]
 fn profiles() {
     let seeds = vec![recording::profile::DEFAULT.as_bytes().to_vec()];
-    run("profile", bodies::profile, seeds, 1_000);
+    run("profile", fuzz_bodies::profile, seeds, 1_000);
 }
 
 /// Both styles of a list.
@@ -181,7 +178,12 @@ fn chains_of_kalibr() {
     )
     .unwrap();
     assert!(text.contains("1412.5"));
-    run("camchain", bodies::camchain, vec![seed.to_vec()], 1_000);
+    run(
+        "camchain",
+        fuzz_bodies::camchain,
+        vec![seed.to_vec()],
+        1_000,
+    );
 }
 
 #[test]
@@ -205,7 +207,7 @@ fn calibrations_of_depth_cameras() {
     let seed = serde_json::json!({ "CalibrationInformation": { "Cameras": cameras } });
     let seed = seed.to_string().into_bytes();
     extract::geometry::check_calibration(&seed, "NFOV_UNBINNED", Some((1280, 720))).unwrap();
-    run("calibration", bodies::calibration, vec![seed], 2_000);
+    run("calibration", fuzz_bodies::calibration, vec![seed], 2_000);
 }
 
 #[test]
@@ -234,7 +236,7 @@ fn bytes_of_the_link() {
             stream.extend_from_slice(encode(&message, &mut buffer).unwrap());
         }
     }
-    run("link", bodies::link, vec![stream], 3_000);
+    run("link", fuzz_bodies::link, vec![stream], 3_000);
 }
 
 #[test]
@@ -244,7 +246,7 @@ fn recordings() {
     let mut seed = fs::read(folder.join("recording.mcap")).unwrap();
     // The first two chunks and what belongs to them.
     seed.truncate(64 << 10);
-    run("recording", bodies::recording, vec![seed], 150);
+    run("recording", fuzz_bodies::recording, vec![seed], 150);
 }
 
 #[test]
@@ -252,7 +254,7 @@ fn session_files() {
     let parent = tempfile::tempdir().unwrap();
     let folder = synthetic::make(parent.path(), synthetic::Wrong::default());
     let seed = fs::read(folder.join("session.json")).unwrap();
-    run("session_file", bodies::session_file, vec![seed], 500);
+    run("session_file", fuzz_bodies::session_file, vec![seed], 500);
 }
 
 #[test]
@@ -273,7 +275,7 @@ fn commands_to_the_board() {
             stream.extend_from_slice(encode(&sent, &mut buffer).unwrap());
         }
     }
-    run("commands", bodies::commands, vec![stream], 3_000);
+    run("commands", fuzz_bodies::commands, vec![stream], 3_000);
 }
 
 #[test]
@@ -285,5 +287,5 @@ fn what_is_known_of_a_video() {
         "timestamp\n1093470123456\n1093503456789,7\n",
     ];
     let seeds = seeds.iter().map(|seed| seed.as_bytes().to_vec()).collect();
-    run("video_metadata", bodies::video_metadata, seeds, 2_000);
+    run("video_metadata", fuzz_bodies::video_metadata, seeds, 2_000);
 }

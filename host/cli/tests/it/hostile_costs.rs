@@ -14,9 +14,9 @@ use recording::writer::options;
 use recording::{MCAP_FILE, Topic};
 
 use super::hostile_files::{command, limited, utf8};
-use crate::support::interrupts::worked_s;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, text};
+use test_support::interrupts::worked_s;
 
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
 /// for `noise` bytes that cannot be packed.

@@ -14,9 +14,9 @@ use recording::session_file::Problem;
 use recording::writer::Writer;
 use serde_json::Value;
 
-use crate::support::interrupts::PATIENCE;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, frame, hello, text};
+use test_support::interrupts::PATIENCE;
 
 /// What a command may use of the machine: bytes of address space, seconds of processor.
 const MEMORY: u64 = 1 << 30;

@@ -8,7 +8,8 @@ use serde_json::Value;
 use twist_scenarios::{Twist, TwistSpec};
 use twist_sync::GyroTrack;
 
-use crate::support::{objects, phone_app};
+use crate::support::phone_app;
+use test_support::objects;
 
 fn offset(mcu: &Path, phone: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

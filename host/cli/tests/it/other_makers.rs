@@ -10,7 +10,7 @@ use twist_sync::GyroTrack;
 
 use crate::support::gopro::{self, Stamps};
 use crate::support::phone_app;
-use crate::support::python::python;
+use test_support::python::python;
 
 fn sync(folder: &Path, video: &str, path: OsString) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

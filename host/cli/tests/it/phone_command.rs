@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::support;
-use crate::support::interrupts::PATIENCE;
+use test_support::interrupts::PATIENCE;
 
 /// A phone that answers requests on one connection with a script. As the app does, it
 /// answers an empty line with an error; its sensors are free (the program asks for 1 and

@@ -6,8 +6,8 @@ use board::{StreamCount, StreamCounts};
 use protocol::Ticks;
 use recording::session_file::{Marker, Problem, SessionFile, SessionOutcome, Span, Twist};
 
-use crate::support::browser;
 use crate::support::synthetic::{SECONDS, Wrong, make};
+use test_support::browser;
 
 #[test]
 fn a_recordings_report_is_readable_on_phone_desk_and_paper() {

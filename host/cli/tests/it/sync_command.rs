@@ -11,7 +11,8 @@ use twist_scenarios::{Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 use twist_sync::GyroTrack;
 
 use crate::support::gopro::{self, Stamps};
-use crate::support::{nanos, objects, phone_app, ros2_imu};
+use crate::support::{nanos, phone_app, ros2_imu};
+use test_support::objects;
 
 fn sync(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

@@ -1,13 +1,9 @@
 //! A stand-in for the board on a pseudo-terminal, for tests of the program's
 //! ways to fail. The real firmware is tested in `hil-sim`.
 
-pub(crate) mod browser;
-pub(crate) mod documents;
 pub(crate) mod gopro;
-pub(crate) mod interrupts;
-pub(crate) mod objects;
-pub(crate) mod python;
 pub(crate) mod ros2_imu;
+mod session;
 pub(crate) mod sqlite_bag;
 pub(crate) mod synthetic;
 

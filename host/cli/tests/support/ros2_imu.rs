@@ -1,4 +1,4 @@
-//! A sample of a gyroscope as a message of ROS 2. Used by the hostile campaign too, by path.
+//! A sample of a gyroscope as a message of ROS 2.
 
 use recording::messages::{CdrError, Header, Imu, Time, to_cdr};
 

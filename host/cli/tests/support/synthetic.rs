@@ -15,8 +15,7 @@ use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
 
-#[path = "session.rs"]
-mod session;
+use super::session;
 
 /// Length in seconds.
 pub(crate) const SECONDS: u64 = 6;

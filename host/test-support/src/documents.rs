@@ -3,17 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The workspace's folder.
-pub(crate) fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .find(|folder| folder.join("docs").is_dir())
-        .unwrap()
-        .to_owned()
-}
+use crate::root;
 
-/// All pages, with their text.
-pub(crate) fn pages() -> Vec<(PathBuf, String)> {
+/// Reads all pages; gives their paths with their text.
+pub fn pages() -> Vec<(PathBuf, String)> {
     let mut pages = vec![root().join("README.md")];
     for name in ["CHANGELOG.md", "CONTRIBUTING.md"] {
         pages.push(root().join(name));
@@ -41,15 +34,17 @@ fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
 
 /// What is written as code in a page.
 #[derive(Default)]
-pub(crate) struct Code {
+pub struct Code {
     /// Lines of blocks; one that goes on on the next is one.
-    pub(crate) lines: Vec<String>,
+    pub lines: Vec<String>,
     /// Spans within the text.
-    pub(crate) spans: Vec<String>,
+    pub spans: Vec<String>,
 }
 
 impl Code {
-    pub(crate) fn of(text: &str) -> Self {
+    /// Finds the code in a page.
+    #[must_use]
+    pub fn of(text: &str) -> Self {
         let mut code = Self::default();
         let mut in_block = false;
         let mut prose = String::new();
@@ -82,14 +77,14 @@ impl Code {
     }
 
     /// Lines and spans.
-    pub(crate) fn all(&self) -> impl Iterator<Item = &String> {
+    pub fn all(&self) -> impl Iterator<Item = &String> {
         self.lines.iter().chain(&self.spans)
     }
 }
 
 /// What follows a program's name, up to the end of the command; none if it is not
 /// called there.
-pub(crate) fn arguments(line: &str, program: &str) -> Option<Vec<String>> {
+pub fn arguments(line: &str, program: &str) -> Option<Vec<String>> {
     let line = line.split(" #").next().unwrap();
     let name = format!("{program} ");
     let at = line

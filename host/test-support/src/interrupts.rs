@@ -1,14 +1,12 @@
 //! Processes that are to take Ctrl-C for a request.
-//! path.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
 
 use std::time::{Duration, Instant};
 
 /// The longest that is waited, on a machine however slow.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Waits until a process catches SIGINT: before, one ends it at once.
-pub(crate) fn wait_until_caught(process: u32) {
+pub fn wait_until_caught(process: u32) {
     let begun = Instant::now();
     loop {
         let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
@@ -25,7 +23,7 @@ pub(crate) fn wait_until_caught(process: u32) {
 }
 
 /// Processor time that a process has used so far, s; nothing once it is gone.
-pub(crate) fn worked_s(process: u32) -> Option<f64> {
+pub fn worked_s(process: u32) -> Option<f64> {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     // proc(5): the name is in brackets; from its state on, user and system time are the
     // 12th and the 13th, in hundredths.

@@ -1,26 +1,24 @@
 //! The Python environment with the public readers that judge what we write.
 //!
 //! `cargo xtask test` makes `target/venv` before the tests; this makes it for a
-//! test that is run on its own. Used by tests of other crates too, by path.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
+//! test that is run on its own.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use crate::{root, target};
+
 /// The interpreter of the environment in `target/venv`, with the packages of
 /// `xtask/python-requirements.txt`.
-pub(crate) fn python() -> &'static Path {
+pub fn python() -> &'static Path {
     static PYTHON: OnceLock<PathBuf> = OnceLock::new();
     PYTHON.get_or_init(prepare)
 }
 
 fn prepare() -> PathBuf {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .find(|folder| folder.join("xtask").is_dir())
-        .unwrap();
+    let root = root();
     let venv = target().join("venv");
     let python = venv.join("bin/python3");
     let requirements = root.join("xtask/python-requirements.txt");
@@ -61,19 +59,14 @@ fn prepare() -> PathBuf {
     python
 }
 
-/// Cargo's target folder, wherever that is: the folder for tests lies in it.
-pub(crate) fn target() -> &'static Path {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap()
-}
-
 /// Runs a script with arguments and returns what it printed. A script that fails
 /// fails the test with its own words.
-pub(crate) fn run_script(script: &Path, arguments: &[&Path]) -> String {
+pub fn run_script(script: &Path, arguments: &[&Path]) -> String {
     run_script_with(python(), script, arguments)
 }
 
 /// The same with another interpreter.
-pub(crate) fn run_script_with(python: &Path, script: &Path, arguments: &[&Path]) -> String {
+pub fn run_script_with(python: &Path, script: &Path, arguments: &[&Path]) -> String {
     let output: Output = Command::new(python)
         .arg(script)
         .args(arguments)

@@ -3,13 +3,14 @@
 //!
 //! The page itself has no script. A copy gets one for the test, which measures and
 //! tells the page around it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
+
+use crate::target;
 
 /// Width of a phone in CSS pixels.
 const PHONE: u32 = 360;
@@ -90,7 +91,7 @@ fn url(path: &Path) -> String {
 
 /// Opens a report and fails if anything is wrong with it. The pictures are called
 /// `name`. Every text of `expected` must be in it.
-pub(crate) fn check(html: &Path, name: &str, expected: &[&str]) {
+pub fn check(html: &Path, name: &str, expected: &[&str]) {
     let page = fs::read_to_string(html).unwrap();
     for text in expected {
         assert!(page.contains(text), "{text:?} is not in the report");
@@ -101,7 +102,7 @@ pub(crate) fn check(html: &Path, name: &str, expected: &[&str]) {
             .replace("http://www.w3.org/1999/xlink", "");
         assert!(!foreign_markup.contains(foreign), "{foreign} in the report");
     }
-    let pictures = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("report");
+    let pictures = target().join("tmp/report");
     fs::create_dir_all(&pictures).unwrap();
     let work = tempfile::tempdir().unwrap();
     let place = |name: &str| work.path().join(name);

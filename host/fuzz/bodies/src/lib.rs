@@ -1,7 +1,12 @@
-//! What each fuzz target does with its bytes. One place for the targets of
-//! `cargo fuzz` (in `fuzz_targets/`) and for the short run over corpus and
+//! The body of each fuzz target: one function that takes the bytes. One place for the targets of
+//! `cargo fuzz` (in `host/fuzz/fuzz_targets/`) and for the short run over corpus and
 //! mutations that is part of the tests (`host/cli/tests/it/fuzz_smoke.rs`).
-#![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::missing_panics_doc
+)]
 
 use std::io::Cursor;
 use std::time::Duration;
@@ -24,7 +29,7 @@ use verify::verify;
 use video::{parse_presentation_times, parse_probe};
 
 /// Any bytes as a ROS 1 bag: no panic.
-pub(crate) fn bag(data: &[u8]) {
+pub fn bag(data: &[u8]) {
     // With and without the first line, which a fuzzer would have to guess.
     let with_magic = [b"#ROSBAG V2.0\n", data].concat();
     for bytes in [data, &with_magic] {
@@ -42,7 +47,7 @@ pub(crate) fn bag(data: &[u8]) {
 }
 
 /// Any bytes as a depth recording: no panic, no unbounded memory.
-pub(crate) fn depth_recording(data: &[u8]) {
+pub fn depth_recording(data: &[u8]) {
     for content in [Content::Times, Content::Pixels] {
         let Ok(mut recording) = Recording::new(Cursor::new(data)) else {
             return;
@@ -60,7 +65,7 @@ pub(crate) fn depth_recording(data: &[u8]) {
 }
 
 /// Any bytes as the recording of a gyroscope: what is read of it are numbers.
-pub(crate) fn gyro_file(data: &[u8]) {
+pub fn gyro_file(data: &[u8]) {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), data).unwrap();
     if let Ok(read) = gyro_files::read_alone(file.path(), None) {
@@ -77,7 +82,7 @@ pub(crate) fn gyro_file(data: &[u8]) {
 }
 
 /// Any bytes as the phone's CSV files: no panic, times in order.
-pub(crate) fn phone_csv(data: &[u8]) {
+pub fn phone_csv(data: &[u8]) {
     let mut rows = Rows::new(data);
     let mut last = None;
     loop {
@@ -130,7 +135,7 @@ fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
 
 /// The phone's answers: any bytes in any split, read as the answer to each of the
 /// requests. Nothing may panic, and the split must not change the outcome.
-pub(crate) fn phone_answer(data: &[u8]) {
+pub fn phone_answer(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
     };
@@ -141,7 +146,7 @@ pub(crate) fn phone_answer(data: &[u8]) {
 
 /// Any bytes off the board's link, in any split: no panic, the same events, and no
 /// more of them than bytes.
-pub(crate) fn link(data: &[u8]) {
+pub fn link(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
     };
@@ -164,7 +169,7 @@ pub(crate) fn link(data: &[u8]) {
 
 /// Any bytes as a recording: read, checked, repaired. What is repaired must be
 /// whole as a file.
-pub(crate) fn recording(data: &[u8]) {
+pub fn recording(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("recording.mcap");
     std::fs::write(&place, data).unwrap();
@@ -188,14 +193,14 @@ pub(crate) fn recording(data: &[u8]) {
 }
 
 /// Any text as a rig profile.
-pub(crate) fn profile(data: &[u8]) {
+pub fn profile(data: &[u8]) {
     if let Ok(text) = std::str::from_utf8(data) {
         let _ = Profile::parse(text, None);
     }
 }
 
 /// Any text as what Kalibr found: no panic, and a profile that takes it over is one.
-pub(crate) fn camchain(data: &[u8]) {
+pub fn camchain(data: &[u8]) {
     let path = std::path::Path::new("rig.toml");
     if let Ok(chain) = std::str::from_utf8(data)
         && let Ok((text, _)) =
@@ -206,14 +211,14 @@ pub(crate) fn camchain(data: &[u8]) {
 }
 
 /// Any bytes as a depth camera's calibration: no panic.
-pub(crate) fn calibration(data: &[u8]) {
+pub fn calibration(data: &[u8]) {
     for color in [None, Some((1280, 720)), Some((2048, 1536))] {
         let _ = extract::geometry::check_calibration(data, "NFOV_UNBINNED", color);
     }
 }
 
 /// Any text as a session file.
-pub(crate) fn session_file(data: &[u8]) {
+pub fn session_file(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.json"), data).unwrap();
     let _ = recording::session_file::SessionFile::load(folder.path());
@@ -221,7 +226,7 @@ pub(crate) fn session_file(data: &[u8]) {
 
 /// Any bytes as what comes from the host, in any split, as the firmware decodes it:
 /// the same commands, and no more of them than bytes.
-pub(crate) fn commands(data: &[u8]) {
+pub fn commands(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
     };
@@ -243,7 +248,7 @@ pub(crate) fn commands(data: &[u8]) {
 
 /// Any bytes as what is known of a video: the answers of `ffprobe`, and the phone's
 /// file of frame times.
-pub(crate) fn video_metadata(data: &[u8]) {
+pub fn video_metadata(data: &[u8]) {
     if let Ok(info) = parse_probe(data) {
         assert!(info.width > 0 && info.height > 0);
         assert!(info.rate.is_none_or(|rate| rate.is_finite() && rate > 0.0));

@@ -7,9 +7,10 @@
 //! field that may be left out.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use serde_json::Value;
+
+use crate::root;
 
 /// A described field.
 struct Field {
@@ -21,12 +22,7 @@ struct Field {
 
 /// The fields of a command.
 fn described(command: &str) -> Vec<Field> {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .map(|folder| folder.join("docs/json.md"))
-        .find(|page| page.is_file())
-        .unwrap();
-    let page = std::fs::read_to_string(page).unwrap();
+    let page = std::fs::read_to_string(root().join("docs/json.md")).unwrap();
     let name = format!("`{command}`");
     let section = page
         .split("\n## ")
@@ -93,7 +89,7 @@ fn fits(described: &[String], path: &[String], prefix_only: bool) -> bool {
 }
 
 /// Compares what a command printed, in one or more runs, with its description.
-pub(crate) fn check(command: &str, printed: &[&Value]) {
+pub fn check(command: &str, printed: &[&Value]) {
     let fields = described(command);
     let mut found = BTreeMap::new();
     for value in printed {

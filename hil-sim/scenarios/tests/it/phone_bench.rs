@@ -1,0 +1,78 @@
+//! A simulated phone on a walk, without a board, and the program's command `phone` against it.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Arc;
+use std::time::Duration;
+
+use rig::flash_log::Dark;
+use rig::motion::MotionSpec;
+use rig::phone::{PhoneConfig, SimPhone, Surroundings};
+use rig::random::{Seed, Stream};
+use rig::true_clock::TrueClock;
+
+use crate::support::smartdepthsync;
+
+/// A phone whose rig walks, in true time `speed` times as fast as real time.
+pub(crate) struct Bench {
+    pub(crate) phone: SimPhone,
+    pub(crate) clock: TrueClock,
+}
+
+impl Bench {
+    pub(crate) fn new(seed: u64, speed: f64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
+        let mut config = PhoneConfig::draw(Seed(seed));
+        edit(&mut config);
+        let spec: MotionSpec = "walk".parse().unwrap();
+        let clock = TrueClock::run_at(speed);
+        let surroundings = Surroundings {
+            clock: clock.clone(),
+            motion: spec.build(Seed(seed).stream(Stream::Motion)).unwrap(),
+            light: Arc::new(Dark),
+        };
+        Self {
+            phone: SimPhone::start(config, surroundings, 0).unwrap(),
+            clock,
+        }
+    }
+
+    pub(crate) fn address(&self) -> String {
+        self.phone.address().to_string()
+    }
+
+    /// Waits until the phone waits for a time: it has taken a request.
+    pub(crate) fn wait_for_waiter(&self) {
+        while self.clock.waiters() == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Another client, which was answered and stays connected.
+    pub(crate) fn occupy(&self) -> BufReader<TcpStream> {
+        let mut other = BufReader::new(TcpStream::connect(self.phone.address()).unwrap());
+        other.get_mut().write_all(b"x\n").unwrap();
+        let mut line = String::new();
+        other.read_line(&mut line).unwrap();
+        assert_eq!(line, "ERROR\n");
+        other
+    }
+
+    /// Runs `smartdepthsync phone …` against this phone.
+    pub(crate) fn command(&self, arguments: &[&str], folder: &Path) -> Output {
+        Command::new(smartdepthsync())
+            .arg("phone")
+            .args(arguments)
+            .args(["--phone", &self.address()])
+            .current_dir(folder)
+            .output()
+            .unwrap()
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.clock.stop();
+    }
+}
