@@ -4,15 +4,24 @@
 
 use anyhow::{Context, Result};
 
-use crate::phone::SimPhone;
+use crate::phone::PhoneConfig;
 use crate::rig_config::RigConfig;
+
+/// A phone as its owner knows it.
+#[derive(Clone, Debug)]
+pub struct Handset<'a> {
+    /// Where it is reached.
+    pub address: String,
+    /// What it was made from.
+    pub config: &'a PhoneConfig,
+}
 
 /// The profile as TOML, for `smartdepthsync record --profile`.
 ///
 /// # Errors
 ///
 /// The rig has no depth camera.
-pub fn owner_profile(config: &RigConfig, phone: &SimPhone) -> Result<String> {
+pub fn owner_profile(config: &RigConfig, phone: &Handset<'_>) -> Result<String> {
     const NO_CAMERA: &str = "the rig has no depth camera, so it has no profile";
     let depth = config.depth_camera.context(NO_CAMERA)?;
     let center = config.center_offset_us().context(NO_CAMERA)?;
@@ -32,7 +41,10 @@ pub fn owner_profile(config: &RigConfig, phone: &SimPhone) -> Result<String> {
 /// # Errors
 ///
 /// The rig has no depth camera, or there is no phone.
-pub(crate) fn owner_profile_of(config: &RigConfig, phones: &[(&str, &SimPhone)]) -> Result<String> {
+pub(crate) fn owner_profile_of(
+    config: &RigConfig,
+    phones: &[(&str, Handset<'_>)],
+) -> Result<String> {
     let ((name, first), others) = phones.split_first().context("the rig has no phone")?;
     let mut text = owner_profile(config, first)?;
     text = text.replace("[phone]\n", &format!("[phone]\nname = \"{name}\"\n"));
@@ -44,13 +56,13 @@ pub(crate) fn owner_profile_of(config: &RigConfig, phones: &[(&str, &SimPhone)])
 }
 
 /// What is in the table of a phone.
-fn constants(phone: &SimPhone) -> String {
-    let config = phone.config();
+fn constants(phone: &Handset<'_>) -> String {
+    let config = phone.config;
     let camera = &config.camera;
     format!(
         "address = \"{address}\"\nrows = {rows}\nreadout_us = {readout:.4}\n\
          gyro_delay_us = {delay}\n",
-        address = phone.address(),
+        address = phone.address,
         rows = camera.rows,
         readout = camera.readout_ns() * 1e-3,
         delay = config.gyroscope.low_pass.delay_s * 1e6,

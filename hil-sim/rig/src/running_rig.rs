@@ -45,15 +45,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::depth_camera::FrameRecord;
-use crate::imu::SampleRecord;
-use crate::oscillator::Oscillator;
 use crate::owner_profile::{owner_profile, owner_profile_of};
-use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoTruth};
+use crate::phone::{PhoneConfig, SimPhone, Surroundings};
 use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
+use crate::run_truth::Noted;
+pub use crate::run_truth::RunTruth;
 use crate::true_clock::{BoardClockwork, TrueClock};
-use crate::wiring;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
@@ -106,38 +104,6 @@ struct Shared {
     now: AtomicU64,
     plugged: AtomicBool,
     noted: Mutex<Noted>,
-}
-
-/// What really happened.
-#[derive(Debug, Default)]
-struct Noted {
-    depth: Vec<FrameRecord>,
-    imu: Vec<SampleRecord>,
-    zero: Option<SimTime>,
-    /// The board has been reset.
-    reset: bool,
-}
-
-/// What is known about a run that nobody in it knew.
-#[derive(Clone, Debug)]
-pub struct RunTruth {
-    /// Parts and their clocks.
-    pub parts: RigParts,
-    /// All frames of the depth camera, in order.
-    pub depth: Vec<FrameRecord>,
-    /// All samples of the board's IMU as they were in its registers, in order
-    /// (48 bytes each: 86 MB an hour at 500 Hz).
-    pub imu: Vec<SampleRecord>,
-    /// When the board's tick count was zero in its first run.
-    pub zero: Option<SimTime>,
-    /// The phone's clock.
-    pub phone_clock: Option<Oscillator>,
-    /// The phone's videos.
-    pub videos: Vec<VideoTruth>,
-    /// Clocks and videos of further phones.
-    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
-    /// Board time at the end.
-    pub end: SimTime,
 }
 
 /// A rig that runs. It is switched off when dropped.
@@ -267,7 +233,7 @@ impl RunningRig {
     /// The rig has no phone or no depth camera.
     pub fn profile(&self) -> Result<String> {
         let phone = self.phone().context("the rig has no phone")?;
-        owner_profile(&self.parts.config, phone)
+        owner_profile(&self.parts.config, &phone.handset())
     }
 
     /// The same with all phones, by these names; the trigger is aligned to the first.
@@ -276,7 +242,8 @@ impl RunningRig {
     ///
     /// As [`RunningRig::profile`].
     pub fn profile_of(&self, names: &[&str]) -> Result<String> {
-        let phones: Vec<_> = names.iter().copied().zip(&self.phones).collect();
+        let phones = self.phones.iter().map(SimPhone::handset);
+        let phones: Vec<_> = names.iter().copied().zip(phones).collect();
         owner_profile_of(&self.parts.config, &phones)
     }
 
@@ -345,20 +312,9 @@ impl RunningRig {
                 .map_err(|e| anyhow!("the simulated phone: {e}"))?;
             phones.push((phone.oscillator().clone(), phone.videos()));
         }
-        let mut phones = phones.into_iter();
-        let (phone_clock, videos) = phones.next().unzip();
         ended?;
         let noted = std::mem::take(&mut *lock(&self.shared.noted));
-        Ok(RunTruth {
-            parts: self.parts.clone(),
-            depth: noted.depth,
-            imu: noted.imu,
-            zero: noted.zero,
-            phone_clock,
-            videos: videos.unwrap_or_default(),
-            others: phones.collect(),
-            end: self.now(),
-        })
+        Ok(noted.into_truth(self.parts.clone(), phones, self.now()))
     }
 
     /// Ends the board's thread and true time.
@@ -503,7 +459,7 @@ impl Runner {
                 Ok(Order::Corrupt(ppm)) => rig.usb_corrupt(ppm, 0),
                 Ok(Order::Speed(speed)) => pacer = Pacer::new(Some(speed), rig.now()),
                 Ok(Order::Reset) => {
-                    lock(&self.shared.noted).reset = true;
+                    lock(&self.shared.noted).was_reset();
                     rig.press_reset();
                 }
                 Err(TryRecvError::Empty) => {}
@@ -524,17 +480,7 @@ impl Runner {
     /// Takes what the models have noted, so that they keep little.
     fn note(&self, rig: &Sim) {
         self.shared.now.store(rig.now().units(), Ordering::Relaxed);
-        let mut noted = lock(&self.shared.noted);
-        // The count's zero is read off before its first wrap.
-        if rig.now() < SimTime::from_nanos(60_000_000_000) && !noted.reset {
-            noted.zero = zero_of(rig);
-        }
-        if let Some(camera) = &self.parts.depth_camera {
-            noted.depth.extend(lock(camera).take_frames());
-        }
-        if let Some(imu) = &self.parts.imu {
-            noted.imu.extend(lock(imu).log_mut().take());
-        }
+        lock(&self.shared.noted).take(rig, &self.parts);
     }
 }
 
@@ -576,15 +522,4 @@ impl Port {
         }
         Ok(self.waiting.is_empty())
     }
-}
-
-/// When the board's tick count was zero, once the timer runs: its count now,
-/// taken off. Right only before the count's first wrap, after 89 s.
-pub(crate) fn zero_of(rig: &Sim) -> Option<SimTime> {
-    let (at, count) = rig.timer(wiring::TIMEBASE);
-    let units = u64::from(count) * wiring::UNITS_PER_TICK;
-    (count > 0)
-        .then(|| at.units().checked_sub(units))
-        .flatten()
-        .map(SimTime::from_units)
 }

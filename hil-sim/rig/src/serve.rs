@@ -201,7 +201,7 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(path), Some(phone)) => {
             let own = std::env::current_exe().context("where is this program?")?;
             let table = Table::new(&parts, phone, &own)?;
-            let text = owner_profile(&parts.config, phone)? + &table.recorder();
+            let text = owner_profile(&parts.config, &phone.handset())? + &table.recorder();
             std::fs::write(path, text)
                 .with_context(|| format!("cannot write {}", path.display()))?;
             print!("{}", table.commands(port.pty.path(), path));

@@ -9,7 +9,7 @@ use std::io::Write;
 use anyhow::Result;
 
 use crate::rig_config::RigParts;
-use crate::running_rig::zero_of;
+use crate::run_truth::zero_of;
 use crate::truth::{TruthRecord, TruthWriter};
 use crate::wiring;
 use stm32f4_sim::pin::Level;

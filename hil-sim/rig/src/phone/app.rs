@@ -3,7 +3,7 @@
 //! The lines that it follows are of the app's source: RRH is
 //! `RemoteRpcRequestHandler.java`, EAI `ExtendedAppInterface.java`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -11,6 +11,7 @@ use super::camera::FrameTimes;
 use super::config::{PhoneConfig, StorageAccess, VideoMode};
 use super::files::{Names, csv_line, name_of};
 use super::java;
+use super::recorder::Phase;
 use super::request::ImuRequest;
 use super::sensors::{Kind, Sensors};
 use crate::flash_log::FlashSource;
@@ -24,6 +25,9 @@ const PHASE_TIMEOUT_MS: u64 = 10_000;
 
 /// How often the phase is looked for, in milliseconds.
 const PHASE_POLL_MS: u64 = 50;
+
+/// How often the app looks whether a video that is asked for is closed, in milliseconds.
+const CLOSED_POLL_MS: f64 = 50.0;
 
 /// An answer of the app.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,6 +45,56 @@ pub(super) enum Reply {
     },
     /// None: the app's process has ended.
     Crash,
+    /// None: the app was opened again, and has forgotten the request.
+    Forgotten,
+}
+
+/// How far a request has come.
+pub(super) enum Progress {
+    /// It is answered.
+    Done(Reply),
+    /// It goes on at a time.
+    Waits {
+        /// The time.
+        until: TrueTime,
+        /// What goes on then.
+        request: Request,
+    },
+}
+
+/// A request that takes its time.
+pub(super) enum Request {
+    /// The sensors run.
+    Sensors(SensorRecording),
+    /// A video was started, and its phase is looked for.
+    Phase {
+        /// Until when.
+        deadline: TrueTime,
+    },
+    /// The last video is asked for, and not closed yet.
+    Video {
+        /// How often the app had been opened.
+        opened: u64,
+        /// It has waited before.
+        waited: bool,
+    },
+}
+
+/// A recording of the sensors alone.
+pub(super) struct SensorRecording {
+    request: ImuRequest,
+    names: Names,
+    from: i64,
+    to: i64,
+}
+
+/// What the app does by itself later.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Due {
+    /// It has been in the background for long enough: recordings end.
+    Background,
+    /// The capture session of the `number`th recording closes.
+    Closed { number: usize, at: TrueTime },
 }
 
 /// One recording of the phone, for the truth.
@@ -128,6 +182,8 @@ pub(super) struct App {
     /// How often the app was opened anew.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
+    /// Where the app has no threads: what it does later.
+    agenda: Mutex<Option<Vec<(TrueTime, Due)>>>,
 }
 
 impl App {
@@ -161,7 +217,60 @@ impl App {
             render: Mutex::default(),
             opened: AtomicU64::new(0),
             closing: AtomicBool::new(false),
+            agenda: Mutex::default(),
         }
+    }
+
+    /// The same without threads: what is due happens when it is [caught up](App::catch_up).
+    pub(super) fn without_threads(self) -> Self {
+        *lock(&self.agenda) = Some(Vec::new());
+        self
+    }
+
+    /// Lets something happen at a time.
+    pub(super) fn later(self: &Arc<Self>, at: TrueTime, due: Due) {
+        if let Some(agenda) = &mut *lock(&self.agenda) {
+            agenda.push((at, due));
+            return;
+        }
+        let app = Arc::clone(self);
+        std::thread::spawn(move || {
+            let reached = app.wait_until(at).is_ok();
+            app.happen(due, reached);
+        });
+    }
+
+    /// Lets happen what was due until now, where the app has no threads.
+    pub(super) fn catch_up(self: &Arc<Self>) {
+        loop {
+            let next = lock(&self.agenda).as_mut().and_then(|agenda| {
+                let at = |index: &usize| agenda.get(*index).map(|(at, _)| *at);
+                let first = (0..agenda.len()).min_by_key(at)?;
+                at(&first)
+                    .is_some_and(|at| self.has_come(at))
+                    .then(|| agenda.swap_remove(first).1)
+            });
+            match next {
+                Some(due) => self.happen(due, true),
+                None => return,
+            }
+        }
+    }
+
+    /// Something is due, or the rig was stopped before.
+    fn happen(self: &Arc<Self>, due: Due, reached: bool) {
+        match due {
+            Due::Background if reached && self.state().background.is_some() => {
+                self.stop_recording(0.0);
+            }
+            Due::Background => {}
+            Due::Closed { number, at } => self.end_recording(number, at),
+        }
+    }
+
+    /// The folder of its files.
+    pub(super) fn storage(&self) -> &Path {
+        &self.storage
     }
 
     pub(super) fn state(&self) -> MutexGuard<'_, State> {
@@ -198,24 +307,53 @@ impl App {
 
     /// Answers one line of a client; lasts as long as the app would take.
     pub(super) fn handle(self: &Arc<Self>, line: &str) -> Result<Reply, RigStopped> {
+        let mut progress = self.begin(line);
+        loop {
+            match progress {
+                Progress::Done(reply) => return Ok(reply),
+                Progress::Waits { until, request } => {
+                    self.wait_until(until)?;
+                    if self.closing.load(Ordering::SeqCst) || self.clock.is_stopped() {
+                        return Err(RigStopped);
+                    }
+                    progress = self.go_on(request);
+                }
+            }
+        }
+    }
+
+    /// Takes one line of a client.
+    pub(super) fn begin(self: &Arc<Self>, line: &str) -> Progress {
         if let Some(request) = ImuRequest::find(line) {
-            return self.imu(&request);
+            return self.imu(request);
         }
         match line {
             "video_start" => self.video_start(),
             "video_stop" => {
                 // Answered at once; it ends later (RRH:184).
                 self.stop_recording(self.config.app.stop_ms);
-                Ok(Reply::Success(String::new()))
+                Progress::Done(Reply::Success(String::new()))
             }
-            "get_video" => self.get_video(),
-            _ => Ok(Reply::Error("Invalid request".to_owned())),
+            "get_video" => {
+                let opened = self.opened.load(Ordering::SeqCst);
+                self.get_video(opened, false)
+            }
+            _ => Progress::Done(Reply::Error("Invalid request".to_owned())),
         }
     }
 
-    fn imu(&self, request: &ImuRequest) -> Result<Reply, RigStopped> {
+    /// Goes on with a request whose time has come.
+    pub(super) fn go_on(&self, request: Request) -> Progress {
+        match request {
+            Request::Sensors(recording) => Progress::Done(self.end_sensors(recording)),
+            Request::Phase { deadline } => self.look_for_phase(deadline),
+            Request::Video { opened, waited } => self.get_video(opened, waited),
+        }
+    }
+
+    fn imu(&self, request: ImuRequest) -> Progress {
         let Some(duration_ms) = request.duration_ms else {
-            return Ok(Reply::Crash);
+            return Progress::Done(Reply::Crash);
         };
         let ticked = {
             let mut state = self.state();
@@ -223,7 +361,7 @@ impl App {
             // its sync recording the app does not know of them (EAI:183).
             let of_video = state.recorder != Recorder::Idle && self.config.camera.reports_frames;
             if of_video || state.sensors_busy {
-                return Ok(Reply::Error("Error in IMU recording".to_owned()));
+                return Progress::Done(Reply::Error("Error in IMU recording".to_owned()));
             }
             if self.config.app.imu_rewrites_ticks {
                 state.ticked = request.wants;
@@ -231,17 +369,6 @@ impl App {
             state.sensors_busy = true;
             state.ticked
         };
-        let recorded = self.record_sensors(request, duration_ms, ticked);
-        self.state().sensors_busy = false;
-        recorded
-    }
-
-    fn record_sensors(
-        &self,
-        request: &ImuRequest,
-        duration_ms: i64,
-        ticked: [bool; 3],
-    ) -> Result<Reply, RigStopped> {
         let mut names = self.names();
         let from = self.now_ns();
         let to = from.saturating_add(duration_ms.saturating_mul(1_000_000));
@@ -252,12 +379,28 @@ impl App {
                 let _ = names.make_sensor(kind);
             }
         }
-        let end = match to {
+        let until = match to {
             // `Thread.sleep` of 292 million years.
             i64::MAX => TrueTime::from_units(u64::MAX),
             _ => self.oscillator.when_nanos(to).unwrap_or(TrueTime::ZERO),
         };
-        self.wait_until(end)?;
+        let request = Request::Sensors(SensorRecording {
+            request,
+            names,
+            from,
+            to,
+        });
+        Progress::Waits { until, request }
+    }
+
+    fn end_sensors(&self, recording: SensorRecording) -> Reply {
+        let SensorRecording {
+            request,
+            names,
+            from,
+            to,
+        } = recording;
+        self.state().sensors_busy = false;
         let to = self.heard_until(to);
         let mut body = String::new();
         for kind in Kind::ALL {
@@ -266,7 +409,7 @@ impl App {
             };
             let samples = self.sensors.samples(kind, from, to);
             if names.save_sensor(kind, &samples).is_err() {
-                return Ok(Reply::Error("Failed to open IMU file".to_owned()));
+                return Reply::Error("Failed to open IMU file".to_owned());
             }
             body.push_str(&name_of(path));
             body.push('\n');
@@ -276,7 +419,7 @@ impl App {
             }
             body.push_str("sensor_end\n");
         }
-        Ok(Reply::Success(body))
+        Reply::Success(body)
     }
 
     /// Until when sensors are heard that run until `to`: in the background not for long.
@@ -294,20 +437,37 @@ impl App {
         Names::new(&self.storage, self.config.app.storage, self.seconds())
     }
 
-    fn video_start(self: &Arc<Self>) -> Result<Reply, RigStopped> {
+    fn video_start(self: &Arc<Self>) -> Progress {
         let deadline = self.in_ms(PHASE_TIMEOUT_MS as f64);
         // The press is posted and not awaited (RRH:157): a phase that is in the queue
         // already is taken for the answer (RRH:164), whatever the press does then.
-        let mut phase = self.take_phase(deadline);
+        let phase = self.take_phase(deadline);
         self.press_record(false);
-        while phase.is_none() && !self.has_come(deadline) {
-            self.wait_until(self.in_ms(PHASE_POLL_MS as f64).min(deadline))?;
-            phase = self.take_phase(deadline);
+        match phase {
+            Some(phase) => Progress::Done(self.tell_phase(&phase)),
+            None => self.wait_for_phase(deadline),
         }
-        let Some(phase) = phase else {
-            let text = "Failed to retrieve phase info, reached poll limit";
-            return Ok(Reply::Error(text.to_owned()));
-        };
+    }
+
+    fn wait_for_phase(&self, deadline: TrueTime) -> Progress {
+        Progress::Waits {
+            until: self.in_ms(PHASE_POLL_MS as f64).min(deadline),
+            request: Request::Phase { deadline },
+        }
+    }
+
+    fn look_for_phase(&self, deadline: TrueTime) -> Progress {
+        match self.take_phase(deadline) {
+            Some(phase) => Progress::Done(self.tell_phase(&phase)),
+            None if self.has_come(deadline) => {
+                let text = "Failed to retrieve phase info, reached poll limit";
+                Progress::Done(Reply::Error(text.to_owned()))
+            }
+            None => self.wait_for_phase(deadline),
+        }
+    }
+
+    fn tell_phase(&self, phase: &Phase) -> Reply {
         let camera = &self.config.camera;
         let mut body = format!("{}\n{}\n", phase.stamp_ns, java::double(phase.period_ns));
         if self.config.version != "v.0.1" {
@@ -318,19 +478,14 @@ impl App {
             };
             body.push_str(&format!("{known}\n"));
         }
-        Ok(Reply::Success(body))
+        Reply::Success(body)
     }
 
     /// The app leaves the foreground: it goes on for a moment, then ends recordings.
     pub(super) fn to_background(self: &Arc<Self>) {
         self.state().background = Some(self.clock.now());
         let end = self.in_ms(self.config.app.background_ms);
-        let app = Arc::clone(self);
-        std::thread::spawn(move || {
-            if app.wait_until(end).is_ok() && app.state().background.is_some() {
-                app.stop_recording(0.0);
-            }
-        });
+        self.later(end, Due::Background);
     }
 
     /// The app comes back to the foreground.
@@ -351,49 +506,52 @@ impl App {
         self.changed.notify_all();
     }
 
-    fn get_video(&self) -> Result<Reply, RigStopped> {
-        let opened = self.opened.load(Ordering::SeqCst);
+    fn get_video(&self, opened: u64, waited: bool) -> Progress {
+        if self.opened.load(Ordering::SeqCst) != opened {
+            return Progress::Done(Reply::Forgotten);
+        }
         let last = {
-            let mut state = self.state();
+            let state = self.state();
             // While a video is recorded, or its session closes, the app waits for its
             // file (RRH:203), and no other client is served. Of a file in storage
             // access, nobody ever says that it is there (`Preview.java`:1072).
-            let mut heard = true;
-            while state.recorder != Recorder::Idle || !heard {
-                heard = self.config.app.storage == StorageAccess::Files;
-                let anew = self.opened.load(Ordering::SeqCst) != opened;
-                if anew || self.closing.load(Ordering::SeqCst) || self.clock.is_stopped() {
-                    return Err(RigStopped);
-                }
-                state = self
-                    .changed
-                    .wait_timeout(state, std::time::Duration::from_millis(50))
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .0;
+            let unheard = waited && self.config.app.storage != StorageAccess::Files;
+            if state.recorder != Recorder::Idle || unheard {
+                return Progress::Waits {
+                    until: self.in_ms(CLOSED_POLL_MS),
+                    request: Request::Video {
+                        opened,
+                        waited: true,
+                    },
+                };
             }
             let made = state.recordings.get(state.since_opened..);
             made.and_then(<[Recording]>::last).cloned()
         };
+        Progress::Done(self.tell_video(last))
+    }
+
+    fn tell_video(&self, last: Option<Recording>) -> Reply {
         // Without a video since it was opened, the app asks nothing for its name
         // (RRH:208).
         let Some(recording) = last else {
-            return Ok(Reply::Crash);
+            return Reply::Crash;
         };
         // A video without frames is deleted by the app itself.
         let empty = recording.truth.count.unwrap_or(0) == 0;
         if empty || self.config.video == VideoMode::Never {
-            return Ok(Reply::Error("Couldn't get last video file data".to_owned()));
+            return Reply::Error("Couldn't get last video file data".to_owned());
         }
         if let Err(trouble) = self.render(&recording) {
             self.state().trouble = Some(trouble);
-            return Ok(Reply::Error("Error getting video file".to_owned()));
+            return Reply::Error("Error getting video file".to_owned());
         }
         let path = recording.names.video();
         let name = match &self.config.video_name {
             Some(name) => name.clone(),
             None => name_of(&path),
         };
-        Ok(Reply::File { path, name })
+        Reply::File { path, name }
     }
 
     /// Waits until all that was stopped is saved.

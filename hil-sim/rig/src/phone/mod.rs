@@ -6,7 +6,7 @@
 //! that toggles, one client at a time, files saved by date; and as rudely: a stop that
 //! takes its time, a phase that is left from another video, presses that are ignored,
 //! requests that end the app, requests of clients that have gone ([`AppConfig`]).
-//! `server` speaks, `app` decides, `recorder` is the video's, `sensors` and `camera` make
+//! `server` speaks, `in_process` speaks without a socket, `app` decides, `recorder` is the video's, `sensors` and `camera` make
 //! the data. What follows a line of the app's source names it.
 //!
 //! The phone lives on the rig's true time ([`TrueClock`]), however fast that
@@ -23,6 +23,7 @@ mod camera;
 mod clock_teller;
 mod config;
 mod files;
+mod in_process;
 mod java;
 mod recorder;
 mod request;
@@ -30,7 +31,7 @@ mod sensors;
 mod server;
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
@@ -40,6 +41,7 @@ use crate::flash_log::FlashSource;
 use crate::link_delay::LinkBeliefs;
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
+use crate::owner_profile::Handset;
 use crate::random::{Random, Seed, Stream};
 use crate::true_clock::TrueClock;
 
@@ -53,6 +55,7 @@ pub use clock_teller::ClockTeller;
 pub use config::{
     AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, StreamFaults, VideoMode,
 };
+pub use in_process::{Answer, AskedPhone, RequestId};
 pub use server::LinkFault;
 
 /// What a phone needs of the rig.
@@ -70,8 +73,6 @@ pub struct Surroundings {
 pub struct SimPhone {
     app: Arc<App>,
     link: Arc<Link>,
-    oscillator: Oscillator,
-    storage: PathBuf,
     thread: Option<JoinHandle<()>>,
     /// Removed with the phone.
     _folder: Option<tempfile::TempDir>,
@@ -85,37 +86,11 @@ impl SimPhone {
     ///
     /// The port is taken, or there is no folder for the phone's files.
     pub fn start(config: PhoneConfig, surroundings: Surroundings, port: u16) -> Result<Self> {
-        let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
-        let (storage, folder) = match &config.storage {
-            Some(path) => {
-                std::fs::create_dir_all(path).with_context(|| {
-                    format!(
-                        "the simulated phone has no folder for its files at {}",
-                        path.display()
-                    )
-                })?;
-                (path.clone(), None)
-            }
-            None => {
-                let folder = tempfile::Builder::new()
-                    .prefix("simulated-phone-")
-                    .tempdir()
-                    .context("the simulated phone has no folder for its files")?;
-                (folder.path().to_owned(), Some(folder))
-            }
-        };
         let link = Link::open(port)
             .with_context(|| format!("the simulated phone cannot listen on 127.0.0.1:{port}"))?;
         let link = Arc::new(link);
-        let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
-        let app = Arc::new(App::new(
-            config,
-            surroundings.clock,
-            oscillator.clone(),
-            sensors,
-            surroundings.light,
-            storage.clone(),
-        ));
+        let (app, _folder) = switch_on(config, surroundings)?;
+        let app = Arc::new(app);
         let thread = {
             let (app, link) = (Arc::clone(&app), Arc::clone(&link));
             std::thread::spawn(move || server::serve(&app, &link))
@@ -123,10 +98,8 @@ impl SimPhone {
         Ok(Self {
             app,
             link,
-            oscillator,
-            storage,
             thread: Some(thread),
-            _folder: folder,
+            _folder,
         })
     }
 
@@ -142,10 +115,19 @@ impl SimPhone {
         &self.app.config
     }
 
-    /// The truth about its clock.
+    /// What its owner knows of it.
+    #[must_use]
+    pub fn handset(&self) -> Handset<'_> {
+        Handset {
+            address: self.address().to_string(),
+            config: self.config(),
+        }
+    }
+
+    /// The ground truth about its clock.
     #[must_use]
     pub fn oscillator(&self) -> &Oscillator {
-        &self.oscillator
+        &self.app.oscillator
     }
 
     /// The truth about its videos so far, in order.
@@ -172,7 +154,7 @@ impl SimPhone {
     /// The folder of its files.
     #[must_use]
     pub fn storage(&self) -> &Path {
-        &self.storage
+        self.app.storage()
     }
 
     /// Waits until the files of stopped recordings are saved.
@@ -252,6 +234,42 @@ impl Drop for SimPhone {
         // before it goes.
         let _ = self.app.wait_saved();
     }
+}
+
+/// A phone's app, and the folder of its files if it goes with the phone.
+fn switch_on(
+    config: PhoneConfig,
+    surroundings: Surroundings,
+) -> Result<(App, Option<tempfile::TempDir>)> {
+    let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
+    let (storage, folder) = match &config.storage {
+        Some(path) => {
+            std::fs::create_dir_all(path).with_context(|| {
+                format!(
+                    "the simulated phone has no folder for its files at {}",
+                    path.display()
+                )
+            })?;
+            (path.clone(), None)
+        }
+        None => {
+            let folder = tempfile::Builder::new()
+                .prefix("simulated-phone-")
+                .tempdir()
+                .context("the simulated phone has no folder for its files")?;
+            (folder.path().to_owned(), Some(folder))
+        }
+    };
+    let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
+    let app = App::new(
+        config,
+        surroundings.clock,
+        oscillator,
+        sensors,
+        surroundings.light,
+        storage,
+    );
+    Ok((app, folder))
 }
 
 /// The samples of a phone's gyroscope in a span of its boot clock, as `imu?` would answer

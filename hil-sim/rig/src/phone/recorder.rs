@@ -4,7 +4,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::app::{App, Recorder, Recording, State, VideoTruth};
+use super::app::{App, Due, Recorder, Recording, State, VideoTruth};
 use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
@@ -128,26 +128,27 @@ impl App {
         let number = state.recordings.len();
         drop(state);
         let closed = self.in_ms(close_ms);
-        let app = Arc::clone(self);
-        if app.has_come(closed) {
-            app.close_session(number);
+        if self.has_come(closed) {
+            self.close_session(number);
         }
-        std::thread::spawn(move || {
-            // Where the rig was stopped, the session is closed all the same.
-            let _ = app.wait_until(closed);
-            app.close_session(number);
-            // A panic while saving must not leave others waiting for its end.
-            let until = app.oscillator.nanos_at(closed);
-            let saved = std::panic::catch_unwind(AssertUnwindSafe(|| app.save(number, until)));
-            let saved = saved.unwrap_or_else(|_| Err("saving failed, see the panic".to_owned()));
-            let mut state = app.state();
-            state.saving -= 1;
-            if let Err(trouble) = saved {
-                state.trouble = Some(trouble);
-            }
-            drop(state);
-            app.changed.notify_all();
-        });
+        self.later(closed, Due::Closed { number, at: closed });
+    }
+
+    /// The `number`th recording ends at a time, and is saved. Where the rig was stopped
+    /// before, its session is closed all the same.
+    pub(super) fn end_recording(&self, number: usize, at: TrueTime) {
+        self.close_session(number);
+        // A panic while saving must not leave others waiting for its end.
+        let until = self.oscillator.nanos_at(at);
+        let saved = std::panic::catch_unwind(AssertUnwindSafe(|| self.save(number, until)));
+        let saved = saved.unwrap_or_else(|_| Err("saving failed, see the panic".to_owned()));
+        let mut state = self.state();
+        state.saving -= 1;
+        if let Err(trouble) = saved {
+            state.trouble = Some(trouble);
+        }
+        drop(state);
+        self.changed.notify_all();
     }
 
     /// The capture session of the `number`th recording is closed: nothing runs any more.

@@ -311,6 +311,7 @@ impl<'a> Client<'a> {
                 self.link.leave();
                 return Err(Gone);
             }
+            Reply::Forgotten => return Err(Gone),
             Reply::File { path, name } => {
                 let size = std::fs::metadata(path)?.len();
                 let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use rig::flash_log::{Dark, FlashSource};
-use rig::motion::{Motion, MotionSpec};
+use rig::motion::MotionSpec;
 use rig::oscillator::TrueTime;
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
 use rig::random::{Seed, Stream};
@@ -16,7 +16,6 @@ use rig::true_clock::TrueClock;
 pub(crate) struct Bench {
     pub(crate) phone: SimPhone,
     pub(crate) clock: TrueClock,
-    pub(crate) motion: Arc<Motion>,
 }
 
 impl Bench {
@@ -41,13 +40,12 @@ impl Bench {
         let motion = spec.build(Seed(seed).stream(Stream::Motion)).unwrap();
         let surroundings = Surroundings {
             clock: clock.clone(),
-            motion: Arc::clone(&motion),
+            motion,
             light,
         };
         Self {
             phone: SimPhone::start(config, surroundings, 0).unwrap(),
             clock,
-            motion,
         }
     }
 
@@ -77,10 +75,6 @@ impl Bench {
             self.pass(0.05);
         }
         phone.answer()
-    }
-
-    pub(crate) fn address(&self) -> String {
-        self.phone.address().to_string()
     }
 
     pub(crate) fn connect(&self) -> Raw {

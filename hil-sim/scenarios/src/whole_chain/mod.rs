@@ -219,7 +219,10 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     phone.storage = Some(storage.clone());
     let board = wiring::board_of(plan.board, programs.elf.as_deref());
     let rig = RunningRig::start(config, board, Some((phone, 0)), programs.pace())?;
-    let text = owner_profile(&known, rig.phone().context("the rig has no phone")?)?;
+    let text = owner_profile(
+        &known,
+        &rig.phone().context("the rig has no phone")?.handset(),
+    )?;
     let text = match &plan.profile {
         None => text + &cameras::profile_lines(plan.camera, programs, &run)?,
         Some(path) => moved(path, &text)?,

@@ -12,7 +12,7 @@ pub mod ports;
 pub mod serial;
 
 /// A byte stream to a board, with the clock of its deadlines.
-pub trait Link: Send {
+pub trait Link {
     /// Time since any fixed moment, for deadlines. The moment is the same for all
     /// links of a program, so that the board's time can be followed from one to
     /// the next.

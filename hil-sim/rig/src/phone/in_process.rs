@@ -1,0 +1,201 @@
+//! The phone's app without a socket and without a thread, for a rig that is stepped by
+//! whoever waits.
+//!
+//! A request is answered at the true time at which the app would have answered it, and
+//! with the bytes that its server would have sent. One request is served after the other.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Result;
+
+use super::app::{App, Progress, Reply, Request};
+use super::{PhoneConfig, Surroundings, VideoTruth, switch_on};
+use crate::oscillator::{Oscillator, TrueTime};
+use crate::owner_profile::Handset;
+
+/// The address in the profile of such a phone: nobody connects to it.
+const ADDRESS: &str = "192.0.2.1:6969";
+
+/// A request of a client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RequestId(u64);
+
+/// What a client gets for a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// These bytes.
+    Bytes(Vec<u8>),
+    /// These bytes, and the contents of a file behind them.
+    File {
+        /// The answer's head.
+        head: Vec<u8>,
+        /// The file.
+        path: PathBuf,
+    },
+    /// No connection: the phone is not on the network.
+    Unreachable,
+    /// The connection ended without an answer.
+    Closed,
+}
+
+/// A phone that is asked by calls.
+pub struct AskedPhone {
+    app: Arc<App>,
+    asked: u64,
+    waiting: VecDeque<(RequestId, String)>,
+    served: Option<(RequestId, TrueTime, Request)>,
+    answers: Vec<(RequestId, Answer)>,
+    is_away: bool,
+    is_silent: bool,
+    /// Removed with the phone.
+    _folder: Option<tempfile::TempDir>,
+}
+
+impl AskedPhone {
+    /// Switches a phone on.
+    ///
+    /// # Errors
+    ///
+    /// There is no folder for the phone's files.
+    pub fn start(config: PhoneConfig, surroundings: Surroundings) -> Result<Self> {
+        let (app, _folder) = switch_on(config, surroundings)?;
+        Ok(Self {
+            app: Arc::new(app.without_threads()),
+            asked: 0,
+            waiting: VecDeque::new(),
+            served: None,
+            answers: Vec::new(),
+            is_away: false,
+            is_silent: false,
+            _folder,
+        })
+    }
+
+    /// Sends a request, on a connection of its own.
+    pub fn ask(&mut self, line: &str) -> RequestId {
+        self.asked += 1;
+        let id = RequestId(self.asked);
+        if self.is_away {
+            self.answers.push((id, Answer::Unreachable));
+        } else {
+            self.waiting.push_back((id, line.to_owned()));
+            self.advance();
+        }
+        id
+    }
+
+    /// Does what is due by now.
+    pub fn advance(&mut self) {
+        self.app.catch_up();
+        loop {
+            let (id, progress) = match self.served.take() {
+                Some((id, until, request)) if !self.app.has_come(until) => {
+                    self.served = Some((id, until, request));
+                    return;
+                }
+                Some((id, _, request)) => (id, self.app.go_on(request)),
+                None => match self.waiting.pop_front() {
+                    Some((id, line)) => (id, self.app.begin(&line)),
+                    None => return,
+                },
+            };
+            match progress {
+                Progress::Waits { until, request } => self.served = Some((id, until, request)),
+                Progress::Done(reply) => self.answer(id, reply),
+            }
+        }
+    }
+
+    fn answer(&mut self, id: RequestId, reply: Reply) {
+        let version = &self.app.config.version;
+        let answer = match reply {
+            Reply::Success(body) => {
+                Answer::Bytes(format!("SUCCESS\n{version}\n{body}end\n").into_bytes())
+            }
+            Reply::Error(text) => {
+                Answer::Bytes(format!("ERROR\n{version}\n{text}\nend\n").into_bytes())
+            }
+            Reply::File { path, name } => match std::fs::metadata(&path) {
+                Ok(file) => {
+                    let size = file.len();
+                    let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
+                    Answer::File {
+                        head: head.into_bytes(),
+                        path,
+                    }
+                }
+                Err(_) => Answer::Closed,
+            },
+            Reply::Crash => {
+                self.app.open_anew();
+                self.leave_network();
+                Answer::Closed
+            }
+            Reply::Forgotten => Answer::Closed,
+        };
+        // What a silent network swallows is never answered.
+        if !self.is_silent {
+            self.answers.push((id, answer));
+        }
+    }
+
+    /// The answer to a request, once it is there; it is given once.
+    pub fn take_answer(&mut self, id: RequestId) -> Option<Answer> {
+        let at = self.answers.iter().position(|(of, _)| *of == id)?;
+        Some(self.answers.swap_remove(at).1)
+    }
+
+    /// Takes the phone off the network: connections end, new ones are refused.
+    pub fn leave_network(&mut self) {
+        self.is_away = true;
+        let waiting = std::mem::take(&mut self.waiting);
+        let served = self.served.as_ref().map(|(id, ..)| *id);
+        for id in waiting.into_iter().map(|(id, _)| id).chain(served) {
+            self.answers.push((id, Answer::Closed));
+        }
+    }
+
+    /// Brings it back.
+    pub fn join_network(&mut self) {
+        self.is_away = false;
+    }
+
+    /// Lets the network swallow all answers, or no more.
+    pub fn set_silent(&mut self, is_silent: bool) {
+        self.is_silent = is_silent;
+    }
+
+    /// Presses the record button on the phone itself.
+    pub fn press_record(&mut self) {
+        self.app.press_record(true);
+    }
+
+    /// Whether it records a video.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
+        self.app.is_recording()
+    }
+
+    /// The ground truth about its videos so far, in order.
+    #[must_use]
+    pub fn videos(&self) -> Vec<VideoTruth> {
+        self.app.videos()
+    }
+
+    /// The ground truth about its clock.
+    #[must_use]
+    pub fn oscillator(&self) -> &Oscillator {
+        &self.app.oscillator
+    }
+
+    /// What its owner knows of it.
+    #[must_use]
+    pub fn handset(&self) -> Handset<'_> {
+        Handset {
+            address: ADDRESS.to_owned(),
+            config: &self.app.config,
+        }
+    }
+}

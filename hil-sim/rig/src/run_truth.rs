@@ -1,0 +1,102 @@
+//! The ground truth of a run: what the models noted while it lasted.
+
+use crate::depth_camera::FrameRecord;
+use crate::imu::SampleRecord;
+use crate::oscillator::Oscillator;
+use crate::phone::VideoTruth;
+use crate::rig_config::RigParts;
+use crate::wiring;
+use stm32f4_sim::shared::lock;
+use stm32f4_sim::sim::Sim;
+use stm32f4_sim::time::SimTime;
+
+/// Until when the count's zero is read off: before its first wrap.
+const FIRST_WRAP: SimTime = SimTime::from_nanos(60_000_000_000);
+
+/// The ground truth of a run.
+#[derive(Clone, Debug)]
+pub struct RunTruth {
+    /// Parts and their clocks.
+    pub parts: RigParts,
+    /// All frames of the depth camera, in order.
+    pub depth: Vec<FrameRecord>,
+    /// All samples of the board's IMU as they were in its registers, in order
+    /// (48 bytes each: 86 MB an hour at 500 Hz).
+    pub imu: Vec<SampleRecord>,
+    /// When the board's tick count was zero in its first run.
+    pub zero: Option<SimTime>,
+    /// The phone's clock.
+    pub phone_clock: Option<Oscillator>,
+    /// The phone's videos.
+    pub videos: Vec<VideoTruth>,
+    /// Clocks and videos of further phones.
+    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
+    /// Board time at the end.
+    pub end: SimTime,
+}
+
+/// What was noted so far.
+#[derive(Debug, Default)]
+pub(crate) struct Noted {
+    depth: Vec<FrameRecord>,
+    imu: Vec<SampleRecord>,
+    zero: Option<SimTime>,
+    was_reset: bool,
+}
+
+impl Noted {
+    /// Takes what the models have noted, so that they keep little.
+    pub(crate) fn take(&mut self, board: &Sim, parts: &RigParts) {
+        if board.now() < FIRST_WRAP && !self.was_reset {
+            self.zero = zero_of(board);
+        }
+        if let Some(camera) = &parts.depth_camera {
+            self.depth.extend(lock(camera).take_frames());
+        }
+        if let Some(imu) = &parts.imu {
+            self.imu.extend(lock(imu).log_mut().take());
+        }
+    }
+
+    /// The board has been reset: its count begins again.
+    pub(crate) fn was_reset(&mut self) {
+        self.was_reset = true;
+    }
+
+    /// The frames of the depth camera so far.
+    pub(crate) fn depth(&self) -> &[FrameRecord] {
+        &self.depth
+    }
+
+    /// Together with the clocks and videos of the phones, and the time at the end.
+    pub(crate) fn into_truth(
+        self,
+        parts: RigParts,
+        phones: Vec<(Oscillator, Vec<VideoTruth>)>,
+        end: SimTime,
+    ) -> RunTruth {
+        let mut phones = phones.into_iter();
+        let (phone_clock, videos) = phones.next().unzip();
+        RunTruth {
+            parts,
+            depth: self.depth,
+            imu: self.imu,
+            zero: self.zero,
+            phone_clock,
+            videos: videos.unwrap_or_default(),
+            others: phones.collect(),
+            end,
+        }
+    }
+}
+
+/// When the board's tick count was zero, once the timer runs: its count now,
+/// taken off. Right only before the count's first wrap, after 89 s.
+pub(crate) fn zero_of(rig: &Sim) -> Option<SimTime> {
+    let (at, count) = rig.timer(wiring::TIMEBASE);
+    let units = u64::from(count) * wiring::UNITS_PER_TICK;
+    (count > 0)
+        .then(|| at.units().checked_sub(units))
+        .flatten()
+        .map(SimTime::from_units)
+}
