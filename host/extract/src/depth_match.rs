@@ -1,6 +1,5 @@
 //! Which depth frame has which pulse: the pattern first, and where it does not
-//! decide, what else there is. Over a reset of the board the camera's clock leads
-//! from one run to the next.
+//! decide, what else there is.
 //!
 //! In this order: the pulse that the user gives; the pattern of the pulses; the
 //! camera's own gyroscope against the board's (its recorder writes an IMU track
@@ -12,11 +11,11 @@ use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Ambiguity, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
+use super::error::ExtractError;
 use super::gyro_clock;
-use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
-use super::streams::{self, Stopped};
+use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
 use twist_sync::{Options, RecordingClock};
@@ -38,8 +37,6 @@ pub(crate) struct Matched {
     pub(crate) found: DepthMatch,
     /// Worth knowing.
     pub(crate) remarks: Vec<String>,
-    /// Frames without a board time, in words.
-    pub(crate) losses: Vec<String>,
     by: &'static str,
 }
 
@@ -48,49 +45,12 @@ impl Matched {
         Self {
             found,
             remarks: Vec::new(),
-            losses: Vec::new(),
             by: "the pattern",
         }
     }
 
     fn by(self, by: &'static str) -> Self {
         Self { by, ..self }
-    }
-
-    fn over_resets(over: &OverResets) -> Self {
-        let anchor = over.anchor + 1;
-        let carried = over.carried.iter().map(|run| {
-            format!(
-                "the depth camera's clock leads over the reset from run {anchor} of the board to run {}, \
-                 whose depth frames lie {:+.1} µs from where it has them (± {:.1} µs, 1-sigma)",
-                run.run + 1,
-                run.off / 1000.0,
-                run.sigma / 1000.0
-            )
-        });
-        let mut remarks: Vec<String> = carried.collect();
-        if over.in_gaps > 0 {
-            remarks.push(format!(
-                "{} depth frames lie where the board was reset, and no pulse made them: they are timed by \
-                 the camera's clock",
-                over.in_gaps
-            ));
-        }
-        let left_out = over.left_out.iter().filter(|run| run.frames > 0);
-        let losses = left_out.map(|run| {
-            format!(
-                "{} depth frames of run {} of the board have no board time: which pulse each has is not \
-                 found from run {anchor}, and not guessed: {}",
-                run.frames,
-                run.run + 1,
-                run.why
-            )
-        });
-        Self {
-            losses: losses.collect(),
-            remarks,
-            ..Self::new(over.found.clone())
-        }
     }
 
     /// What decided, in words.
@@ -121,44 +81,34 @@ impl Matching<'_> {
     ///
     /// # Errors
     ///
-    /// Stopped, or the board's recording cannot be read. The inner error says why
-    /// frames and pulses were not matched.
-    pub(crate) fn find(
-        &self,
-        first_pulse: Option<usize>,
-    ) -> Result<Result<Matched, MatchError>, Stopped> {
+    /// Frames and pulses do not match, it was stopped, or the board's recording cannot be
+    /// read.
+    pub(crate) fn find(&self, first_pulse: Option<usize>) -> Result<Matched, ExtractError> {
         let frames: Vec<DeviceNanos> = self.index.frames.iter().map(|frame| frame.at).collect();
-        let pulses = &self.survey.pulses;
-        let resets = resets(self.survey);
-        let look = |hint| {
-            if resets.is_empty() {
-                return match_frames(&frames, pulses, hint).map(Matched::new);
-            }
-            let over = match_over_resets(&frames, pulses, &resets, hint)?;
-            Ok(Matched::over_resets(&over))
-        };
+        let look = |hint| match_frames(&frames, &self.survey.pulses, hint).map(Matched::new);
         self.progress.begin("matching depth frames to pulses", 0);
         let found = look(first_pulse.map(Hint::FirstPulse));
         self.progress.end();
         if first_pulse.is_some() {
-            return Ok(found.map(|found| found.by("the user")));
+            return Ok(found.map_err(not_matched)?.by("the user"));
         }
         let error = match found {
-            Ok(found) => return Ok(Ok(found)),
+            Ok(found) => return Ok(found),
             Err(MatchError::Ambiguous(left)) => MatchError::Ambiguous(Ambiguity {
                 has_imu: self.index.has_imu,
                 ..left
             }),
             Err(error) => error,
         };
-        if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
+        if let MatchError::Ambiguous(_) = error {
             let hint = if self.index.has_imu {
                 self.camera_hint()?
             } else {
                 None
             };
             if let Some(hint) = hint {
-                return Ok(look(Some(hint)).map(|found| found.by("the camera's gyroscope")));
+                let found = look(Some(hint)).map_err(not_matched)?;
+                return Ok(found.by("the camera's gyroscope"));
             }
             let recorded = recorded_offset(self.survey)
                 .and_then(|delta| AffineMap::new(DeviceNanos(0), BoardNanos(delta), 0.0));
@@ -169,7 +119,7 @@ impl Matching<'_> {
                     center: 0,
                 };
                 if let Ok(found) = look(Some(hint)) {
-                    return Ok(Ok(found.by("the recorded offset")));
+                    return Ok(found.by("the recorded offset"));
                 }
             }
         }
@@ -183,34 +133,27 @@ impl Matching<'_> {
                 remarks: vec![remark],
                 ..Matched::new(found)
             };
-            return Ok(Ok(found.by("the recorded offset")));
+            return Ok(found.by("the recorded offset"));
         }
-        Ok(Err(error))
+        Err(not_matched(error))
     }
 
     /// Times the frames of a camera that ran on its own clock, through its gyroscope and the
-    /// board's. The inner error says why that is not possible.
+    /// board's.
     ///
     /// # Errors
     ///
-    /// Stopped, or the board's recording cannot be read.
-    pub(crate) fn free_running(&self) -> Result<Result<Matched, MatchError>, Stopped> {
-        let failed = |why: &str| {
-            Ok(Err(MatchError::NoGyro {
-                why: why.to_owned(),
-            }))
-        };
+    /// The gyroscopes do not relate the clocks, it was stopped, or the board's recording
+    /// cannot be read.
+    pub(crate) fn free_running(&self) -> Result<Matched, ExtractError> {
+        let failed = |why: String| Err(not_matched(MatchError::NoGyro { why }));
         if !self.index.has_imu {
-            return failed(
-                "the recording has no samples of the camera's IMU; record with the IMU on",
-            );
+            let why = "the recording has no samples of the camera's IMU; record with the IMU on";
+            return failed(why.to_owned());
         }
-        if !self.survey.runs.is_empty() {
-            return failed("the board was reset in the recording");
-        }
-        let clock = match self.camera_clock(1)? {
-            Ok(clock) => clock,
-            Err(why) => return failed(&why),
+        let clock = match self.camera_clock(1) {
+            Err(ExtractError::Missing(why)) => return failed(why),
+            clock => clock?,
         };
         let imu = &self.survey.imu;
         let (first, last) = (BoardNanos(imu.first_ns), BoardNanos(imu.last_ns));
@@ -238,13 +181,14 @@ impl Matching<'_> {
             remarks: vec![remark],
             ..Matched::new(found)
         };
-        Ok(Ok(matched.by("the camera's own clock")))
+        Ok(matched.by("the camera's own clock"))
     }
 
-    fn camera_hint(&self) -> Result<Option<Hint>, Stopped> {
+    fn camera_hint(&self) -> Result<Option<Hint>, ExtractError> {
         // Without a relation the pulses stay ambiguous, which is what is said.
-        let Ok(clock) = self.camera_clock(EVERY)? else {
-            return Ok(None);
+        let clock = match self.camera_clock(EVERY) {
+            Err(error) if !error.is_fatal() => return Ok(None),
+            clock => clock?,
         };
         let (from, to) = clock.course.span();
         let at = 0.5 * (from + to);
@@ -265,39 +209,27 @@ impl Matching<'_> {
 
     /// The relation of the camera's clock to the board's by their gyroscopes, from each
     /// `every`-th window.
-    fn camera_clock(&self, every: usize) -> Result<Result<RecordingClock, String>, Stopped> {
-        let options = Options {
-            a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
-            ..Options::of_windows()
+    fn camera_clock(&self, every: usize) -> Result<RecordingClock, ExtractError> {
+        let span = Span {
+            from: BoardNanos(self.survey.imu.first_ns),
+            to: BoardNanos(self.survey.imu.last_ns),
         };
-        let (first, last) = (self.survey.imu.first_ns, self.survey.imu.last_ns);
-        streams::related(
-            "relating the depth camera's clock by its gyroscope",
-            (self.board, (BoardNanos(first), BoardNanos(last))),
-            (&|| streams::camera(self.input, self.progress), &options),
-            None,
+        let camera = OtherGyro {
+            what: "relating the depth camera's clock by its gyroscope",
+            open: &|| streams::camera(self.input, self.progress),
+            options: Options {
+                a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
+                ..Options::of_windows()
+            },
+            prior: None,
             every,
-            self.progress,
-        )
+        };
+        related(self.board, span, &camera, self.progress)
     }
 }
 
-/// Where the board's runs after resets begin among the pulses. A run without pulses is
-/// none here; its uncertainty goes to the next.
-fn resets(survey: &Survey) -> Vec<Reset> {
-    let first_at = |at: BoardNanos| survey.pulses.partition_point(|pulse| pulse.at < at);
-    let mut resets: Vec<Reset> = Vec::new();
-    for mark in &survey.runs {
-        let (first_pulse, sigma) = (first_at(mark.from), mark.sigma_s * 1e9);
-        if first_pulse == 0 || first_pulse == survey.pulses.len() {
-            continue;
-        }
-        match resets.last_mut() {
-            Some(last) if last.first_pulse == first_pulse => last.sigma = last.sigma.hypot(sigma),
-            _ => resets.push(Reset { first_pulse, sigma }),
-        }
-    }
-    resets
+fn not_matched(error: MatchError) -> ExtractError {
+    ExtractError::Missing(error.to_string())
 }
 
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.

@@ -8,7 +8,6 @@ use super::board_data::BoardInput;
 use super::depth::DepthInput;
 use super::geometry::{CameraFacts, View};
 use super::gyro_clock::prior;
-use super::later_runs::Moves;
 use super::ros2_depth::Ros2Bag;
 use phone::video_files::{self, FilesError, VideoFiles};
 use protocol::ImuSensor;
@@ -241,7 +240,7 @@ pub(crate) fn find(
     let mut remarks = Vec::new();
     let mut session = None;
     let session_folder = match &board {
-        BoardInput::Mcap(path, _) => path.parent(),
+        BoardInput::Mcap(path) => path.parent(),
         BoardInput::Bag(_) => None,
     };
     let rig = if let Some(folder) = session_folder {
@@ -427,7 +426,7 @@ const BAG: [&str; 2] = [".bag", ".bag.active"];
 
 fn board_file(path: &Path) -> Option<BoardInput> {
     if ends_with(path, &[".mcap"]) {
-        Some(BoardInput::Mcap(path.to_owned(), Moves::default()))
+        Some(BoardInput::Mcap(path.to_owned()))
     } else if ends_with(path, &BAG) {
         Some(BoardInput::Bag(path.to_owned()))
     } else {
@@ -496,7 +495,7 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
 fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
     let own = folder.join(MCAP_FILE);
     if own.is_file() {
-        return Ok(BoardInput::Mcap(own, Moves::default()));
+        return Ok(BoardInput::Mcap(own));
     }
     match bags_in(folder)?.as_slice() {
         [bag] => Ok(BoardInput::Bag(bag.clone())),

@@ -6,12 +6,10 @@
 //!   system), `phone_rows` (the phone's CSV files), `depth` (Matroska, ROS 2 bags).
 //! - Time: `time` (integers only), `gyro_clock` and `phone_clock` (the phone's clock
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
-//!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
-//!   and images), `pairs`, `grid` (frames against the trigger).
+//!   pulses), `frames` (timestamps and images), `pairs`, `grid` (frames against the trigger).
 //! - Space: [`geometry`] (lenses, the depth camera's calibration, registration).
 //! - Outputs: [`layout`] (EuRoC, TUM, topics, bags), sequences, `tables`, `imu_tables`,
-//!   `image_tables`, `strip`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
-//!   recording teaches into a rig profile.
+//!   `image_tables`, `strip`, in a [`workplace`] in which a later run continues.
 //!
 //! Inputs are read only, front to back, with bounded memory; nothing read from a
 //! file can make the program panic. Missing and damaged parts are named in the
@@ -22,6 +20,7 @@ mod board_data;
 mod depth;
 mod depth_clock;
 mod depth_match;
+pub mod error;
 mod frames;
 pub mod geometry;
 mod grid;
@@ -30,9 +29,7 @@ mod image;
 mod image_tables;
 mod imu_tables;
 pub mod inputs;
-mod later_runs;
 pub mod layout;
-pub mod learn;
 mod pairs;
 mod phone_clock;
 mod phone_rows;

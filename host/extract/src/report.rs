@@ -48,11 +48,8 @@ pub struct ExtractReport {
     pub depth: Option<DepthReport>,
     /// Pairs of frames.
     pub pairs: Option<PairsReport>,
-    /// The phone's frames against the trigger's grid, up to the first reset of the board.
+    /// The phone's frames against the trigger's grid.
     pub grid: Option<GridReport>,
-    /// The same behind each reset.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub later_grids: Vec<GridReport>,
     /// Further phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
@@ -97,25 +94,8 @@ pub struct BoardReport {
     pub missing_pulses: Vec<(u32, u64, u64)>,
     /// Samples of the IMU.
     pub imu: ImuSpan,
-    /// Runs of the board after a reset within the recording.
-    pub runs: Vec<BoardRunReport>,
     /// Marks, ns.
     pub marks_ns: Vec<i64>,
-}
-
-/// A run of the board after a reset.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct BoardRunReport {
-    /// It begins at or behind this time, ns.
-    pub from_ns: i64,
-    /// The last time known of the run before, ns.
-    pub last_before_ns: i64,
-    /// How much later it is in the data set than in the recording, ns.
-    pub moved_ns: i64,
-    /// 1-sigma of its distance to the run before, µs.
-    pub sigma_us: f64,
-    /// What that is known from.
-    pub by: &'static str,
 }
 
 /// The phone's part.
@@ -147,12 +127,8 @@ pub struct OtherReport {
     pub clock: Option<ClockReport>,
     /// Pairs of its frames with depth frames.
     pub pairs: Option<PairsReport>,
-    /// Its frames against the trigger's grid, which does not follow it, up to the first
-    /// reset of the board.
+    /// Its frames against the trigger's grid, which does not follow it.
     pub grid: Option<GridReport>,
-    /// The same behind each reset.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub later_grids: Vec<GridReport>,
     /// Constants that went into its times, ns.
     pub constants: Constants,
 }
@@ -326,9 +302,6 @@ impl ExtractReport {
         }
         if let Some(grid) = &self.grid {
             lines.push(("phone against trigger", grid.line()));
-        }
-        for grid in &self.later_grids {
-            lines.push(("behind a reset", grid.line()));
         }
         if let Some(depth) = &self.depth {
             lines.push(("depth frames", depth.line()));
@@ -516,9 +489,6 @@ impl OtherReport {
         }
         if let Some(grid) = &self.grid {
             let _ = write!(line, "; {}", grid.line());
-        }
-        for grid in &self.later_grids {
-            let _ = write!(line, "; behind a reset {}", grid.line());
         }
         line
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
 use super::depth::{DepthError, DepthInput};
+use super::error::ExtractError;
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
@@ -38,34 +39,47 @@ pub(crate) enum StreamError {
     Cancelled,
 }
 
-/// Why a step of the extraction ended before its end.
-#[derive(Debug)]
-pub(crate) enum Stopped {
-    /// The user stopped it.
-    Cancelled,
-    /// The board's recording cannot be read.
-    Board(BoardError),
+/// A part of the recording, in board time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    pub(crate) from: BoardNanos,
+    pub(crate) to: BoardNanos,
 }
 
-/// Goes over all that the board recorded, and gives back what could not be read.
-pub(crate) fn each_event<E: From<Stopped>>(
+/// Another gyroscope, whose clock is related to the board's.
+pub(crate) struct OtherGyro<'a> {
+    /// The step, as the progress names it.
+    pub(crate) what: &'a str,
+    pub(crate) open: GyroOpener<'a, StreamError>,
+    pub(crate) options: Options,
+    pub(crate) prior: Option<Prior>,
+    /// Each window of so many is used.
+    pub(crate) every: usize,
+}
+
+/// Goes over all that the board recorded, and returns what could not be read.
+///
+/// # Errors
+///
+/// Stopped, the recording cannot be read, or those of `each`.
+pub(crate) fn each_event(
     input: &BoardInput,
     images: Images,
     what: &str,
     progress: &dyn Progress,
-    mut each: impl FnMut(BoardEvent) -> Result<(), E>,
-) -> Result<Vec<String>, E> {
-    let mut stream = input.open(images).map_err(Stopped::Board)?;
+    mut each: impl FnMut(BoardEvent) -> Result<(), ExtractError>,
+) -> Result<Vec<String>, ExtractError> {
+    let mut stream = input.open(images)?;
     let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
     progress.begin(what, length);
     let mut count = 0_u64;
-    while let Some(event) = stream.next_event().map_err(Stopped::Board)? {
+    while let Some(event) = stream.next_event()? {
         each(event)?;
         count += 1;
         if count.is_multiple_of(LOOK) {
             progress.at(stream.position());
             if progress.cancelled() {
-                return Err(Stopped::Cancelled.into());
+                return Err(ExtractError::Cancelled);
             }
         }
     }
@@ -80,12 +94,12 @@ pub(crate) fn each_event<E: From<Stopped>>(
 /// The recording cannot be opened.
 fn board<'a>(
     input: &BoardInput,
-    (from, to): (BoardNanos, BoardNanos),
+    span: Span,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let mut stream = input.open(Images::Skip)?;
     let mut count = 0_u64;
-    let mut last = from.0.saturating_sub(1);
+    let mut last = span.from.0.saturating_sub(1);
     Ok(Box::new(std::iter::from_fn(move || {
         loop {
             count += 1;
@@ -95,7 +109,7 @@ fn board<'a>(
             match stream.next_event() {
                 Err(error) => return Some(Err(error.into())),
                 Ok(None) => return None,
-                Ok(Some(BoardEvent::Imu(row))) if row.at > to => return None,
+                Ok(Some(BoardEvent::Imu(row))) if row.at > span.to => return None,
                 // Windows are cut in order of time.
                 Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
                     last = row.at.0;
@@ -110,29 +124,30 @@ fn board<'a>(
     })))
 }
 
-/// Relates the clock of another gyroscope to the board's within a span, taking each
-/// `every`-th window. The inner error says in words why there is no relation.
+/// Relates the clock of another gyroscope to the board's.
+///
+/// # Errors
+///
+/// There is no relation, it was stopped, or the board's recording cannot be read.
 pub(crate) fn related<'a>(
-    what: &str,
-    (input, (from, to)): (&'a BoardInput, (BoardNanos, BoardNanos)),
-    (other, options): (GyroOpener<'a, StreamError>, &Options),
-    prior: Option<Prior>,
-    every: usize,
+    input: &'a BoardInput,
+    span: Span,
+    other: &OtherGyro<'a>,
     progress: &'a dyn Progress,
-) -> Result<Result<RecordingClock, String>, Stopped> {
-    let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
-    progress.begin(what, way(to));
-    let board = || board(input, (from, to), progress);
-    let related = estimate_course(&board, other, prior, options, every, &|at| {
+) -> Result<RecordingClock, ExtractError> {
+    let way = |at: BoardNanos| at.0.saturating_sub(span.from.0).unsigned_abs();
+    progress.begin(other.what, way(span.to));
+    let board = || board(input, span, progress);
+    let (prior, options) = (other.prior, &other.options);
+    let related = estimate_course(&board, other.open, prior, options, other.every, &|at| {
         progress.at(way(BoardNanos(at)));
     });
     progress.end();
-    match related {
-        Ok(clock) => Ok(Ok(clock)),
-        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
-        Err(error) => Ok(Err(error.to_string())),
-    }
+    related.map_err(|error| match error {
+        RecordingError::Read(StreamError::Cancelled) => ExtractError::Cancelled,
+        RecordingError::Read(StreamError::Board(error)) => ExtractError::Board(error),
+        error => ExtractError::Missing(error.to_string()),
+    })
 }
 
 /// The phone's gyroscope.

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use super::board_data::{BoardEvent, BoardInput, Images, TimePair};
 use super::depth_clock::PulseTime;
-use super::later_runs::RunMark;
+use super::error::ExtractError;
 use super::progress::Progress;
-use super::streams::{Stopped, each_event};
+use super::streams::each_event;
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
@@ -17,10 +17,9 @@ use twist_sync::tracker::{Asked, Exchange};
 const EVENTS: u64 = 3_000_000;
 /// Bytes of a longer recording to one more.
 const BYTES_AN_EVENT: u64 = 64;
-/// The most marks, resets of the board, and names of sensors or phones that are looked
-/// at, and the longest name in bytes.
+/// The most marks and names of sensors or phones that are read, and the longest name in
+/// bytes.
 const MARKS: usize = 1_000;
-const RUNS: usize = 64;
 const NAMES: usize = 100;
 const NAME_LENGTH: usize = 400;
 
@@ -39,10 +38,6 @@ pub(crate) struct Survey {
     /// The last relation that was recorded of each phone; without a name, of the one
     /// that the trigger was aligned to.
     pub(crate) clocks: PhoneClocks,
-    /// Runs of the board after resets.
-    pub(crate) runs: Vec<RunMark>,
-    /// The same of each run that another followed.
-    pub(crate) former_clocks: Vec<PhoneClocks>,
     /// The IMU's samples.
     pub(crate) imu: ImuSpan,
     /// Exchanges with the clocks of the board and of the phone that was followed.
@@ -92,14 +87,6 @@ impl ImuSpan {
 }
 
 impl Survey {
-    /// The last clock model that was known in each run of the board: of the phone of
-    /// that name; without one, of the phone that the trigger was aligned to.
-    pub(crate) fn clocks_of(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
-        let phone = other.map(str::to_owned);
-        let runs = self.former_clocks.iter().chain([&self.clocks]);
-        runs.map(|known| known.get(&phone).copied()).collect()
-    }
-
     /// Median distance of pulses, ns.
     pub(crate) fn pulse_period(&self) -> Option<i64> {
         let mut steps: Vec<i64> = self
@@ -183,13 +170,6 @@ impl Keeper {
                     self.leave_out("clock models are of a phone beyond the 100 that are read");
                 }
             }
-            BoardEvent::Run(mark) if out.runs.len() < RUNS => {
-                out.runs.push(mark);
-                out.former_clocks.push(out.clocks.clone());
-            }
-            BoardEvent::Run(_) => {
-                self.leave_out("resets of the board are beyond the 64 that are read")
-            }
         }
     }
 
@@ -215,13 +195,13 @@ impl Keeper {
 /// # Errors
 ///
 /// Stopped, or the recording cannot be read.
-pub(crate) fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Survey, Stopped> {
+pub(crate) fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
     let mut keeper = Keeper::new(length);
     let what = "reading the board's recording";
     let mut damage = each_event(input, Images::Stamps, what, progress, |event| {
         keeper.take(event);
-        Ok::<(), Stopped>(())
+        Ok(())
     })?;
     let left_out = keeper.left_out.iter();
     damage.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));

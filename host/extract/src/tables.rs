@@ -99,7 +99,6 @@ pub(crate) fn depth_frames(
             // The pulse itself is exact; without one, the fitted clock has to do.
             let edge = match pulse.and_then(|pulse| pulses.get(pulse)) {
                 Some(pulse) => Some(pulse.at),
-                None if assigned.is_some_and(|a| a.state == FrameState::NotMatched) => None,
                 None => found.and_then(|found| found.clock.apply(stamp.at)),
             };
             DepthFrame {

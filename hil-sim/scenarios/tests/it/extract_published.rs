@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::turn;
+use extract::error::ExtractError;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::{Progress, Silent};
 use extract::report::ExtractReport;
-use extract::run::{ExtractError, Job, run};
+use extract::run::{Job, run};
 use test_support::python;
 
 fn script(name: &str) -> PathBuf {

@@ -9,11 +9,12 @@ use serde_json::json;
 use crate::synthetic::{Synthetic, make};
 use crate::turn;
 use crate::whole_chain::programs;
+use extract::error::ExtractError;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
-use extract::run::{ExtractError, Job, run};
+use extract::run::{Job, run};
 use scenarios::whole_chain::{self, Plan};
 use test_support::python;
 

@@ -33,7 +33,6 @@ mod record_faults;
 mod record_kill;
 mod record_outputs;
 mod record_phones;
-mod record_reset;
 mod record_track;
 mod several_sensors;
 mod strobes;

@@ -9,11 +9,12 @@ use crate::context::Context;
 use crate::decimal::parse_us_nanos;
 use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};
+use extract::error::ExtractError;
 use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
 use extract::progress::Progress;
-use extract::run::{ExtractError, Job, run as extract};
+use extract::run::{Job, run as extract};
 use extract::workplace::WorkplaceError;
 use phone::video_files::FilesError;
 
@@ -249,7 +250,7 @@ impl From<ExtractError> for Failure {
                 ExitStatus::Usage,
                 "give another folder with --out, or remove this one",
             ),
-            ExtractError::Board(_) => (
+            ExtractError::Board(_) | ExtractError::Missing(_) => (
                 ExitStatus::Storage,
                 "check that the file is a recording and that it was copied in full",
             ),

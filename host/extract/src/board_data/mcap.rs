@@ -28,7 +28,6 @@ use twist_sync::tracker::{Asked, Exchange};
 
 use super::{BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, TimePair};
 use crate::depth_clock::PulseTime;
-use crate::later_runs::{Moves, Placing, RunMark};
 use crate::time::{BoardNanos, SECOND};
 use formats::faults::Faults;
 
@@ -77,7 +76,6 @@ pub(super) struct McapStream {
     /// Memory of the last batch's unpacked chunks, for the next one: asking the system for
     /// it anew costs as much as unpacking.
     spare: Vec<Vec<u8>>,
-    runs: Placing,
     /// The last sample, until its temperature or the next sample comes.
     waiting: Option<ImuRow>,
     faults: Faults,
@@ -85,7 +83,7 @@ pub(super) struct McapStream {
 }
 
 impl McapStream {
-    pub(super) fn open(path: &Path, moves: &Moves) -> Result<Self, BoardError> {
+    pub(super) fn open(path: &Path) -> Result<Self, BoardError> {
         let chunks = Chunks::open(path, OWN_RATIO).map_err(|error| BoardError::Open {
             path: path.to_owned(),
             error,
@@ -96,7 +94,6 @@ impl McapStream {
             topics: HashMap::new(),
             decoded: Vec::new().into_iter().flatten(),
             spare: Vec::new(),
-            runs: Placing::new(moves.clone()),
             waiting: None,
             faults: Faults::new(MAX_FAULTS),
             ended: false,
@@ -203,15 +200,13 @@ impl McapStream {
         match decoded {
             Decoded::Temperature(at, temperature) => {
                 let mut row = self.waiting.take()?;
-                if row.at == self.runs.later(at) {
+                if row.at == at {
                     row.temperature = Some(temperature);
                 }
                 Some(BoardEvent::Imu(row))
             }
-            Decoded::Event(event) => match self.runs.place(event) {
-                BoardEvent::Imu(row) => self.waiting.replace(row).map(BoardEvent::Imu),
-                event => Some(event),
-            },
+            Decoded::Event(BoardEvent::Imu(row)) => self.waiting.replace(row).map(BoardEvent::Imu),
+            Decoded::Event(event) => Some(event),
         }
     }
 }
@@ -347,11 +342,6 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
         }
         Item::Gnss(times) => reference(LIDAR_TOPIC, &times),
         Item::Exchange(exchange) => Decoded::Event(exchange_of(&exchange)),
-        Item::Run(run) => Decoded::Event(BoardEvent::Run(RunMark {
-            from: stamp(&run.header),
-            last: protocol::Ticks(run.last_ticks).into(),
-            sigma_s: run.shift_sigma_s,
-        })),
         Item::Clock(model) => {
             let relation = relation(&model);
             let at = stamp(&model.header);
@@ -369,6 +359,7 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
         | Item::Link(_)
         | Item::HostTime(_)
         | Item::Period(_)
+        | Item::Run(_)
         | Item::Log(_) => return,
     };
     out.push(decoded);

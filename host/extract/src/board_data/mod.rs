@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::depth_clock::PulseTime;
-use super::later_runs::{Moves, RunMark};
 use super::time::BoardNanos;
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
@@ -79,8 +78,6 @@ pub(crate) enum BoardEvent {
     Exchange(Asked, Exchange),
     /// A depth image (bags only).
     Image(BagImage),
-    /// The board was reset: what follows is of another run.
-    Run(RunMark),
 }
 
 /// Why a recording cannot be read.
@@ -125,8 +122,8 @@ pub enum BoardError {
 /// Where the board's recording lies.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum BoardInput {
-    /// Our own `recording.mcap`, and by how much its runs are moved.
-    Mcap(PathBuf, Moves),
+    /// Our own `recording.mcap`.
+    Mcap(PathBuf),
     /// A ROS 1 bag of the published system.
     Bag(PathBuf),
 }
@@ -162,7 +159,7 @@ impl BoardInput {
     /// The file.
     pub(crate) fn path(&self) -> &Path {
         match self {
-            Self::Mcap(path, _) | Self::Bag(path) => path,
+            Self::Mcap(path) | Self::Bag(path) => path,
         }
     }
 
@@ -173,7 +170,7 @@ impl BoardInput {
     /// It cannot be opened or is of another kind.
     pub(crate) fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
         match self {
-            Self::Mcap(path, moves) => Ok(Box::new(mcap::McapStream::open(path, moves)?)),
+            Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path)?)),
             Self::Bag(path) => Ok(Box::new(bag::BagStream::open(path, images)?)),
         }
     }

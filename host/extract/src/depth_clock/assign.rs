@@ -25,8 +25,7 @@ pub(crate) enum FrameState {
     OffPulse,
     /// The camera ran on its own clock, which times it.
     FreeRunning,
-    /// It is of a run of the board that frames could not be matched to: it has no
-    /// board time.
+    /// Frames and pulses were not matched: it has no board time.
     NotMatched,
 }
 

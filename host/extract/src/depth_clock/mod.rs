@@ -17,9 +17,6 @@
 //!    ([`assign`]); its time in board time is the pulse's edge plus the mode's
 //!    edge-to-centre time, exact to a tick and free of the camera's clock.
 //!
-//! Where the board was reset, each run of it is matched so, and the camera's clock
-//! leads from one to the next ([`crate::later_runs`]).
-//!
 //! Pulses and frames are compared in f64 nanoseconds relative to the first of
 //! each (exact for 104 days); the timestamps that come out are integers of the
 //! board and never were floats.
@@ -34,7 +31,6 @@ pub(crate) mod pattern;
 
 pub(crate) use assign::{Assignment, FrameState};
 
-use crate::later_runs::depth::RunError;
 use crate::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// Fewest frames and pulses that are matched.
@@ -165,18 +161,6 @@ pub(crate) enum MatchError {
         .0.why(), .0.shifts, .0.first, .0.last, .0.about_imu()
     )]
     Ambiguous(Ambiguity),
-    /// The board was reset, and frames and runs do not fit together.
-    #[error(
-        "the board was reset in the recording, and which depth frames belong to which of its runs is \
-         not found safely (run {run}: {why}); that is not guessed: give the pulse of the first frame \
-         with --depth-first-pulse"
-    )]
-    OverReset {
-        /// The run that does not fit, from 1.
-        run: usize,
-        /// What does not.
-        why: Box<RunError>,
-    },
     /// The camera was not told to follow the trigger.
     #[error(
         "the depth camera was recorded as {sync} (its file's K4A_WIRED_SYNC_MODE; expected SUBORDINATE): \
@@ -257,32 +241,13 @@ pub(crate) fn match_frames(
     pulses: &[PulseTime],
     hint: Option<Hint>,
 ) -> Result<DepthMatch, MatchError> {
-    matched(frames, pulses, hint, false)
-}
-
-/// The same for a camera that streamed before the first of the pulses came.
-pub(crate) fn match_running(
-    frames: &[DeviceNanos],
-    pulses: &[PulseTime],
-    hint: Option<Hint>,
-) -> Result<DepthMatch, MatchError> {
-    matched(frames, pulses, hint, true)
-}
-
-fn matched(
-    frames: &[DeviceNanos],
-    pulses: &[PulseTime],
-    hint: Option<Hint>,
-    was_running: bool,
-) -> Result<DepthMatch, MatchError> {
     if frames.len() < MIN_FRAMES || pulses.len() < MIN_FRAMES {
         return Err(MatchError::TooFew {
             frames: frames.len(),
             pulses: pulses.len(),
         });
     }
-    let mut grid = pattern::Grid::new(frames, pulses)?;
-    grid.earlier_pulses |= was_running;
+    let grid = pattern::Grid::new(frames, pulses)?;
     let found = pattern::search(&grid);
     if found.scatter > grid.period * 0.1 {
         return Err(MatchError::NotFollowing {

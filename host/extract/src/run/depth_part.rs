@@ -1,11 +1,12 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
 use super::geometry_part::DepthView;
-use super::{ExtractError, Extraction, rate_of};
+use super::{Extraction, rate_of};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
+use crate::error::ExtractError;
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
 use crate::layout::{Facts, ImageKind, calibration_path, number};
 use crate::report::{Constants, DepthReport};
@@ -18,7 +19,7 @@ use recording::camera::Center;
 /// The depth camera's part after reading.
 pub(super) struct Depth {
     pub(super) index: DepthIndex,
-    matched: Result<Matched, MatchError>,
+    matched: Result<Matched, String>,
     pub(super) frames: Vec<DepthFrame>,
     /// Colour images of the camera.
     pub(super) color: Vec<CameraFrame>,
@@ -58,23 +59,23 @@ impl Extraction<'_> {
         }
         self.set_center(&index, constants);
         let constants = *constants;
-        let matched = self.match_depth(&input, &index, survey, &constants)?;
+        let matched = match self.match_depth(&input, &index, survey, &constants) {
+            Err(error) if error.is_fatal() => return Err(error),
+            matched => matched.map_err(|error| error.to_string()),
+        };
         if let Some(by) = &index.rewritten {
             self.lose("depth", by.clone());
         }
         match &matched {
             Ok(matched) => {
                 self.remarks.extend(matched.remarks.iter().cloned());
-                for loss in &matched.losses {
-                    self.lose("depth", loss.clone());
-                }
                 let missing = &matched.found.missing;
                 if !missing.is_empty() {
                     let count = missing.len();
                     self.lose("depth", format!("{count} pulses have no depth frame; depth_frames.csv and report.json name them"));
                 }
             }
-            Err(error) if index.rewritten.is_none() => self.lose("depth", error.to_string()),
+            Err(error) if index.rewritten.is_none() => self.lose("depth", error.clone()),
             // Times that are rounded explain it.
             Err(_) => self.lose(
                 "depth",
@@ -107,7 +108,7 @@ impl Extraction<'_> {
         index: &DepthIndex,
         survey: &Survey,
         constants: &Constants,
-    ) -> Result<Result<Matched, MatchError>, ExtractError> {
+    ) -> Result<Matched, ExtractError> {
         let matching = Matching {
             board: &self.inputs.board,
             input,
@@ -117,13 +118,14 @@ impl Extraction<'_> {
             progress: self.progress,
         };
         if self.job.options.free_running {
-            return Ok(matching.free_running()?);
+            return matching.free_running();
         }
         if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
             let sync = sync.chars().take(32).collect();
-            return Ok(Err(MatchError::OtherSync { sync }));
+            let error = MatchError::OtherSync { sync };
+            return Err(ExtractError::Missing(error.to_string()));
         }
-        Ok(matching.find(self.job.options.first_pulse)?)
+        matching.find(self.job.options.first_pulse)
     }
 
     fn write_camera_table(
@@ -411,7 +413,7 @@ impl Depth {
                 .matched
                 .as_ref()
                 .map_or_else(|_| String::new(), |matched| matched.decided_by()),
-            not_matched: self.matched.as_ref().err().map(ToString::to_string),
+            not_matched: self.matched.as_ref().err().cloned(),
             rate_ppm: found.map(|found| (found.rate_error * 1e6, found.rate_sigma * 1e6)),
             residual_us: found.map(|found| found.residual / 1000.0),
             missing: found.map_or_else(Vec::new, |found| {

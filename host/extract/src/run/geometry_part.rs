@@ -4,6 +4,7 @@ use recording::profile::{Intrinsics, Pose};
 
 use super::Extraction;
 use super::depth_part::Depth;
+use crate::error::ExtractError;
 use crate::geometry::k4a::{self, Calibration};
 use crate::geometry::lens::Lens;
 use crate::geometry::register::Registration;
@@ -83,7 +84,7 @@ impl Extraction<'_> {
     }
 
     /// Writes `cameras.json`, if anything is known of a camera.
-    pub(super) fn write_cameras(&self, cameras: &Cameras) -> Result<(), super::ExtractError> {
+    pub(super) fn write_cameras(&self, cameras: &Cameras) -> Result<(), ExtractError> {
         if *cameras == Cameras::default() {
             return Ok(());
         }

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::{ExtractError, Extraction};
+use super::Extraction;
 use crate::board_data::TimePair;
+use crate::error::ExtractError;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
 use crate::layout::{Facts, ImageKind, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;

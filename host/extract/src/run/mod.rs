@@ -25,29 +25,27 @@ use std::path::{Path, PathBuf};
 use index_files::Written;
 use phone_part::Phone;
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
+use super::board_data::{BoardEvent, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::depth::DepthInput;
+use super::error::ExtractError;
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image::write_whole;
-use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
-use super::inputs::{Inputs, InputsError, Options, PhoneInput};
-use super::later_runs;
+use super::inputs::{Inputs, Options, PhoneInput};
 use super::layout::{Facts, Format, Layout};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
 use super::report::{
-    BoardReport, BoardRunReport, ClockReport, Constants, ExtractReport, Loss, PairsReport,
-    SensorReport,
+    BoardReport, ClockReport, Constants, ExtractReport, Loss, PairsReport, SensorReport,
 };
 use super::sequence::Sequences;
-use super::streams::{Stopped, each_event};
+use super::streams::each_event;
 use super::strip;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame, Shutter};
 use super::time::BoardNanos;
-use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
+use super::workplace::{FileMark, Workplace, check_outside};
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
@@ -56,7 +54,7 @@ const LISTED_GAPS: usize = 1_000;
 const DRAWN_PAIRS: usize = 1_000;
 
 /// Version of the report's form.
-const REPORT_VERSION: u32 = 2;
+const REPORT_VERSION: u32 = 3;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,52 +73,6 @@ pub struct Job {
     pub options: Options,
     /// Replace an extraction of other inputs or with other options in `out`.
     pub overwrite: bool,
-}
-
-/// Why there is no data set.
-#[derive(Debug, thiserror::Error)]
-pub enum ExtractError {
-    /// There is nothing to extract from.
-    #[error(transparent)]
-    Inputs(#[from] InputsError),
-    /// The output folder.
-    #[error(transparent)]
-    Workplace(#[from] WorkplaceError),
-    /// The board's recording.
-    #[error(transparent)]
-    Board(#[from] BoardError),
-    /// A file cannot be written.
-    #[error("writing below {path}: {error}")]
-    Write {
-        /// The output folder.
-        path: PathBuf,
-        /// Why.
-        error: io::Error,
-    },
-    /// Images.
-    #[error(transparent)]
-    Images(ImagesError),
-    /// Stopped; the next run goes on.
-    #[error("stopped; run it again to go on")]
-    Cancelled,
-}
-
-impl From<ImagesError> for ExtractError {
-    fn from(error: ImagesError) -> Self {
-        match error {
-            ImagesError::Cancelled => Self::Cancelled,
-            error => Self::Images(error),
-        }
-    }
-}
-
-impl From<Stopped> for ExtractError {
-    fn from(stopped: Stopped) -> Self {
-        match stopped {
-            Stopped::Cancelled => Self::Cancelled,
-            Stopped::Board(error) => Self::Board(error),
-        }
-    }
 }
 
 /// An extraction under way.
@@ -143,13 +95,12 @@ struct Extraction<'a> {
 /// report.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
     let mut run = Extraction::open(job, progress)?;
-    let mut survey = survey(&run.inputs.board, progress)?;
+    let survey = survey(&run.inputs.board, progress)?;
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
     let mut constants = run.constants(&input);
 
     let phone = run.read_phone(&input, &survey, &constants)?;
-    let joints = run.join_runs(&mut survey, phone.as_ref())?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
 
@@ -198,7 +149,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
     }
-    let (grid, later_grids) = run.against_grid(color, &survey, &constants);
+    let grid = run.against_grid(color, &survey, &constants);
     let clock = phone.as_ref().and_then(Phone::clock_report);
     let mut phones = Vec::new();
     for other in run.inputs.others.clone() {
@@ -209,7 +160,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
-        board: run.board_report(&survey, joints, &sequences),
+        board: run.board_report(&survey, &sequences),
         reference: input.name.clone(),
         phone: phone
             .as_ref()
@@ -220,7 +171,6 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
         grid,
-        later_grids,
         phones,
         sensors: sensors(&survey, run.inputs.lidar.as_deref()),
         sequences: sequence_reports,
@@ -302,19 +252,13 @@ impl Extraction<'_> {
         self.write("report.html", report.html(samples.as_deref()).as_bytes())
     }
 
-    fn board_report(
-        &self,
-        survey: &Survey,
-        runs: Vec<BoardRunReport>,
-        sequences: &Sequences,
-    ) -> BoardReport {
+    fn board_report(&self, survey: &Survey, sequences: &Sequences) -> BoardReport {
         BoardReport {
             id: self.inputs.board_id.clone(),
             pulses: survey.pulses.len(),
             pulse_period_ns: survey.pulse_period(),
             missing_pulses: survey.missing_pulses().take(LISTED_GAPS).collect(),
             imu: survey.imu,
-            runs,
             marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
         }
     }
@@ -368,45 +312,6 @@ impl Extraction<'_> {
         }
     }
 
-    /// Where the board was reset: puts its runs where the phone's clock has them,
-    /// and says what is known of the time between.
-    fn join_runs(
-        &mut self,
-        survey: &mut Survey,
-        phone: Option<&Phone>,
-    ) -> Result<Vec<BoardRunReport>, ExtractError> {
-        if survey.runs.is_empty() {
-            return Ok(Vec::new());
-        }
-        let clock = phone.and_then(|phone| phone.clock.as_ref());
-        if let Some(moves) = clock.map(|clock| &clock.moves).filter(|moves| moves.any()) {
-            // What the session says of times is about the runs as it had them.
-            if let Some((_, to)) = &mut self.inputs.recorded {
-                let run = survey.runs.iter().filter(|mark| mark.from.0 <= *to).count();
-                *to = to.saturating_add(moves.of(run));
-            }
-            let path = self.inputs.board.path().to_owned();
-            self.inputs.board = BoardInput::Mcap(path, moves.clone());
-            *survey = super::survey::survey(&self.inputs.board, self.progress)?;
-        }
-        let joints = clock.map_or(&[][..], |clock| &clock.joints);
-        let reports = later_runs::reports(&mut survey.runs, joints);
-        for report in &reports {
-            self.lose(
-                "board",
-                format!(
-                    "the board was reset: nothing of it from {:.6} s to {:.6} s at least; the time \
-                     between is known from {} to ± {:.1} µs (1-sigma)",
-                    report.last_before_ns as f64 * 1e-9,
-                    report.from_ns as f64 * 1e-9,
-                    report.by,
-                    report.sigma_us
-                ),
-            );
-        }
-        Ok(reports)
-    }
-
     /// Options before what the session says; those of the phone are the phone's that
     /// the trigger was aligned to.
     fn constants(&self, phone: &PhoneInput) -> Constants {
@@ -438,29 +343,21 @@ impl Extraction<'_> {
         }
     }
 
-    /// Where a phone's frames lie against the trigger's grid, over the recorded span, and
-    /// again behind each reset of the board: the grid of a new run is another one.
+    /// Measures a phone's frames against the trigger's grid, over the recorded span.
     fn against_grid(
         &self,
         frames: &[ColorFrame],
         survey: &Survey,
         constants: &Constants,
-    ) -> (Option<GridReport>, Vec<GridReport>) {
+    ) -> Option<GridReport> {
         let (from, to) = self.inputs.recorded.unwrap_or((i64::MIN, i64::MAX));
         let middles: Vec<BoardNanos> = frames.iter().map(|frame| frame.at).collect();
-        let run_of = |at| survey.runs.partition_point(|run| run.from <= at);
-        let mut runs = survey
-            .pulses
-            .chunk_by(|a, b| run_of(a.at) == run_of(b.at))
-            .map(|pulses| {
-                let centres: Vec<BoardNanos> = pulses
-                    .iter()
-                    .filter(|pulse| (from..=to).contains(&pulse.at.0))
-                    .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
-                    .collect();
-                grid::measure(&middles, &centres)
-            });
-        (runs.next().flatten(), runs.flatten().collect())
+        let pulses = survey.pulses.iter();
+        let centres: Vec<BoardNanos> = pulses
+            .filter(|pulse| (from..=to).contains(&pulse.at.0))
+            .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
+            .collect();
+        grid::measure(&middles, &centres)
     }
 
     /// The pairs with the frames of a phone, whose clock is known so well.

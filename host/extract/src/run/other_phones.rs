@@ -3,7 +3,8 @@
 
 use super::index_files::Written;
 use super::phone_part::Phone;
-use super::{ExtractError, Extraction, find_pairs, rate_of};
+use super::{Extraction, find_pairs, rate_of};
+use crate::error::ExtractError;
 use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
@@ -58,7 +59,7 @@ impl Extraction<'_> {
             };
             self.finish_sequences(&input.folder, sequences, &written, &facts)?;
         }
-        let (grid, later_grids) = self.against_grid(color, survey, &constants);
+        let grid = self.against_grid(color, survey, &constants);
         let clock = phone.as_ref().and_then(Phone::clock_report);
         Ok(OtherReport {
             name: input.name.clone().unwrap_or_default(),
@@ -68,7 +69,6 @@ impl Extraction<'_> {
             pairs: self.pairs_report(&pairs, color, (input, clock.as_ref())),
             clock,
             grid,
-            later_grids,
             constants,
         })
     }

@@ -6,7 +6,8 @@ use phone::video_files::VideoFiles;
 
 use video::{Pixels, Video, VideoError, presentation_times};
 
-use super::{ExtractError, Extraction};
+use super::Extraction;
+use crate::error::ExtractError;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
@@ -77,14 +78,15 @@ impl Extraction<'_> {
         }
         let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
-        let clock = match phone_clock::find(board, input, survey, constants, self.progress)? {
+        let clock = match phone_clock::find(board, input, survey, constants, self.progress) {
             Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
                 Some(clock)
             }
+            Err(error) if error.is_fatal() => return Err(error),
             Err(why) => {
-                self.lose("clock", input.about(&why));
+                self.lose("clock", input.about(&why.to_string()));
                 None
             }
         };

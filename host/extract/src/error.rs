@@ -1,0 +1,57 @@
+//! Why an extraction, or a step of it, gives nothing.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::board_data::BoardError;
+use crate::image_tables::ImagesError;
+use crate::inputs::InputsError;
+use crate::workplace::WorkplaceError;
+
+/// Why there is no data set, or a part of it is missing.
+#[derive(Debug, thiserror::Error)]
+pub enum ExtractError {
+    /// There is nothing to extract from.
+    #[error(transparent)]
+    Inputs(#[from] InputsError),
+    /// The output folder.
+    #[error(transparent)]
+    Workplace(#[from] WorkplaceError),
+    /// The board's recording.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A file cannot be written.
+    #[error("writing below {path}: {error}")]
+    Write {
+        /// The output folder.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Images.
+    #[error(transparent)]
+    Images(ImagesError),
+    /// One part is missing, in words.
+    #[error("{0}")]
+    Missing(String),
+    /// Stopped; the next run continues.
+    #[error("stopped; run it again to continue")]
+    Cancelled,
+}
+
+impl ExtractError {
+    /// Whether it ends the extraction. Without a part that is missing, the rest is extracted.
+    #[must_use]
+    pub const fn is_fatal(&self) -> bool {
+        !matches!(self, Self::Missing(_))
+    }
+}
+
+impl From<ImagesError> for ExtractError {
+    fn from(error: ImagesError) -> Self {
+        match error {
+            ImagesError::Cancelled => Self::Cancelled,
+            error => Self::Images(error),
+        }
+    }
+}
