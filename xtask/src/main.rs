@@ -185,17 +185,6 @@ fn check(no_book: bool) -> Result<()> {
         "-D",
         "warnings",
     ])?;
-    // As a lean build has it.
-    process::cargo([
-        "clippy",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "--no-default-features",
-        "--",
-        "-D",
-        "warnings",
-    ])?;
     firmware::clippy()?;
     // As a lean crate of its own, from what would be published.
     process::cargo(["package", "-p", "twist-sync", "--allow-dirty", "--quiet"])?;

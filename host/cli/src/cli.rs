@@ -21,7 +21,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::commands;
 use crate::context::{Context, Global, Interrupt, LogFormat, Said, write_stdout};
-use crate::log::{self, Lines};
+use crate::log::Lines;
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
 
@@ -196,7 +196,7 @@ fn start_log(global: &Global) {
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(|| Lines)
         .with_ansi(io::stderr().is_terminal());
-    let log = tracing_subscriber::registry().with(log::targets(level));
+    let log = tracing_subscriber::registry().with(level);
     match global.log_format {
         LogFormat::Text => log.with(lines.without_time().with_target(false)).init(),
         LogFormat::Json => log.with(lines.json()).init(),

@@ -5,7 +5,6 @@
 //! - [`outcome`]: exit codes; `advice`: what to do about the libraries' errors.
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - `view`, `tracked`: what the operator sees while a session runs.
-//! - [`live_data`]: what is recorded, live for Foxglove.
 //! - `sync_report`: what the program says of an estimate of the clocks.
 //! - `terminal`: what is printed does nothing to a terminal but to be read.
 //! - `log`: where log lines go.
@@ -22,7 +21,6 @@ pub mod cli;
 mod commands;
 pub mod context;
 mod decimal;
-pub mod live_data;
 mod log;
 mod new_profile;
 mod options;

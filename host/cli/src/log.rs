@@ -8,8 +8,6 @@
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use tracing_subscriber::filter::{LevelFilter, Targets};
-
 /// How much is held back, in bytes.
 const MOST: usize = 64 << 10;
 
@@ -61,20 +59,6 @@ pub(crate) fn release() {
         // A terminal that has gone takes no log.
         let _ = held.write_to(io::stderr().lock());
     }
-}
-
-/// What serves live data. Whoever connects makes it log errors, which are theirs.
-const SERVER: &str = "foxglove";
-
-/// What is logged from this level on: the server's is for those who ask for more.
-pub(crate) fn targets(least: LevelFilter) -> Targets {
-    let of_server = match least >= LevelFilter::INFO {
-        true => least,
-        false => LevelFilter::OFF,
-    };
-    Targets::new()
-        .with_default(least)
-        .with_target(SERVER, of_server)
 }
 
 /// Takes whole lines.

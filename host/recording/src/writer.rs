@@ -52,7 +52,6 @@ pub struct McapFile {
     waits_since: Option<Duration>,
     synced: Instant,
     dirty: bool,
-    mirror: Option<Box<dyn Output + Send>>,
     wall: WallClock,
 }
 
@@ -80,7 +79,6 @@ impl Writer {
             waits_since: None,
             synced: Instant::now(),
             dirty: true,
-            mirror: None,
             wall: Box::new(SystemTime::now),
         };
         file.flush()?;
@@ -91,11 +89,6 @@ impl Writer {
     /// from another clock than the system's.
     pub fn set_wall_clock(&mut self, wall: WallClock) {
         self.0.wall = wall;
-    }
-
-    /// Shows everything that is written from here on to those who look on live.
-    pub fn mirror(&mut self, to: impl Output + Send + 'static) {
-        self.0.mirror = Some(Box::new(to));
     }
 
     /// Closes the chunk if it has waited long enough, by the clock that `now` is of,
@@ -225,10 +218,7 @@ impl Output for McapFile {
         if at.0.abs_diff(from.0) >= CHUNK_TICKS {
             self.flush()?;
         }
-        match &mut self.mirror {
-            Some(mirror) => mirror.put(topic, at, data),
-            None => Ok(()),
-        }
+        Ok(())
     }
 }
 

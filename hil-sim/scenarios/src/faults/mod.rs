@@ -48,7 +48,6 @@ use recording::writer::Writer;
 use serde::Serialize;
 use session::watch::{Grid, Watch};
 use smartdepthsync::context::{Context, Global, Interrupt, LogFormat, Said};
-use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
 use smartdepthsync::record::journal::Journal;
 use smartdepthsync::record::link::BoardLink;
@@ -249,7 +248,6 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         twist_gap: 0,
         second_twist: false,
         fetch_video: false,
-        foxglove: FoxgloveArg::default(),
     };
     let result = close::close(&mut host, &options, result);
     let counts = host.link.board.conversation().counts();

@@ -16,7 +16,6 @@ mod extract_truth;
 mod extract_vendor;
 mod faults;
 mod first_recording;
-mod foxglove;
 mod imu_csv;
 mod json_objects;
 mod live_view;

@@ -3,12 +3,11 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use protocol::{DeviceToHost, TICK_HZ, Ticks};
+use protocol::{TICK_HZ, Ticks};
 
 use crate::advice::imu_scale;
 use crate::context::Context;
 use crate::decimal::parse_duration;
-use crate::live_data::{FoxgloveArg, LiveData};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::{Connector as _, SerialConnector};
@@ -20,9 +19,7 @@ use board::Event;
 use board::imu::Scale;
 use board::transport::LinkError;
 use board::{Board, BoardError};
-use recording::RecordingError;
 use recording::profile::Profile;
-use recording::writer::Publisher;
 
 /// How often a plain line is written where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
@@ -48,8 +45,6 @@ pub(crate) struct Args {
     /// Plain lines even on a terminal
     #[arg(long)]
     plain: bool,
-    #[command(flatten)]
-    foxglove: FoxgloveArg,
 }
 
 /// Runs the command.
@@ -58,7 +53,6 @@ pub(crate) struct Args {
 ///
 /// The board cannot be reached, or does not come back.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let onlookers = args.foxglove.open(context)?;
     let mut board = args.port.open()?;
     let scale = imu_scale(&board.imu()?)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
@@ -81,9 +75,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         },
         scale,
         id,
-        profile,
         gauge,
-        topics: onlookers.clone().map(Publisher::new),
         screen,
         begun: None,
         last_line: None,
@@ -95,9 +87,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         if shown.elapsed() >= PERIOD {
             shown = Instant::now();
             snapshot = monitor.gauge.snapshot(None, None);
-            if let Some(onlookers) = &onlookers {
-                onlookers.state(&snapshot);
-            }
             if let Some(screen) = &monitor.screen {
                 screen.show(snapshot.clone());
             }
@@ -123,9 +112,7 @@ struct Monitor<'a> {
     connector: SerialConnector,
     scale: Scale,
     id: String,
-    profile: Option<Profile>,
     gauge: Gauge,
-    topics: Option<Publisher<LiveData>>,
     screen: Option<Screen>,
     /// The first board time that was shown, since the board's last reset.
     begun: Option<Ticks>,
@@ -156,10 +143,6 @@ impl Monitor<'_> {
         match event {
             Event::Message(message) => {
                 self.gauge.take(&message, Some(&self.scale));
-                if let Some(topics) = &mut self.topics {
-                    let profile = self.profile.as_ref();
-                    show_live(topics, &message, &self.scale, &self.id, profile)?;
-                }
             }
             Event::Lost { stream, count } => {
                 self.gauge.lost(count);
@@ -225,34 +208,5 @@ impl Monitor<'_> {
         }
         let from = *self.begun.get_or_insert(now);
         duration.is_some_and(|ticks| now.0.saturating_sub(from.0) >= ticks)
-    }
-}
-
-/// A message of the board, for those who look on from elsewhere; sensors by the names
-/// of the profile, if there is one.
-fn show_live(
-    topics: &mut Publisher<LiveData>,
-    message: &DeviceToHost,
-    scale: &Scale,
-    board: &str,
-    profile: Option<&Profile>,
-) -> Result<(), RecordingError> {
-    match message {
-        DeviceToHost::Imu(raw) => topics.imu(&scale.apply(raw)),
-        DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => topics.pulse(pulse, None),
-        DeviceToHost::Capture(capture) => topics.capture(capture, None),
-        DeviceToHost::Pulse(pulse) => {
-            let name = profile.map_or_else(
-                || format!("output {}", pulse.output.number()),
-                |profile| profile.output_name(pulse.output),
-            );
-            topics.output_pulse(pulse, &name)
-        }
-        DeviceToHost::Pps(pps) => topics.pps(pps, profile.map_or("gnss", Profile::lidar_name)),
-        DeviceToHost::Status(status) => topics.status(status, board),
-        DeviceToHost::Hello(_)
-        | DeviceToHost::Answer(_)
-        | DeviceToHost::Arrived(_)
-        | DeviceToHost::Filler(_) => Ok(()),
     }
 }

@@ -45,7 +45,6 @@ pub(super) fn connect<'a>(
     let asks = !options.yes && !context.global.json;
     let mut live = Live::open(context, !options.plain);
     live.length = options.duration;
-    live.onlookers = options.foxglove.open(context)?;
     let operator = match live.take_keys() {
         Some(keys) => Operator::at_keys(keys, asks),
         None if asks => Operator::at_stdin(),
@@ -124,10 +123,7 @@ fn new_journal<'a>(
 ) -> Result<Journal<'a>, Stop> {
     let name = options.name.clone().unwrap_or_else(folder::name_for_now);
     let folder = folder::create(&options.out, &name)?;
-    let mut writer = Writer::create(&folder)?;
-    if let Some(onlookers) = &live.onlookers {
-        writer.mirror(onlookers.clone());
-    }
+    let writer = Writer::create(&folder)?;
     let name = folder
         .file_name()
         .map_or(name, |name| name.to_string_lossy().into_owned());

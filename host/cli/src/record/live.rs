@@ -10,7 +10,6 @@ use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
 use super::rounds::free_space;
 use crate::context::Context;
-use crate::live_data::LiveData;
 use crate::view::gauge::Gauge;
 use crate::view::lines::line;
 use crate::view::screen::{Key, Screen};
@@ -49,8 +48,6 @@ pub struct Live {
     pub(crate) gauge: Gauge,
     /// How long is to be recorded, ticks.
     pub(crate) length: Option<u64>,
-    /// Who looks on from elsewhere.
-    pub(crate) onlookers: Option<LiveData>,
     context: Context,
     screen: Option<Screen>,
     shown: Instant,
@@ -71,7 +68,6 @@ impl Live {
         Self {
             gauge: Gauge::default(),
             length: None,
-            onlookers: None,
             context: context.clone(),
             screen,
             shown: Instant::now(),
@@ -134,7 +130,7 @@ impl Live {
             self.look_at_disk(now, folder);
         }
         let line_is_due = now.0.abs_diff(self.said.0) >= LINE_TICKS;
-        if self.screen.is_none() && self.onlookers.is_none() && !line_is_due {
+        if self.screen.is_none() && !line_is_due {
             return;
         }
         let mut snapshot = self.gauge.snapshot(clock, alignment);
@@ -149,9 +145,6 @@ impl Live {
             _ if asks => Keys::Answer,
             _ => Keys::Look,
         };
-        if let Some(onlookers) = &self.onlookers {
-            onlookers.state(&snapshot);
-        }
         match &self.screen {
             Some(screen) => {
                 snapshot.said = self.context.said.lines();

@@ -44,7 +44,6 @@ use protocol::TICK_HZ;
 
 use crate::context::Context;
 use crate::decimal::{parse_duration, parse_real_time};
-use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings;
 use crate::rig_profile::Place;
@@ -98,9 +97,6 @@ pub struct Options {
     /// Download the phone's video at the end
     #[arg(long)]
     pub fetch_video: bool,
-    /// Live data for Foxglove, if wanted.
-    #[command(flatten)]
-    pub foxglove: FoxgloveArg,
 }
 
 /// Opens links to the board, the first time and after a loss.

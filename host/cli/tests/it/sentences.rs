@@ -23,7 +23,6 @@ const CASES: &str = "\
 2 | bring-up --clock-time soon | 90s, 5m or 1h | help COMMAND
 5 | imu --port /no/such/port | /no/such/port | smartdepthsync ports
 5 | monitor --port /no/such/port | /no/such/port | smartdepthsync ports
-1 | monitor --foxglove 192.0.2.1:1 | 192.0.2.1 | an address of this computer
 5 | trigger start --port /no/such/port | /no/such/port | smartdepthsync ports
 2 | trigger start --first-edge 9 --first-fraction 5 | outputs 2 to 4 | --output
 5 | trigger align --anchor 5 --port /no/such/port | /no/such/port | ports
