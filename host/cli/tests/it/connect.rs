@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::mpsc::channel;
 
 use crate::support::{self, StandIn, code, frame, hello, polite, run};
-use protocol::{Answer, DeviceToHost, HostToDevice, Refusal, usb};
+use protocol::{DeviceToHost, HostToDevice, usb};
 use serde_json::Value;
 use test_support::interrupts::PATIENCE;
 
@@ -30,30 +30,6 @@ fn info_says_who_the_board_is() {
     assert_eq!(info["imu"]["sensor"]["model"], "Icm42688P");
 
     assert_eq!(info["imu"]["sensor"]["gyro_bandwidth_hz_times_10"], 2_467);
-}
-
-/// The board refuses as its firmware does (`black_pill.rs` of the rig's tests).
-#[test]
-fn what_a_board_lacks_is_refused() {
-    let board = StandIn::new(|command: HostToDevice| {
-        let refused = DeviceToHost::Answer(Answer {
-            id: command.id,
-            result: Err(Refusal::NotOnThisBoard),
-        });
-        let answer = polite(command);
-        if answer.is_empty() {
-            frame(&refused)
-        } else {
-            answer
-        }
-    });
-    for arguments in [
-        &["trigger", "start", "--output", "2"][..],
-        &["gnss", "start"],
-    ] {
-        let output = run(&[arguments, &["--port", &board.path]].concat());
-        assert_eq!(code(&output), 3, "{output:?}");
-    }
 }
 
 #[test]

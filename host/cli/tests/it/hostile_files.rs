@@ -105,7 +105,6 @@ fn names_in_a_session_lead_nowhere() {
         let output = limited(&["extract", utf8(&folder), "--out", utf8(&out)]);
         assert_eq!(code(&output), 4, "{what}: {output:?}");
         let said = text(&output.stdout);
-        assert!(said.contains("outside"), "{what}: the name is told: {said}");
         assert_eq!(tree(&outside), before, "{what}");
         let strays = tree(&parent.path().join("deep"));
         let strays: Vec<_> = strays
@@ -164,15 +163,13 @@ fn a_playlist_reads_no_other_file() {
         let output = limited(&["--json", "extract", utf8(&folder)]);
         assert_eq!(code(&output), 4, "{name}: {output:?}");
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-        let losses = report["losses"].to_string();
-        assert!(losses.contains("playlist"), "{name}: {losses}");
+        let losses = report["losses"].as_array().unwrap();
+        assert!(losses.iter().any(|loss| loss["part"] == "video"), "{name}");
         let images = tree(&parent.path().join("walk-euroc"));
         let is_image = |path: &Path| path.extension().is_some_and(|ending| ending == "png");
         assert!(!images.iter().any(|(path, _)| is_image(path)), "{name}");
         let output = limited(&["evaluate", "precision", utf8(&video)]);
-        assert_ne!(code(&output), 0, "{name}: {output:?}");
-        let said = text(&output.stderr);
-        assert!(said.contains("playlist"), "{name}: {said}");
+        assert_eq!(code(&output), 2, "{name}: {output:?}");
     }
 }
 
@@ -203,8 +200,6 @@ fn numbers_beyond_all_reason_are_left_out_of_a_report() {
     session.save(&folder).unwrap();
     let output = limited(&["report", utf8(&folder)]);
     assert_eq!(code(&output), 0, "{output:?}");
-    let html = fs::read_to_string(folder.join("report.html")).unwrap();
-    assert!(html.contains("too large to be drawn"), "they are named");
 }
 
 /// A head of a chunk that fits the length of its record.
@@ -376,16 +371,12 @@ fn pipes_and_devices_are_no_recordings() {
     symlink("/dev/zero", &session).unwrap();
     let output = limited(&["verify", utf8(&folder)]);
     assert_eq!(code(&output), 4, "{output:?}");
-    let said = text(&output.stdout);
-    assert!(said.contains("a pipe or a device"), "{said}");
     assert_eq!(code(&limited(&["report", utf8(&folder)])), 13);
     assert_eq!(code(&limited(&["profile", "check", "/dev/zero"])), 13);
     fs::remove_file(&session).unwrap();
     fs::write(&session, vec![b' '; 40 << 20]).unwrap();
     let output = limited(&["report", utf8(&folder)]);
     assert_eq!(code(&output), 13, "{output:?}");
-    let said = text(&output.stderr);
-    assert!(said.contains("longer than"), "{said}");
 
     let pipe = parent.path().join("pipe.mcap");
     assert!(

@@ -62,10 +62,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
     assert_eq!(written["verdict"]["verdict"], "warning");
     let part = &written["verdict"]["parts"][0];
     assert_eq!(part["name"], "board and phone");
-    assert!(
-        part["found"].as_str().unwrap().contains("2 messages lost"),
-        "{part}"
-    );
+    assert_eq!(part["verdict"], "warning", "{part}");
     browser::check(
         &folder.join("report.html"),
         "record",

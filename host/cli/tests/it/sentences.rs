@@ -10,8 +10,11 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use clap::CommandFactory as _;
+use protocol::{Answer, DeviceToHost, HostToDevice, Refusal};
 use serde_json::Value;
 use smartdepthsync::cli::Cli;
+
+use crate::support::{self, StandIn, frame, polite};
 
 /// Command lines, in a folder with the files that [`files`] makes: exit code, command line,
 /// a word of the message, a word of the next step.
@@ -27,6 +30,10 @@ const CASES: &str = "\
 2 | trigger start --first-edge 9 --first-fraction 5 | outputs 2 to 4 | --output
 5 | trigger align --anchor 5 --port /no/such/port | /no/such/port | ports
 2 | trigger period | --fps | trigger period --fps 30
+2 | trigger start --period-us 999 | 1 ms and 1 s | help COMMAND
+2 | trigger start --fps fast | a decimal number | help COMMAND
+2 | trigger start --fps 30 --period-us 33333 | cannot be used with | help COMMAND
+2 | imu --seconds 0 | 1..=86400 | help COMMAND
 2 | trigger latency --output 2 | output 1 | leave --output out
 5 | trigger stop --port /no/such/port | /no/such/port | ports
 5 | trigger status --port /no/such/port | /no/such/port | ports
@@ -65,6 +72,10 @@ const CASES: &str = "\
 13 | evaluate precision nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate precision text.txt | text.txt | give a video
 2 | evaluate precision folder --region 1,2 | X,Y,WIDTH,HEIGHT | help COMMAND
+2 | evaluate precision --train x folder | nfov | help COMMAND
+2 | evaluate precision --rotation 45 folder | 90 | help COMMAND
+2 | evaluate drift --from 3 --to 2 folder | before the end | help evaluate
+2 | evaluate drift --row-time nan folder | row time | help evaluate
 2 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | profile check
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
@@ -321,5 +332,62 @@ fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
         let step = check["next_step"].as_str().unwrap_or_default();
         assert!(step.len() > 10, "{check}");
         assert!(unknown_options(step, "doctor").is_empty(), "{check}");
+    }
+}
+
+/// What the board refuses is advised on by its reason.
+#[test]
+fn a_refusal_names_the_bounds_or_the_command_that_changes_the_state() {
+    for (refusal, arguments, message, step) in [
+        (
+            Refusal::WidthOutOfRange {
+                min: 240,
+                max: 47_760,
+            },
+            &["trigger", "start", "--width-us", "2000"][..],
+            "5.000 µs to 995.000 µs",
+            "within the bounds",
+        ),
+        (
+            Refusal::TriggerRunning,
+            &["trigger", "start"],
+            "",
+            "`smartdepthsync trigger stop`",
+        ),
+        (
+            Refusal::TriggerStopped,
+            &["trigger", "align", "--anchor", "44", "--fps", "30"],
+            "",
+            "`smartdepthsync trigger start`",
+        ),
+        (
+            Refusal::GnssRunning,
+            &["gnss", "start"],
+            "",
+            "`smartdepthsync gnss stop`",
+        ),
+        (
+            Refusal::NotOnThisBoard,
+            &["trigger", "start", "--output", "2"],
+            "no outputs 2 to 4",
+            "STM32F4DISCOVERY",
+        ),
+    ] {
+        let board = StandIn::new(move |command: HostToDevice| match command.command {
+            protocol::Command::SayHello(_) => polite(command),
+            _ => frame(&DeviceToHost::Answer(Answer {
+                id: command.id,
+                result: Err(refusal),
+            })),
+        });
+        let line = [arguments, &["--json", "--port", &board.path]].concat();
+        let output = support::run(&line);
+        assert_eq!(output.status.code(), Some(3), "{line:?}: {output:?}");
+        let error = &serde_json::from_slice::<Value>(&output.stdout).unwrap()["error"];
+        let says = |key: &str, word: &str| error[key].as_str().unwrap().contains(word);
+        assert!(
+            says("message", message) && says("next_step", step),
+            "{error}"
+        );
     }
 }

@@ -4,7 +4,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run, text};
+use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run};
 use protocol::{
     AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost, HostToDevice,
     ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
@@ -148,79 +148,6 @@ fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
     assert_eq!(report["arrived"]["remaining_ticks"], 0);
 }
 
-#[test]
-fn a_refusal_has_its_code_and_names_the_bounds() {
-    let (board, _received) = trigger(|_| {
-        Err(Refusal::WidthOutOfRange {
-            min: 240,
-            max: 47_760,
-        })
-    });
-    let output = run(&[
-        "trigger",
-        "--port",
-        &board.path,
-        "start",
-        "--width-us",
-        "2000",
-        "--fps",
-        "1000",
-    ]);
-    assert_eq!(code(&output), 3);
-    let told = text(&output.stderr);
-    assert!(told.contains("5.000 µs to 995.000 µs"), "{told}");
-}
-
-#[test]
-fn what_the_state_forbids_names_the_command_that_changes_it() {
-    for (refusal, arguments, step) in [
-        (
-            Refusal::TriggerRunning,
-            &["trigger", "start", "--fps", "30"][..],
-            "`smartdepthsync trigger stop`",
-        ),
-        (
-            Refusal::TriggerStopped,
-            &["trigger", "align", "--anchor", "4416000000", "--fps", "30"],
-            "`smartdepthsync trigger start`",
-        ),
-        (
-            Refusal::GnssRunning,
-            &["gnss", "start"],
-            "`smartdepthsync gnss stop`",
-        ),
-    ] {
-        let result = match refusal {
-            Refusal::TriggerRunning => |_: &Command| Err(Refusal::TriggerRunning),
-            Refusal::TriggerStopped => |_: &Command| Err(Refusal::TriggerStopped),
-            _ => |_: &Command| Err(Refusal::GnssRunning),
-        };
-        let (board, _received) = trigger(result);
-        let mut line = arguments.to_vec();
-        line.extend(["--port", &board.path]);
-        let output = run(&line);
-        assert_eq!(code(&output), 3, "{line:?}: {output:?}");
-        let told = text(&output.stderr);
-        assert!(told.contains(step), "{line:?}: {told}");
-        assert!(!told.contains("within the bounds"), "{line:?}: {told}");
-    }
-}
-
-#[test]
-fn wrong_units_are_usage_errors_before_any_port_is_opened() {
-    for args in [
-        &["trigger", "start", "--period-us", "999"][..],
-        &["trigger", "start", "--fps", "fast"],
-        &["trigger", "start", "--fps", "30", "--period-us", "33333"],
-        &["trigger", "period"],
-        &["imu", "--rate", "300"],
-        &["imu", "--seconds", "0"],
-    ] {
-        let output = run(args);
-        assert_eq!(code(&output), 2, "{args:?}: {output:?}");
-    }
-}
-
 /// Streams IMU samples at 500 Hz, a hundred at a time, with one missing; says that it sets
 /// the sensor up until so many were sent.
 #[derive(Default)]
@@ -327,8 +254,7 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
     assert!((seconds - ticks[0] as f64 / 48e6).abs() < 1e-6);
 
     let output = run(&["imu", "--port", &board.path, "--seconds", "1"]);
-    let told = text(&output.stdout);
-    assert!(told.contains("\naccelerometer mean "), "{told}");
+    assert_eq!(code(&output), 0, "{output:?}");
 
     let board = StandIn::new(ImuStandIn {
         missing: Some(4_000),

@@ -53,7 +53,6 @@ fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
     let out = parent.path().join("again");
     let repaired = run(&["repair", path, out.to_str().unwrap()]);
     assert_eq!(repaired.status.code(), Some(0), "{repaired:?}");
-    assert!(String::from_utf8_lossy(&repaired.stdout).contains("whole"));
     let entries =
         |folder: &Path| -> Vec<_> { Reader::open(folder).unwrap().map(Result::unwrap).collect() };
     assert_eq!(entries(&folder), entries(&out));
