@@ -11,6 +11,7 @@ use formats::k4a::K4aError;
 use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
 use phone::adb::AdbError;
+use phone::error::Refusal as AppRefusal;
 use protocol::{ImuSetup, Refusal};
 use recording::RecordingError;
 use recording::profile::ProfileError;
@@ -199,7 +200,7 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         PhoneError::UnsupportedVersion { .. } => {
             "install one of these versions of OpenCamera Sensors"
         }
-        PhoneError::Refused { request, text, .. } => return refusal_hint(request, text),
+        PhoneError::Refused { .. } => return error.refusal().map(app_refusal_step),
         PhoneError::Malformed { .. } => {
             "make sure that OpenCamera Sensors listens on this port, then try again"
         }
@@ -242,23 +243,19 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
 }
 
 /// What to do about the refusals that the app is known to give.
-fn refusal_hint(request: &str, text: &str) -> Option<&'static str> {
-    if text.starts_with("Error in IMU recording") {
-        Some(
-            "stop the video first (`smartdepthsync phone stop`): the app records its sensors already",
-        )
-    } else if request == "video_start" && text.contains("phase info") {
-        Some(
-            "try again: a video that was running was stopped. If it fails again, switch on `Enable video with IMU recording` in the app's IMU settings, which needs Camera2, and a video mode of more than 6 frames a second",
-        )
-    } else if text.starts_with("Couldn't get last video") {
-        Some("record a video first: the app has none since it was started")
-    } else if text.starts_with("Requested sensor") {
-        Some("ask for other sensors: this phone lacks one of them")
-    } else if text == "Invalid request" && request == "imu" {
-        Some("the app does not know this form of the request: install v.0.1 or v.0.1.1")
-    } else {
-        None
+const fn app_refusal_step(refusal: AppRefusal) -> &'static str {
+    match refusal {
+        AppRefusal::SensorsBusy => {
+            "stop the video first (`smartdepthsync phone stop`): the app records its sensors already"
+        }
+        AppRefusal::NoPhase => {
+            "try again: a video that was running was stopped. If it fails again, switch on `Enable video with IMU recording` in the app's IMU settings, which needs Camera2, and a video mode of more than 6 frames a second"
+        }
+        AppRefusal::NoVideo => "record a video first: the app has none since it was started",
+        AppRefusal::NoSensor => "ask for other sensors: this phone lacks one of them",
+        AppRefusal::UnknownRequest => {
+            "the app does not know this form of the request: install v.0.1 or v.0.1.1"
+        }
     }
 }
 

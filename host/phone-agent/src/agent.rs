@@ -1,25 +1,29 @@
 //! Waits for its host, answers it, and ends when it is gone.
 
-use phone_agent::{Answer, PATIENCE_S, QUESTION, read_question};
+use phone_agent::{Answer, QUESTION, read_question};
 
 use crate::system::{self, Clock, File};
 
 /// The battery is asked so often, ns: reading it may take milliseconds.
 const BATTERY_EVERY_NS: i64 = 5_000_000_000;
 
-/// Serves on the abstract socket of this name; the exit code.
-pub(crate) fn run(own_file: &[u8], name: &[u8]) -> i32 {
+/// Serves on the abstract socket of this name until no question has come for `patience`, a
+/// number of seconds; gives the exit code.
+pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
+    let Some(patience_s) = number(patience).and_then(|seconds| u32::try_from(seconds).ok()) else {
+        return 2;
+    };
     // Started by hand from elsewhere, it may not be allowed to.
     let _ = system::remove(own_file);
     let Some(listener) = File::listen(name) else {
         return 1;
     };
     let mut battery = Battery::default();
-    while listener.is_ready(PATIENCE_S) {
+    while listener.is_ready(patience_s) {
         let Some(host) = listener.accept() else {
             return 1;
         };
-        if !serve(&host, &mut battery) {
+        if !serve(&host, patience_s, &mut battery) {
             return 0;
         }
     }
@@ -27,12 +31,12 @@ pub(crate) fn run(own_file: &[u8], name: &[u8]) -> i32 {
 }
 
 /// Answers a connection; false if its host has fallen silent.
-fn serve(host: &File, battery: &mut Battery) -> bool {
+fn serve(host: &File, patience_s: u32, battery: &mut Battery) -> bool {
     loop {
         let mut question = [0; QUESTION];
         let mut come = 0;
         while come < QUESTION {
-            if !host.is_ready(PATIENCE_S) {
+            if !host.is_ready(patience_s) {
                 return false;
             }
             match host.read(&mut question[come..]) {

@@ -1,4 +1,4 @@
-//! What host and phone say to each other about the phone's clocks. Pure.
+//! Messages between host and phone about the phone's clocks. Pure.
 //!
 //! A question and its answer have fixed lengths, little-endian:
 //!
@@ -32,7 +32,7 @@ pub const ANSWER: usize = 36;
 /// The battery's temperature cannot be read.
 pub const NO_TEMPERATURE: i32 = i32::MIN;
 
-/// After so long without a word of its host the agent ends, s.
+/// Time without a question after which the agent of a recording ends, s: its second argument.
 pub const PATIENCE_S: u32 = 10;
 
 /// What the clocks read.

@@ -1,8 +1,8 @@
-//! The program on the phone: `smartdepthsync-phone-agent NAME` answers on the abstract Unix
-//! socket NAME what the phone's clocks read, one connection at a time.
+//! The program on the phone: `smartdepthsync-phone-agent NAME SECONDS` answers on the abstract
+//! Unix socket NAME what the phone's clocks read, one connection at a time.
 //!
 //! It is started from a file that it removes at once, opens nothing to the network, and ends
-//! by itself once its host has said nothing for [`phone_agent::PATIENCE_S`]. So nothing is
+//! by itself once its host has asked nothing for SECONDS. So nothing is
 //! left on the phone, whatever ends the host. It makes system calls itself and needs no
 //! library: one file runs on any Android of its processor.
 

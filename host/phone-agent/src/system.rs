@@ -239,10 +239,10 @@ unsafe fn argument(stack: *const usize, place: usize) -> &'static [u8] {
 unsafe extern "C" fn begin(stack: *const usize) -> ! {
     // SAFETY: so it is.
     let count = unsafe { *stack };
-    let code = if count == 2 {
-        // SAFETY: both are below the count. The path's zero is behind it.
-        let (own_file, name) = unsafe { (argument(stack, 0), argument(stack, 1)) };
-        agent::run(own_file, name)
+    let code = if count == 3 {
+        // SAFETY: all are below the count. The path's zero is behind it.
+        let [own_file, name, patience] = unsafe { [0, 1, 2].map(|place| argument(stack, place)) };
+        agent::run(own_file, name, patience)
     } else {
         2
     };

@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use phone_agent::{ANSWER, Answer, PATIENCE_S, question};
+use phone_agent::{ANSWER, Answer, question};
 
-const PATIENCE: Duration = Duration::from_secs(PATIENCE_S as u64);
+/// The agent's patience.
+const PATIENCE: Duration = Duration::from_secs(3);
 
 /// A program of one processor, running. It is ended when dropped.
 struct Agent {
@@ -54,7 +55,10 @@ impl Agent {
         std::fs::create_dir(&folder.0).unwrap();
         let file = folder.0.join("agent");
         std::fs::copy(&built, &file).unwrap();
-        let child = Command::new(emulator).arg(&file).arg(&name).spawn();
+        let child = Command::new(emulator)
+            .args([file.as_os_str(), name.as_ref()])
+            .arg(PATIENCE.as_secs().to_string())
+            .spawn();
         let child = child.unwrap_or_else(|error| panic!("{emulator} (Debian: qemu-user): {error}"));
         Self {
             child,

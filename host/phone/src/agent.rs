@@ -6,11 +6,11 @@
 //! [`phone_agent`].
 //!
 //! A phone whose cable is pulled ends the agent by its silence, and `adb` forgets the port.
-//! So where nothing answers any more, the program is copied and started anew until it does.
+//! So where nothing answers any more, the program is copied and started again until it does.
 //!
 //! Whatever ends this program, nothing is left running on the phone: the agent removes its
 //! own file when it starts, and ends once nobody has asked it for
-//! [`phone_agent::PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
+//! [`PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
 //! given back by [`Agent`]'s end; after a SIGKILL the `adb` server keeps it until it ends.
 
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -23,7 +23,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use phone_agent::{ANSWER, Answer, Wrong, question};
+use phone_agent::{ANSWER, Answer, PATIENCE_S, Wrong, question};
 
 use crate::adb::{Adb, AdbError};
 use crate::client::StopSignal;
@@ -60,8 +60,8 @@ pub struct PhoneExchange {
     pub answer: Answer,
 }
 
-/// A program on the phone that tells its clocks. It is started anew where it has ended
-/// meanwhile, and ends by itself soon after this is dropped ([`phone_agent::PATIENCE_S`]).
+/// A program on the phone that reads its clocks. It is started again where it has ended
+/// meanwhile, and ends by itself soon after this is dropped ([`PATIENCE_S`]).
 pub struct Agent {
     device: String,
     stop: Arc<AtomicBool>,
@@ -129,7 +129,12 @@ impl Running {
     fn launch(adb: &Adb, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
         adb.shell(device, &format!("chmod 755 {file}"))?;
         let mut shell = Command::new(adb.program())
-            .args(["-s", device, "shell", &format!("{file} {socket}")])
+            .args([
+                "-s",
+                device,
+                "shell",
+                &format!("{file} {socket} {PATIENCE_S}"),
+            ])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
@@ -321,7 +326,7 @@ fn read_answer(stream: &mut TcpStream, stop: &StopSignal) -> std::io::Result<[u8
 }
 
 /// Asks until it is to stop; what cannot be asked is silence. Where the program does not
-/// answer any more, it has ended or the cable was pulled: it is started anew until it does.
+/// answer any more, it has ended or the cable was pulled: it is started again until it does.
 fn ask(
     first: Running,
     stream: TcpStream,
@@ -339,7 +344,7 @@ fn ask(
         std::thread::sleep(EVERY / 2 + EVERY.mul_f64(scatter as f64 / 1024.0));
         let Some((running, stream)) = &mut open else {
             std::thread::sleep(PAUSE);
-            open = again(&device, now, stop);
+            open = restart(&device, now, stop);
             continue;
         };
         match exchange(stream, nonce, now, stop) {
@@ -357,8 +362,8 @@ fn ask(
     }
 }
 
-/// Starts the program anew, if the phone is there.
-fn again(device: &str, now: fn() -> Duration, stop: &StopSignal) -> Option<(Running, TcpStream)> {
+/// Starts the program again, if the phone is there.
+fn restart(device: &str, now: fn() -> Duration, stop: &StopSignal) -> Option<(Running, TcpStream)> {
     let adb = Adb::find(stop).ok()?;
     Running::start(&adb, device, now).ok()
 }

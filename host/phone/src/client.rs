@@ -9,10 +9,7 @@ use super::answer::{MalformedAnswer, ServerVersion};
 use super::connection::Connection;
 use super::download::{SavedVideo, VideoTarget, check_free, receive};
 use super::error::{PROBE, PhoneError};
-use super::requests::{
-    ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoHeaderBody, VideoStart,
-    VideoStartBody,
-};
+use super::requests::{ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
 use super::samples::Sensor;
 use timebase::PhoneNanos;
 
@@ -188,6 +185,21 @@ impl PhoneClient {
         Ok(())
     }
 
+    /// As [`PhoneClient::exchange`], for an answer of a few lines; gives those of its body.
+    fn short_exchange(
+        &mut self,
+        request: &'static str,
+        line: &str,
+        first: Duration,
+    ) -> Result<Vec<String>, PhoneError> {
+        let mut body = Vec::new();
+        self.exchange(request, line, SMALL_ANSWER, first, |_, line| {
+            body.push(line.to_owned());
+            Ok(())
+        })?;
+        Ok(body)
+    }
+
     /// Records motion sensors for the duration of the request, which this call
     /// lasts as well. The app refuses it while it records a video; it is tried again for
     /// [`Settings::busy`].
@@ -294,18 +306,9 @@ impl PhoneClient {
             self.probe()?;
         }
         let begun = Instant::now();
-        let mut body = VideoStartBody::default();
         let first = APP_PHASE_TIMEOUT.saturating_add(self.settings.margin);
-        self.exchange(
-            REQUEST,
-            "video_start\n",
-            SMALL_ANSWER,
-            first,
-            |number, line| body.line(number, line),
-        )?;
-        let start = body
-            .finish()
-            .map_err(|source| self.damaged(REQUEST, source))?;
+        let body = self.short_exchange(REQUEST, "video_start\n", first)?;
+        let start = VideoStart::parse(&body).map_err(|source| self.damaged(REQUEST, source))?;
         let took = asked.map_or_else(
             || begun.elapsed().as_secs_f64(),
             |asked| start.phase.0.saturating_sub(asked.0) as f64 * 1e-9,
@@ -369,8 +372,8 @@ impl PhoneClient {
     /// The link, or the app's refusal.
     pub fn stop_video(&mut self) -> Result<(), PhoneError> {
         let margin = self.settings.margin;
-        let request = "video_stop";
-        self.exchange(request, "video_stop\n", SMALL_ANSWER, margin, |_, _| Ok(()))
+        self.short_exchange("video_stop", "video_stop\n", margin)?;
+        Ok(())
     }
 
     /// Downloads the last video to `target`; `progress` gets bytes received and
@@ -400,15 +403,7 @@ impl PhoneClient {
 
     fn video_header(&mut self) -> Result<VideoHeader, PhoneError> {
         const REQUEST: &str = "get_video";
-        let mut body = VideoHeaderBody::default();
-        let patience = self.settings.video_ready;
-        let asked = self.exchange(
-            REQUEST,
-            "get_video\n",
-            SMALL_ANSWER,
-            patience,
-            |number, line| body.line(number, line),
-        );
+        let asked = self.short_exchange(REQUEST, "get_video\n", self.settings.video_ready);
         if let Err(PhoneError::Timeout { waited, .. }) = asked {
             // Only a new connection tells a slow app from one that hangs.
             let answers = self.reconnect().and_then(|()| self.probe());
@@ -417,10 +412,7 @@ impl PhoneClient {
                 return Err(PhoneError::Hangs { waited });
             }
         }
-        asked?;
-        let header = body
-            .finish()
-            .map_err(|source| self.damaged(REQUEST, source))?;
+        let header = VideoHeader::parse(&asked?).map_err(|source| self.damaged(REQUEST, source))?;
         let limit = self.settings.max_video;
         if header.size > limit {
             self.connection = None;

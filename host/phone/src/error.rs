@@ -213,6 +213,22 @@ pub enum PhoneError {
     NotConnected,
 }
 
+/// The refusals that the app is known to give.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its sensors are being recorded: for a video, until its capture session is closed, or
+    /// by an IMU request.
+    SensorsBusy,
+    /// The phone lacks a sensor that was asked for.
+    NoSensor,
+    /// It does not know this form of the request.
+    UnknownRequest,
+    /// No frames came from which a phase can be taken.
+    NoPhase,
+    /// It has made no video since it was opened.
+    NoVideo,
+}
+
 impl PhoneError {
     /// The error itself: of a start that failed, why it did.
     #[must_use]
@@ -242,10 +258,25 @@ impl PhoneError {
         }
     }
 
-    /// Whether the app refused because its sensors are being recorded: for a video, until
-    /// its capture session is closed, or by an IMU request.
+    /// The app's refusal, if it is a known one.
+    #[must_use]
+    pub fn refusal(&self) -> Option<Refusal> {
+        let Self::Refused { request, text, .. } = self else {
+            return None;
+        };
+        match *request {
+            "imu" if text.starts_with("Error in IMU") => Some(Refusal::SensorsBusy),
+            "imu" if text.starts_with("Requested sensor") => Some(Refusal::NoSensor),
+            "imu" if text == "Invalid request" => Some(Refusal::UnknownRequest),
+            "video_start" if text.contains("phase info") => Some(Refusal::NoPhase),
+            "get_video" if text.starts_with("Couldn't get last video") => Some(Refusal::NoVideo),
+            _ => None,
+        }
+    }
+
+    /// Whether the app refused because its sensors are being recorded.
     pub(crate) fn is_busy(&self) -> bool {
-        matches!(self, Self::Refused { request: "imu", text, .. } if text.starts_with("Error in IMU"))
+        self.refusal() == Some(Refusal::SensorsBusy)
     }
 
     /// The failure to write `path`, or to put it in its place.

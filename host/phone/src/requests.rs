@@ -1,8 +1,9 @@
 //! The four requests of the app, and what their answers' bodies mean.
 //!
-//! Each body has a small parser that takes the lines of an answer one by one,
-//! so that even a long recording is never held as text.
+//! The body of an IMU recording is taken line by line, so that even a long one is never held
+//! as text.
 
+use std::str::FromStr;
 use std::time::Duration;
 
 use super::answer::MalformedAnswer;
@@ -241,62 +242,47 @@ pub struct VideoStart {
     pub exposure_ns: Option<u64>,
 }
 
-/// Reads the body of an answer to `video_start`.
-#[derive(Debug, Default)]
-pub struct VideoStartBody {
-    phase: Option<PhoneNanos>,
-    frame_duration_ns: Option<f64>,
-    exposure_ns: Option<u64>,
-}
-
-impl VideoStartBody {
-    /// Takes one line; `number` is its number in the answer. Lines that later
-    /// versions of the app may add are passed over.
-    pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
-        let wrong = |expected| MalformedAnswer::line(number, expected, line);
-        let line_text = line.trim();
-        if self.phase.is_none() {
-            let phase = line_text
-                .parse()
-                .ok()
-                .filter(|&ns: &i64| ns > 0)
-                .ok_or_else(|| wrong("the phase: whole nanoseconds of the phone's clock"))?;
-            self.phase = Some(PhoneNanos(phase));
-        } else if self.frame_duration_ns.is_none() {
-            // 1 ms to 1 s: far wider than any camera's video.
-            let duration = line_text
-                .parse()
-                .ok()
-                .filter(|ns: &f64| (1e6..=1e9).contains(ns))
-                .ok_or_else(|| wrong("a frame duration of 1,000,000 to 1,000,000,000 ns"))?;
-            self.frame_duration_ns = Some(duration);
-        } else if self.exposure_ns.is_none() {
-            let exposure = line_text
-                .parse()
-                .ok()
-                .filter(|&ns: &u64| ns <= 1_000_000_000)
-                .ok_or_else(|| wrong("an exposure time of at most 1,000,000,000 ns"))?;
-            self.exposure_ns = Some(exposure);
-        }
-        Ok(())
-    }
-
-    /// The answer's meaning, once it has ended.
-    pub fn finish(self) -> Result<VideoStart, MalformedAnswer> {
-        Ok(VideoStart {
-            phase: self.phase.ok_or(MalformedAnswer::Missing {
-                expected: "a phase",
-            })?,
-            frame_duration_ns: self.frame_duration_ns.ok_or(MalformedAnswer::Missing {
-                expected: "a frame duration",
-            })?,
+impl VideoStart {
+    /// Reads the body of an answer. Lines that later versions of the app may add are passed
+    /// over.
+    ///
+    /// # Errors
+    ///
+    /// A line is missing, or is not what belongs there.
+    pub fn parse(body: &[String]) -> Result<Self, MalformedAnswer> {
+        let expected = "the phase: whole nanoseconds of the phone's clock";
+        let phase = field(body, 0, expected, |&ns: &i64| ns > 0)?;
+        // 1 ms to 1 s: far wider than any camera's video.
+        let expected = "a frame duration of 1,000,000 to 1,000,000,000 ns";
+        let frame_duration_ns = field(body, 1, expected, |ns: &f64| (1e6..=1e9).contains(ns))?;
+        let expected = "an exposure time of at most 1,000,000,000 ns";
+        let exposure = body
+            .get(2)
+            .map(|_| field(body, 2, expected, |&ns: &u64| ns <= 1_000_000_000));
+        Ok(Self {
+            phase: PhoneNanos(phase),
+            frame_duration_ns,
             // The app writes 0 where the camera does not report an exposure.
-            exposure_ns: self.exposure_ns.filter(|&ns| ns > 0),
+            exposure_ns: exposure.transpose()?.filter(|&ns| ns > 0),
         })
     }
 }
 
-/// What `get_video` says before the bytes of the video.
+/// A line of a short body, which follows two lines of status and version.
+fn field<T: FromStr>(
+    body: &[String],
+    place: usize,
+    expected: &'static str,
+    is_right: impl Fn(&T) -> bool,
+) -> Result<T, MalformedAnswer> {
+    let line = body
+        .get(place)
+        .ok_or(MalformedAnswer::Missing { expected })?;
+    let value = line.trim().parse().ok().filter(is_right);
+    value.ok_or_else(|| MalformedAnswer::line(place as u64 + 3, expected, line))
+}
+
+/// The answer to `get_video`, before the bytes of the video.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VideoHeader {
     /// Size in bytes.
@@ -306,39 +292,23 @@ pub struct VideoHeader {
     pub file_name: String,
 }
 
-/// Reads the body of an answer to `get_video`.
-#[derive(Debug, Default)]
-pub struct VideoHeaderBody {
-    size: Option<u64>,
-    file_name: Option<String>,
-}
-
-impl VideoHeaderBody {
-    /// Takes one line; `number` is its number in the answer.
-    pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
-        if self.size.is_none() {
-            let size = line.trim().parse().ok().filter(|&size| size > 0);
-            let size = size.ok_or_else(|| {
-                let expected = "the size of the video in bytes, above 0";
-                MalformedAnswer::line(number, expected, line)
-            })?;
-            self.size = Some(size);
-        } else if self.file_name.is_none() {
-            self.file_name = Some(line.to_owned());
-        }
-        Ok(())
-    }
-
-    /// The answer's meaning, once it has ended.
-    pub fn finish(self) -> Result<VideoHeader, MalformedAnswer> {
-        Ok(VideoHeader {
-            size: self.size.ok_or(MalformedAnswer::Missing {
-                expected: "the size of the video",
-            })?,
-            file_name: self.file_name.ok_or(MalformedAnswer::Missing {
-                expected: "the name of the video",
-            })?,
-        })
+impl VideoHeader {
+    /// Reads the body of an answer.
+    ///
+    /// # Errors
+    ///
+    /// A line is missing, or is not what belongs there.
+    pub fn parse(body: &[String]) -> Result<Self, MalformedAnswer> {
+        let size = field(
+            body,
+            0,
+            "the size of the video in bytes, above 0",
+            |&size: &u64| size > 0,
+        )?;
+        let file_name = body.get(1).cloned().ok_or(MalformedAnswer::Missing {
+            expected: "the name of the video",
+        })?;
+        Ok(Self { size, file_name })
     }
 }
 
@@ -441,11 +411,8 @@ mod tests {
     }
 
     fn start(lines: &[&str]) -> Result<VideoStart, MalformedAnswer> {
-        let mut body = VideoStartBody::default();
-        for (i, line) in lines.iter().enumerate() {
-            body.line(i as u64 + 3, line)?;
-        }
-        body.finish()
+        let body: Vec<String> = lines.iter().map(|&line| line.to_owned()).collect();
+        VideoStart::parse(&body)
     }
 
     #[test]

@@ -19,7 +19,7 @@ use formats::k4a::{Content, Recording};
 use phone::ImuRequest;
 use phone::answer::{AnswerDecoder, AnswerEvent};
 use phone::file_name::safe_file_name;
-use phone::requests::{ImuBody, VideoHeaderBody, VideoStartBody};
+use phone::requests::{ImuBody, VideoHeader, VideoStart};
 use phone::rows::{RowError, Rows};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
@@ -108,7 +108,7 @@ fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
         gyroscope: true,
         magnetometer: true,
     });
-    let (mut start, mut video) = (VideoStartBody::default(), VideoHeaderBody::default());
+    let mut body = Vec::new();
     let mut decoder = AnswerDecoder::new(1 << 16);
     let mut events = Vec::new();
     for piece in bytes.chunks(step.max(1)) {
@@ -118,8 +118,7 @@ fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
                 Ok(Some(event)) => {
                     if let AnswerEvent::Line(line) = &event {
                         let _ = imu.line(1, line);
-                        let _ = start.line(1, line);
-                        let _ = video.line(1, line);
+                        body.push((*line).to_owned());
                         assert!(safe_file_name(line).len() <= 101);
                     }
                     events.push(format!("{event:?}"));
@@ -129,7 +128,11 @@ fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
             }
         }
     }
-    let _ = (imu.finish(), start.finish(), video.finish());
+    let _ = (
+        imu.finish(),
+        VideoStart::parse(&body),
+        VideoHeader::parse(&body),
+    );
     (events, true)
 }
 
