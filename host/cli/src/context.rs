@@ -99,20 +99,6 @@ impl Said {
 }
 
 impl Context {
-    /// One that says nothing but results.
-    #[cfg(test)]
-    pub(crate) fn quiet(interrupt: Interrupt) -> Self {
-        Self {
-            global: Global {
-                json: true,
-                verbose: 0,
-                log_format: LogFormat::Text,
-            },
-            interrupt,
-            said: Said::default(),
-        }
-    }
-
     /// Prints a result: `json` as one document with `--json`, else `text`.
     /// A reader that has gone away (`| head`) is no error, nor is a terminal that
     /// was closed.

@@ -6,7 +6,8 @@
 
 use std::time::Duration;
 
-use protocol::{Period, TICK_HZ, Ticks};
+use jiff::SignedDuration;
+use protocol::{Period, TICK_HZ};
 
 /// The most digits of a number, before and behind the point together.
 const MAX_DIGITS: usize = 18;
@@ -62,13 +63,13 @@ impl std::str::FromStr for Decimal {
 }
 
 impl Decimal {
-    fn scale(self) -> u128 {
-        10_u128.pow(self.places)
+    /// The number as microseconds, in whole nanoseconds, less any fraction.
+    fn whole_nanos(self) -> u128 {
+        u128::from(self.digits) * 1_000 / self.scale()
     }
 
-    /// The number times a whole one, less any fraction.
-    fn times(self, factor: u64) -> u128 {
-        u128::from(self.digits) * u128::from(factor) / self.scale()
+    fn scale(self) -> u128 {
+        10_u128.pow(self.places)
     }
 
     /// The number as microseconds, in 2⁻³² ticks, rounded to nearest.
@@ -133,39 +134,34 @@ pub(crate) fn parse_us_nanos(text: &str) -> Result<i64, DecimalError> {
     };
     let micros = digits.parse::<Decimal>().ok();
     let micros = micros.filter(|micros| micros.places <= 3);
-    let nanos = micros.and_then(|micros| i64::try_from(micros.times(1_000)).ok());
+    let nanos = micros.and_then(|micros| i64::try_from(micros.whole_nanos()).ok());
     nanos
         .filter(|&nanos| nanos <= 1_000_000_000)
         .map(|nanos| sign * nanos)
         .ok_or(DecimalError::NotNanos)
 }
 
-/// For clap: a duration such as `90s`, `5m`, `1h`, `1.5m` or seconds without a unit, as whole
-/// ticks.
+/// For clap: a time span such as `90s`, `5m`, `1.5h` or `1h30m` in real time.
 ///
 /// # Errors
 ///
 /// It is none, or not within 0 and a week.
-pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
-    let units = [("s", 1), ("m", 60), ("h", 3_600)];
-    let (number, unit) = units
-        .into_iter()
-        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
-        .unwrap_or((text, 1));
-    let number = number.parse::<Decimal>().ok();
-    number
-        .and_then(|number| u64::try_from(number.times(unit * u64::from(TICK_HZ))).ok())
-        .filter(|&ticks| ticks <= 7 * 24 * 3_600 * u64::from(TICK_HZ))
+pub(crate) fn parse_real_time(text: &str) -> Result<Duration, &'static str> {
+    let span = text.parse::<SignedDuration>().ok();
+    span.and_then(|span| Duration::try_from(span).ok())
+        .filter(|&span| span <= Duration::from_secs(7 * 24 * 3_600))
         .ok_or("expected a duration such as 90s, 5m or 1h, at most a week")
 }
 
-/// For clap: the same in real time.
+/// For clap: the same as whole ticks.
 ///
 /// # Errors
 ///
-/// As [`parse_duration`].
-pub(crate) fn parse_real_time(text: &str) -> Result<Duration, &'static str> {
-    parse_duration(text).map(|ticks| Duration::from_secs_f64(Ticks(ticks).as_secs_f64()))
+/// As [`parse_real_time`].
+pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
+    let ticks = parse_real_time(text)?.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
+    // A week has fewer than 2^45.
+    Ok(ticks as u64)
 }
 
 /// Nanoseconds as seconds with all their digits.
@@ -183,6 +179,7 @@ pub(crate) fn seconds(nanos: impl Into<i128>) -> String {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use protocol::Ticks;
 
     use super::*;
 
@@ -282,11 +279,10 @@ mod tests {
     #[test]
     fn durations_are_exact_ticks() {
         assert_eq!(parse_duration("5m"), Ok(300 * 48_000_000));
-        assert_eq!(parse_duration("90"), Ok(90 * 48_000_000));
         assert_eq!(parse_duration("90s"), Ok(90 * 48_000_000));
         assert_eq!(parse_duration("1.5h"), Ok(5_400 * 48_000_000));
-        assert_eq!(parse_duration("0.5"), Ok(24_000_000));
-        for text in ["", "m", "-1s", "5 m", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
+        assert_eq!(parse_duration("0.5s"), Ok(24_000_000));
+        for text in ["", "m", "-1s", "90", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
             assert!(parse_duration(text).is_err(), "{text}");
         }
     }

@@ -353,7 +353,7 @@ mod tests {
     use clap::Parser as _;
 
     use super::*;
-    use crate::context::Interrupt;
+    use crate::context::{Global, Interrupt, LogFormat, Said};
     use recording::profile::Profile;
 
     #[derive(clap::Parser)]
@@ -364,7 +364,15 @@ mod tests {
 
     fn asked(options: &[&str], lines: &str, by_adb: Option<&str>) -> Result<Answers, Failure> {
         let line = Line::try_parse_from(std::iter::once(&"setup").chain(options)).unwrap();
-        let context = Context::quiet(Interrupt::default());
+        let context = Context {
+            global: Global {
+                json: true,
+                verbose: 0,
+                log_format: LogFormat::Text,
+            },
+            interrupt: Interrupt::default(),
+            said: Said::default(),
+        };
         let mut asker = Asker {
             input: lines.as_bytes(),
             asks: !line.args.yes,
