@@ -40,7 +40,6 @@ pub enum FrameClass {
 /// How many frames went where.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
-    /// Frames read.
     pub read: usize,
     /// Frames looked at (fewer than read in long recordings).
     pub examined: usize,
@@ -50,7 +49,6 @@ pub struct FrameCounts {
     pub spare: usize,
     /// Without flashes.
     pub without_flashes: usize,
-    /// Unclear.
     pub unclear: usize,
     /// Left out because the room light changes.
     pub flicker: usize,
@@ -64,7 +62,6 @@ pub enum Reference {
     DarkFrames(usize),
     /// Row by row, from frames in which the row saw no flash.
     DarkRows,
-    /// A polynomial.
     Polynomial,
 }
 

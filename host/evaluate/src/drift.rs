@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
+use twist_sync::robust::mad_sigma;
 
 use super::classify::{FrameCounts, Reference};
 use super::footage::Footage;
 use super::identity::Identity;
-use super::stats::{COVERAGE_99, Line, robust_deviation};
+use super::stats::{COVERAGE_99, Line, median};
 use super::track::{Choice, FramePoint, Track, track};
 use super::window::still;
 use super::{EvaluateError, Settings};
@@ -29,7 +30,6 @@ const ENCODED: f64 = 1.5;
 /// What a long recording says.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
-    /// The input.
     pub path: PathBuf,
     /// Drift of depth minus phone, µs/min; positive: the depth camera falls behind.
     pub drift_us_per_min: f64,
@@ -64,22 +64,18 @@ pub struct Drift {
     pub frames: FrameCounts,
     /// What the smooth part was taken from.
     pub reference: Reference,
-    /// Remarks.
     pub notes: Vec<String>,
 }
 
 /// The result with what its pictures need.
 #[derive(Debug, Clone)]
 pub struct EvaluatedDrift {
-    /// The result.
     pub result: Drift,
     /// The regression, µs against seconds.
     pub(crate) line: Line,
     /// Used frames on the line.
     pub(crate) points: Vec<FramePoint>,
-    /// The frames' fits.
     pub(crate) track: Track,
-    /// The recording.
     pub(crate) footage: Footage,
 }
 
@@ -107,7 +103,7 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
 
     let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());
-    let typical = super::stats::median(&points.iter().map(|p| p.sigma_us).collect::<Vec<_>>());
+    let typical = median(&points.iter().map(|p| p.sigma_us).collect::<Vec<_>>());
     if line.residual_sd > 20.0 * typical.max(0.05) {
         notes.push(format!(
             "the frames lie {:.1} µs off the line, each is known to {typical:.2} µs: the train did not move evenly (was the trigger aligned, or the period changed, during this time? choose it with --from and --to)",
@@ -156,14 +152,14 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
 /// their number.
 fn regression(mut points: Vec<FramePoint>) -> Result<(Line, Vec<FramePoint>), usize> {
     for round in 0.. {
-        let times: Vec<f64> = points.iter().map(|p| p.time_s).collect();
-        let biases: Vec<f64> = points.iter().map(|p| p.bias_us).collect();
-        let line = Line::fit(&times, &biases, FRAME_LAG.min(points.len() / 6))
+        let places: Vec<(f64, f64)> = points.iter().map(|p| (p.time_s, p.bias_us)).collect();
+        let line = Line::fit(&places, FRAME_LAG.min(points.len() / 6))
             .filter(|_| points.len() >= MIN_FRAMES)
             .ok_or(points.len())?;
         let off = |p: &FramePoint| p.bias_us - line.at(p.time_s);
         let residuals: Vec<f64> = points.iter().map(off).collect();
-        let limit = OUTLIER * robust_deviation(&residuals).max(0.02);
+        let scatter = mad_sigma(residuals.clone()).unwrap_or(0.0);
+        let limit = OUTLIER * scatter.max(0.02);
         if round == OUTLIER_ROUNDS || residuals.iter().all(|r| r.abs() <= limit) {
             return Ok((line, points));
         }

@@ -16,10 +16,8 @@ pub enum EvaluateError {
         "`{0}` is not a strobe train: give `nfov`, `wfov`, a depth mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least twice the duration)"
     )]
     Train(String),
-    /// Not a rotation.
     #[error("`{0}` is not a rotation: give 0, 90, 180 or 270 degrees")]
     Rotation(String),
-    /// Not a region.
     #[error("`{0}` is not a region: give X,Y,WIDTH,HEIGHT in pixels of the image")]
     RegionSyntax(String),
     /// The region is not inside the image.
@@ -27,7 +25,6 @@ pub enum EvaluateError {
         "the region {region} (X,Y,WIDTH,HEIGHT) is not inside the image of {width}x{height} pixels"
     )]
     RegionOutside {
-        /// The region.
         region: Region,
         /// Width of the image.
         width: usize,
@@ -38,10 +35,7 @@ pub enum EvaluateError {
     #[error(
         "only {rows} sensor rows to look at, at least {MIN_ROWS} are needed: give a larger region or a larger video, and check --rotation"
     )]
-    TooFewRows {
-        /// Rows there are.
-        rows: usize,
-    },
+    TooFewRows { rows: usize },
     /// A setting out of range.
     #[error("{0}")]
     Setting(String),
@@ -54,9 +48,7 @@ pub enum EvaluateError {
         got_width: usize,
         /// Height of the frame.
         got_height: usize,
-        /// Width expected.
         width: usize,
-        /// Height expected.
         height: usize,
     },
     /// A side of the picture is beyond any sensor.
@@ -64,11 +56,8 @@ pub enum EvaluateError {
         "{path}: pictures of {width}x{height} pixels are not supported (1 to {MAX_SIDE} a side)"
     )]
     Unsupported {
-        /// The input.
         path: PathBuf,
-        /// Width it claims.
         width: u64,
-        /// Height it claims.
         height: u64,
     },
     /// `ffmpeg` or `ffprobe` is missing, or cannot be run.
@@ -77,7 +66,6 @@ pub enum EvaluateError {
     /// Not a readable video.
     #[error("{path}: not a readable video: {message}")]
     NotAVideo {
-        /// The file.
         path: PathBuf,
         /// What the decoder said, and what it may mean.
         message: String,
@@ -85,7 +73,6 @@ pub enum EvaluateError {
     /// An image could not be read.
     #[error("{path}: not a readable image: {message}")]
     NotAnImage {
-        /// The file.
         path: PathBuf,
         /// What the decoder said.
         message: String,
@@ -98,37 +85,30 @@ pub enum EvaluateError {
     /// A file could not be read or written.
     #[error("{path}: {source}")]
     Io {
-        /// The file.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// A timestamp file with something else in it.
     #[error("{path}: line {line}: expected one integer of nanoseconds a line, found `{found}`")]
     Timestamps {
-        /// The file.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What is there.
         found: String,
     },
     /// No frames at all in the time asked for.
     #[error("{path}: no frames between {from_s} s and {to_s}")]
     NoFrames {
-        /// The input.
         path: PathBuf,
         /// Start of the window, seconds.
         from_s: f64,
         /// End of the window.
         to_s: String,
     },
-    /// Nothing found.
     #[error(
         "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train"
     )]
     NoFlashes {
-        /// The input.
         path: PathBuf,
         /// Frames looked at.
         frames: usize,
@@ -138,7 +118,6 @@ pub enum EvaluateError {
         "{path}: there are bands that {flashes} flashes would make, but no frame without flashes to compare with: so few may be the picture itself"
     )]
     Chance {
-        /// The input.
         path: PathBuf,
         /// Flashes that would be in view.
         flashes: usize,
@@ -148,9 +127,7 @@ pub enum EvaluateError {
         "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone, or give --keep-flicker to use these frames all the same"
     )]
     OnlyFlicker {
-        /// The input.
         path: PathBuf,
-        /// Frames with flicker.
         flicker: usize,
         /// Frames looked at.
         frames: usize,
@@ -159,20 +136,10 @@ pub enum EvaluateError {
     },
     /// Flashes in too few frames.
     #[error("{path}: {found} frames with flashes, at least {MIN_FRAMES} are needed")]
-    TooFewFrames {
-        /// The input.
-        path: PathBuf,
-        /// Frames with flashes.
-        found: usize,
-    },
+    TooFewFrames { path: PathBuf, found: usize },
     /// A rig profile that is not TOML, or has something else at our key.
     #[error("{path}: {message}")]
-    Profile {
-        /// The profile.
-        path: PathBuf,
-        /// What is wrong.
-        message: String,
-    },
+    Profile { path: PathBuf, message: String },
     /// The report's picture could not be made.
     #[error("the report's picture could not be made: {0}")]
     Picture(#[from] image::ImageError),

@@ -44,7 +44,6 @@ const DEPENDENT: f64 = 2e-3;
 pub(crate) struct Model {
     /// Where the rows are.
     pub(crate) rows: RowGrid,
-    /// The train.
     pub(crate) train: TrainGeometry,
     /// The part of the brightness that is not flashes.
     pub(crate) smooth: Basis,

@@ -25,9 +25,7 @@ const PICTURE_CONTRAST: f64 = 0.7;
 pub struct Picture {
     /// Number of the frame in its recording.
     pub(crate) index: usize,
-    /// Width.
     pub(crate) width: usize,
-    /// Height.
     pub(crate) height: usize,
     /// Grey levels, row by row.
     pub(crate) pixels: Vec<u8>,
@@ -40,7 +38,6 @@ pub struct Picture {
 /// A recording reduced to row profiles.
 #[derive(Debug, Clone)]
 pub struct Footage {
-    /// The input.
     pub(crate) path: PathBuf,
     /// How the recording was aligned, if its session says so.
     pub(crate) applied: Option<Applied>,

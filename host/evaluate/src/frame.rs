@@ -15,7 +15,6 @@ use super::EvaluateError;
 pub struct GreyView<'a> {
     /// Pixels in an image row.
     pub width: usize,
-    /// Image rows.
     pub height: usize,
     /// `width · height` grey levels.
     pub pixels: &'a [u8],
@@ -56,13 +55,9 @@ impl FromStr for Rotation {
 /// A rectangle of the image, in image pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Region {
-    /// Left edge.
     pub x: usize,
-    /// Top edge.
     pub y: usize,
-    /// Width.
     pub width: usize,
-    /// Height.
     pub height: usize,
 }
 

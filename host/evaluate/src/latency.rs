@@ -20,7 +20,6 @@ use super::train::TrainGeometry;
 /// Mean and spread of one quantity, µs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Quantity {
-    /// Mean.
     pub mean_us: f64,
     /// Standard deviation of a single one.
     pub sd_us: f64,

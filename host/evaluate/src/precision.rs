@@ -27,7 +27,6 @@ const ENCODED: f64 = 2.0;
 /// What one recording says.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingResult {
-    /// The input.
     pub path: PathBuf,
     /// Width of the image, pixels.
     pub width: usize,
@@ -61,29 +60,23 @@ pub struct RecordingResult {
     pub frames: FrameCounts,
     /// What the smooth part was taken from.
     pub reference: Reference,
-    /// Remarks.
     pub notes: Vec<String>,
 }
 
 /// A recording that gave no result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct LeftOut {
-    /// The input.
     pub path: PathBuf,
-    /// Why.
     pub reason: String,
 }
 
 /// Spread of one quantity over recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Number of recordings.
     pub count: usize,
-    /// Mean, µs.
     pub mean_us: f64,
     /// Standard uncertainty of the mean, µs.
     pub mean_sigma_us: f64,
-    /// Median, µs.
     pub median_us: f64,
     /// Standard deviation over recordings, µs; none for a single one.
     pub sd_us: Option<f64>,
@@ -143,11 +136,8 @@ pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>, Durat
 /// One recording's result with what its pictures need.
 #[derive(Debug, Clone)]
 pub struct Evaluated {
-    /// The result.
     pub result: RecordingResult,
-    /// The frames' fits.
     pub(crate) track: Track,
-    /// The recording.
     pub(crate) footage: Footage,
 }
 
@@ -160,8 +150,8 @@ pub fn evaluate_recording(
     let settings = &settings.with_session(&footage);
     let (footage, track) = settled(footage, settings, frames.max(1))?;
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
-    let times: Vec<f64> = track.points.iter().map(|p| p.time_s).collect();
-    let line = Line::fit(&times, &biases, 1);
+    let places: Vec<(f64, f64)> = track.points.iter().map(|p| (p.time_s, p.bias_us)).collect();
+    let line = Line::fit(&places, 1);
     let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let sigma_us = allowance * track.joint.mean_sigma_us.max(scatter);

@@ -20,7 +20,6 @@ pub(crate) struct RowGrid {
     pub first: f64,
     /// Rows from one sample to the next: 1, or more for binned rows.
     pub step: f64,
-    /// Number of samples.
     pub len: usize,
 }
 

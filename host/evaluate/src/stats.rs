@@ -1,5 +1,7 @@
 //! Spread, regression, even choices, and the uncertainty of sums whose errors are correlated.
 
+use twist_sync::robust;
+
 /// Factor from one standard deviation to the 99 % interval of a normal distribution.
 pub(crate) const COVERAGE_99: f64 = 2.576;
 
@@ -38,13 +40,6 @@ pub fn standard_deviation(values: &[f64]) -> Option<f64> {
     let m = mean(values);
     let sum: f64 = values.iter().map(|v| (v - m).powi(2)).sum();
     Some((sum / (n - 1) as f64).sqrt())
-}
-
-/// A normal distribution's standard deviation from the median of absolute deviations.
-pub(crate) fn robust_deviation(values: &[f64]) -> f64 {
-    let m = median(values);
-    let deviations: Vec<f64> = values.iter().map(|v| (v - m).abs()).collect();
-    1.4826 * median(&deviations)
 }
 
 /// Variance of the sum of `terms` whose errors are correlated over up to `lag`
@@ -105,13 +100,10 @@ pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
         .collect()
 }
 
-/// A straight line through points.
+/// A least-squares line whose residuals may be correlated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Line {
-    /// Value in the middle of the data.
-    pub(crate) center_value: f64,
-    /// The middle of the data.
-    pub(crate) center: f64,
+    line: robust::Line,
     /// Change per unit of the abscissa.
     pub(crate) slope: f64,
     /// Standard uncertainty of the slope, with the correlation of the residuals.
@@ -121,51 +113,37 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Least squares; `None` for fewer than three points or no spread in `x`.
+    /// Through points (x, y); `None` for fewer than three or no spread in `x`.
     /// Residuals may be correlated over `lag` neighbours.
-    pub(crate) fn fit(x: &[f64], y: &[f64], lag: usize) -> Option<Self> {
-        let n = x.len().min(y.len());
-        if n < 3 {
+    pub(crate) fn fit(points: &[(f64, f64)], lag: usize) -> Option<Self> {
+        let line = robust::Line::through(points);
+        if points.len() < 3 || line.squares <= 0.0 {
             return None;
         }
-        let (x, y) = (x.get(..n)?, y.get(..n)?);
-        let center = mean(x);
-        let center_value = mean(y);
-        let sxx: f64 = x.iter().map(|x| (x - center).powi(2)).sum();
-        if sxx <= 0.0 {
-            return None;
-        }
-        let slope = x
+        let n = points.len() as f64;
+        let scale = (n / (n - 2.0)).sqrt();
+        let residuals: Vec<f64> = points
             .iter()
-            .zip(y)
-            .map(|(x, y)| (x - center) * (y - center_value))
-            .sum::<f64>()
-            / sxx;
-        let scale = (n as f64 / (n as f64 - 2.0)).sqrt();
-        let residuals: Vec<f64> = x
-            .iter()
-            .zip(y)
-            .map(|(x, y)| scale * (y - center_value - slope * (x - center)))
+            .map(|&(x, y)| scale * (y - line.at(x)))
             .collect();
-        let influence: Vec<f64> = x
+        let influence: Vec<f64> = points
             .iter()
             .zip(&residuals)
-            .map(|(x, e)| (x - center) / sxx * e)
+            .map(|((x, _), e)| (x - line.centre) / line.squares * e)
             .collect();
-        let white = residuals.iter().map(|e| e * e).sum::<f64>() / n as f64 / sxx;
-        let slope_sigma = variance_of_sum(&influence, lag).max(white).sqrt();
+        let variance = residuals.iter().map(|e| e * e).sum::<f64>() / n;
+        let white = variance / line.squares;
         Some(Self {
-            center_value,
-            center,
-            slope,
-            slope_sigma,
-            residual_sd: (residuals.iter().map(|e| e * e).sum::<f64>() / n as f64).sqrt(),
+            line,
+            slope: line.slope,
+            slope_sigma: variance_of_sum(&influence, lag).max(white).sqrt(),
+            residual_sd: variance.sqrt(),
         })
     }
 
     /// Value at `x`.
     pub(crate) fn at(&self, x: f64) -> f64 {
-        self.center_value + self.slope * (x - self.center)
+        self.line.at(x)
     }
 }
 
@@ -202,8 +180,10 @@ mod tests {
     fn a_line_is_found_with_its_uncertainty() {
         let noise = |i: usize| ((i * i) as f64 * 0.414_213_562_37).fract() - 0.5;
         let x: Vec<f64> = (0..500).map(|i| f64::from(i) * 0.1).collect();
-        let y: Vec<f64> = (0..500).map(|i| 3.0 - 0.2 * x[i] + noise(i)).collect();
-        let line = Line::fit(&x, &y, 8).unwrap();
+        let points: Vec<(f64, f64)> = (0..500)
+            .map(|i| (x[i], 3.0 - 0.2 * x[i] + noise(i)))
+            .collect();
+        let line = Line::fit(&points, 8).unwrap();
         assert!(
             (line.slope + 0.2).abs() < 4.0 * line.slope_sigma,
             "{line:?}"
@@ -213,7 +193,7 @@ mod tests {
         let expected = (1.0 / 12.0 / sxx).sqrt();
         assert!((line.slope_sigma / expected - 1.0).abs() < 0.4, "{line:?}");
         assert!((line.at(10.0) - 1.0).abs() < 0.1);
-        assert_eq!(Line::fit(&[1.0, 1.0, 1.0], &[1.0, 2.0, 3.0], 2), None);
-        assert_eq!(Line::fit(&[1.0, 2.0], &[1.0, 2.0], 2), None);
+        assert_eq!(Line::fit(&[(1.0, 1.0), (1.0, 2.0), (1.0, 3.0)], 2), None);
+        assert_eq!(Line::fit(&[(1.0, 1.0), (2.0, 2.0)], 2), None);
     }
 }

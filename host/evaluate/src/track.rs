@@ -103,7 +103,6 @@ pub(crate) struct Track {
 pub(crate) enum Choice {
     /// The last so many.
     Last(usize),
-    /// All.
     All,
 }
 

@@ -73,7 +73,8 @@ pub(crate) fn higher(a: f64, b: f64) -> f64 {
 
 /// Standard deviation from the median absolute deviation, as for a normal
 /// distribution; `None` without values.
-pub(crate) fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
+#[must_use]
+pub fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
     let centre = median_in_place(&mut values)?;
     for value in &mut values {
         *value = (*value - centre).abs();

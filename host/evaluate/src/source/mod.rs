@@ -18,7 +18,6 @@ pub struct SourceInfo {
     pub path: PathBuf,
     /// Pixels in an image row.
     pub width: usize,
-    /// Image rows.
     pub height: usize,
     /// Grey level from which a pixel counts as saturated.
     pub white: u8,
