@@ -21,7 +21,7 @@ const DARK_ROWS_TOGETHER: usize = 8;
 /// Frames in which a row must be dark to be its own reference.
 const DARK_ROWS: u32 = 4;
 
-/// What was done with a frame.
+/// Class of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameClass {
@@ -37,7 +37,7 @@ pub enum FrameClass {
     Flicker,
 }
 
-/// How many frames went where.
+/// Counts of the frames of each class.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
     pub read: usize,
@@ -54,7 +54,7 @@ pub struct FrameCounts {
     pub flicker: usize,
 }
 
-/// What the smooth part of the brightness was taken from.
+/// Source of the smooth part of the brightness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reference {
@@ -81,7 +81,7 @@ impl FrameCounts {
     }
 }
 
-/// A frame's first fit, and what was made of it.
+/// A frame's first fit, and its class.
 #[derive(Debug, Clone)]
 pub(crate) struct Seen {
     pub(crate) fit: FrameFit,
@@ -182,7 +182,7 @@ pub(crate) fn recheck_dark(
     }
 }
 
-/// How far room light may differ from frame to frame, grey levels.
+/// Largest difference of the room light from frame to frame, grey levels.
 fn light_allowed(seen: &[Seen]) -> f64 {
     let used = seen.iter().filter(|s| s.class == FrameClass::Used);
     let amplitudes: Vec<f64> = used.map(|s| s.fit.amplitude).collect();
@@ -251,7 +251,7 @@ pub(crate) struct Flicker {
 ///
 /// A change of the whole picture's brightness (automatic exposure) is no change of
 /// form. Flicker in step with the frame rate is the same in all frames and cannot
-/// be told from the scene; it is then part of the smooth part and does no harm.
+/// be distinguished from the scene; it is then part of the smooth part and does no harm.
 pub(crate) fn mark_flicker(
     model: &Model,
     plain: &Basis,

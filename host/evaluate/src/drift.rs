@@ -19,7 +19,7 @@ pub(crate) const MIN_FRAMES: usize = 10;
 const FRAME_LAG: usize = 64;
 /// Robust standard deviations beyond which a frame does not belong to the line.
 const OUTLIER: f64 = 6.0;
-/// How often such frames are taken out.
+/// Rounds in which such frames are taken out.
 const OUTLIER_ROUNDS: usize = 4;
 
 /// By how much the stated uncertainty of an encoded video is larger than its
@@ -27,7 +27,7 @@ const OUTLIER_ROUNDS: usize = 4;
 /// `cargo xtask hil-sim chain evaluate`). See [`super::precision`].
 const ENCODED: f64 = 1.5;
 
-/// What a long recording says.
+/// Result of a long recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
     pub path: PathBuf,
@@ -45,8 +45,8 @@ pub struct Drift {
     pub bias_at_end_us: f64,
     /// Seconds from the first to the last used frame.
     pub span_s: f64,
-    /// From and to, in seconds of the recording, where the train stands still but for
-    /// its drift: found by itself, because no other was chosen and it moves outside.
+    /// From and to, in seconds of the recording, where the train moves by its drift
+    /// alone: found by itself, because no other was chosen and it moves outside.
     pub window_s: Option<[f64; 2]>,
     /// Standard deviation of the frames about the line, µs.
     pub residual_sd_us: f64,
@@ -58,11 +58,11 @@ pub struct Drift {
     pub exposure_us: f64,
     /// Frames far off the line, left out of it.
     pub outliers: usize,
-    /// Which flash is which.
+    /// Assignment of flashes to bands.
     pub identity: Identity,
-    /// What became of the frames.
+    /// Counts of the frames.
     pub frames: FrameCounts,
-    /// What the smooth part was taken from.
+    /// Source of the smooth part.
     pub reference: Reference,
     pub notes: Vec<String>,
 }

@@ -1,5 +1,4 @@
-//! What can go wrong in an evaluation. Each message says what was expected and
-//! what to do.
+//! Errors of an evaluation. Each message says what was expected and what to do.
 
 use std::path::{Path, PathBuf};
 
@@ -67,14 +66,14 @@ pub enum EvaluateError {
     #[error("{path}: not a readable video: {message}")]
     NotAVideo {
         path: PathBuf,
-        /// What the decoder said, and what it may mean.
+        /// Message of the decoder, and its likely cause.
         message: String,
     },
     /// An image could not be read.
     #[error("{path}: not a readable image: {message}")]
     NotAnImage {
         path: PathBuf,
-        /// What the decoder said.
+        /// Message of the decoder.
         message: String,
     },
     /// A folder without images.
@@ -96,7 +95,7 @@ pub enum EvaluateError {
         line: usize,
         found: String,
     },
-    /// No frames at all in the time asked for.
+    /// No frames in the chosen time.
     #[error("{path}: no frames between {from_s} s and {to_s}")]
     NoFrames {
         path: PathBuf,

@@ -42,7 +42,7 @@ const DEPENDENT: f64 = 2e-3;
 /// The model of one recording's frames.
 #[derive(Debug, Clone)]
 pub(crate) struct Model {
-    /// Where the rows are.
+    /// Places of the rows.
     pub(crate) rows: RowGrid,
     pub(crate) train: TrainGeometry,
     /// The part of the brightness that is not flashes.
@@ -50,7 +50,7 @@ pub(crate) struct Model {
     places: DVector<f64>,
 }
 
-/// How well flashes explain one frame.
+/// Fit of flashes to one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct FrameFit {
     /// Centre of the train, µs after the middle row's centre of exposure.
@@ -78,7 +78,7 @@ pub(crate) struct FrameFit {
 }
 
 impl FrameFit {
-    /// Whether it is a train of flashes that explains at least `share` of the frame.
+    /// True if it is a train of flashes that explains at least `share` of the frame.
     pub(crate) fn is_train(&self, share: f64) -> bool {
         let explained = self.share.min(self.edge_share);
         self.significance >= SEEN && explained >= share && self.amplitude > 0.0
@@ -162,7 +162,7 @@ impl Model {
         }
     }
 
-    /// What the amplitude's coefficients multiply, for flashes seen by each row.
+    /// Terms that the amplitude's coefficients multiply, for flashes seen by each row.
     fn terms(&self, value: &DVector<f64>) -> DMatrix<f64> {
         DMatrix::from_fn(value.len(), 4, |i, k| {
             let (t, x) = (value[i], self.places[i]);

@@ -39,19 +39,19 @@ pub struct Picture {
 #[derive(Debug, Clone)]
 pub struct Footage {
     pub(crate) path: PathBuf,
-    /// How the recording was aligned, if its session says so.
+    /// Alignment of the recording, if its session has one.
     pub(crate) applied: Option<Applied>,
-    /// How rows lie in the image.
+    /// Layout of the rows in the image.
     pub(crate) reducer: RowReducer,
     /// The used rows relative to the middle row.
     pub(crate) rows: RowGrid,
     /// Kept frames.
     pub(crate) frames: Vec<StoredFrame>,
-    /// Frames read in the window asked for.
+    /// Frames read in the chosen window.
     pub(crate) read: usize,
     /// One of the last frames with as much contrast between rows as any.
     pub(crate) picture: Picture,
-    /// Whether the frames went through a video encoder.
+    /// True if the frames went through a video encoder.
     pub(crate) encoded: bool,
     /// Remarks for the user.
     pub(crate) notes: Vec<String>,
@@ -170,7 +170,7 @@ impl Footage {
     }
 }
 
-/// What should be known about how the frames were read.
+/// Remarks about the reading of the frames.
 fn remarks(stopped: bool, untimed: usize, one_in: u64, saturated: f32) -> Vec<String> {
     let mut notes = Vec::new();
     if stopped {

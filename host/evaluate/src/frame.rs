@@ -192,7 +192,7 @@ impl RowReducer {
         }
     }
 
-    /// Where a sensor row lies in the image, and whether rows run along columns.
+    /// Line of a sensor row in the image, and true if rows run along columns.
     pub(crate) fn image_line(&self, sensor_row: f64) -> (f64, bool) {
         let line = if self.reversed() {
             self.sensor_rows() as f64 - 1.0 - sensor_row

@@ -1,4 +1,4 @@
-//! Which flash is which.
+//! Assignment of flashes to bands.
 //!
 //! A frame that shows only the inner part of a train fits as well with the train
 //! moved by whole pitches. First all frames are put on one continuous track, then
@@ -17,19 +17,19 @@ use super::fit::{FrameFit, Model};
 use super::stats::{mean, spread};
 use super::train::Shape;
 
-/// Frames asked which flash is which.
+/// Frames on which the assignment is judged.
 const FRAMES: usize = 16;
-/// How much better (χ²) one assignment of flashes must fit than another.
+/// Margin (χ²) by which one assignment of flashes must fit better than another.
 const DECIDED: f64 = 25.0;
 /// Longest exposure thought of, µs.
 const MAX_EXPOSURE_US: f64 = 8500.0;
-/// How near the level over dark frames must be to a whole number of flashes.
+/// Largest distance of the level over dark frames from a whole number of flashes.
 const LEVEL_TOLERANCE: f64 = 0.3;
 
-/// Which flash is which.
+/// Assignment of flashes to bands.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identity {
-    /// Whether the frames decide it.
+    /// True if the frames decide it.
     pub unique: bool,
     /// All that fit; the first is the one taken.
     pub candidates: Vec<Candidate>,
@@ -76,7 +76,7 @@ impl Reading {
     }
 }
 
-/// Decides which flash is which and moves the track there.
+/// Assigns flashes to bands and moves the track there.
 ///
 /// `excess` is the mean brightness of the frames over that of frames without
 /// flashes, if there are any.

@@ -1,4 +1,4 @@
-//! What a recording's `session.json` knows that helps the evaluation.
+//! Fields of a recording's `session.json` that help the evaluation.
 //!
 //! Only the few fields that are needed are read, so that a recording of another
 //! version of the program can still be evaluated.
@@ -14,7 +14,7 @@ use recording::session_file::MAX_LENGTH;
 /// Endings of the videos that phones make.
 const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
-/// How a recording was aligned.
+/// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Applied {
     /// The constant bias that was subtracted, µs.
@@ -33,7 +33,7 @@ struct SessionPart {
 pub(crate) struct Input {
     /// Video, folder of images, or image.
     pub path: PathBuf,
-    /// What the recording says, if the input belongs to one.
+    /// Alignment of the recording, if the input belongs to one.
     pub applied: Option<Applied>,
 }
 

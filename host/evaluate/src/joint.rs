@@ -14,7 +14,7 @@ use super::fit::{Local, Model, ROW_LAG};
 use super::stats::{mean, variance_of_sum};
 use super::train::Shape;
 
-/// What is known beforehand of a shared parameter.
+/// Prior of a shared parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Prior {
     /// Expected value.
@@ -23,7 +23,7 @@ pub(crate) struct Prior {
     pub(crate) sigma: f64,
 }
 
-/// What is known beforehand of the camera.
+/// Priors of the camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Priors {
     /// Row time, µs.

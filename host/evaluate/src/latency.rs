@@ -40,7 +40,7 @@ impl Quantity {
     }
 }
 
-/// What the captures say.
+/// Result of the captures.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Latency {
     /// Pulses with a whole train.

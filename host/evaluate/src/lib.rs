@@ -67,12 +67,12 @@ use footage::Footage;
 use frame::{Region, Rotation};
 use train::TrainGeometry;
 
-/// What the user says about camera and train.
+/// Settings of the user about camera and train.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Settings {
     /// Flashes of one exposure of the depth camera.
     pub train: TrainGeometry,
-    /// How the image is turned against the sensor.
+    /// Rotation of the image against the sensor.
     pub rotation: Rotation,
     /// Part of the image to look at.
     pub region: Option<Region>,

@@ -77,7 +77,7 @@ impl Basis {
         &self.columns * coefficients
     }
 
-    /// What it spans when `factor` neighbouring rows are taken together.
+    /// The basis for means of `factor` neighbouring rows.
     pub(crate) fn binned(&self, factor: usize) -> Self {
         let (rows, columns) = self.columns.shape();
         Self::spanning(&DMatrix::from_fn(rows / factor, columns, |row, column| {

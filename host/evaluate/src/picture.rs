@@ -59,7 +59,7 @@ struct Canvas<'a> {
     footage: &'a Footage,
     width: f64,
     height: f64,
-    /// Whether labels stand beside the picture.
+    /// True if labels stand beside the picture.
     beside: bool,
     /// Height of the letters, in proportion to the picture, so that they can be read
     /// at any size.
@@ -100,7 +100,7 @@ impl<'a> Canvas<'a> {
         })
     }
 
-    /// Where the centre of a sensor row's pixels is, and whether the row is upright.
+    /// Centre of a sensor row's pixels, and true if the row is upright.
     fn place(&self, row: f64) -> (f64, bool) {
         let (line, upright) = self.footage.reducer.image_line(row);
         (

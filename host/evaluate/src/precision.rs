@@ -12,7 +12,7 @@ use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
 use super::track::{Choice, Track, track};
 use super::{EvaluateError, Settings};
 
-/// Motion of the train within a recording's frames that is worth a remark, µs.
+/// Motion of the train within a recording's frames that is noted, µs.
 const NOTABLE_MOTION_US: f64 = 20.0;
 
 /// By how much the stated uncertainty of an encoded video is larger than its
@@ -24,7 +24,7 @@ const NOTABLE_MOTION_US: f64 = 20.0;
 /// residuals say, over 29 seeds of the whole rig (`cargo xtask hil-sim chain evaluate`).
 const ENCODED: f64 = 2.0;
 
-/// What one recording says.
+/// Result of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingResult {
     pub path: PathBuf,
@@ -54,11 +54,11 @@ pub struct RecordingResult {
     pub amplitude: f64,
     /// Standard deviation between the frames, µs; none with one frame.
     pub frame_sd_us: Option<f64>,
-    /// Which flash is which.
+    /// Assignment of flashes to bands.
     pub identity: Identity,
-    /// What became of the frames.
+    /// Counts of the frames.
     pub frames: FrameCounts,
-    /// What the smooth part was taken from.
+    /// Source of the smooth part.
     pub reference: Reference,
     pub notes: Vec<String>,
 }
@@ -129,7 +129,7 @@ pub struct Precision {
     pub row_time_sigma_us: f64,
 }
 
-/// Told after each input: its path, its result or why there is none, and the time
+/// Called after each input: its path, its result or why there is none, and the time
 /// spent waiting for it.
 pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>, Duration) + 'a;
 

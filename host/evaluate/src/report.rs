@@ -166,7 +166,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     Ok(page.html())
 }
 
-/// What was found of a recording, each with its name.
+/// Figures of a recording, each with its name.
 #[must_use]
 pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
     let mut facts = Vec::new();
@@ -209,7 +209,7 @@ pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
     facts
 }
 
-/// Which flash is which, in words.
+/// Assignment of flashes to bands, in words.
 pub fn identity_text(identity: &Identity) -> String {
     if identity.unique {
         return "decided by the train's ends".to_owned();
@@ -246,7 +246,7 @@ fn window_text(drift: &Drift) -> Option<String> {
     ))
 }
 
-/// What became of the frames, in words.
+/// Counts of the frames, in words.
 pub fn counts_text(c: &FrameCounts) -> String {
     let mut text = format!("{} used of {}", c.used, c.read);
     for (count, what) in [
@@ -263,7 +263,7 @@ pub fn counts_text(c: &FrameCounts) -> String {
     text
 }
 
-/// What the scene's own brightness was taken from, in words.
+/// Source of the scene's own brightness, in words.
 pub const fn reference_text(reference: Reference) -> &'static str {
     match reference {
         Reference::DarkFrames(_) => "frames without flashes",

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::linear::Basis;
 use super::train::{Shape, TrainGeometry, overlap};
 
-/// Where the used rows lie, counted from the middle row.
+/// Places of the used rows, counted from the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RowGrid {
     /// Place of the first used row, in rows.
@@ -48,7 +48,7 @@ fn bin(values: &[f64], factor: usize) -> Vec<f64> {
         .collect()
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Found {
     /// The shape, on the search's grid.
@@ -169,7 +169,7 @@ impl CombSearch {
 
     /// The best place of the train in `y`, a profile without its smooth part.
     ///
-    /// Where whole pitches more or less fit as well, the train nearest to
+    /// If whole pitches more or less fit as well, the train nearest to
     /// `near_us` is taken. `None` when no bright comb fits at all.
     pub(crate) fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
         debug_assert_eq!(y.len(), self.rows.len);
@@ -211,7 +211,7 @@ impl CombSearch {
     }
 }
 
-/// Where the flashes of a comb are on the grid, but for those before it.
+/// Places of a comb's flashes on the grid, but for those before it.
 fn places(first: isize, per_pitch: usize, flashes: usize) -> impl Iterator<Item = usize> {
     (0..flashes).filter_map(move |k| usize::try_from(first + (k * per_pitch) as isize).ok())
 }
@@ -232,14 +232,14 @@ fn shared(a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)) -> f64 {
 /// Shapes that a wide search hands on.
 const KEEP: usize = 4;
 
-/// What a wide search tries.
+/// Shapes that a wide search tries.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WideSearch {
     /// Row times, µs.
     pub(crate) row_times_us: Vec<f64>,
     /// Exposures, µs.
     pub(crate) exposures_us: Vec<f64>,
-    /// Where the train is expected, µs.
+    /// Expected place of the train, µs.
     pub(crate) near_us: f64,
 }
 

@@ -73,8 +73,8 @@ pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
     (1.0 + neighbours(residuals, lag) / zero).max(1.0)
 }
 
-/// What the correlation of each term with up to `lag` following ones adds to the
-/// variance of their sum, with Bartlett's weights.
+/// Variance that the correlation of each term with up to `lag` following ones adds to
+/// their sum, with Bartlett's weights.
 fn neighbours(terms: &[f64], lag: usize) -> f64 {
     // All lags at once: sums that do not wait for one another.
     let mut products = vec![0.0; lag.min(terms.len())];

@@ -3,7 +3,7 @@
 //! 1. A few frames are searched widely: is there a train, of which row time and
 //!    exposure?
 //! 2. Every frame is searched with that shape and fitted; frames with and without
-//!    flashes are told apart.
+//!    flashes are distinguished.
 //! 3. Frames without flashes become the reference, so that the scene's own
 //!    structure is no longer taken for flashes; or rows that are dark in enough
 //!    frames do. Then step 2 again.
@@ -12,7 +12,7 @@
 //! 5. Row time and exposure are fitted over many frames together, then every
 //!    frame's centre once more.
 //!
-//! Which flash is which: with the whole train in view, its ends decide. A frame
+//! Assignment of flashes to bands: with the whole train in view, its ends decide. A frame
 //! that shows only a part of it fits equally well with the train moved by whole
 //! pitches. All frames are put on one continuous track first, so that one frame
 //! with an end in view decides for all; what stays open is stated.
@@ -83,9 +83,9 @@ pub(crate) struct Track {
     pub counts: FrameCounts,
     /// Row time, exposure and, in precision, the mean of all used frames.
     pub(crate) joint: JointFit,
-    /// Which flash is which.
+    /// Assignment of flashes to bands.
     pub identity: Identity,
-    /// Where the smooth part came from.
+    /// Source of the smooth part.
     pub reference: Reference,
     /// Mean profile of at most 16 of the used frames, grey levels: the first ones, or
     /// those in the middle where all are used.
@@ -98,7 +98,7 @@ pub(crate) struct Track {
     pub notes: Vec<String>,
 }
 
-/// Which of the frames with flashes are used.
+/// Choice among the frames with flashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Choice {
     /// The last so many.
@@ -359,7 +359,7 @@ impl Choice {
         }
     }
 
-    /// Which of the used frames are shown. Of a long recording those in the middle: at
+    /// Range of the used frames that are shown. Of a long recording those in the middle: at
     /// its begin the train may still be moved.
     fn shown(self, used: usize) -> Range<usize> {
         let first = match self {
@@ -486,7 +486,7 @@ fn search_some(
     })
 }
 
-/// Where to look: near what is known or was found before, then everywhere.
+/// Searches in order: near known or earlier values, then everywhere.
 fn searches(footage: &Footage, settings: &Settings) -> Vec<WideSearch> {
     let rows = footage.reducer.sensor_rows();
     let search = |row_time, exposure| WideSearch::new(rows, row_time, exposure, settings.near_us);

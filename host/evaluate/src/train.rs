@@ -108,7 +108,7 @@ impl FromStr for TrainGeometry {
     }
 }
 
-/// What the shape of the train in the image depends on.
+/// Parameters of the train's shape in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shape {
     /// Centre of the train relative to the middle row's centre of exposure, µs.

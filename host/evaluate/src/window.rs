@@ -1,4 +1,4 @@
-//! The part of a recording in which the train stands still but for its drift.
+//! The part of a recording in which the train moves by its drift alone.
 //!
 //! A recording begins while the trigger is still sent onto the phone's frames, and
 //! may end with a depth camera that streams on by its own clock: both move the
@@ -26,8 +26,8 @@ const NOISE: f64 = 6.0;
 /// A shorter window is none, seconds.
 const SHORTEST_S: f64 = 5.0;
 
-/// Places of the points within the window; `None` if the train stands still
-/// everywhere, or nowhere for long enough.
+/// Places of the points within the window; `None` if that is the whole
+/// recording, or no part is long enough.
 #[must_use]
 pub(crate) fn still(points: &[FramePoint]) -> Option<Range<usize>> {
     let sigmas: Vec<f64> = points.iter().map(|p| p.sigma_us).collect();

@@ -1,7 +1,7 @@
-//! How two gyroscopes are held to each other while they are twisted.
+//! Grip of two gyroscopes while they are twisted.
 //!
 //! Gyroscope b sees `Q(t)·ω(t)` and the rate of `Q` itself, where `Q` is the rotation of
-//! one body against the other. While they are held, `Q` stands still; while they are
+//! one body against the other. While they are held, `Q` is constant; while they are
 //! not, b moves by itself in part. All draws come from the seed.
 //!
 //! The sizes are ranges, not measurements: nobody has published how people hold a rig.
@@ -13,7 +13,7 @@ use twist_sync::interpolant::Uniform;
 
 use super::{Rates, direction, rotation, second_order};
 
-/// How firmly the two are held to each other. Ranges are drawn from.
+/// Grip of the two. Ranges are drawn from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Grip {
     /// All the time.
@@ -33,7 +33,7 @@ pub enum Grip {
     FlexingByAxis(f64, f64),
 }
 
-/// What body b does while a does `rates`.
+/// Motion of body b while a does `rates`.
 pub(super) struct Held<'a> {
     rates: &'a Rates,
     other: &'a Rates,
@@ -41,14 +41,14 @@ pub(super) struct Held<'a> {
     loose: Option<(f64, f64, f64)>,
     /// Axis, angle in rad, time and duration of a turn; another takes it back.
     turns: Vec<(Unit<Vector3<f64>>, f64, f64, f64)>,
-    /// What the mount makes of the motion about its axes, of which it has three or one.
+    /// The motion after the mount, about its axes, of which it has three or one.
     flexing: Vec<Uniform>,
     mount: Rotation3<f64>,
     /// Stretches in which the two are not one body, seconds of true time.
     pub(super) stretches: Vec<(f64, f64)>,
 }
 
-/// How long taking hold or letting go lasts, seconds.
+/// Duration of taking hold or letting go, seconds.
 const HANDLING_S: f64 = 0.15;
 
 /// From 0 to 1 between 0 and 1, smooth.

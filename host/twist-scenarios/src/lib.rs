@@ -26,7 +26,7 @@ pub use devices::{related, third};
 pub use grip::Grip;
 pub use scenarios::{Scenario, scenarios};
 
-/// How the rig is moved.
+/// Motion of the rig.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
     /// A twist by hand about changing axes; peak rate in this range, rad/s.
@@ -85,7 +85,7 @@ pub struct TwistSpec {
     pub b_starts_s: f64,
     /// Gyroscope b sees another motion altogether.
     pub unrelated: bool,
-    /// How the two are held to each other.
+    /// Grip of the two.
     pub grip: Grip,
     /// Skew of the clocks in ppm, drawn between minus this and this.
     pub skew_ppm: f64,
@@ -357,7 +357,7 @@ fn rotation(rng: &mut Pcg64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&axis, rng.random_range(0.0..std::f64::consts::PI))
 }
 
-/// What a sensor's filter lets through, as a function of true time.
+/// Signal after a sensor's filter, as a function of true time.
 struct Seen<'a> {
     rate: &'a dyn Fn(f64) -> Vector3<f64>,
     filtered: Option<Uniform>,
@@ -529,7 +529,7 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     }
 }
 
-/// What was recorded in true time, as stamped by a clock that reads `zero_s` when true time
+/// Recording in true time, stamped by a clock that reads `zero_s` when true time
 /// is zero, and is on a path of which `start_s` have gone by then.
 fn on_path(zero_s: f64, path: &ClockPath, start_s: f64, (t, w): (&[f64], Vec<Vec3>)) -> GyroTrack {
     let at = |t: f64| t + path.drift_at(start_s + t);

@@ -11,7 +11,7 @@ pub struct Scenario {
     pub spec: TwistSpec,
     /// Largest rms error of the offset, µs; `None`: a refusal is demanded.
     pub rmse_us: Option<f64>,
-    /// Whether error over sigma must be near one: the model of the noise holds.
+    /// Requires that error over sigma is near one: the model of the noise holds.
     pub honest: bool,
     /// Part of the twists that must be accepted; of the rest the faults may be too many.
     pub accepted: f64,

@@ -1,4 +1,4 @@
-//! How much memory an estimate takes at its peak, as a multiple of what it is given.
+//! Peak memory of an estimate, as a multiple of its input.
 //!
 //! The allocator counts for the whole process, so each figure is taken in one of its own.
 

@@ -14,7 +14,7 @@ const TRIALS: u64 = 5;
 /// An error beyond so many sigmas is wrong.
 const WRONG: f64 = 5.5;
 
-/// What has to come of a case.
+/// Required outcome of a case.
 #[derive(Clone, Copy, PartialEq, Debug)]
 enum Expect {
     Accepted,

@@ -22,7 +22,7 @@ impl Calibration {
         }
     }
 
-    /// What it leaves of `y` at `x`.
+    /// Residual of `y` at `x`.
     pub(crate) fn residual(&self, x: &Vector3<f64>, y: &Vector3<f64>) -> Vector3<f64> {
         y - self.matrix * x - self.bias
     }

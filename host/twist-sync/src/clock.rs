@@ -14,7 +14,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-/// How much the relative rate of two clocks wanders: the rms change of the skew
+/// Wander of the relative rate of two clocks: the rms change of the skew
 /// within one minute (dimensionless; 10⁻⁸ is 0.01 ppm).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -64,7 +64,7 @@ pub struct ClockRelation {
     pub skew: f64,
     /// Covariance of (offset, skew): s², s; s, 1.
     pub covariance: [[f64; 2]; 2],
-    /// How much the skew may change from now on.
+    /// Wander of the skew from the reference on.
     pub wander: Wander,
 }
 

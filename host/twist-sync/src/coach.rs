@@ -1,4 +1,4 @@
-//! What a twist will be worth, told while it is made.
+//! Accuracy of a twist, predicted while it is made.
 
 /// Noise of both gyroscopes together in one sample of the board, rad/s: the
 /// MPU-9150's 0.005 °/s/√Hz over 188 Hz, and the same of the phone's.
@@ -7,7 +7,7 @@ const NOISE: f64 = 1.7e-3;
 /// Samples that are averaged before the slope of the motion is taken.
 const BLOCK: usize = 10;
 
-/// How the expected uncertainty of a twist falls as motion comes in.
+/// Expected uncertainty of a twist, which falls as motion comes in.
 ///
 /// For a known motion ω(t) the bound of the offset is `σ² = n² / Σ |ω′|²` over the
 /// samples, with `n` the noise of both gyroscopes in one sample (see the book,

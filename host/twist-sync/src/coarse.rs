@@ -15,7 +15,7 @@ use crate::interpolant::Vec3;
 /// Bin width of the search in seconds.
 pub(crate) const BIN_S: f64 = 0.01;
 
-/// How many peaks of each of the two scores are handed on.
+/// Peaks of each of the two scores that the fit tries.
 const PEAKS: usize = 6;
 
 /// Peaks whose correlation is below this part of the best are no rivals: they leave more

@@ -21,11 +21,11 @@ pub struct Pair {
     pub a: Vec3,
     /// The sample of b, rad/s.
     pub b: Vec3,
-    /// Whether the estimate used the sample of b.
+    /// True if the estimate used the sample of b.
     pub used: bool,
 }
 
-/// Which samples of a stream were left out.
+/// Marks the samples of a stream that were left out.
 #[must_use]
 pub fn left_out(faults: &[Fault], stream: Stream, samples: usize) -> Vec<bool> {
     let mut out = vec![false; samples];

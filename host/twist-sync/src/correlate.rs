@@ -39,7 +39,7 @@ impl Correlator {
         product.iter().map(|value| value.re / size).collect()
     }
 
-    /// Where a lag stands in what [`Self::correlation`] gives.
+    /// Index of a lag in the result of [`Self::correlation`].
     pub(crate) fn place(&self, lag: i64) -> usize {
         lag.rem_euclid(self.forward.len() as i64) as usize
     }

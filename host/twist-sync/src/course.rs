@@ -18,9 +18,9 @@ pub struct ClockCourse {
     filtered: Vec<ClockRelation>,
     /// Smoothed (all data) states at the same times.
     smoothed: Vec<ClockRelation>,
-    /// How many estimates are used.
+    /// Number of estimates that are used.
     pub used: usize,
-    /// How many contradict the rest.
+    /// Number of estimates that contradict the rest.
     pub contradicting: usize,
 }
 

@@ -32,7 +32,7 @@ const SCALE_BLOCK: usize = 48;
 pub(crate) struct Misfit {
     /// Its index in the recording.
     pub(crate) index: usize,
-    /// How far off it is, in standard deviations (length of the whitened vector).
+    /// Distance in standard deviations (length of the whitened vector).
     pub(crate) sigmas: f64,
 }
 
@@ -203,7 +203,7 @@ struct Levels<'a> {
     blocks: &'a [Block],
     /// Of each block the time from the middle.
     u: Vec<f64>,
-    /// Over each block and all behind it: `Σ information·(1, u, u²)`, `Σ score·(1, u)`.
+    /// Sums over each block and all later ones: `Σ information·(1, u, u²)`, `Σ score·(1, u)`.
     tails: Vec<[f64; 5]>,
 }
 
@@ -227,7 +227,7 @@ impl<'a> Levels<'a> {
     /// Least squares of the blocks' displacements on a rate and the steps to the levels
     /// that begin at `cuts`, in this order; and the inverse of the equations.
     fn fitted(&self, cuts: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        // Behind the later of two cuts both levels are.
+        // After the later of two cuts both levels count.
         let normal = DMatrix::from_fn(1 + cuts.len(), 1 + cuts.len(), |r, c| match (r, c) {
             (0, 0) => self.tails[0][2],
             (0, k) | (k, 0) => self.tails[cuts[k - 1]][1],

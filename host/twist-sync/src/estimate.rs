@@ -31,7 +31,7 @@ const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 const LONGEST_FILTER_S: f64 = 4e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: f64 = 8.0;
-/// Part of the samples left out above which it is said.
+/// Part of the samples left out above which a warning is given.
 const MANY_LEFT_OUT: f64 = 0.05;
 /// Motion about the second axis, as a part of the power about the first, below
 /// which it is motion about one axis.
@@ -52,12 +52,11 @@ pub struct Options {
     pub sigma_limit_s: f64,
     /// Least time that both recordings must have in common, seconds.
     pub min_overlap_s: f64,
-    /// Whether faults are looked for and left out. Off only to see their effect.
+    /// Finds faults and leaves them out. Off only to see their effect.
     pub handle_faults: bool,
     /// Wander of the clocks, for the prediction from the result.
     pub wander: Wander,
-    /// Where to look for the offset (b − a): centre and half-width in
-    /// seconds, if something is known about it.
+    /// Range of the offset (b − a), if it is known: centre and half-width in seconds.
     pub search: Option<(f64, f64)>,
 }
 
@@ -87,7 +86,7 @@ pub struct Estimate {
     pub calibration: [[f64; 3]; 3],
     /// Difference of the gyroscopes' biases in the axes of b, rad/s.
     pub bias: Vec3,
-    /// What [`Report`] says about it.
+    /// Figures, faults and gates.
     pub report: Report,
 }
 
@@ -109,11 +108,11 @@ impl Estimate {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("no trustworthy clock relation: {}", .report.failures())]
 pub struct Refusal {
-    /// What was measured; at least one gate is not passed.
+    /// Figures and gates; at least one gate is not passed.
     pub report: Report,
 }
 
-/// What an estimate or a refusal is based on.
+/// Figures on which an estimate or a refusal is based.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {
     /// Rms of the in-band residual over the overlap and the axes, rad/s.

@@ -1,8 +1,8 @@
-//! What can be wrong with a gyroscope's stream, and how it is reported.
+//! Faults of a gyroscope's stream, and their report.
 
 use std::fmt;
 
-/// Which of the two recordings.
+/// One of the two recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Stream {
     /// The first.
@@ -108,7 +108,7 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// What was done about it.
+/// Treatment of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
@@ -117,7 +117,7 @@ pub enum Action {
     LeftOut,
     /// The timestamps were corrected, keeping their mean and their rate.
     Corrected,
-    /// Nothing needed doing; said for information.
+    /// Nothing was done; for information.
     Noted,
 }
 
@@ -128,14 +128,14 @@ pub struct Fault {
     pub stream: Stream,
     /// The kind.
     pub kind: FaultKind,
-    /// How many samples (timestamps for a sawtooth: jumps).
+    /// Number of samples (of a sawtooth: jumps).
     pub count: usize,
     /// Period of the recurrence in samples, if it recurs.
     pub period: Option<f64>,
     /// By how much the samples' content or time is displaced, in seconds
     /// (positive: the timestamp is later than the content).
     pub displacement_s: Option<f64>,
-    /// What was done.
+    /// Its treatment.
     pub action: Action,
     /// Indices of the samples in the recording as given.
     pub samples: Vec<usize>,

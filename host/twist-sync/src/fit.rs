@@ -73,7 +73,7 @@ impl Link {
     }
 }
 
-/// What the fit is told.
+/// Settings of a fit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FitOptions {
     /// Iterations at most.
@@ -81,7 +81,7 @@ pub(crate) struct FitOptions {
     /// Steps of the shift below which the iteration has settled, seconds; of the rate
     /// likewise.
     pub(crate) settled_s: f64,
-    /// How many nodes one independent noise value spans (oversampling).
+    /// Nodes that one independent noise value spans.
     pub(crate) oversampling: f64,
     /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
     pub(crate) noise_variance: f64,
@@ -134,7 +134,7 @@ pub(crate) struct Fit {
     pub(crate) covariance: Matrix2<f64>,
     /// Covariance of (η, ρ) if the noise were as the fit assumes it.
     pub(crate) ideal_covariance: Matrix2<f64>,
-    /// Whether the iteration settled.
+    /// True if the iteration settled.
     pub(crate) settled: bool,
 }
 
@@ -171,14 +171,14 @@ impl Fit {
     }
 }
 
-/// What some nodes say about the shift.
+/// Evidence of some nodes about the shift.
 #[derive(Default)]
 pub(crate) struct Part {
     pub(crate) score: f64,
     pub(crate) information: f64,
     /// Information times the time from the reference.
     pub(crate) moment: f64,
-    /// Whether it is not what is left.
+    /// False of the rest at the end.
     pub(crate) is_whole: bool,
 }
 
@@ -214,7 +214,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// Where the model's time is later by `by_s`, which must be short.
+    /// The node with the model's time later by `by_s`, which must be short.
     fn node(&self, by_s: f64, calibration: &Calibration) -> Node {
         let x = self.x + self.dx * by_s;
         Node {
@@ -356,7 +356,7 @@ pub(crate) fn fit(
 }
 
 /// The long-run covariance scatters when little time is in common; what white
-/// noise alone would give is the least that is believed.
+/// noise alone would give is the least that is stated.
 pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
     let size = |k: usize| covariance[(k, k)].max(ideal[(k, k)]);
     let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();

@@ -14,7 +14,7 @@
 //! a prior. All are fitted together with the parameters of [`crate::fit`], in linear steps
 //! from its result.
 //!
-//! A mount of which nothing shows is let alone: with the information of the base scenario
+//! A mount that does not show is not fitted: with the information of the base scenario
 //! it is stiffer than 90 Hz or so, and delays a twist by less than half a µs.
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
@@ -110,7 +110,7 @@ fn finish(
     let influences: Vec<(f64, Vector2<f64>)> = nodes.iter().zip(&rows).map(influence).collect();
     let mut covariance = fit::long_run_covariance(&influences, settings.fit.memory_s);
     let oversampling = settings.fit.oversampling;
-    // What the prior leaves open is in no residual.
+    // The prior's uncertainty is in no residual.
     for k in DAMPING..PARAMETERS {
         let open = both.column(k) * (oversampling / ZETA.1);
         covariance += open * open.transpose();
@@ -153,7 +153,7 @@ fn bent(nodes: &[Node], step_s: f64, rate: impl Fn(&Node) -> Vector3<f64>) -> Ve
     surrounded(nodes, reach, step_s).map(bent).collect()
 }
 
-/// Whether the residual goes with the second derivative: the score test of `K`, with the
+/// Tests whether the residual goes with the second derivative: the score test of `K`, with the
 /// information that there would be if nothing else were fitted, which is more.
 ///
 /// Here the derivative is that of the slope, so far away that it shares no noise with the

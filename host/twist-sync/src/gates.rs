@@ -35,18 +35,18 @@ const LARGEST_SKEW: f64 = 500e-6;
 pub struct Gate {
     /// Short stable name.
     pub name: &'static str,
-    /// Whether it was passed.
+    /// True if the measured value is within the limit.
     pub passed: bool,
-    /// What was measured, in `unit`.
+    /// Measured value, in `unit`.
     pub value: f64,
-    /// What it is compared with, in `unit`.
+    /// Limit of the value, in `unit`.
     pub limit: f64,
     /// Unit of value and limit, and of what they are; empty of a gate that says yes
     /// (1) or no (0).
     pub unit: &'static str,
-    /// What a failure means.
+    /// Meaning of a failure.
     pub reason: &'static str,
-    /// What to do about a failure; empty where the reason says it.
+    /// Next step after a failure; empty where the reason says it.
     pub advice: &'static str,
 }
 

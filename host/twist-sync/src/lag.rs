@@ -38,7 +38,7 @@ impl Tried {
     }
 }
 
-/// How far apart the lags of two fits are, seconds.
+/// Distance of the lags of two fits, seconds.
 fn apart_s(one: &Fit, other: &Fit) -> f64 {
     (one.link.lag_s() - other.link.lag_s()).abs()
 }
@@ -58,7 +58,7 @@ pub(crate) fn chosen(
         iterations: 8,
         settled_s: 1e-6,
         oversampling: 1.0,
-        // Nobody asks how well a trial knows its shift.
+        // The sigma of a trial's shift is not used.
         memory_s: 0.0,
         ..settings.fit
     };
@@ -113,7 +113,7 @@ pub(crate) fn chosen(
     Some((part.fit.link, part.stretches))
 }
 
-/// How much worse the best rival explains the motion. Rivals whose evidence is far
+/// Factor by which the best rival explains the motion worse. Rivals whose evidence is far
 /// weaker (short overlaps, where anything fits) do not count.
 fn rival(best: &Tried, others: &[Tried]) -> f64 {
     others

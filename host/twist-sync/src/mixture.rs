@@ -1,8 +1,8 @@
-//! Several suppositions, each with its Gaussian, as one.
+//! Mixture of hypotheses, each with its Gaussian.
 
 use nalgebra::{SMatrix, SVector};
 
-/// What follows from a supposition.
+/// State under one hypothesis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Supposed<const N: usize> {
     /// Its prior probability, or a multiple of it.

@@ -1,5 +1,5 @@
-//! The two streams in their roles in the fit, and what of them is left out because
-//! it does not fit the other.
+//! The two streams in their roles in the fit, and the samples of each that do not fit
+//! the other.
 //!
 //! The fit is not symmetric: one stream is the model, the other the data. Which is
 //! which is decided by the recordings themselves, not by the order in which they
@@ -110,7 +110,7 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// What belongs to a, and what to b.
+    /// Brings the model's and the data's into the order of a and b.
     pub(crate) fn a_and_b<T>(&self, of_model: T, of_data: T) -> (T, T) {
         if self.a_is_model {
             (of_model, of_data)
@@ -166,8 +166,8 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// Leaves out what does not fit the other stream and fits again, until nothing
-    /// is found or four times. Gives the part of the information that is kept when
+    /// Leaves out samples that do not fit the other stream and fits again, until none
+    /// are found or four times. Gives the part of the information that is kept when
     /// the relation jumps, too.
     pub(crate) fn without_faults(
         &mut self,

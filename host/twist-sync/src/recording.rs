@@ -7,7 +7,7 @@
 //! hours needs no more than one of minutes. The windows of a batch are estimated in
 //! parallel.
 //!
-//! Where to look for the offset is known beforehand ([`Prior`]), or found by
+//! The offset is expected somewhere ([`Prior`]), or a first one is found by
 //! [`crate::search`].
 
 use std::collections::VecDeque;
@@ -41,7 +41,7 @@ pub(crate) const MOST_SAMPLES: usize = 200_000;
 /// Opens a gyroscope's recording at its beginning.
 pub type GyroOpener<'a, E> = &'a dyn Fn() -> Result<GyroStream<'a, E>, E>;
 
-/// What is known beforehand about the relation.
+/// Knowledge about the relation beforehand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prior {
     /// An estimate of it.
@@ -87,7 +87,7 @@ impl Options {
 
 /// Relates the clocks over whole recordings. `options` are of each window
 /// ([`Options::of_windows`]), its `wander` also of the course; `every` takes each
-/// n-th window only (1: all); `progress` is told the nanoseconds of clock a.
+/// n-th window only (1: all); `progress` gets the nanoseconds of clock a.
 ///
 /// # Errors
 ///

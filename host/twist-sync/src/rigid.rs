@@ -7,11 +7,11 @@
 //! this explains, with a tolerance that becomes narrower round by round; of all windows
 //! the one counts from which most is explained.
 //!
-//! What is left out is told apart by what explains it: another rotation between the
+//! Stretches that are left out are classified by their cause: another rotation between the
 //! sensors at the same relation of the clocks ([`Why::Slipped`]), another relation of
 //! the clocks at the same rotation ([`Why::TimeStep`]), or neither ([`Why::Apart`]).
 //!
-//! Limits: a turn by less than about a degree is not told from an error of the sensors.
+//! Limits: a turn by less than about a degree cannot be distinguished from an error of the sensors.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -65,7 +65,7 @@ pub(crate) struct Stretch {
     time: f64,
 }
 
-/// What is kept of the motion without these stretches: of its power, or of its time
+/// Share of the motion that is kept without these stretches: of its power, or of its time
 /// where that is less.
 pub(crate) fn kept_share<'a>(left_out: impl Iterator<Item = &'a Stretch> + Clone) -> f64 {
     let power: f64 = left_out.clone().map(|s| s.power).sum();
@@ -76,7 +76,7 @@ pub(crate) fn kept_share<'a>(left_out: impl Iterator<Item = &'a Stretch> + Clone
 /// The largest part of the overlap that one relation explains.
 pub(crate) struct Part {
     pub(crate) fit: Fit,
-    /// What is left out, in order of time.
+    /// Stretches that are left out, in order of time.
     pub(crate) stretches: Vec<Stretch>,
     /// Residual power over the motion's, in what is kept.
     pub(crate) unexplained: f64,
@@ -90,7 +90,7 @@ impl Part {
         self.blocks.kept(data, &self.kept)
     }
 
-    /// How strong the evidence is: `n · ln(unexplained)` of what is kept.
+    /// Strength of the evidence: `n · ln(unexplained)` of what is kept.
     pub(crate) fn evidence(&self) -> f64 {
         self.fit.nodes.len() as f64 * self.unexplained.ln()
     }
@@ -140,14 +140,14 @@ impl Blocks {
     }
 }
 
-/// What the search needs to know.
+/// Input of the search.
 struct Search<'a> {
     model: &'a Signal,
     data: &'a [(f64, Vec3)],
     /// Other lags at which the two may belong together, seconds.
     rivals: &'a [f64],
     options: FitOptions,
-    /// How many nodes one independent noise value spans.
+    /// Nodes that one independent noise value spans.
     noise_span: f64,
     blocks: Blocks,
     /// Rms of the motion around each block.
@@ -155,7 +155,7 @@ struct Search<'a> {
     moving: Vec<bool>,
 }
 
-/// What a window leads to.
+/// Result of growing a window.
 struct Consensus {
     fit: Fit,
     kept: Vec<bool>,
@@ -165,7 +165,7 @@ struct Consensus {
     power: f64,
 }
 
-/// Whether the whole of a quick fit is explained, so that nothing is to be looked for.
+/// True if a quick fit explains the whole overlap, so that no part is looked for.
 pub(crate) fn is_whole(fit: &Fit, noise_variance: f64) -> bool {
     let motion = fit.motion_variance();
     let residual = fit.residual_variance();
@@ -369,7 +369,7 @@ impl Search<'_> {
         }
     }
 
-    /// What explains a stretch that the relation does not.
+    /// Finds the cause of a stretch that the relation does not explain.
     fn why(&self, stretch: &Stretch, fit: &Fit) -> Why {
         let trim = 2.0 * MARGIN_S;
         let within = (stretch.from + trim)..=(stretch.to - trim);

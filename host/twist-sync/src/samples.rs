@@ -30,7 +30,7 @@ pub(crate) struct SampleCheck {
     pub(crate) noise: Vec3,
     /// Uncertainty of the stream's time that a fault leaves open, seconds.
     pub(crate) unresolved_s: f64,
-    /// What was found.
+    /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
 }
 
@@ -180,7 +180,7 @@ fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
     short.into_iter().filter(|p| all || moving(p)).collect()
 }
 
-/// Which samples of the copied pairs to leave out, and how stale they are.
+/// Samples of the copied pairs to leave out, and their staleness.
 fn stale_copies(
     samples: Samples<'_>,
     usable: &[bool],

@@ -17,7 +17,7 @@
 use crate::interpolant::{Uneven, Uniform, Vec3};
 use crate::neighbours;
 
-/// How far the Gaussian kernel is carried, in standard deviations. The
+/// Reach of the Gaussian kernel, in standard deviations. The
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.
 const KERNEL_REACH: f64 = 4.5;
 

@@ -105,7 +105,7 @@ impl<'a> CheckedStream<'a> {
         self.usable_count() as f64 / (self.t.len() - none.sum::<usize>()).max(1) as f64
     }
 
-    /// How far a step between neighbours near `t` is from a whole number of
+    /// Distance of a step between neighbours near `t` from a whole number of
     /// sampling steps, as a part of one.
     pub(crate) fn odd_step_near(&self, t: f64) -> f64 {
         let from = self.t.partition_point(|&x| x < t - 0.2);

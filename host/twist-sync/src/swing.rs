@@ -1,4 +1,4 @@
-//! Time errors that change slowly: what they leave open, and the estimate with them.
+//! Time errors that change slowly: their uncertainty, and the estimate with them.
 //!
 //! The timestamps of a phone may swing against the content over seconds, by tens of µs.
 //! The long-run covariance of the fit reaches over 0.12 s only and takes such a swing for
@@ -9,12 +9,12 @@
 //! process with Gaussian covariance. Its power is at periods around `π·T` and none at
 //! frequency zero: timestamps that are steered overshoot and come back.
 //!
-//! What τ and T are is not asked of the data alone: the estimates for all (τ, T) of a grid
+//! The data alone do not decide on τ and T: the estimates for all (τ, T) of a grid
 //! are averaged, each weighted by its restricted likelihood (Harville 1974) and by the
 //! prior. That is honest where a swing cannot be seen, and exact where it can.
 //!
 //! Limits: a swing about as long as the twist bends the rate and hardly shows otherwise.
-//! What it leaves open is the prior's: right on the average over swings of all periods up
+//! Its uncertainty is the prior's: right on the average over swings of all periods up
 //! to twice the twist, too little for one whose period is always the worst.
 
 use nalgebra::{DMatrix, Matrix2, MatrixXx3, Vector2};
@@ -45,7 +45,7 @@ struct Local {
     variance: f64,
 }
 
-/// Adds what slow time errors leave open to the fit: relation and covariance.
+/// Adds slow time errors to the fit's relation and covariance.
 pub(crate) fn include_swings(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
     let prior_none = NONE[classes.min(NONE.len() - 1)];
@@ -70,7 +70,7 @@ pub(crate) fn include_swings(fit: &mut Fit, oversampling: f64, classes: usize) {
     fit.link.at_model += moved[0];
     fit.link.rate += moved[1];
     let added = covariance - none.covariance;
-    // What rounding leaves below zero is nothing.
+    // Rounding may leave less than zero.
     if added[(0, 0)] > 0.0 && added[(1, 1)] > 0.0 {
         fit.covariance += added;
     }

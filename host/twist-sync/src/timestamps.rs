@@ -39,13 +39,13 @@ const LEAST_RATE_HZ: f64 = 10.0;
 pub(crate) struct Timestamps {
     /// Corrected times, relative seconds; as many as were given.
     pub(crate) t: Vec<f64>,
-    /// Which of them can be used.
+    /// True for those that can be used.
     pub(crate) usable: Vec<bool>,
     /// Median distance of neighbours in seconds.
     pub(crate) step_s: f64,
     /// 1-sigma of the mean of the timestamps that the faults leave open, seconds.
     pub(crate) unresolved_s: f64,
-    /// What was found.
+    /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
 }
 

@@ -111,7 +111,7 @@ impl GyroTrack {
         self.t.len()
     }
 
-    /// Whether there is no sample at all.
+    /// True without any sample.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.t.is_empty()

@@ -1,4 +1,4 @@
-//! How the offset of two clocks goes on after it was measured, from exchanges.
+//! The offset of two clocks, followed by exchanges after it was measured.
 //!
 //! A computer asks both clocks, a and b, for their time, again and again. Of an exchange
 //! it knows when it asked and when the answer came, by its own clock h, and what the clock
@@ -31,8 +31,8 @@
 //! themselves.
 //!
 //! **Warming.** The rate of `d` walks, and its change dies away, as crystals do that warm
-//! up. By how much is not known: there are three suppositions, weighed by how well
-//! each foretold what came ([`MOVES`]).
+//! up. By how much is not known: there are three hypotheses, weighed by their
+//! predictions ([`MOVES`]).
 //!
 //! Limits: an asymmetry that moves slowly, without any change of the round trip, is
 //! taken for the clocks'. A jump of the computer's rate by tens of ppm looks like a step of
@@ -56,7 +56,7 @@ pub struct Exchange {
     pub sent: f64,
     /// When its answer came.
     pub received: f64,
-    /// What the clock read in between.
+    /// The clock's reading in between.
     pub stamp: f64,
 }
 
@@ -71,7 +71,7 @@ impl Exchange {
     }
 }
 
-/// Which clock was asked.
+/// The clock that was asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
     /// The first.
@@ -80,7 +80,7 @@ pub enum Asked {
     B,
 }
 
-/// How far from what was expected an offset is odd, in sigmas of both.
+/// Innovation from which an offset is odd, in sigmas.
 const ODD_SIGMAS: f64 = 5.0;
 
 /// So many odd offsets in a row are a step.
@@ -92,19 +92,19 @@ const ASYMMETRY: f64 = 0.05;
 /// Rates of the clocks differ by so much, 1-sigma, before anything is known.
 const RATES: f64 = 1e-4;
 
-/// How the rate of the computer's clock walks, in one second: time servers steer it by
+/// Walk of the rate of the computer's clock in one second: time servers steer it by
 /// some ppm at a time.
 const COMPUTER_WALK: f64 = 3e-6;
 
 /// Time in which a rig warms up, s. A guess.
 pub const WARMING_S: f64 = 300.0;
 
-/// How the rate between the two clocks moves: its walk in one second, and the 1-sigma of
+/// Hypotheses of the rate between the two clocks: its walk in one second, and the 1-sigma of
 /// its change, 1/s; equally likely at first. Plain crystals at rest, a rig that warms up by
 /// 0.1 to 1 ppm in ten minutes, and by 5 ppm.
 const MOVES: [(f64, f64); 3] = [(1e-9, 3e-10), (3e-9, 4e-9), (1e-8, 3e-8)];
 
-/// How slowly likelihoods are forgotten, windows: a rig may begin to warm up.
+/// Memory of the likelihoods, windows: a rig may begin to warm up.
 const MEMORY_WINDOWS: f64 = 600.0;
 
 const STATES: usize = 9;
@@ -114,13 +114,13 @@ const X_RATE: usize = 1;
 const D: usize = 2;
 const D_RATE: usize = 3;
 const D_CHANGE: usize = 4;
-/// Of each clock, and behind it what of it wanders.
+/// The constant of each clock; its wander comes next.
 const ASYMMETRIES: [usize; 2] = [5, 7];
 
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
 
-/// One supposition of how the rate moves.
+/// The filter of one hypothesis.
 #[derive(Clone, Debug)]
 struct Filter {
     walk: f64,
@@ -161,7 +161,7 @@ impl Filter {
         }
     }
 
-    /// How far a measurement is from what is expected, and the variance of that.
+    /// Measurement less its prediction, and the variance of that.
     fn innovation(&self, of: &State, value: f64, variance: f64) -> (f64, f64) {
         let expected = of.dot(&self.mean);
         (value - expected, of.dot(&(self.covariance * of)) + variance)
@@ -180,7 +180,7 @@ impl Filter {
     }
 }
 
-/// Follows the offset of clock b against clock a. Pure: it is told what was exchanged.
+/// Follows the offset of clock b against clock a. Pure: exchanges are passed in.
 #[derive(Clone, Debug, Default)]
 pub struct Tracker {
     filters: Option<Filters>,
@@ -197,7 +197,7 @@ struct Filters {
 }
 
 impl Tracker {
-    /// A tracker that knows nothing.
+    /// A tracker without data.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -252,7 +252,7 @@ impl Tracker {
         }
     }
 
-    /// Takes what is known of the two clocks from elsewhere: a twist.
+    /// Takes a relation of the two clocks from elsewhere: a twist.
     ///
     /// It may be some seconds old. Before the first window of either clock nothing comes
     /// of it, and `false` is given.
@@ -331,8 +331,8 @@ impl Tracker {
     }
 }
 
-/// What an offset of a window is of the state that is `late` seconds later, and the place
-/// of its asymmetry.
+/// Observation matrix of a window's offset, for the state `late` seconds later, and the
+/// place of its asymmetry.
 fn observed(asked: Asked, late: f64) -> (State, usize) {
     let mut of = State::zeros();
     of[X] = 1.0;
@@ -393,7 +393,7 @@ impl Filters {
         }
     }
 
-    /// All suppositions together.
+    /// Mixture of all hypotheses.
     fn mixed(&self) -> (State, Covariance) {
         mixed(&self.each.each_ref().map(|filter| Supposed {
             prior: 1.0,

@@ -1,4 +1,4 @@
-//! Where frames come from: videos, folders of images.
+//! Sources of frames: videos, folders of images.
 
 mod images;
 mod timestamps;
@@ -11,7 +11,7 @@ pub use timestamps::{FrameTimes, read_timestamps};
 use super::EvaluateError;
 use super::frame::{GreyView, MAX_SIDE};
 
-/// What is known of an input before its first frame.
+/// Facts of an input before its first frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
     /// The file or folder.
@@ -25,7 +25,7 @@ pub struct SourceInfo {
     pub frames: Option<u64>,
     /// When each frame was taken.
     pub times: FrameTimes,
-    /// Whether the frames went through a video encoder.
+    /// True if the frames went through a video encoder.
     pub encoded: bool,
     /// Remarks for the user about the input; after the last frame also about how it ended.
     pub notes: Vec<String>,
@@ -33,7 +33,7 @@ pub struct SourceInfo {
 
 /// Frames one after the other. Memory is that of one frame.
 pub trait FrameSource {
-    /// What is known of the input.
+    /// Facts of the input.
     fn info(&self) -> &SourceInfo;
 
     /// The next frame, or `None` at the end.

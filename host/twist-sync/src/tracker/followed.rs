@@ -2,8 +2,8 @@
 //! some times, and exchanges between them.
 //!
 //! A [`Tracker`] goes over all of it forwards, and another one backwards: time turned round,
-//! a question is an answer and the other way about. What the two know at an instant comes
-//! from different data, and their best combination is what all of it says.
+//! a question is an answer and the other way about. At an instant the two use different
+//! data, and their best combination uses all of it.
 //!
 //! Limits: those of the tracker, but for a step of an asymmetry, which both come upon from
 //! their own side.
@@ -35,7 +35,7 @@ fn turned_round(relation: &ClockRelation) -> ClockRelation {
     }
 }
 
-/// What is known at each of some times of the computer, from all that was before.
+/// Relation at each of some times of the computer, from all data before it.
 fn pass(
     exchanges: impl Iterator<Item = (Asked, Exchange)>,
     known: impl Iterator<Item = ClockRelation>,
@@ -44,10 +44,10 @@ fn pass(
     let mut tracker = Tracker::new();
     let (mut known, mut knots) = (known.peekable(), knots.peekable());
     let mut found = Vec::new();
-    let mut told = false;
+    let mut is_related = false;
     for (asked, exchange) in exchanges {
         while let Some(knot) = knots.next_if(|knot| *knot <= exchange.sent) {
-            found.push(tracker.relation_at(knot).filter(|_| told));
+            found.push(tracker.relation_at(knot).filter(|_| is_related));
         }
         if !tracker.take(asked, exchange) {
             continue;
@@ -58,12 +58,12 @@ fn pass(
         while let Some(next) = known.next_if(|next| next.reference <= now.reference) {
             let expected = now.offset_at(next.reference);
             let sigma = expected.sigma.hypot(next.offset_here().sigma);
-            if !told || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
-                told |= tracker.take_relation(&next);
+            if !is_related || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
+                is_related |= tracker.take_relation(&next);
             }
         }
     }
-    found.extend(knots.map(|knot| tracker.relation_at(knot).filter(|_| told)));
+    found.extend(knots.map(|knot| tracker.relation_at(knot).filter(|_| is_related)));
     found
 }
 

@@ -1,5 +1,5 @@
-//! One clock's exchanges: what of them counts, how uncertain that is, and whether what
-//! they take has stepped.
+//! One clock's exchanges: the quickest of each window, their noise, and steps of the
+//! round trip.
 
 use std::collections::VecDeque;
 
@@ -20,7 +20,7 @@ const LEAST_WINDOWS: usize = 5;
 /// by so many of its sigmas.
 const STEP_SIGMAS: f64 = 5.0;
 
-/// A window whose round trip is so many sigmas away is worth less by that.
+/// A window whose round trip is more sigmas away counts less.
 const SLOW_SIGMAS: f64 = 2.0;
 
 /// Of the round trips of so many windows, the first ones, nothing is learnt: the rate of the
@@ -43,7 +43,7 @@ const FIRST_WINDOWS: [f64; 2] = [5.0, 60.0];
 /// The noise is never below this, s: what the stamps themselves are good for.
 const LEAST_NOISE: f64 = 1e-6;
 
-/// How fast what a way takes wanders, s. A guess: the middle of half a minute and ten.
+/// Time constant of the wander of a way's delay, s. A guess: the middle of half a minute and ten.
 const WANDER_S: f64 = 150.0;
 
 fn median<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
@@ -70,7 +70,7 @@ struct Window {
 }
 
 impl Window {
-    /// Which of the windows a time lies in.
+    /// Begin of the window that a time lies in.
     fn begin_of(at: f64) -> f64 {
         (at / WINDOW_S).floor() * WINDOW_S
     }
@@ -115,7 +115,7 @@ pub(super) struct Leg {
     pub(super) last: Option<f64>,
 }
 
-/// What a window gives.
+/// Measurement that a window gives.
 pub(super) struct Seen {
     pub(super) at: f64,
     /// The clock less the computer's, and half of what the way there takes longer.
@@ -197,7 +197,7 @@ impl Leg {
         0.0
     }
 
-    /// What round trips took before the last ones, s; of what there is after a step.
+    /// Usual round trip before the last ones, s; after a step, that of those since.
     pub(super) fn settled(&self) -> Option<f64> {
         let count = self.trips.len();
         let last = match count >= RECENT_WINDOWS + LEAST_WINDOWS {
@@ -231,7 +231,7 @@ impl Leg {
         self.noise[0].max(LEAST_NOISE * LEAST_NOISE)
     }
 
-    /// What share of a wander's variance is in half the differences at the longer lag.
+    /// Share of a wander's variance in half the differences at the longer lag.
     fn wandered() -> f64 {
         -(-(LAGS[1] as f64) * WINDOW_S / WANDER_S).exp_m1()
     }
@@ -245,7 +245,7 @@ impl Leg {
         }
     }
 
-    /// What is left of a wander after some seconds, as a factor.
+    /// Factor by which a wander has faded after some seconds.
     pub(super) fn fade(dt: f64) -> f64 {
         (-dt / WANDER_S).exp()
     }
