@@ -65,6 +65,8 @@ pub enum Event {
     Restarted {
         /// Its last known time before.
         last: Ticks,
+        /// The counts of the streams up to then.
+        counts: StreamCounts,
     },
     /// The board speaks another protocol version; nothing else it says is
     /// understood.
@@ -349,8 +351,10 @@ impl Conversation {
     /// Notices that this is another run of the board.
     fn run(&mut self, epoch: u32) {
         if self.epoch.is_some_and(|known| known != epoch) {
-            self.events
-                .push_back(Event::Restarted { last: self.latest });
+            self.events.push_back(Event::Restarted {
+                last: self.latest,
+                counts: self.counts,
+            });
             self.latest = Ticks::ZERO;
             self.expected = Default::default();
         }

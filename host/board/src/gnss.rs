@@ -34,7 +34,16 @@ pub fn parse_baud(text: &str) -> std::result::Result<Baud, String> {
 ///
 /// The board does not answer.
 pub fn utc_at_zero(board: &mut Board) -> Result<Option<i64>> {
-    let wall = SystemTime::now().duration_since(UNIX_EPOCH);
+    utc_at_zero_by(board, SystemTime::now())
+}
+
+/// Unix time of the board's tick 0, as [`utc_at_zero`], where the time of day is `now`.
+///
+/// # Errors
+///
+/// The board does not answer.
+pub fn utc_at_zero_by(board: &mut Board, now: SystemTime) -> Result<Option<i64>> {
+    let wall = now.duration_since(UNIX_EPOCH);
     let (ticks, round_trip) = board.ping()?;
     Ok(wall.ok().map(|wall| utc_by(wall, ticks, round_trip)))
 }

@@ -5,7 +5,6 @@
 //! - [`outcome`]: exit codes; `advice`: what to do about the libraries' errors.
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - `view`, `tracked`: what the operator sees while a session runs.
-//! - `sync_report`: what the program says of an estimate of the clocks.
 //! - `terminal`: what is printed does nothing to a terminal but to be read.
 //! - `log`: where log lines go.
 //! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
@@ -28,7 +27,6 @@ pub mod outcome;
 pub mod record;
 mod recordings;
 pub mod rig_profile;
-mod sync_report;
 mod terminal;
 mod tracked;
 mod view;

@@ -6,7 +6,7 @@
 //! deadlines, and for anything else by [`Clock::wait`].
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use board::transport::Link;
 use jiff::Zoned;
@@ -14,6 +14,7 @@ use phone::agent::PhoneExchange;
 use phone::task::{Pending, PhoneTask};
 use phone::{PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use recording::profile::Depth;
+use recording::writer::WallClock;
 use serde::Serialize;
 use timebase::PhoneNanos;
 
@@ -159,6 +160,10 @@ pub trait Clock {
     fn now(&self) -> Duration;
     /// The date and time of day.
     fn wall_clock(&self) -> Zoned;
+    /// The time of day as the recording's files take it, on any thread.
+    fn time_of_day(&self) -> WallClock {
+        Box::new(SystemTime::now)
+    }
     /// Lets this time pass.
     fn wait(&self, time: Duration);
 }

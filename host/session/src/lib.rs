@@ -1,32 +1,58 @@
-//! A session, from the twist to an aligned recording, and the mathematics that it needs.
+//! A session, from the twist to an aligned recording.
 //!
 //! The session knows no command line and no terminal. Its devices are traits
 //! ([`devices`]): on hardware a serial port, threads and processes; in a simulation models
 //! on virtual time, in one thread. What it does is visible as a [`Phase`](event::Phase) and
 //! as [`SessionEvent`](event::SessionEvent)s; what fails is a typed
-//! [`SessionError`](error::SessionError). Sentences for people, and exit codes, are made by
-//! the program.
+//! [`SessionError`](error::SessionError). Exit codes and advice are the program's.
 //!
-//! - [`options`], [`devices`]: what a session is asked for, and with what.
-//! - [`event`], [`error`], [`checks`], [`watch`](mod@watch): what it does and finds.
-//! - [`train`]: the frames' period in the phone's clock, from their timestamps.
-//! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
-//! - [`rates`]: how the rate of its clock goes on, at one supposed warming.
-//! - [`twists`]: what the twists before a recording say of it together.
-//! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
-//!   same instant.
-//! - [`steering`]: how the trigger's period follows the phone's clock while it is tracked.
+//! Its steps, each of which can be repeated or left out: connect ([`connect`]), the
+//! [`checks`], [`twist`], start the trigger and the phones' videos, align, confirm the
+//! arrival, record ([`steps`]), stop, second twist, fetch the videos
+//! ([`close`](mod@close)). From the connect on, all that the board sends is recorded, so the
+//! twist is in the file too. However a session ends, it is closed in the same way: the
+//! videos are stopped, the depth recorder is asked to stop, the trigger is stopped, the
+//! files are finished.
+//!
+//! A lost link is waited for, and the session goes on with it. A board that was reset ends
+//! the recording: its clock is another one.
+//!
+//! - [`run`](mod@run), [`session`], [`options`], [`devices`]: a session, what it is asked for, and with what.
+//! - [`event`], [`error`], [`log`]: what happens, and where it is kept.
+//! - [`link`], [`monitors`], [`watch`](mod@watch): the board and its messages.
+//! - [`phones`], `videos`, `tracking`: the phones, their videos, the reference's clock.
+//! - `auxiliary`, `housekeeping`: further outputs; disk and depth recorder.
+//! - [`hardware`], [`recorder_process`]: devices on hardware.
+//! - [`alignment`], [`rates`], [`twists`], [`train`], [`steering`], [`learn`]: the
+//!   mathematics of the phone's frames and the trigger's grid.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
+mod auxiliary;
 pub mod checks;
+pub mod close;
+pub mod connect;
 pub mod devices;
 pub mod error;
 pub mod event;
+pub mod hardware;
+pub mod housekeeping;
 pub mod learn;
+pub mod link;
+pub mod log;
+pub mod monitors;
 pub mod options;
+pub mod phones;
 pub mod rates;
+pub mod recorder_process;
+pub mod run;
+pub mod session;
 pub mod steering;
+pub mod steps;
+mod tracking;
 pub mod train;
+pub mod twist;
+pub mod twist_report;
 pub mod twists;
+mod videos;
 pub mod watch;

@@ -28,6 +28,9 @@ pub struct Options {
     pub second_twist: bool,
     /// Download the phones' videos at the end.
     pub fetch_video: bool,
+    /// Number of the first command to the board, for a simulation that is to repeat to the
+    /// byte; any number if there is none.
+    pub first_command: Option<u32>,
 }
 
 impl Options {
@@ -45,6 +48,7 @@ impl Options {
             twist_gap: seconds(60),
             second_twist: false,
             fetch_video: false,
+            first_command: None,
         }
     }
 }

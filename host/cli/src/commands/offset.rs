@@ -12,8 +12,8 @@ use crate::advice;
 use crate::context::Context;
 use crate::options::number_in;
 use crate::outcome::{ExitStatus, Failure};
-use crate::sync_report::{Device, SyncReport, report_of};
 use phone::gyro_csv::{self, GyroFile};
+use session::twist_report::{Device, TwistReport, report_of};
 use twist_sync::{
     Action, Estimate, Fault, FaultKind, GyroTrack, Options, Refusal, Stream, estimate_offset,
 };
@@ -104,7 +104,7 @@ struct Output {
     mcu_delay_s: f64,
     phone_delay_s: f64,
     #[serde(flatten)]
-    report: SyncReport,
+    report: TwistReport,
     mcu: Input,
     phone: Input,
 }

@@ -11,7 +11,6 @@ use super::rig::Rig;
 use super::steps::{ask, is_repeatable};
 use super::{Options as SessionOptions, Stop};
 use crate::outcome::{ExitStatus, Failure};
-use crate::sync_report::{SyncReport, report_of};
 use crate::view::lacking_motion;
 use phone::PhoneSample;
 use phone::task::PhoneTask;
@@ -19,6 +18,7 @@ use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
 use session::alignment::{skew_prior, with_known_skew};
 use session::rates::Course;
+use session::twist_report::{TwistReport, report_of};
 use session::twists::{KnownSkew, Twists};
 use timebase::ClockModel;
 use timebase::{board_track, phone_track};
@@ -250,7 +250,7 @@ fn relate(
         ..Options::default()
     };
     let result = estimate_offset(board.track, &phone_track, &options);
-    let report = SyncReport::from(report_of(&result));
+    let report = TwistReport::from(report_of(&result));
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),

@@ -7,8 +7,8 @@ use std::path::Path;
 use super::fault_found;
 use crate::context::Context;
 use crate::outcome::Failure;
-use crate::sync_report::report_of;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
+use session::twist_report::report_of;
 use twist_sync::compare::{self, Pair};
 use twist_sync::{
     Action, Estimate, FaultKind, GyroTrack, LeftOut, Options, Refusal, Report, Stream, Why,

@@ -6,7 +6,7 @@ use twist_sync::{
 };
 
 use crate::commands::offset::fault_text;
-use crate::sync_report::report_of;
+use session::twist_report::report_of;
 
 /// A recording up to this length is taken as a whole, seconds: a twist.
 const LONGEST_TWIST_S: f64 = 60.0;

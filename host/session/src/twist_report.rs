@@ -1,5 +1,5 @@
-//! What the program says and writes of an estimate: the estimator's stream a is the
-//! board's gyroscope (`mcu`), stream b the phone's.
+//! The report of a twist: what the estimator found on the way, with its stream a as the
+//! board's gyroscope (`mcu`) and stream b as the phone's.
 
 use serde::Serialize;
 use twist_sync::{
@@ -7,7 +7,7 @@ use twist_sync::{
 };
 
 /// What was found on the way to an estimate or to a refusal.
-pub(crate) const fn report_of(result: &Result<Estimate, Refusal>) -> &Report {
+pub const fn report_of(result: &Result<Estimate, Refusal>) -> &Report {
     match result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
@@ -17,13 +17,13 @@ pub(crate) const fn report_of(result: &Result<Estimate, Refusal>) -> &Report {
 /// Whose gyroscope a stream is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Device {
+pub enum Device {
     Mcu,
     Phone,
 }
 
 impl Device {
-    pub(crate) const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Mcu => "board",
             Self::Phone => "phone",
@@ -42,21 +42,21 @@ impl From<Stream> for Device {
 
 /// A [`Report`] as `offset --json` prints it and `session.json` holds it.
 #[derive(Debug, Serialize)]
-pub(crate) struct SyncReport {
-    pub(crate) residual_rms: Option<f64>,
-    pub(crate) motion_rms: Option<f64>,
-    pub(crate) overlap_s: Option<f64>,
+pub struct TwistReport {
+    pub residual_rms: Option<f64>,
+    pub motion_rms: Option<f64>,
+    pub overlap_s: Option<f64>,
     faults: Vec<DeviceFault>,
     /// From, to, seconds from the board's first sample.
-    pub(crate) together: Vec<(f64, f64)>,
-    pub(crate) left_out: Vec<Stretch>,
+    pub together: Vec<(f64, f64)>,
+    pub left_out: Vec<Stretch>,
     gates: Vec<Gate>,
-    pub(crate) warnings: Vec<String>,
+    pub warnings: Vec<String>,
 }
 
 /// A stretch of both recordings that was left out.
 #[derive(Debug, Serialize)]
-pub(crate) struct Stretch {
+pub struct Stretch {
     /// Begin and end, seconds from the board's first sample.
     from_s: f64,
     to_s: f64,
@@ -66,7 +66,7 @@ pub(crate) struct Stretch {
     turned_sigma_deg: Option<f64>,
     step_s: Option<f64>,
     #[serde(skip)]
-    pub(crate) text: String,
+    pub text: String,
 }
 
 impl From<&LeftOut> for Stretch {
@@ -98,7 +98,7 @@ struct DeviceFault {
     action: Action,
 }
 
-impl From<&Report> for SyncReport {
+impl From<&Report> for TwistReport {
     fn from(report: &Report) -> Self {
         Self {
             residual_rms: report.residual_rms,
@@ -113,9 +113,9 @@ impl From<&Report> for SyncReport {
     }
 }
 
-impl SyncReport {
+impl TwistReport {
     /// When the two moved as one body, in words; `None` where no part of them did.
-    pub(crate) fn together_text(&self) -> Option<String> {
+    pub fn together_text(&self) -> Option<String> {
         let stretch = |(from, to): &(f64, f64)| format!("from {from:.1} s to {to:.1} s");
         let stretches: Vec<String> = self.together.iter().map(stretch).collect();
         (!stretches.is_empty()).then(|| {

@@ -1,0 +1,201 @@
+//! The auxiliary outputs of a rig: cameras on the trigger outputs 2 to 4, and a lidar
+//! that takes the board for a GNSS receiver.
+//!
+//! They join when the camera's train is on its grid. An output runs at a multiple
+//! of the train's period, a fixed delay after a pulse of it; place and period are
+//! exact to 2⁻³² ticks, so it stays on that pulse for ever.
+
+use board::gnss::{self, NMEA_DELAY_MS, parse_baud};
+use board::{Board, BoardError};
+use protocol::{
+    GnssSettings, Output, Period, Refusal, Sentences, TICK_HZ, Ticks, TrainState, TriggerStart,
+    TriggerStatus,
+};
+use recording::profile::{Lidar, TriggerOutput};
+
+use crate::error::{SessionError, Stop};
+use crate::event::SessionEvent;
+use crate::session::Session;
+
+/// How far ahead the first pulse lies at first, ticks: time for the command.
+const LEAD: u64 = TICK_HZ as u64 / 2;
+
+/// How often a start is tried, each from twice as far ahead: 16 s at last.
+const ATTEMPTS: u32 = 6;
+
+/// Fraction bits of places and periods.
+const FRACTION_BITS: u32 = 32;
+
+/// Length of the pulse per second, ticks: 20 ms.
+const PPS_WIDTH: u32 = TICK_HZ / 50;
+
+/// Starts what the profile names.
+///
+/// # Errors
+///
+/// The board cannot be reached or refuses; a multiple is longer than a second.
+pub(crate) fn start(session: &mut Session<'_>) -> Result<(), Stop> {
+    let profile = session.profile;
+    for sensor in &profile.outputs {
+        start_output(session, sensor)?;
+    }
+    match &profile.lidar {
+        Some(lidar) => start_lidar(session, lidar),
+        None => Ok(()),
+    }
+}
+
+/// Stops what the profile names. Gives the first failure; all are tried.
+///
+/// # Errors
+///
+/// The board cannot be reached.
+pub(crate) fn stop(session: &mut Session<'_>) -> Result<(), Stop> {
+    let profile = session.profile;
+    let mut result = Ok(());
+    for sensor in &profile.outputs {
+        if let Some(output) = Output::from_number(sensor.output) {
+            let stopped = session.call(|board| board.stop_trigger(output));
+            result = result.and(stopped.map(drop));
+        }
+    }
+    if profile.lidar.is_some() {
+        result = result.and(session.call(Board::stop_gnss).map(drop));
+    }
+    result
+}
+
+fn start_output(session: &mut Session<'_>, sensor: &TriggerOutput) -> Result<(), Stop> {
+    let too_slow = || SessionError::OutputTooSlow {
+        name: sensor.name.clone(),
+        every: sensor.every,
+    };
+    let output = Output::from_number(sensor.output).ok_or_else(too_slow)?;
+    let status = session.call(|board| board.output(output))?;
+    if status.state != TrainState::Stopped {
+        session.call(|board| board.stop_trigger(output))?;
+    }
+    // A rig that runs faster than time, or a slow link, may have gone past the
+    // first pulse when the command arrives: then once more, from farther ahead.
+    for attempt in 0..ATTEMPTS {
+        let camera = session.call(Board::trigger)?;
+        let start = joined(sensor, &camera, LEAD << attempt).ok_or_else(too_slow)?;
+        let started = session.call(|board| match board.start_trigger(output, start) {
+            Err(BoardError::Refused {
+                refusal: Refusal::TimeOutOfRange { .. },
+                ..
+            }) if attempt + 1 < ATTEMPTS => Ok(false),
+            other => other.map(|_| true),
+        })?;
+        if started {
+            break;
+        }
+    }
+    session.log.report(SessionEvent::OutputStarted {
+        name: sensor.name.clone(),
+        output: sensor.output,
+        rule: sensor.rule(),
+    })
+}
+
+/// The train of an output that joins the camera's, `lead` ticks from now at least;
+/// none if its period is out of bounds.
+fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<TriggerStart> {
+    let ticks_per_us = f64::from(TICK_HZ / 1_000_000);
+    let period = camera.period.0.checked_mul(sensor.every.into())?;
+    let period = Some(Period(period)).filter(|period| period.in_bounds())?;
+    let next = (u128::from(camera.next_edge.0) << FRACTION_BITS) | u128::from(camera.next_fraction);
+    let pulses = lead.div_ceil(u64::from(camera.period.ticks().max(1)));
+    let delay = sensor.delay_us * ticks_per_us * (1_u64 << FRACTION_BITS) as f64;
+    let first = next + u128::from(pulses) * u128::from(camera.period.0) + delay.round() as u128;
+    Some(TriggerStart {
+        period,
+        width: (sensor.width_us * ticks_per_us).round() as u32,
+        first_edge: Some(Ticks((first >> FRACTION_BITS) as u64)),
+        first_fraction: first as u32,
+    })
+}
+
+fn start_lidar(session: &mut Session<'_>, lidar: &Lidar) -> Result<(), Stop> {
+    let baud = parse_baud(&lidar.baud.to_string()).map_err(SessionError::Lidar)?;
+    let clock = session.clock;
+    let utc_at_zero = session
+        .call(|board| gnss::utc_at_zero_by(board, clock.time_of_day()()))?
+        .ok_or(SessionError::ClockBefore1970)?;
+    let settings = GnssSettings {
+        utc_at_zero,
+        baud,
+        line_inverted: !lidar.idle_high,
+        sentences: if lidar.zda {
+            Sentences::RmcZda
+        } else {
+            Sentences::Rmc
+        },
+        delay_ms: NMEA_DELAY_MS,
+        pulse_width: PPS_WIDTH,
+        pulse_inverted: false,
+    };
+    let running = session.call(|board| gnss::start(board, settings))?.settings;
+    session.log.report(SessionEvent::LidarStarted {
+        name: lidar.name.clone(),
+        utc_at_zero: running.unwrap_or(settings).utc_at_zero,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::Readback;
+
+    #[test]
+    fn a_joined_train_falls_on_pulses_of_the_cameras() {
+        let period = Period::from_picos(33_330_652_540).unwrap();
+        let camera = TriggerStatus {
+            state: TrainState::Running,
+            train: 1,
+            period,
+            width: 576,
+            pulses: 77,
+            next_edge: Ticks(123_456_789),
+            next_fraction: 0x1234_5678,
+            late: 0,
+            readback: Readback {
+                seen: 0,
+                missing: 0,
+                stray: 0,
+                delay: None,
+            },
+        };
+        let sensor = TriggerOutput {
+            output: 2,
+            name: "left".to_owned(),
+            every: 6,
+            delay_us: 0.0,
+            width_us: 100.0,
+        };
+        let start = joined(&sensor, &camera, LEAD).unwrap();
+        assert_eq!(start.period.0, 6 * period.0);
+        assert_eq!(start.width, 4_800);
+        let place = |ticks: Ticks, fraction: u32| {
+            (u128::from(ticks.0) << FRACTION_BITS) | u128::from(fraction)
+        };
+        let first = place(start.first_edge.unwrap(), start.first_fraction);
+        let next = place(camera.next_edge, camera.next_fraction);
+        assert_eq!((first - next) % u128::from(period.0), 0);
+        assert!((first - next) >> FRACTION_BITS >= u128::from(LEAD));
+
+        let later = TriggerOutput {
+            delay_us: 160.5,
+            ..sensor.clone()
+        };
+        let later = joined(&later, &camera, LEAD).unwrap();
+        let later = place(later.first_edge.unwrap(), later.first_fraction);
+        assert_eq!(later - first, 7_704 << FRACTION_BITS);
+
+        let slow = TriggerOutput {
+            every: 31,
+            ..sensor
+        };
+        assert_eq!(joined(&slow, &camera, LEAD), None);
+    }
+}

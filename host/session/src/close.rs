@@ -1,0 +1,200 @@
+//! The end of a session, however it went.
+
+use std::time::Duration;
+
+use protocol::Output;
+
+use crate::auxiliary;
+use crate::error::{SessionError, Stop};
+use crate::event::{Device, Phase, SessionEvent, Step};
+use crate::log::Log;
+use crate::options::Options;
+use crate::session::Session;
+use crate::twist::second_twist;
+use crate::videos::{fetch_files, fetch_video, stop_videos};
+
+/// How long the board is listened to at a time.
+const LISTEN: Duration = Duration::from_millis(20);
+
+/// Ends a session, however it went. Gives the result on, or the first failure of
+/// the closing itself if there was none before.
+///
+/// # Errors
+///
+/// As `result`; or the files cannot be finished.
+pub fn close(
+    session: &mut Session<'_>,
+    options: &Options,
+    result: Result<(), Stop>,
+) -> Result<(), Stop> {
+    session.closing = true;
+    if let Err(Stop::Failed(error)) = &result {
+        if error.is_storage() {
+            // Nothing more can be written; what was written can be read.
+            session.log.writer = None;
+        }
+        session.log.report_at_end(SessionEvent::Failed {
+            error: error.to_string(),
+        });
+    }
+    end_of_recording(session);
+    session.enter(Phase::Stopping);
+    stop_devices(session);
+    let result = match result {
+        Ok(()) | Err(Stop::BoardReset) => after_recording(session, options),
+        failed => failed,
+    };
+    session.enter(Phase::Closing);
+    finish(session, result)
+}
+
+/// Takes down what was recorded. Before the devices are stopped: what they do
+/// then is not part of it.
+fn end_of_recording(session: &mut Session<'_>) {
+    if session.monitors.watch.take().is_none() {
+        return;
+    }
+    let now = session.now();
+    if let Some(span) = &mut session.log.file.recorded {
+        span.to = span.from.max(now);
+    }
+    let conversation = session.link.board.conversation();
+    session.log.file.counts = session
+        .counts_at_reset
+        .unwrap_or_else(|| conversation.counts());
+    session.log.file.damaged_frames = conversation.damaged_frames();
+}
+
+/// Stops phone, depth recorder and trigger; what cannot be stopped is reported.
+fn stop_devices(session: &mut Session<'_>) {
+    stop_videos(session);
+    stop_recorder(session);
+    if session.trigger_started {
+        session.trigger_started = false;
+        if let Err(Stop::Failed(error)) = auxiliary::stop(session) {
+            not_stopped(&mut session.log, Device::Output, &error);
+        }
+        let stopped = session.call(|board| board.stop_trigger(Output::Camera));
+        if let Err(Stop::Failed(error)) = stopped {
+            not_stopped(&mut session.log, Device::Trigger, &error);
+        }
+    }
+    // Its last messages.
+    for _ in 0..5 {
+        if session.pump(LISTEN).is_err() {
+            break;
+        }
+    }
+}
+
+fn not_stopped(log: &mut Log<'_>, what: Device, error: &SessionError) {
+    log.report_at_end(SessionEvent::NotStopped {
+        what,
+        error: error.to_string(),
+    });
+}
+
+/// Asks the depth recorder to stop, waits, and kills it if it does not.
+fn stop_recorder(session: &mut Session<'_>) {
+    if !std::mem::take(&mut session.housekeeping.recorder_runs) {
+        return;
+    }
+    session.housekeeping.recorder.ask_to_stop();
+    let asked = session.clock.now();
+    let recorder = &session.profile.depth.recorder;
+    let patience = Duration::from_secs(recorder.stop_timeout_s.into());
+    loop {
+        if let Some(end) = session.housekeeping.recorder.poll() {
+            if !end.is_as_asked {
+                let failed = SessionEvent::RecorderFailed { end };
+                session.log.report_at_end(failed);
+            }
+            return;
+        }
+        if session.clock.now().saturating_sub(asked) >= patience {
+            break;
+        }
+        session.listen_for(LISTEN);
+    }
+    session.housekeeping.recorder.kill();
+    let program = recorder.command.first().cloned().unwrap_or_default();
+    session.log.report_at_end(SessionEvent::RecorderKilled {
+        program,
+        waited_s: recorder.stop_timeout_s,
+    });
+}
+
+impl Session<'_> {
+    /// Listens to the board for so long; its failures are reported by the next step of
+    /// closing.
+    pub(crate) fn listen_for(&mut self, time: Duration) {
+        let begun = self.clock.now();
+        while self.clock.now().saturating_sub(begun) < time {
+            if self.pump(LISTEN).is_err() {
+                self.clock.wait(LISTEN);
+            }
+        }
+    }
+}
+
+/// Does what follows a recording that was not broken off.
+fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), Stop> {
+    session.log.save()?;
+    // From here on Ctrl-C leaves the rest out.
+    session.closing = false;
+    if options.second_twist && !session.was_reset {
+        let places = session.phones.places();
+        let first: Vec<_> = places.map(|place| session.log.clock(place)).collect();
+        let twisted = session.step(Step::SecondTwist, |session| second_twist(session, &first));
+        pass_over(session, twisted, |error| SessionEvent::SecondTwistFailed {
+            error,
+        })?;
+    } else if options.second_twist {
+        // The board's clock is another since its reset.
+        session.log.report(SessionEvent::SecondTwistLeftOut)?;
+    }
+    session.enter(Phase::Fetching);
+    if options.fetch_video {
+        for place in session.phones.places() {
+            // The app ends when it is asked for a video and has made none.
+            if session.log.video(place).is_none() {
+                let phone = session.phones.name(place);
+                session.log.report(SessionEvent::NoVideoToFetch { phone })?;
+                continue;
+            }
+            let fetched = session.step(Step::Download, |session| fetch_video(session, place));
+            pass_over(session, fetched, |error| SessionEvent::VideoNotFetched {
+                error,
+            })?;
+        }
+    }
+    for place in session.phones.places() {
+        fetch_files(session, place)?;
+    }
+    Ok(())
+}
+
+/// Makes a problem of a failure after the recording: the recording is there, so it is not the
+/// end.
+fn pass_over(
+    session: &mut Session<'_>,
+    result: Result<(), Stop>,
+    event: impl FnOnce(String) -> SessionEvent,
+) -> Result<(), Stop> {
+    match result {
+        Err(Stop::Failed(error)) if error.is_repeatable() => {
+            session.log.report(event(error.to_string()))
+        }
+        other => other,
+    }
+}
+
+/// Finishes the files.
+fn finish(session: &mut Session<'_>, result: Result<(), Stop>) -> Result<(), Stop> {
+    session.closing = true;
+    let writer = session.log.writer.take();
+    session.log.file.outcome = Some(session.log.outcome_of(&result));
+    let file = &session.log.file;
+    let finished = writer.map_or(Ok(()), |writer| writer.finish_with(file));
+    result.and(finished.map_err(Stop::from))
+}

@@ -1,0 +1,221 @@
+//! The beginning of a session: both sides are reached, and its folder is made.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use board::Board;
+use board::imu::Scale;
+use protocol::Ticks;
+use recording::folder;
+use recording::profile::Profile;
+use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile};
+use recording::writer::Writer;
+
+use crate::checks::firmware_version;
+use crate::devices::{Choice, Clock, Connector, DepthRecorder, Operator, PhoneClockStarter};
+use crate::error::{SessionError, Stop};
+use crate::event::{Phase, Prompt, SessionEvent, Stamped, Step};
+use crate::link::BoardLink;
+use crate::log::{Listener, Log};
+use crate::options::Options;
+use crate::phones::Phones;
+use crate::session::Session;
+use crate::tracking;
+
+/// Pause between two looks for an answer, while no board can be listened to.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// The devices that a session keeps.
+pub(crate) struct Parts<'a> {
+    pub(crate) connector: &'a mut dyn Connector,
+    pub(crate) phones: Phones<'a>,
+    pub(crate) phone_clock: &'a mut dyn PhoneClockStarter,
+    pub(crate) recorder: &'a mut dyn DepthRecorder,
+    pub(crate) clock: &'a dyn Clock,
+    pub(crate) operator: &'a mut dyn Operator,
+    pub(crate) events: Listener<'a>,
+}
+
+/// Both sides of a rig, once they have answered.
+struct Sides {
+    board: Board,
+    imu: ImuInfo,
+    apps: Vec<PhoneInfo>,
+}
+
+/// Connects to board and phones, and makes the recording's folder once both are
+/// there. With somebody there it is tried as often as they want.
+pub(crate) fn connect<'a>(
+    options: &Options,
+    profile: &'a Profile,
+    parts: Parts<'a>,
+) -> Result<Session<'a>, Stop> {
+    let mut tell = |event| {
+        (parts.events)(&Stamped {
+            at: Ticks::ZERO,
+            event,
+        });
+    };
+    tell(SessionEvent::Phase {
+        phase: Phase::Connecting,
+    });
+    let sides = loop {
+        let operator = &mut *parts.operator;
+        let is_interrupted = || operator.interrupted();
+        let reached = reach(
+            options,
+            profile,
+            parts.connector,
+            &parts.phones,
+            &is_interrupted,
+        );
+        let error = match reached {
+            Ok(sides) => break sides,
+            Err(Stop::Failed(error)) if operator.is_present() => Arc::new(error),
+            Err(stop) => return Err(stop),
+        };
+        let step = Step::Connect;
+        tell(SessionEvent::StepFailed {
+            step,
+            error: Arc::clone(&error),
+        });
+        let can_skip = false;
+        let prompt = Prompt::Repeat { step, can_skip };
+        tell(SessionEvent::Prompt { prompt });
+        let choice = loop {
+            if operator.interrupted() {
+                return Err(Stop::Interrupted);
+            }
+            match operator.answer() {
+                Some(choice) => break choice,
+                None => parts.clock.wait(PAUSE),
+            }
+        };
+        if matches!(choice, Choice::Quit | Choice::Skip) {
+            return Err(Arc::into_inner(error).map_or(Stop::Interrupted, Stop::Failed));
+        }
+    };
+    // What the board sends meanwhile waits in the link's queue.
+    let tracking = tracking::start(
+        options.track,
+        profile.phones.is_empty(),
+        &profile.phone.name,
+        parts.phone_clock,
+        &mut tell,
+    )?;
+    let log = new_log(&sides, parts.events, parts.clock, options, profile)?;
+    let scale = sides.imu.scale;
+    let link = BoardLink::new(sides.board, scale, parts.connector, options.link_patience);
+    let mut session = Session::new(
+        profile,
+        parts.clock,
+        parts.operator,
+        link,
+        parts.phones,
+        log,
+        parts.recorder,
+    );
+    session.tracking = tracking;
+    session.log.save()?;
+    let folder = session.log.folder.clone();
+    let board = session.link.id().to_owned();
+    session.log.report(SessionEvent::Connected {
+        folder,
+        board,
+        scale,
+    })?;
+    Ok(session)
+}
+
+/// Reaches board and phones, both ready.
+fn reach(
+    options: &Options,
+    profile: &Profile,
+    connector: &mut dyn Connector,
+    phones: &Phones<'_>,
+    is_interrupted: &dyn Fn() -> bool,
+) -> Result<Sides, Stop> {
+    let link = connector.connect(None)?;
+    let mut board = match options.first_command {
+        Some(first) => Board::connect_from(link, first)?,
+        None => Board::connect(link)?,
+    };
+    let wanted = profile.imu_config()?;
+    let mut setup = board.imu()?;
+    if setup.config != wanted {
+        setup = board.configure_imu(wanted)?;
+    }
+    let scale = Scale::of(&setup).ok_or(SessionError::NoScale)?;
+    has_addresses(profile)?;
+    let apps = phones.probe(is_interrupted)?;
+    Ok(Sides {
+        board,
+        imu: ImuInfo { setup, scale },
+        apps,
+    })
+}
+
+/// Whether the profile says where its phones are.
+///
+/// # Errors
+///
+/// It does not, of this one.
+pub fn has_addresses(profile: &Profile) -> Result<(), SessionError> {
+    let mut phones = profile.all_phones();
+    match phones.find(|phone| phone.address.trim().is_empty()) {
+        Some(phone) => Err(SessionError::NoAddress {
+            name: phone.name.clone(),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Makes the recording's folder, and its session file with what is known of both sides.
+fn new_log<'a>(
+    sides: &Sides,
+    events: Listener<'a>,
+    clock: &dyn Clock,
+    options: &Options,
+    profile: &Profile,
+) -> Result<Log<'a>, Stop> {
+    let now = clock.wall_clock();
+    let name = options
+        .name
+        .clone()
+        .unwrap_or_else(|| now.strftime("%Y-%m-%d_%H-%M-%S").to_string());
+    let folder = folder::create(&options.out, &name)?;
+    let mut writer = Writer::create(&folder)?;
+    writer.set_wall_clock(clock.time_of_day());
+    let name = folder
+        .file_name()
+        .map_or(name, |name| name.to_string_lossy().into_owned());
+    let mut file = SessionFile::new(name, profile.clone());
+    file.started = now.strftime("%Y-%m-%dT%H:%M:%S%:z").to_string();
+    let hello = sides.board.hello();
+    file.board = Some(BoardInfo {
+        id: protocol::usb::serial_number(&hello.board_id).to_string(),
+        firmware: firmware_version(hello),
+        git_revision: hello.git_revision.to_string(),
+        git_dirty: hello.git_dirty,
+        model: hello.board,
+        protocol: hello.protocol_version,
+        tick_hz: hello.tick_hz,
+        epoch: hello.epoch,
+        reset_cause: hello.reset_cause,
+    });
+    file.imu = Some(sides.imu.clone());
+    let mut apps = sides.apps.iter().cloned();
+    file.phone = apps.next();
+    let others = profile.phones.iter().zip(apps);
+    file.phones = others
+        .map(|(phone, info)| OtherPhone {
+            name: phone.name.clone(),
+            info,
+            twists: Vec::new(),
+            clock: None,
+            video: None,
+            placement: None,
+        })
+        .collect();
+    Ok(Log::new(events, writer, folder, file))
+}

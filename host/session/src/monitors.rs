@@ -1,0 +1,173 @@
+//! The monitors of the board's messages, and the one place through which every message
+//! goes: it is watched, put into SI units, reported and written.
+
+use board::Stream;
+use board::imu::{ImuLook, Sample};
+use protocol::{Arrived, DeviceToHost, ImuSample, Ticks};
+use recording::session_file::SessionFile;
+
+use crate::error::Stop;
+use crate::event::SessionEvent;
+use crate::link::BoardLink;
+use crate::log::Log;
+use crate::watch::{Finding, Watch};
+
+/// The monitors.
+#[derive(Default)]
+pub struct Monitors {
+    /// Set while recording.
+    pub watch: Option<Watch>,
+    /// What the watch has found.
+    pub(crate) findings: Vec<Finding>,
+    /// The IMU's samples, while it is checked.
+    pub(crate) look: Option<ImuLook>,
+    /// Gyroscope samples, while a twist is taken.
+    pub(crate) gyro: Option<Vec<(Ticks, [f64; 3])>>,
+    /// Temperature of the IMU, °C, from its last sample.
+    pub(crate) temperature: Option<f64>,
+    /// The last arrival that was reported.
+    pub(crate) arrived: Option<Arrived>,
+}
+
+impl Monitors {
+    /// Messages of a stream are missing.
+    pub(crate) fn lost(&mut self, stream: Stream, count: u32) {
+        if let Some(look) = &mut self.look {
+            look.gap();
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.lost(stream, count, &mut self.findings);
+        }
+    }
+
+    /// A message's number does not follow on the one before.
+    pub(crate) fn disordered(&mut self, stream: Stream) {
+        if let Some(watch) = &mut self.watch {
+            watch.disordered(stream, &mut self.findings);
+        }
+    }
+
+    /// All that had come by this time was taken.
+    pub(crate) fn time(&mut self, now: Ticks) {
+        if let Some(watch) = &mut self.watch {
+            watch.time(now, &mut self.findings);
+        }
+    }
+
+    /// The link was lost until now.
+    pub(crate) const fn resume(&mut self, now: Ticks) {
+        if let Some(watch) = &mut self.watch {
+            watch.resume(now);
+        }
+    }
+
+    fn sample(&mut self, raw: &ImuSample, sample: &Sample) {
+        self.temperature = Some(sample.temperature);
+        if let Some(look) = &mut self.look {
+            look.add(sample);
+        }
+        if let Some(gyro) = &mut self.gyro {
+            gyro.push((sample.at, sample.gyro));
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.imu(raw, &mut self.findings);
+        }
+    }
+
+    fn message(&mut self, message: &DeviceToHost) {
+        match (message, &mut self.watch) {
+            (DeviceToHost::Pulse(pulse), Some(watch)) if pulse.output.is_camera() => {
+                watch.pulse(pulse, &mut self.findings);
+            }
+            (DeviceToHost::Status(status), Some(watch)) => {
+                watch.status(status, &mut self.findings);
+            }
+            (DeviceToHost::Arrived(arrived), _) if arrived.output.is_camera() => {
+                self.arrived = Some(*arrived);
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Whether the trigger had arrived on the phone's frames. The board says of any grid that a
+/// pulse is on it.
+fn is_on_phone(session: &SessionFile, at: Ticks) -> bool {
+    let arrival = session.alignment.and_then(|alignment| alignment.arrival);
+    arrival.is_some_and(|arrival| at >= arrival)
+}
+
+/// Takes a message of the board.
+pub(crate) fn take_message(
+    link: &BoardLink<'_>,
+    monitors: &mut Monitors,
+    log: &mut Log<'_>,
+    message: DeviceToHost,
+) -> Result<(), Stop> {
+    let sample = match &message {
+        DeviceToHost::Imu(raw) => Some(link.in_si(raw)),
+        _ => None,
+    };
+    log.tell(SessionEvent::Board {
+        message: message.clone(),
+        sample,
+    });
+    let Some(writer) = &mut log.writer else {
+        return Ok(());
+    };
+    monitors.message(&message);
+    let profile = &log.file.profile;
+    let clock = log.file.clock;
+    let phone_time = |at| clock.map(|clock| clock.ticks_to_phone(at));
+    let at = match message {
+        DeviceToHost::Imu(raw) => {
+            if let Some(sample) = sample {
+                monitors.sample(&raw, &sample);
+                writer.imu(&sample)?;
+            }
+            raw.at
+        }
+        DeviceToHost::Pulse(mut pulse) if pulse.output.is_camera() => {
+            pulse.aligned &= is_on_phone(&log.file, pulse.at);
+            writer.pulse(&pulse, phone_time(pulse.at))?;
+            pulse.at
+        }
+        DeviceToHost::Pulse(pulse) => {
+            writer.output_pulse(&pulse, &profile.output_name(pulse.output))?;
+            pulse.at
+        }
+        DeviceToHost::Capture(capture) => {
+            writer.capture(&capture, phone_time(capture.at))?;
+            capture.at
+        }
+        DeviceToHost::Status(status) => {
+            writer.status(&status, link.id())?;
+            status.at
+        }
+        DeviceToHost::Arrived(arrived) => {
+            let is_camera = arrived.output.is_camera();
+            let name = match is_camera {
+                true => String::from("the trigger"),
+                false => profile.output_name(arrived.output),
+            };
+            let event = SessionEvent::Arrived {
+                name,
+                is_camera,
+                pulse: arrived.pulse,
+                remaining: arrived.remaining.0,
+            };
+            log.report_at(arrived.at, event)?;
+            arrived.at
+        }
+        DeviceToHost::Pps(pps) => {
+            writer.pps(&pps, profile.lidar_name())?;
+            pps.at
+        }
+        DeviceToHost::Hello(hello) => {
+            log.report_at(hello.now, SessionEvent::Hello)?;
+            hello.now
+        }
+        DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
+    };
+    log.advance(at)
+}

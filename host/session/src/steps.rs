@@ -1,0 +1,360 @@
+//! The steps of a session, from the checks to the end of the recording.
+
+use board::Board;
+use board::imu::{ImuLook, Scale};
+use protocol::{
+    AlignPlan, Output, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart,
+    TriggerStatus,
+};
+use recording::session_file::{Alignment, ImuInfo, Marker, PhoneInfo, Span, Twist, Video};
+use timebase::ClockModel;
+
+use crate::alignment::{phase_sigma_us_now, plan, stated_sigma_us_at};
+use crate::auxiliary;
+use crate::checks::{Checks, IMU_TIME, TRIGGER_TIME};
+use crate::devices::Wish;
+use crate::error::{SessionError, Stop};
+use crate::event::{Phase, SessionEvent, Step};
+use crate::log::Log;
+use crate::options::Options;
+use crate::session::Session;
+use crate::twist::first_twists;
+use crate::videos::{place_others, start_videos, watch_videos};
+use crate::watch::{Grid, Watch};
+
+/// How much longer than planned an arrival may take to be reported, ticks.
+const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
+
+/// Periods from the arrival on the grid to the beginning of the recorded span: the depth
+/// camera may make its next frames by its own clock, or mark them as bad, after the
+/// phase was moved.
+const SETTLING_PERIODS: u64 = 15;
+
+/// Runs the session from the checks to the end of the recording. `host_checks` checks the
+/// computer; it was called for `checked` before the session began.
+pub(crate) fn run(
+    session: &mut Session<'_>,
+    options: &Options,
+    checked: Checks,
+    host_checks: &mut dyn FnMut() -> Checks,
+) -> Result<(), Stop> {
+    session.enter(Phase::Checking);
+    let mut checked = Some(checked);
+    session.step(Step::Checks, |session| {
+        check(session, checked.take().unwrap_or_else(&mut *host_checks))
+    })?;
+    first_twists(session, options)?;
+    session.enter(Phase::StartingRecorder);
+    session.step(Step::Recorder, |session| {
+        session.housekeeping.start_recorder(&mut session.log)
+    })?;
+    session.enter(Phase::StartingTrigger);
+    session.step(Step::Trigger, |session| {
+        start_trigger(session)?;
+        check_readback(session)
+    })?;
+    session.enter(Phase::StartingVideos);
+    session.step(Step::Videos, start_videos)?;
+    let video = session.log.file.video.ok_or(SessionError::NoVideo)?;
+    let clock = session.log.file.clock.ok_or(SessionError::NoClock)?;
+    session.enter(Phase::Aligning);
+    let alignment = align(session, &clock, &video)?;
+    place_others(&session.phones, &mut session.log, session.profile)?;
+    confirm_arrival(session, &alignment)?;
+    auxiliary::start(session)?;
+    record(session, options, &alignment)
+}
+
+/// Checks both sides as `doctor` does. What is found is reported, and kept in the session
+/// file.
+fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
+    checks.firmware(&session.link.board, Some(session.profile));
+    if let Some(PhoneInfo { address, version }) = &session.log.file.phone {
+        checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
+    }
+    session.link.board.start_counting();
+    let setup = checks.look_at_imu(|| {
+        session.monitors.look = Some(ImuLook::default());
+        let looked = session.pump_for(IMU_TIME);
+        let look = session.monitors.look.take().unwrap_or_default();
+        looked?;
+        Ok::<_, Stop>((look, session.call(Board::imu)?))
+    })?;
+    // The sensor is known now, also if it was still being looked for before.
+    if let Some(scale) = Scale::of(&setup) {
+        session.link.set_scale(scale);
+        session.log.tell(SessionEvent::ScaleChanged { scale });
+        session.log.file.imu = Some(ImuInfo { setup, scale });
+    }
+    let conversation = session.link.board.conversation();
+    checks.link(conversation.counts().lost(), conversation.damaged_frames());
+    session.log.file.preflight.clear();
+    keep(&mut session.log, checks)
+}
+
+/// Checks whether the train that was just started comes out of the wire.
+fn check_readback(session: &mut Session<'_>) -> Result<(), Stop> {
+    session.pump_for(TRIGGER_TIME)?;
+    let mut checks = Checks::default();
+    checks.readback(&session.call(Board::trigger)?);
+    keep(&mut session.log, checks)
+}
+
+/// Reports and keeps what was found, and ends with the first of it that is bad.
+fn keep(log: &mut Log<'_>, checks: Checks) -> Result<(), Stop> {
+    for check in &checks.checks {
+        log.report(SessionEvent::Checked {
+            check: check.clone(),
+        })?;
+    }
+    let result = checks.result();
+    log.file.preflight.extend(checks.checks);
+    log.save()?;
+    Ok(result?)
+}
+
+/// Starts the train at the best period that is known so far.
+fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
+    let profile = session.profile;
+    let nominal = Period::from_ticks(TICK_HZ / profile.depth.fps);
+    let period = match (&profile.phone.learnt, session.log.file.clock) {
+        (Some(learnt), Some(clock)) => {
+            let picos = learnt.frame_period_ns * 1e3 / (1.0 + clock.skew)
+                * f64::from(profile.frame_ratio());
+            Period::from_picos(picos.round() as u64)
+                .filter(|period| period.in_bounds())
+                .unwrap_or(nominal)
+        }
+        _ => nominal,
+    };
+    let status = session.call(Board::trigger)?;
+    if status.state != TrainState::Stopped {
+        session.call(|board| board.stop_trigger(Output::Camera))?;
+    }
+    session.trigger_started = true;
+    let start = TriggerStart {
+        period,
+        width: profile.pulse_width(),
+        first_edge: None,
+        first_fraction: 0,
+    };
+    session.call(|board| board.start_trigger(Output::Camera, start))?;
+    session.log.report(SessionEvent::TriggerStarted {
+        period_s: period.as_secs_f64(),
+    })
+}
+
+/// Sends the train onto the phone's frames.
+fn align(session: &mut Session<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
+    let course = session.phones.course(0, *clock);
+    let planned = plan(session.profile, &course, video).map_err(SessionError::Alignment)?;
+    for remark in planned.remarks {
+        session
+            .log
+            .report(SessionEvent::AlignmentRemark { remark })?;
+    }
+    let alignment = planned.alignment;
+    let align = TriggerAlign {
+        anchor: alignment.anchor,
+        anchor_fraction: 0,
+        period: Period(alignment.period_q32),
+        slew: session.profile.slew(),
+    };
+    let plan = session.call(|board| board.align(Output::Camera, align))?;
+    let alignment = Alignment {
+        arrival_pulse: Some(plan.arrival_pulse),
+        arrival: Some(plan.arrival),
+        phase_sigma_us: stated_sigma_us_at(&alignment, plan.arrival.into()),
+        board_temperature_c: twist_temperature(&session.log.file.twists),
+        ..alignment
+    };
+    session.log.file.alignment = Some(alignment);
+    session.log.save()?;
+    session.log.report(SessionEvent::Aligning {
+        shift_us: plan.shift.as_secs_f64() * 1e6,
+        frames: plan.frames,
+        alignment,
+    })?;
+    Ok(alignment)
+}
+
+/// When a train is to be on its grid.
+#[derive(Clone, Copy, Debug)]
+pub struct PlannedArrival {
+    /// The first pulse on the grid.
+    pub pulse: u64,
+    /// Its time.
+    pub at: Ticks,
+}
+
+impl From<&AlignPlan> for PlannedArrival {
+    fn from(plan: &AlignPlan) -> Self {
+        Self {
+            pulse: plan.arrival_pulse,
+            at: plan.arrival,
+        }
+    }
+}
+
+impl PlannedArrival {
+    /// Whether the board should have reported it by now.
+    #[must_use]
+    pub const fn is_overdue(&self, now: Ticks) -> bool {
+        now.0 > self.at.0.saturating_add(ARRIVAL_MARGIN)
+    }
+
+    /// Whether the train is on its grid: the report may have been lost on the link, the
+    /// state of the train was not.
+    #[must_use]
+    pub fn has_come(&self, train: &TriggerStatus) -> bool {
+        train.state == TrainState::Running && train.pulses > self.pulse
+    }
+}
+
+/// Waits until the board says that the train is on its grid.
+fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(), Stop> {
+    let (Some(pulse), Some(at)) = (alignment.arrival_pulse, alignment.arrival) else {
+        return Ok(());
+    };
+    let planned = PlannedArrival { pulse, at };
+    let is_confirmed = session.pump_until(|session| match session.monitors.arrived {
+        Some(arrived) if arrived.pulse >= pulse => Some(true),
+        _ => planned.is_overdue(session.now()).then_some(false),
+    })?;
+    if is_confirmed {
+        return session.log.save();
+    }
+    let status = session.call(Board::trigger)?;
+    if planned.has_come(&status) {
+        return session.log.report(SessionEvent::ArrivalUnconfirmed);
+    }
+    let state = status.state;
+    Err(SessionError::NotArrived { pulse, state }.into())
+}
+
+/// Records, until the time is up or somebody stops it.
+fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
+    let period = Period(alignment.period_q32);
+    let settled = alignment.arrival.map(|arrival| {
+        let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
+        Ticks(arrival.0.saturating_add(wait))
+    });
+    let settled = settled.unwrap_or_default();
+    session.pump_until(|session| (session.now() >= settled).then_some(()))?;
+    // What is counted lies in the span.
+    let from = session.now();
+    session.begin_recording(Grid {
+        anchor: alignment.anchor,
+        fraction: 0,
+        period,
+    });
+    session.log.save()?;
+    let end = options.duration.map(|ticks| from.0.saturating_add(ticks));
+    session.log.report(SessionEvent::RecordingStarted {
+        length_s: options.duration.map(|ticks| Ticks(ticks).as_secs_f64()),
+    })?;
+    session.operator.forget_typed();
+    let now = session.link.board.now();
+    if let Some(tracking) = &mut session.tracking {
+        tracking.follow(&mut session.log, now);
+    }
+    let mut is_twist_due_reported = false;
+    let mut due: Vec<u64> = options.markers.clone();
+    due.sort_unstable_by(|a, b| b.cmp(a));
+    let mut look = |session: &mut Session<'_>| {
+        while let Some(&next) = due.last()
+            && session.now().0 >= from.0.saturating_add(next)
+        {
+            due.pop();
+            mark(&mut session.log, Ticks(from.0 + next), None)?;
+        }
+        for place in watch_videos(&mut session.phones, &mut session.log)? {
+            let label = format!("{}: video ended", session.phones.name(place));
+            let now = session.now();
+            mark(&mut session.log, now, Some(label))?;
+        }
+        steer(session)?;
+        if !is_twist_due_reported && is_twist_due(session) {
+            is_twist_due_reported = true;
+            session.log.report(SessionEvent::TwistDue {
+                limit_us: session.profile.align.max_offset_sigma_us,
+            })?;
+        }
+        match session.operator.wish() {
+            Some(Wish::Mark(label)) => {
+                let now = session.now();
+                mark(&mut session.log, now, label)?;
+            }
+            Some(Wish::Stop) => return Ok(Some(())),
+            None => {}
+        }
+        let now = session.link.overdue(session.now());
+        Ok(end.is_some_and(|end| now.0 >= end).then_some(()))
+    };
+    session.pump_until(|session| look(session).transpose())?
+}
+
+impl Session<'_> {
+    /// Begins the recorded span, in which pulses are watched against this grid.
+    pub fn begin_recording(&mut self, grid: Grid) {
+        let from = self.now();
+        self.link.board.start_counting();
+        self.monitors.watch = Some(Watch::new(grid, from));
+        self.log.file.recorded = Some(Span { from, to: from });
+        self.enter(Phase::Recording { since: from });
+    }
+}
+
+/// Sets another period, if it is time to and the clocks are known.
+fn steer(session: &mut Session<'_>) -> Result<(), Stop> {
+    let now = session.link.board.now();
+    let Some(tracking) = &mut session.tracking else {
+        return Ok(());
+    };
+    let Some(period) = tracking.due(&mut session.log, now)? else {
+        return Ok(());
+    };
+    // A link that breaks is taken up here: what came meanwhile waits in the board's queue
+    // until it is known on which grid it is.
+    let answer = session.try_call(|board| board.set_period(Output::Camera, period))?;
+    match &mut session.tracking {
+        Some(tracking) => {
+            tracking.stepped(answer, session.monitors.watch.as_mut(), &mut session.log)
+        }
+        None => Ok(()),
+    }
+}
+
+/// Temperature of the board at the last twist that was accepted.
+fn twist_temperature(twists: &[Twist]) -> Option<f64> {
+    let last = twists.iter().rfind(|twist| twist.accepted)?;
+    last.board_temperature_c
+}
+
+/// Whether the phase is known less well by now than a twist must know it.
+fn is_twist_due(session: &Session<'_>) -> bool {
+    let Some(alignment) = &session.log.file.alignment else {
+        return false;
+    };
+    let tracked = session.tracking.as_ref().and_then(|t| t.sigma_us());
+    let temperature = session.monitors.temperature;
+    let sigma_us =
+        tracked.unwrap_or_else(|| phase_sigma_us_now(alignment, session.now().into(), temperature));
+    sigma_us > session.profile.align.max_offset_sigma_us
+}
+
+/// Sets a mark.
+fn mark(log: &mut Log<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
+    let label = label.unwrap_or_else(|| format!("marker {}", log.file.markers.len() + 1));
+    let phone = log.file.clock.map(|clock| clock.ticks_to_phone(at));
+    log.write(|writer, _| writer.marker(at, phone, &label))?;
+    log.file.markers.push(Marker {
+        at,
+        label: label.clone(),
+    });
+    log.save()?;
+    log.report(SessionEvent::Marked {
+        marked_at: at,
+        label,
+    })
+}

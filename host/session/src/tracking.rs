@@ -1,0 +1,421 @@
+//! The phone's clock while it records, and the trigger's period that follows it.
+//!
+//! A program on the phone ([`PhoneClock`]) and the board are asked for their time many times
+//! a second. Their answers go into the recording and to the tracker
+//! ([`twist_sync::tracker`]), which has the clocks' offset from the twist and follows its
+//! change. While the recording runs, the trigger's period follows ([`crate::steering`]).
+//!
+//! Where the phone's clock cannot be read any more, the period stays as it is, as in a
+//! session without tracking. That is reported, and stands in the recording's log.
+
+use std::time::Duration;
+
+use board::BoardError;
+use protocol::{Period, Ticks};
+use recording::messages::{ClockExchange, Header};
+use recording::session_file::TrackInfo;
+use timebase::ClockModel;
+use twist_sync::tracker::{Asked, Exchange, Tracker};
+
+use crate::devices::{PhoneClock, PhoneClockStarter};
+use crate::error::{SessionError, Stop};
+use crate::event::{SessionEvent, Tracked};
+use crate::link::BoardLink;
+use crate::log::Log;
+use crate::options::Track;
+use crate::steering::{Link, STEP_EVERY_S, Steering, has_lock};
+use crate::watch::Watch;
+
+/// The board is asked so often.
+const ASK_EVERY: Duration = Duration::from_millis(40);
+
+/// The phase is reported so often.
+const REPORT_EVERY: Duration = Duration::from_millis(200);
+
+/// A question that is asked again and again, one at a time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Asking {
+    /// The one that is out, and when it was asked.
+    out: Option<(u32, Duration)>,
+    last: Duration,
+}
+
+impl Asking {
+    /// Whether it is time to ask again.
+    fn is_due(&self, now: Duration) -> bool {
+        self.out.is_none() && now.saturating_sub(self.last) >= ASK_EVERY
+    }
+
+    /// It was asked by this command.
+    const fn asked(&mut self, id: u32, now: Duration) {
+        self.out = Some((id, now));
+        self.last = now;
+    }
+
+    /// This command has its answer, or none will come: gives when it was asked, if it was
+    /// this question.
+    fn ended(&mut self, id: u32) -> Option<Duration> {
+        let (_, asked) = self.out.take_if(|(out, _)| *out == id)?;
+        Some(asked)
+    }
+}
+
+/// The clocks as they are followed.
+pub(crate) struct Tracking {
+    phone_clock: Box<dyn PhoneClock>,
+    link: Link,
+    phone: String,
+    tracker: Tracker,
+    /// The questions to the board.
+    asking: Asking,
+    /// The relation that the tracker has.
+    known: Option<ClockModel>,
+    temperature: Option<f64>,
+    following: Option<Following>,
+    reported: Duration,
+    /// The phase that was reported last.
+    tracked: Option<Tracked>,
+}
+
+/// The trigger on the phone's frames.
+struct Following {
+    steering: Steering,
+    stepped: Duration,
+    is_lost: bool,
+    /// The board was asked for it, and may have taken it.
+    unanswered: Option<Step>,
+}
+
+/// Another period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Step {
+    period: Period,
+    /// The phase before it, and its 1-sigma, µs.
+    phase_us: f64,
+    sigma_us: f64,
+}
+
+impl Following {
+    /// The step that the board is to be asked for. One without an answer comes before any other,
+    /// whatever is known of the clocks by now: to ask for it again does nothing more, and its
+    /// answer says which grid the trigger is on.
+    fn due(&mut self, clock: Option<&ClockModel>, now: Duration, at: Ticks) -> Option<Step> {
+        if self.unanswered.is_none() {
+            let since_s = now.saturating_sub(self.stepped).as_secs_f64();
+            let clock = clock.filter(|_| since_s >= STEP_EVERY_S)?;
+            self.stepped = now;
+            let steering = &self.steering;
+            let period = steering.wanted(clock, at, since_s)?;
+            self.unanswered = Some(Step {
+                period,
+                phase_us: steering.phase_s(clock, at) * 1e6,
+                sigma_us: steering.phase_sigma_us(clock, at.into()),
+            });
+        }
+        self.unanswered
+    }
+}
+
+/// Starts to read the phone's clock, if that is wanted and possible. `is_only_phone` says
+/// whether the rig has one phone.
+///
+/// # Errors
+///
+/// It is wanted in any case, and not possible.
+pub(crate) fn start(
+    track: Track,
+    is_only_phone: bool,
+    phone: &str,
+    starter: &mut dyn PhoneClockStarter,
+    tell: &mut dyn FnMut(SessionEvent),
+) -> Result<Option<Tracking>, SessionError> {
+    let is_wanted = match track {
+        Track::Never => false,
+        Track::Always => true,
+        Track::IfThere => is_only_phone && starter.is_possible(),
+    };
+    if !is_wanted {
+        return Ok(None);
+    }
+    let phone_clock = match starter.start() {
+        Ok(phone_clock) => phone_clock,
+        Err(error) if track == Track::IfThere => {
+            tell(SessionEvent::ClockNotFollowed {
+                reason: error.to_string(),
+            });
+            return Ok(None);
+        }
+        Err(error) => return Err(SessionError::PhoneClock(error)),
+    };
+    tell(SessionEvent::ClockFollowed {
+        device: phone_clock.device().to_owned(),
+    });
+    Ok(Some(Tracking {
+        link: match phone_clock.is_by_network() {
+            true => Link::Network,
+            false => Link::Usb,
+        },
+        phone_clock,
+        phone: phone.to_owned(),
+        tracker: Tracker::new(),
+        asking: Asking::default(),
+        known: None,
+        temperature: None,
+        following: None,
+        reported: Duration::ZERO,
+        tracked: None,
+    }))
+}
+
+impl Tracking {
+    /// Takes the phone's answers, asks the board if it is time to, and takes over what
+    /// twists say. Never waits.
+    pub(crate) fn look(
+        &mut self,
+        board: &mut BoardLink<'_>,
+        log: &mut Log<'_>,
+    ) -> Result<(), Stop> {
+        for exchange in self.phone_clock.exchanges() {
+            let answer = exchange.answer;
+            let tenths = answer.temperature.map(f64::from);
+            self.temperature = tenths.map(|tenths| tenths / 10.0);
+            let between = (exchange.sent, exchange.received);
+            self.take(log, Asked::B, between, answer.boot_ns, answer.monotonic_ns)?;
+        }
+        let now = board.board.now();
+        if self.asking.is_due(now) {
+            self.asking.asked(board.board.ask_time(), now);
+        }
+        if let Some(clock) = log.file.clock.filter(|clock| self.known != Some(*clock))
+            && self.tracker.take_relation(&clock.into())
+        {
+            self.known = Some(clock);
+        }
+        if self.following.is_some() && now.saturating_sub(self.reported) >= REPORT_EVERY {
+            self.reported = now;
+            self.tracked = self.tracked(now, log.now);
+            log.tell(SessionEvent::Tracked {
+                tracked: self.tracked,
+            });
+        }
+        Ok(())
+    }
+
+    /// 1-sigma of the phase, µs, as it was reported last.
+    pub(crate) fn sigma_us(&self) -> Option<f64> {
+        self.tracked.map(|tracked| tracked.sigma_us)
+    }
+
+    /// The board has answered a question with its time.
+    pub(crate) fn answered(
+        &mut self,
+        log: &mut Log<'_>,
+        id: u32,
+        now: Duration,
+        at: Ticks,
+    ) -> Result<(), Stop> {
+        let Some(sent) = self.asking.ended(id) else {
+            return Ok(());
+        };
+        let nanos = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
+        self.take(log, Asked::A, (sent, now), nanos, 0)
+    }
+
+    /// No answer to this question will come.
+    pub(crate) fn expired(&mut self, id: u32) {
+        self.asking.ended(id);
+    }
+
+    fn take(
+        &mut self,
+        log: &mut Log<'_>,
+        asked: Asked,
+        (sent, received): (Duration, Duration),
+        clock_ns: i64,
+        monotonic_ns: i64,
+    ) -> Result<(), Stop> {
+        self.tracker.take(
+            asked,
+            Exchange {
+                sent: sent.as_secs_f64(),
+                received: received.as_secs_f64(),
+                stamp: timebase::PhoneNanos(clock_ns).seconds().0,
+            },
+        );
+        let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
+        let (name, temperature) = match asked {
+            Asked::A => ("board", None),
+            Asked::B => (self.phone.as_str(), self.temperature),
+        };
+        log.write(|writer, at| {
+            let exchange = ClockExchange {
+                header: Header::default(),
+                sent_ns: nanos(sent),
+                received_ns: nanos(received),
+                clock_ns,
+                monotonic_ns,
+                temperature: temperature.unwrap_or(f64::NAN),
+            };
+            writer.exchange(at, name, exchange)
+        })
+    }
+
+    /// The relation of the clocks now, once there was a twist.
+    fn relation(&self, now: Duration) -> Option<ClockModel> {
+        self.known?;
+        let relation = self.tracker.relation_at(now.as_secs_f64())?;
+        Some(relation.into())
+    }
+
+    fn tracked(&self, now: Duration, board_now: Ticks) -> Option<Tracked> {
+        let following = self.following.as_ref()?;
+        let relation = self.relation(now)?;
+        let steering = &following.steering;
+        Some(Tracked {
+            phase_us: steering.phase_s(&relation, board_now) * 1e6,
+            sigma_us: steering.phase_sigma_us(&relation, board_now.into()),
+            temperature: self.temperature,
+            holds: !following.is_lost,
+        })
+    }
+
+    /// Lets the period follow from here on: the trigger is on its grid.
+    pub(crate) fn follow(&mut self, log: &mut Log<'_>, now: Duration) {
+        let Some(alignment) = &log.file.alignment else {
+            return;
+        };
+        let ratio = log.file.profile.frame_ratio();
+        self.following = Some(Following {
+            steering: Steering::new(alignment, ratio),
+            stepped: now,
+            is_lost: false,
+            unanswered: None,
+        });
+        log.file.tracking = Some(TrackInfo {
+            device: self.phone_clock.device().to_owned(),
+            steps: 0,
+            lost: 0,
+        });
+    }
+
+    /// The period that the board is to be asked for now, if it is another. Reports it if the
+    /// phone's clock cannot be read any more, and if it can again.
+    pub(crate) fn due(&mut self, log: &mut Log<'_>, now: Duration) -> Result<Option<Period>, Stop> {
+        let relation = self.relation(now);
+        let holds = has_lock(&self.tracker, self.link, now.as_secs_f64()) && relation.is_some();
+        let Some(following) = &mut self.following else {
+            return Ok(None);
+        };
+        if holds == following.is_lost {
+            following.is_lost = !holds;
+            report_lock(log, holds)?;
+            return Ok(None);
+        }
+        let relation = relation.filter(|_| holds);
+        let step = following.due(relation.as_ref(), now, log.now);
+        Ok(step.map(|step| step.period))
+    }
+
+    /// Takes the board's answer to the period that was [due](Self::due).
+    pub(crate) fn stepped(
+        &mut self,
+        answer: board::Result<protocol::TriggerStatus>,
+        watch: Option<&mut Watch>,
+        log: &mut Log<'_>,
+    ) -> Result<(), Stop> {
+        let Some(following) = &mut self.following else {
+            return Ok(());
+        };
+        let status = match answer {
+            Ok(status) => status,
+            Err(BoardError::Link(_) | BoardError::NoAnswer { .. } | BoardError::Silent) => {
+                return Ok(());
+            }
+            // By a board that was reset, as its messages will show.
+            Err(BoardError::Refused { .. }) => {
+                following.unanswered = None;
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let Some(step) = following.unanswered.take() else {
+            return Ok(());
+        };
+        let steering = &mut following.steering;
+        let grid = steering.follow(status.next_edge, status.next_fraction, step.period);
+        if let Some(watch) = watch {
+            watch.follow(grid);
+        }
+        if let Some(info) = &mut log.file.tracking {
+            info.steps += 1;
+        }
+        log.write(|writer, _| writer.trigger_period(grid, (step.phase_us, step.sigma_us)))
+    }
+}
+
+/// Reports that the phone's clock cannot be read any more, or is followed again. Both stand
+/// in the recording's log with their times; they are no marks, which would divide the data
+/// set.
+fn report_lock(log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
+    if holds {
+        return log.report(SessionEvent::TrackBack);
+    }
+    if let Some(info) = &mut log.file.tracking {
+        info.lost += 1;
+    }
+    log.report(SessionEvent::TrackLost)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::alignment::plan;
+    use crate::twists::Twists;
+    use recording::profile::Profile;
+    use recording::session_file::Video;
+    use timebase::{BoardSeconds, PhoneNanos, Wander};
+
+    #[test]
+    fn a_step_without_an_answer_is_asked_for_again_before_any_other() {
+        let clock = ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 5.0,
+            skew: 1e-5,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander::default(),
+        };
+        let video = Video {
+            phase: PhoneNanos(106_000_000_000),
+            frame_duration_ns: 1e9 / 30.0,
+            exposure_ns: Some(1_000_000),
+        };
+        let profile = Profile::published().unwrap();
+        let planned = plan(&profile, &Twists::of(clock).course(), &video).unwrap();
+        let mut following = Following {
+            steering: Steering::new(&planned.alignment, profile.frame_ratio()),
+            stepped: Duration::ZERO,
+            is_lost: false,
+            unanswered: None,
+        };
+        let warmer = ClockModel {
+            skew: 1.1e-5,
+            ..clock
+        };
+        let at = |seconds| {
+            (
+                Duration::from_secs(seconds),
+                BoardSeconds(100.0 + seconds as f64).ticks(),
+            )
+        };
+        let (now, board) = at(10);
+        let step = following.due(Some(&warmer), now, board).unwrap();
+        // No answer; and then the phone is not heard any more.
+        let (now, board) = at(16);
+        assert_eq!(following.due(Some(&clock), now, board), Some(step));
+        assert_eq!(following.due(None, now, board), Some(step));
+        following.unanswered = None;
+        assert_eq!(following.due(None, now, board), None);
+        let other = following.due(Some(&clock), now, board).unwrap();
+        assert_ne!(other.period, step.period);
+    }
+}

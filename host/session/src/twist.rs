@@ -1,0 +1,347 @@
+//! The twist: it relates the clock of each phone to the board's.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use phone::PhoneSample;
+use protocol::{TICK_HZ, Ticks};
+use recording::session_file::{Span, Twist};
+use timebase::{ClockModel, board_track, phone_track};
+use twist_sync::{GyroTrack, Options as EstimateOptions, estimate_offset};
+
+use crate::alignment::skew_prior;
+use crate::devices::Choice;
+use crate::error::{SessionError, Stop};
+use crate::event::{Phase, Prompt, SessionEvent, Step, TwistEstimate};
+use crate::log::Log;
+use crate::options::Options;
+use crate::phones::Phones;
+use crate::rates::Course;
+use crate::session::Session;
+use crate::twist_report::{TwistReport, report_of};
+use crate::twists::{KnownSkew, Twists};
+
+/// How often a twist is tried when nobody is there to decide.
+const TRIES: usize = 3;
+
+/// How much longer than the phone's recording the board's is taken, ticks.
+const MARGIN: u64 = TICK_HZ as u64 / 4;
+
+/// A twist suffices when its expected 1-sigma is this part of the gate's: the
+/// phase then depends on the profile's constants more than on the twist.
+const ENOUGH: f64 = 0.1;
+
+/// Makes the twists before a recording: each until it passes the gates, of every phone. Two
+/// at a distance give the rate of today; more of them, how it changes.
+pub(crate) fn first_twists(session: &mut Session<'_>, options: &Options) -> Result<(), Stop> {
+    let mut known = vec![None; session.phones.places().len()];
+    for round in 0..options.twists {
+        if round > 0 {
+            session.enter(Phase::BetweenTwists);
+            let seconds = options.twist_gap as f64 / f64::from(TICK_HZ);
+            session.log.report(SessionEvent::TwistDueIn { seconds })?;
+            session.pump_for(options.twist_gap)?;
+        }
+        known = good_twist(session, &known)?;
+    }
+    Ok(())
+}
+
+/// Twists until one passes the gates, of every phone. `before` is what the earlier ones
+/// say; gives it with this one.
+fn good_twist(
+    session: &mut Session<'_>,
+    before: &[Option<Twists>],
+) -> Result<Vec<Option<Twists>>, Stop> {
+    let mut known = vec![None; before.len()];
+    for attempt in 1.. {
+        let clocks = match twist(session, false) {
+            Ok(clocks) => clocks.unwrap_or_default(),
+            Err(Stop::Failed(error)) if error.is_repeatable() && session.operator.is_present() => {
+                session.log.tell(SessionEvent::StepFailed {
+                    step: Step::Twist,
+                    error: Arc::new(error),
+                });
+                vec![None]
+            }
+            Err(stop) => return Err(stop),
+        };
+        for (place, clock) in clocks.iter().enumerate() {
+            if let Some(clock) = clock {
+                let joined = joined(session, place, before[place].as_ref(), clock)?;
+                known[place] = Some(joined);
+                take_over(session, place, &joined)?;
+            }
+        }
+        session.log.save()?;
+        if !session.operator.is_present() {
+            // Phones may have got theirs from different twists.
+            if known.iter().all(Option::is_some) {
+                return Ok(known);
+            }
+            if attempt >= TRIES {
+                return Err(SessionError::Twists { tries: TRIES }.into());
+            }
+        } else if clocks.iter().all(Option::is_some) {
+            match session.ask(Prompt::TwistGood)? {
+                Choice::Repeat => {}
+                Choice::Quit => return Err(Stop::Interrupted),
+                Choice::Continue | Choice::Skip => return Ok(known),
+            }
+        } else if ask_for_twist(session, Prompt::TwistAgain, false)? == Choice::Quit {
+            return Err(Stop::Interrupted);
+        }
+    }
+    Ok(known)
+}
+
+/// Joins what the earlier twists say of the phone at a place with one more.
+fn joined(
+    session: &mut Session<'_>,
+    place: usize,
+    before: Option<&Twists>,
+    clock: &ClockModel,
+) -> Result<Twists, Stop> {
+    let alone = Twists::of(*clock);
+    let Some(before) = before else {
+        return Ok(alone);
+    };
+    let phone = session.phones.name(place);
+    let Some(joined) = before.with(clock) else {
+        session
+            .log
+            .report(SessionEvent::TwistsContradict { phone })?;
+        return Ok(alone);
+    };
+    let Course { clock, change } = joined.course();
+    session.log.report(SessionEvent::TwistsJoined {
+        phone,
+        clock,
+        change,
+    })?;
+    Ok(joined)
+}
+
+/// Takes over what is known of the phone at a place: from its twists, and from before.
+fn take_over(session: &mut Session<'_>, place: usize, twists: &Twists) -> Result<(), Stop> {
+    let phone = session.phones.profile(place);
+    let temperature = session.monitors.temperature;
+    let now = session.clock.wall_clock().timestamp();
+    let learnt = skew_prior(phone, session.link.id(), now, temperature);
+    let course = match learnt {
+        Some(learnt) => sharpen(&mut session.log, twists, &learnt)?,
+        None => twists.course(),
+    };
+    session.phones.set_change(place, course.change);
+    let source = format!("twist {}", session.log.file.twists.len());
+    let phone = session.phones.name(place);
+    session.log.set_clock(place, phone, course.clock, &source)
+}
+
+/// Takes the skew that was learnt before into what the twists say.
+fn sharpen(log: &mut Log<'_>, twists: &Twists, learnt: &KnownSkew) -> Result<Course, Stop> {
+    let sharper = twists.with_known(learnt);
+    if sharper.is_none() {
+        log.report(SessionEvent::LearntSkewUnfit {
+            learnt_ppm: learnt.rate.skew * 1e6,
+            sigma_ppm: learnt.rate.sigma * 1e6,
+            found_ppm: twists.course().clock.skew * 1e6,
+        })?;
+    }
+    Ok(sharper.unwrap_or(*twists).course())
+}
+
+/// Asks for a twist; where it cannot be left out, says so and asks again.
+fn ask_for_twist(
+    session: &mut Session<'_>,
+    prompt: Prompt,
+    can_skip: bool,
+) -> Result<Choice, Stop> {
+    loop {
+        match session.ask(prompt)? {
+            Choice::Skip if !can_skip => session.log.tell(SessionEvent::Prompt {
+                prompt: Prompt::CannotSkip,
+            }),
+            choice => return Ok(choice),
+        }
+    }
+}
+
+/// Makes one twist, of all phones. Gives the relation of each phone's clock if it passes
+/// the gates, by the phone's place; nothing if it was left out.
+fn twist(
+    session: &mut Session<'_>,
+    can_skip: bool,
+) -> Result<Option<Vec<Option<ClockModel>>>, Stop> {
+    let length_s = session.profile.phone.twist_s;
+    let number = session.log.file.twists.len() + 1;
+    session.enter(Phase::Twisting { number });
+    session.operator.forget_typed();
+    let prompt = Prompt::Twist { length_s, can_skip };
+    match ask_for_twist(session, prompt, can_skip)? {
+        Choice::Quit => return Err(Stop::Interrupted),
+        Choice::Skip => return Ok(None),
+        Choice::Continue | Choice::Repeat => {}
+    }
+    session.log.report(SessionEvent::TwistStarted {
+        number,
+        length_s,
+        enough_us: session.profile.align.max_offset_sigma_us * ENOUGH,
+    })?;
+    session.monitors.gyro = Some(Vec::new());
+    let asked = twist_samples(session, length_s);
+    let board = session.monitors.gyro.take().unwrap_or_default();
+    session.log.report(SessionEvent::TwistFinished { number })?;
+    let samples = asked?;
+    let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
+    let span = Span {
+        from: times.first().copied().unwrap_or_default(),
+        to: times.last().copied().unwrap_or_default(),
+    };
+    let board = BoardMotion {
+        number,
+        track: &board_track(&times, rates),
+        span,
+        temperature_c: session.monitors.temperature,
+    };
+    let (phones, log) = (&session.phones, &mut session.log);
+    let places = samples.iter().enumerate();
+    places
+        .map(|(place, samples)| relate(phones, log, place, &board, samples))
+        .collect::<Result<_, _>>()
+        .map(Some)
+}
+
+/// The board's side of a twist.
+struct BoardMotion<'a> {
+    number: usize,
+    track: &'a GyroTrack,
+    span: Span,
+    temperature_c: Option<f64>,
+}
+
+/// Relates the clock of one phone to the board's by a twist.
+fn relate(
+    phones: &Phones<'_>,
+    log: &mut Log<'_>,
+    place: usize,
+    board: &BoardMotion<'_>,
+    samples: &[PhoneSample],
+) -> Result<Option<ClockModel>, Stop> {
+    let number = board.number;
+    let (profile, phone) = (phones.profile(place), phones.name(place));
+    let folder = log.file.phone_folder(&profile.name);
+    let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
+    let name = name.to_string_lossy().into_owned();
+    phone::save_samples(&log.folder.join(&name), samples, true).map_err(SessionError::Samples)?;
+    let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
+    let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
+    let phone_track = phone_track(&phone_times, phone_rates);
+    let imu = log.file.imu.as_ref();
+    let delay_us = imu.map_or(0, |imu| imu.scale.gyro_delay_us);
+    let options = EstimateOptions {
+        a_delay_s: f64::from(delay_us) * 1e-6,
+        b_delay_s: profile.gyro_delay_us * 1e-6,
+        sigma_limit_s: log.file.profile.align.max_offset_sigma_us * 1e-6,
+        ..EstimateOptions::default()
+    };
+    let result = estimate_offset(board.track, &phone_track, &options);
+    let report = TwistReport::from(report_of(&result));
+    let estimate = result.as_ref().ok();
+    let twist = Twist {
+        phone_gyro: Some(name.clone()),
+        span: board.span,
+        accepted: estimate.is_some(),
+        clock: estimate.map(|estimate| estimate.clock.into()),
+        offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
+        skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
+        board_temperature_c: board.temperature_c,
+        report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
+    };
+    log.keep_twist(place, twist);
+    log.file.files.push(name);
+    // First what the hands did: that is what a further twist can change.
+    let left_out = report.left_out.iter().map(|stretch| stretch.text.clone());
+    let mut remarks: Vec<_> = report.together_text().into_iter().chain(left_out).collect();
+    let result = match result {
+        Ok(estimate) => {
+            remarks.extend(report.warnings);
+            Ok(ClockModel::from(estimate.clock))
+        }
+        Err(refusal) => Err(refusal.to_string()),
+    };
+    for remark in remarks {
+        let phone = phone.clone();
+        log.report(SessionEvent::TwistRemark {
+            number,
+            phone,
+            remark,
+        })?;
+    }
+    match result {
+        Ok(clock) => {
+            log.report(SessionEvent::TwistAccepted(TwistEstimate {
+                number,
+                phone,
+                clock,
+            }))?;
+            Ok(Some(clock))
+        }
+        Err(reason) => {
+            log.report(SessionEvent::TwistRefused {
+                number,
+                phone,
+                reason,
+            })?;
+            Ok(None)
+        }
+    }
+}
+
+/// Takes the phones' samples of one twist, by their places; the board's go into the
+/// monitors meanwhile.
+fn twist_samples(session: &mut Session<'_>, length_s: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
+    let length = Duration::from_secs(length_s.into());
+    let places = session.phones.places();
+    let answers = session.ask_phones(places, |_, phone| phone.gyroscope(length), |_| {})?;
+    let mut samples = Vec::new();
+    for (place, answer) in answers {
+        samples.push(answer.map_err(|error| session.phones.failure(place, error))?);
+    }
+    // The board's samples of the last moment are still on their way.
+    session.pump_for(MARGIN)?;
+    Ok(samples)
+}
+
+/// Twists once more and joins what it says with the first; of each phone by itself.
+pub(crate) fn second_twist(
+    session: &mut Session<'_>,
+    first: &[Option<ClockModel>],
+) -> Result<(), Stop> {
+    // The phones' sensors are free only when their videos are closed.
+    let places = session.phones.places();
+    session.ask_phones(places, |_, phone| phone.await_closed(), |_| {})?;
+    let Some(second) = twist(session, true)? else {
+        return session.log.report(SessionEvent::SecondTwistLeftOut);
+    };
+    let mut is_refused = false;
+    for (place, clocks) in first.iter().zip(&second).enumerate() {
+        let (Some(first), Some(second)) = clocks else {
+            is_refused = true;
+            continue;
+        };
+        let clock = first.joined(second);
+        let phone = session.phones.name(place);
+        session.log.report(SessionEvent::SecondTwistJoined {
+            phone: phone.clone(),
+            clock,
+        })?;
+        session
+            .log
+            .set_clock(place, phone, clock, "twists at begin and end")?;
+    }
+    match is_refused {
+        true => Err(SessionError::SecondTwist.into()),
+        false => Ok(()),
+    }
+}

@@ -1,0 +1,269 @@
+//! The phones' videos: start, watch, stop, and download.
+
+use std::time::Duration;
+
+use phone::VideoStart;
+use phone::adb::{copy_command, get_files_command};
+use recording::session_file::Video;
+
+use crate::alignment::placement;
+use crate::error::{Stop, is_of_phone};
+use crate::event::{Device, SessionEvent};
+use crate::log::Log;
+use crate::phones::{Phones, VideoNews};
+use crate::session::Session;
+
+/// How long after its first failure a phone is asked again to stop its video.
+const STOP_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Pause between two of these tries.
+const STOP_PAUSE: Duration = Duration::from_millis(500);
+
+/// Pause between two reports of a download.
+const REPORT_EVERY: Duration = Duration::from_millis(300);
+
+/// Starts the videos of all phones that have not yet begun one. If a phone does not,
+/// the others do all the same.
+pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
+    let mut without_video = Vec::new();
+    for place in session.phones.places() {
+        if session.log.video(place).is_none() {
+            session.phones.set_video_may_run(place);
+            without_video.push(place);
+        }
+    }
+    let now = session.now();
+    let clocks = session
+        .phones
+        .places()
+        .map(|place| session.log.clock(place));
+    let times: Vec<_> = clocks
+        .map(|clock| Some(clock?.ticks_to_phone(now)))
+        .collect();
+    let answers = session.ask_phones(
+        without_video,
+        |place, phone| phone.start_video(times[place]),
+        |_| {},
+    )?;
+    let mut failed = None;
+    let mut unknown = Vec::new();
+    for (place, answer) in answers {
+        match answer {
+            Ok(start) => video_began(session, place, start)?,
+            Err(error) => {
+                let error = session.phones.failure(place, error);
+                failed.get_or_insert(error);
+                unknown.push(place);
+            }
+        }
+    }
+    stop_after_failure(session, &unknown)?;
+    failed.map_or(Ok(()), |error| Err(error.into()))
+}
+
+/// Stops what these phones may have begun in a start that failed, so that another start
+/// begins a video: the request only presses a button.
+fn stop_after_failure(session: &mut Session<'_>, places: &[usize]) -> Result<(), Stop> {
+    if places.is_empty() {
+        return Ok(());
+    }
+    let places = places.iter().copied();
+    let answers = session.ask_phones(places.clone(), |_, phone| phone.stop_video(), |_| {})?;
+    for (place, answer) in answers {
+        session.log.report(SessionEvent::VideoUndone {
+            phone: session.phones.name(place),
+            error: answer.err().map(|error| error.to_string()),
+        })?;
+    }
+    // A video that does not end in time is reported by the next request.
+    session
+        .ask_phones(places, |_, phone| phone.await_closed(), |_| {})
+        .map(drop)
+}
+
+fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Result<(), Stop> {
+    let video = Video {
+        phase: start.phase,
+        frame_duration_ns: start.frame_duration_ns,
+        exposure_ns: start.exposure_ns,
+    };
+    session.log.set_video(place, video);
+    session.log.save()?;
+    session.log.report(SessionEvent::VideoStarted {
+        phone: session.phones.name(place),
+        video,
+    })
+}
+
+/// States where the frames of the further phones lie against the trigger's grid.
+pub(crate) fn place_others(
+    phones: &Phones<'_>,
+    log: &mut Log<'_>,
+    profile: &recording::profile::Profile,
+) -> Result<(), Stop> {
+    for place in phones.places().skip(1) {
+        let phone = phones.name(place);
+        let known = (log.file.alignment, log.clock(place), log.video(place));
+        let (Some(alignment), Some(clock), Some(video)) = known else {
+            log.report(SessionEvent::PhoneLeftOut { phone })?;
+            continue;
+        };
+        let course = phones.course(place, clock);
+        let placement = placement(profile, phones.profile(place), &course, &video, &alignment);
+        if let Some(kept) = log.other_phone(place) {
+            kept.placement = Some(placement);
+        }
+        log.save()?;
+        log.report(SessionEvent::Placed { phone, placement })?;
+    }
+    Ok(())
+}
+
+/// Looks whether the phones' videos run. Gives the places of those that have ended; a phone
+/// that cannot be reached is reported, since it may come back.
+pub(crate) fn watch_videos(phones: &mut Phones<'_>, log: &mut Log<'_>) -> Result<Vec<usize>, Stop> {
+    let mut ended = Vec::new();
+    for place in phones.places() {
+        let Some(news) = phones.video_news(place, log.now) else {
+            continue;
+        };
+        let phone = phones.name(place);
+        log.report(match news {
+            VideoNews::Ended => {
+                ended.push(place);
+                SessionEvent::VideoEnded { phone }
+            }
+            VideoNews::Back => SessionEvent::PhoneBack { phone },
+            VideoNews::Away(error) => SessionEvent::PhoneAway {
+                phone,
+                error: error.to_string(),
+            },
+        })?;
+    }
+    Ok(ended)
+}
+
+/// Stops the videos that run. A phone that cannot be reached just then, as when Wi-Fi
+/// stalls, is asked again: to stop twice does no harm, and nobody else will do it.
+pub(crate) fn stop_videos(session: &mut Session<'_>) {
+    let mut running = session.phones.take_running_videos();
+    let mut failing_since = None;
+    while !running.is_empty() {
+        let places = std::mem::take(&mut running);
+        let answers = match session.ask_phones(places, |_, phone| phone.stop_video(), |_| {}) {
+            Ok(answers) => answers,
+            Err(Stop::Failed(error)) => {
+                session.log.report_at_end(SessionEvent::NotStopped {
+                    what: Device::Video(None),
+                    error: error.to_string(),
+                });
+                return;
+            }
+            Err(Stop::Interrupted | Stop::BoardReset) => return,
+        };
+        let is_first = failing_since.is_none();
+        let now = session.clock.now();
+        let since = *failing_since.get_or_insert(now);
+        for (place, answer) in answers {
+            let Err(error) = answer else { continue };
+            let phone = session.phones.name(place);
+            if is_of_phone(&error) && now.saturating_sub(since) < STOP_PATIENCE {
+                running.push(place);
+                if is_first {
+                    session.log.tell(SessionEvent::StopRetried {
+                        phone,
+                        error: error.to_string(),
+                        patience_s: STOP_PATIENCE.as_secs(),
+                    });
+                }
+                continue;
+            }
+            session.log.report_at_end(SessionEvent::NotStopped {
+                what: Device::Video(Some(phone)),
+                error: error.to_string(),
+            });
+        }
+        if !running.is_empty() {
+            session.listen_for(STOP_PAUSE);
+        }
+    }
+}
+
+/// Downloads the last video of the phone at a place.
+pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(), Stop> {
+    let own = session
+        .log
+        .file
+        .phone_folder(&session.phones.profile(place).name);
+    let folder = session.log.folder.join(&own);
+    let mut reported = session.clock.now();
+    let answers = session.ask_phones(
+        [place],
+        |_, phone| phone.fetch_video(folder.clone()),
+        |session| {
+            let now = session.clock.now();
+            if now.saturating_sub(reported) > REPORT_EVERY {
+                reported = now;
+                let (done, whole) = session.phones.device(place).progress();
+                session.log.tell(SessionEvent::Downloading {
+                    phone: session.phones.name(place),
+                    done,
+                    whole,
+                });
+            }
+        },
+    );
+    let Some((_, answer)) = answers?.pop() else {
+        return Ok(());
+    };
+    let video = answer.map_err(|error| session.phones.failure(place, error))?;
+    if let Some(name) = video.path.file_name() {
+        let name = own.join(name).to_string_lossy().into_owned();
+        session.log.file.files.push(name);
+    }
+    session.log.report(SessionEvent::VideoFetched {
+        path: video.path,
+        size: video.size,
+    })
+}
+
+/// Copies what the app does not send, the frames' timestamps and the sensors; where that
+/// does not work, gives the commands that do.
+pub(crate) fn fetch_files(session: &mut Session<'_>, place: usize) -> Result<(), Stop> {
+    let Some(video) = session.log.video(place) else {
+        return Ok(());
+    };
+    let own = &session.phones.profile(place).name;
+    let own = session.log.file.phone_folder(own);
+    let folder = session.log.folder.join(&own);
+    let answer = session
+        .ask_phones(
+            [place],
+            |_, phone| phone.fetch_files(video.phase, folder.clone()),
+            |_| {},
+        )?
+        .pop();
+    let phone = session.phones.name(place);
+    let event = match answer {
+        Some((_, Ok(files))) => {
+            for name in files.iter().filter_map(|path| path.file_name()) {
+                let name = own.join(name).to_string_lossy().into_owned();
+                session.log.file.files.push(name);
+            }
+            SessionEvent::FilesFetched {
+                phone,
+                count: files.len(),
+            }
+        }
+        Some((_, Err(error))) => SessionEvent::FilesNotFetched {
+            phone,
+            error: error.to_string(),
+            commands: [
+                get_files_command(video.phase, &folder, false),
+                copy_command(video.phase, &folder),
+            ],
+        },
+        None => return Ok(()),
+    };
+    session.log.report(event)
+}
