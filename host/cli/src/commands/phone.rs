@@ -166,7 +166,7 @@ fn ask(
     Ok(ExitStatus::Good)
 }
 
-/// What a recording of one sensor was like.
+/// A recording of one sensor, as `--json` prints it.
 #[derive(Debug, Serialize)]
 struct SensorSummary {
     sensor: String,
@@ -175,58 +175,42 @@ struct SensorSummary {
     first_ns: Option<i64>,
     last_ns: Option<i64>,
     rate_hz: Option<f64>,
-    interval_mean_us: Option<f64>,
-    interval_sd_us: Option<f64>,
     interval_max_us: Option<f64>,
-    rms: [f64; 3],
     file: Option<PathBuf>,
 }
 
 impl SensorSummary {
     fn of(recording: &SensorRecording, file: Option<PathBuf>) -> Self {
-        let samples = &recording.samples;
-        let later = samples.iter().skip(1);
-        let intervals = samples.iter().zip(later);
-        let intervals: Vec<f64> = intervals
-            .map(|(a, b)| b.time.0.saturating_sub(a.time.0) as f64 * 1e-3)
-            .collect();
-        let n = intervals.len() as f64;
-        let mean = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / n);
-        let sd =
-            mean.map(|mean| (intervals.iter().map(|i| (i - mean).powi(2)).sum::<f64>() / n).sqrt());
-        let rms = [0, 1, 2].map(|axis| {
-            let squares: f64 = samples.iter().map(|s| s.xyz[axis] * s.xyz[axis]).sum();
-            (squares / samples.len().max(1) as f64).sqrt()
-        });
+        let times: Vec<i64> = recording.samples.iter().map(|s| s.time.0).collect();
+        let (first_ns, last_ns) = (times.first().copied(), times.last().copied());
+        let length_ns = last_ns
+            .zip(first_ns)
+            .map(|(to, from)| to.saturating_sub(from));
+        let intervals = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
         Self {
             sensor: recording.sensor.to_string(),
             unit: recording.sensor.unit(),
-            samples: samples.len(),
-            first_ns: samples.first().map(|s| s.time.0),
-            last_ns: samples.last().map(|s| s.time.0),
-            rate_hz: mean.filter(|&m| m > 0.0).map(|m| 1e6 / m),
-            interval_mean_us: mean,
-            interval_sd_us: sd,
-            interval_max_us: intervals.iter().copied().reduce(f64::max),
-            rms,
+            samples: times.len(),
+            first_ns,
+            last_ns,
+            rate_hz: length_ns
+                .filter(|&length| length > 0)
+                .map(|length| (times.len() - 1) as f64 * 1e9 / length as f64),
+            interval_max_us: intervals.max().map(|interval| interval as f64 * 1e-3),
             file,
         }
     }
 
     fn text(&self) -> String {
-        let mut text = format!("{}: {} samples", self.sensor, self.samples);
-        if let (Some(rate), Some(sd), Some(max)) =
-            (self.rate_hz, self.interval_sd_us, self.interval_max_us)
-        {
-            text.push_str(&format!(
-                ", {rate:.2} Hz (interval SD {sd:.1} us, longest {max:.1} us)"
-            ));
-        }
         if self.samples == 0 {
             return format!("{}: no samples: the phone lacks this sensor", self.sensor);
         }
-        let [x, y, z] = self.rms;
-        text.push_str(&format!(", RMS {x:.4} {y:.4} {z:.4} {}", self.unit));
+        let mut text = format!("{}: {} samples", self.sensor, self.samples);
+        if let (Some(rate), Some(longest)) = (self.rate_hz, self.interval_max_us) {
+            text.push_str(&format!(
+                ", {rate:.2} Hz (longest interval {longest:.1} µs)"
+            ));
+        }
         if let Some(file) = &self.file {
             text.push_str(&format!(", saved as {}", file.display()));
         }

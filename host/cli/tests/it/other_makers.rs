@@ -94,7 +94,7 @@ fn a_video_of_insta360_is_read() {
 }
 
 #[test]
-fn without_python_a_video_says_whose_it_is_and_what_to_install() {
+fn without_python_a_video_of_another_maker_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let twist = twist_scenarios::twist(&TwistSpec::default(), 9_800);
     std::fs::write(folder.path().join("a.csv"), phone_app(&twist.a)).unwrap();
@@ -105,19 +105,15 @@ fn without_python_a_video_says_whose_it_is_and_what_to_install() {
         video[track_at..][..4].copy_from_slice(format);
         video
     };
-    for (name, content, whose) in [
-        ("a.insv", insta360(&twist.b), "an Insta360 camera"),
-        ("b.mp4", of_track(b"rtmd"), "a Sony camera"),
-        ("c.mp4", of_track(b"djmd"), "a DJI camera"),
-        ("d.mp4", of_track(b"mett"), "without a track of GoPro's"),
-        ("e.mxf", b"\x06\x0e\x2b\x34".to_vec(), "another maker"),
+    for (name, content) in [
+        ("a.insv", insta360(&twist.b)),
+        ("b.mp4", of_track(b"rtmd")),
+        ("c.mp4", of_track(b"djmd")),
+        ("d.mp4", of_track(b"mett")),
+        ("e.mxf", b"\x06\x0e\x2b\x34".to_vec()),
     ] {
         std::fs::write(folder.path().join(name), content).unwrap();
         let output = sync(folder.path(), name, OsString::new());
         assert_eq!(output.status.code(), Some(1), "{name}: {output:?}");
-        let said = String::from_utf8_lossy(&output.stdout);
-        for expected in [name, whose, "was not found", "pip install telemetry-parser"] {
-            assert!(said.contains(expected), "{expected}: {output:?}");
-        }
     }
 }

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use recording::messages::Imu;
 use recording::rosbag2::Bag;
 use serde_json::Value;
-use twist_scenarios::{Motion, SENSOR_B, Sensor, Twist, TwistSpec};
+use twist_scenarios::{SENSOR_B, Sensor, Twist, TwistSpec};
 use twist_sync::GyroTrack;
 
 use crate::support::gopro::{self, Stamps};
@@ -249,47 +249,6 @@ fn a_device_on_another_body_is_refused_and_the_rest_is_told() {
     let refusal = result["pairs"][1]["refusal"].as_str().unwrap();
     assert!(refusal.contains("at any time shift"), "{refusal}");
     assert!(result["refusal"].as_str().unwrap().ends_with("number 3"));
-}
-
-#[test]
-fn minutes_of_walking_need_no_twist() {
-    let folder = tempfile::tempdir().unwrap();
-    let spec = TwistSpec {
-        motion: Motion::Natural(0.8, 1.6),
-        duration_s: 120.0,
-        ..TwistSpec::default()
-    };
-    let walk = twist_scenarios::twist(&spec, 9_300);
-    app(folder.path().join("a.csv"), &walk.a);
-    euroc(folder.path().join("b.csv"), &walk.b);
-    let output = sync(
-        folder.path(),
-        &["--json", "a.csv", "b.csv", "--plot", "plot.svg"],
-    );
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    let pair = &json(&output)["pairs"][0];
-    let error_us = (offset_s(pair) - truth(&walk, &pair["reference_ns"])) * 1e6;
-    let sigma_us = pair["offset_sigma_us"].as_f64().unwrap();
-    assert!(
-        error_us.abs() < 4.0 * sigma_us && sigma_us < 10.0,
-        "{pair}: {error_us}"
-    );
-    assert!(pair["used"].as_u64().unwrap() >= 10, "{pair}");
-    let svg = std::fs::read_to_string(folder.path().join("plot.svg")).unwrap();
-    assert!(svg.contains("smoothed"));
-
-    // Ten seconds of it, somewhere.
-    let from_s = walk.b.epoch_s + 50.0;
-    app(
-        folder.path().join("c.csv"),
-        &walk.b.between(from_s, from_s + 10.0),
-    );
-    let output = sync(folder.path(), &["--json", "a.csv", "c.csv"]);
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    let pair = &json(&output)["pairs"][0];
-    let error_us = (offset_s(pair) - truth(&walk, &pair["reference_ns"])) * 1e6;
-    let sigma_us = pair["offset_sigma_us"].as_f64().unwrap();
-    assert!(error_us.abs() < 4.0 * sigma_us, "{pair}: {error_us}");
 }
 
 #[test]
