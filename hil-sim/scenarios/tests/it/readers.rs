@@ -5,6 +5,7 @@
 //! Its depth pictures are made up: a wall that comes nearer by a millimetre a frame.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use serde_json::json;
 
@@ -29,6 +30,19 @@ fn check_with(python: &Path, script: &str, arguments: &[&Path]) {
     let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
     let printed = python::run_script_with(python, &scripts.join(script), arguments);
     assert_eq!(printed.trim(), "ok");
+}
+
+/// Converts a ROS 2 bag for ROS 1, as the book tells its users to.
+fn convert(bag: &Path, converted: &Path) {
+    let program = python::python().with_file_name("rosbags-convert");
+    let status = Command::new(program)
+        .arg("--src")
+        .arg(bag)
+        .arg("--dst")
+        .arg(converted)
+        .args(["--dst-typestore", "ros1_noetic"])
+        .status();
+    assert!(status.unwrap().success());
 }
 
 /// Depth frames of full size: each takes its time.
@@ -84,18 +98,20 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
 fn large_readers_find_the_same() {
     let _turn = turn::beside_others();
     let chain = record();
-    let [euroc, two, one, lerobot] = extracted(&chain);
+    let [euroc, ros2, lerobot] = extracted(&chain);
     let (calibration, color) = in_color(&chain);
     let check_large = |reader: &str, script, arguments: &[&Path]| {
         let python = target().join(format!("readers/{reader}/bin/python3"));
         check_with(&python, script, arguments);
     };
     let recording = chain.case.path("recording/recording.mcap");
-    let bag = two.join("ros2/data.mcap");
+    let bag = ros2.join("ros2/data.mcap");
     check_large("rerun", "check_rerun.py", &[&recording, &euroc, &bag]);
     check_large("open3d", "check_open3d.py", &[&calibration, &color]);
     let debian = Path::new("/usr/bin/python3");
-    check_with(debian, "check_rosbag.py", &[&euroc, &one.join("data.bag")]);
+    let converted = chain.case.path("ros1.bag");
+    convert(&ros2.join("ros2"), &converted);
+    check_with(debian, "check_rosbag.py", &[&euroc, &converted]);
     check_large("lerobot", "check_lerobot_dataset.py", &[&euroc, &lerobot]);
 }
 
@@ -109,8 +125,8 @@ fn full_size(case: &Case, device: &[i64]) -> PathBuf {
     case.vendor("depth", device, more)
 }
 
-/// The extraction as EuRoC, ROS 2, ROS 1 and LeRobot, with what Kalibr found of the phone.
-fn extracted(chain: &Chain) -> [PathBuf; 4] {
+/// The extraction as EuRoC, ROS 2 and LeRobot, with what Kalibr found of the phone.
+fn extracted(chain: &Chain) -> [PathBuf; 3] {
     let Chain { case, depth, .. } = chain;
     let mut session = SessionFile::load(&case.path("recording")).unwrap();
     let (_, found) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
@@ -120,8 +136,7 @@ fn extracted(chain: &Chain) -> [PathBuf; 4] {
 
     let formats = [
         (Format::Euroc, "euroc"),
-        (Format::Ros2, "two"),
-        (Format::Ros1, "one"),
+        (Format::Ros2, "ros2"),
         (Format::Lerobot, "lerobot"),
     ];
     formats.map(|(format, out)| {
@@ -143,31 +158,34 @@ fn bags_and_tables(chain: &Chain) {
         options,
         ..
     } = chain;
-    let [euroc, two, one, lerobot] = &extracted(chain);
-    check("check_ros.py", &[euroc, two, one]);
+    let [euroc, ros2, lerobot] = &extracted(chain);
+    // ROS 1 takes the same bag, converted.
+    let converted = case.path("ros1.bag");
+    convert(&ros2.join("ros2"), &converted);
+    check("check_ros.py", &[euroc, ros2, &converted]);
     check("check_lerobot.py", &[euroc, lerobot]);
     // The camera in the frame of the board's IMU: the inverse of Kalibr's T_cam_imu.
     let yaml = std::fs::read_to_string(euroc.join("mav0/cam0/sensor.yaml")).unwrap();
     assert!(yaml.contains("data: [0, 0, 1, -0.001"), "{yaml}");
 
     // A second run changes nothing, and a bag that is gone cannot come back by itself.
-    let bag = case.path("one/data.bag");
+    let bag = ros2.join("ros2/data.mcap");
     let written = || bag.metadata().unwrap().modified().unwrap();
     let before = written();
-    case.extract_as(Format::Ros1, Some(depth), "one", options.clone());
+    case.extract_as(Format::Ros2, Some(depth), "ros2", options.clone());
     assert_eq!(written(), before);
-    for out in [one, two, lerobot] {
+    for out in [ros2, lerobot] {
         assert!(!out.join(".parts").exists());
     }
     // Sample pairs stay in the report when their images are gone.
     let samples = std::fs::read_to_string(euroc.join("sample_pairs.svg")).unwrap();
     assert_eq!(samples.matches("<image ").count(), 12);
-    let page = one.join("report.html");
+    let page = ros2.join("report.html");
     assert!(std::fs::read_to_string(&page).unwrap().contains(&samples));
     browser::check(&page, "sample_pairs", &["Some pairs from the middle"]);
     std::fs::remove_file(&bag).unwrap();
     let error = case
-        .try_extract(Format::Ros1, Some(depth), "one", options.clone())
+        .try_extract(Format::Ros2, Some(depth), "ros2", options.clone())
         .unwrap_err()
         .to_string();
     assert!(error.contains("--overwrite"), "{error}");

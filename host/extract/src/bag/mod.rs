@@ -7,10 +7,8 @@
 //! - [`reader`]: records, chunks and connections, front to back. Needs no index,
 //!   so it also reads a `.bag.active` that a crash has left.
 //! - [`messages`]: the message types of the published system.
-//! - `writer`: bags of images and samples, as data sets.
 //!
 //! Limits: no encryption (a plug-in of rosbag), one message within one chunk.
 
 pub mod messages;
 pub mod reader;
-pub(crate) mod writer;

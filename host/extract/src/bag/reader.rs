@@ -379,8 +379,29 @@ fn time(bytes: &[u8]) -> Option<i64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::writer::{fields, record};
     use super::*;
+
+    /// A header's fields: a list of {length, `name=value`}.
+    fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
+        let mut out = Vec::new();
+        for (name, value) in fields {
+            out.extend_from_slice(&((name.len() + 1 + value.len()) as u32).to_le_bytes());
+            out.extend_from_slice(name.as_bytes());
+            out.push(b'=');
+            out.extend_from_slice(value);
+        }
+        out
+    }
+
+    /// A record: header and data, each after its length.
+    fn record(header: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
+        let mut out = Vec::new();
+        for bytes in [&fields(header), data] {
+            out.extend_from_slice(&(bytes.len() as u32).to_le_bytes());
+            out.extend_from_slice(bytes);
+        }
+        out
+    }
 
     fn small_bag() -> Vec<u8> {
         let mut chunk = record(

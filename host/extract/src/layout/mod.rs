@@ -41,8 +41,6 @@ pub enum Format {
     Kalibr,
     /// A ROS 2 bag (MCAP) of images and samples.
     Ros2,
-    /// The same as a ROS 1 bag.
-    Ros1,
     /// LeRobot v3: a video of the phone's images, a table of depth images and times.
     Lerobot,
 }
@@ -56,7 +54,6 @@ impl Format {
             Self::Topics => "topics",
             Self::Kalibr => "kalibr",
             Self::Ros2 => "ros2",
-            Self::Ros1 => "ros1",
             Self::Lerobot => "lerobot",
         }
     }
@@ -69,8 +66,7 @@ impl Format {
             Self::Tum => &tum::OF_PHONE,
             Self::Topics => &topics::Topics,
             Self::Kalibr => &kalibr::Kalibr,
-            Self::Ros2 => &ros::Ros::Two,
-            Self::Ros1 => &ros::Ros::One,
+            Self::Ros2 => &ros::Ros2,
             Self::Lerobot => &lerobot::Lerobot,
         }
     }
@@ -247,7 +243,7 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
         Format::Kalibr => "kalibr/depth0/calibration.json",
-        Format::Ros2 | Format::Ros1 | Format::Lerobot => "calibration.json",
+        Format::Ros2 | Format::Lerobot => "calibration.json",
     }
 }
 

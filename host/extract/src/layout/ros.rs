@@ -1,5 +1,5 @@
-//! Bags of images and samples, for ROS 2 (`ros2/data.mcap` with `metadata.yaml`) and ROS 1
-//! (`data.bag`). All messages of a bag stand in order of time.
+//! A ROS 2 bag of images and samples: `ros2/data.mcap` with `metadata.yaml`. All messages
+//! stand in order of time.
 //!
 //! | topic | what |
 //! |---|---|
@@ -19,13 +19,12 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use recording::messages::camera::{CameraInfo, CompressedImage, Image};
-use recording::messages::{Header, Imu, Time, to_cdr};
+use recording::messages::{Header, Imu, RosMessage, Time, to_cdr};
 use recording::profile::{DistortionModel, Intrinsics};
-use recording::rosbag2;
+use recording::rosbag2::{Bag, METADATA_FILE};
 
 use super::offset::{moved, write_offset};
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
-use crate::bag::writer::{BagWriter, Ros1Message};
 use crate::board_data::ImuRow;
 use crate::image::{Decoded, WholeFile, read_png, write_whole};
 use crate::time::BoardNanos;
@@ -38,13 +37,9 @@ pub(super) const IMAGES_AT_A_TIME: usize = 4;
 /// Messages that are made at a time.
 const MESSAGES_AT_A_TIME: usize = 512;
 
-/// A bag of one of the two versions.
-pub(super) enum Ros {
-    One,
-    Two,
-}
+pub(super) struct Ros2;
 
-impl Layout for Ros {
+impl Layout for Ros2 {
     fn folder(&self, kind: ImageKind) -> Option<&'static str> {
         Some(match kind {
             ImageKind::Color => ".parts/cam0",
@@ -65,80 +60,25 @@ impl Layout for Ros {
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         super::further::write(folder, tables)?;
         write_offset(folder)?;
-        let path = match self {
-            Self::One => folder.join("data.bag"),
-            Self::Two => folder.join("ros2").join(MCAP_FILE),
-        };
+        let path = folder.join("ros2").join(MCAP_FILE);
         parts::join(folder, &path, tables, || {
-            self.write_bag(&path, folder, tables, facts)
+            write_bag(&path, folder, tables, facts)
         })
     }
 }
 
-impl Ros {
-    fn write_bag(
-        &self,
-        path: &Path,
-        folder: &Path,
-        tables: &SequenceTables<'_>,
-        facts: &Facts,
-    ) -> io::Result<()> {
-        let mut file = WholeFile::create(path)?;
-        match self {
-            Self::One => {
-                let mut bag = BagWriter::create(&mut file)?;
-                fill(&mut bag, folder, tables, facts)?;
-                bag.finish()?;
-                file.finish()
-            }
-            Self::Two => {
-                let mut bag = rosbag2::Bag::create(&mut file).map_err(io::Error::other)?;
-                fill(&mut bag, folder, tables, facts)?;
-                let metadata = bag.finish(MCAP_FILE).map_err(io::Error::other)?;
-                file.finish()?;
-                let path = path.with_file_name(rosbag2::METADATA_FILE);
-                write_whole(&path, metadata.as_bytes())
-            }
-        }
-    }
-}
-
-/// A bag of either version.
-trait Bag {
-    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()>;
-    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>>;
-    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()>;
-}
-
-impl Bag for rosbag2::Bag<'_> {
-    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()> {
-        self.add_topic::<M>(name).map_err(io::Error::other)
-    }
-
-    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>> {
-        to_cdr(message).map_err(io::Error::other)
-    }
-
-    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()> {
-        self.put(topic, nanos, bytes).map_err(io::Error::other)
-    }
-}
-
-impl<W: io::Write + io::Seek> Bag for BagWriter<W> {
-    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()> {
-        self.add_topic::<M>(name);
-        Ok(())
-    }
-
-    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>> {
-        let mut out = Vec::new();
-        message.write_ros1(&mut out);
-        Ok(out)
-    }
-
-    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()> {
-        self.put(topic, nanos, bytes)
-    }
+fn write_bag(
+    path: &Path,
+    folder: &Path,
+    tables: &SequenceTables<'_>,
+    facts: &Facts,
+) -> io::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    let mut bag = Bag::create(&mut file).map_err(io::Error::other)?;
+    fill(&mut bag, folder, tables, facts)?;
+    let metadata = bag.finish(MCAP_FILE).map_err(io::Error::other)?;
+    file.finish()?;
+    write_whole(&path.with_file_name(METADATA_FILE), metadata.as_bytes())
 }
 
 /// A camera of the bag.
@@ -185,8 +125,8 @@ impl Event<'_> {
 type Events<'a> = Box<dyn Iterator<Item = io::Result<Event<'a>>> + 'a>;
 
 /// Adds all topics and messages.
-fn fill<B: Bag>(
-    bag: &mut B,
+fn fill(
+    bag: &mut Bag<'_>,
     folder: &Path,
     tables: &SequenceTables<'_>,
     facts: &Facts,
@@ -225,12 +165,12 @@ fn fill<B: Bag>(
         }
         let made: Vec<io::Result<_>> = batch
             .par_iter()
-            .map(|event| messages::<B>(event, folder))
+            .map(|event| messages(event, folder))
             .collect();
         for (event, messages) in batch.iter().zip(made) {
             let nanos = moved(event.at()).0.max(0).unsigned_abs();
             for (topic, bytes) in messages? {
-                bag.put(topic, nanos, &bytes)?;
+                bag.put(topic, nanos, &bytes).map_err(io::Error::other)?;
             }
         }
     }
@@ -238,8 +178,8 @@ fn fill<B: Bag>(
 
 /// Adds the topics of each camera that has images. Without intrinsics there is no
 /// `CameraInfo`: one of zeros keeps Rerun from showing the images.
-fn add_cameras<'a, B: Bag>(
-    bag: &mut B,
+fn add_cameras<'a>(
+    bag: &mut Bag<'_>,
     topics: &mut usize,
     tables: &'a SequenceTables<'_>,
     facts: &'a Facts,
@@ -265,23 +205,31 @@ fn add_cameras<'a, B: Bag>(
             topic: *topics,
         });
         match form {
-            Form::Png(_) => bag.add::<Image>(&format!("/{name}/image_raw"))?,
+            Form::Png(_) => add_topic::<Image>(bag, &format!("/{name}/image_raw"))?,
             Form::Jpeg(_) => {
-                bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?
+                add_topic::<CompressedImage>(bag, &format!("/{name}/image_raw/compressed"))?
             }
         }
         *topics += 1;
         if intrinsics.is_some() {
-            bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+            add_topic::<CameraInfo>(bag, &format!("/{name}/camera_info"))?;
             *topics += 1;
         }
     }
     Ok(cameras)
 }
 
+fn add_topic<M: RosMessage>(bag: &mut Bag<'_>, name: &str) -> io::Result<()> {
+    bag.add_topic::<M>(name).map_err(io::Error::other)
+}
+
+fn encode<M: RosMessage>(message: &M) -> io::Result<Vec<u8>> {
+    to_cdr(message).map_err(io::Error::other)
+}
+
 /// Adds a topic for each IMU that has samples.
-fn add_imus<B: Bag>(
-    bag: &mut B,
+fn add_imus(
+    bag: &mut Bag<'_>,
     topics: &mut usize,
     folder: &Path,
     facts: &Facts,
@@ -291,7 +239,7 @@ fn add_imus<B: Bag>(
     for ((name, rate, noise), path) in both {
         let path = folder.join(path);
         if path.exists() {
-            bag.add::<Imu>(&format!("/{name}"))?;
+            add_topic::<Imu>(bag, &format!("/{name}"))?;
             imus.push(Samples {
                 name,
                 path,
@@ -336,10 +284,10 @@ fn header(at: BoardNanos, name: &str) -> Header {
 }
 
 /// The messages of an event with their topics.
-fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, Vec<u8>)>> {
+fn messages(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, Vec<u8>)>> {
     let (camera, row) = match event {
         Event::Image(camera, row) => (camera, row),
-        Event::Sample(imu, row) => return Ok(vec![(imu.topic, B::encode(&imu_of(imu, row))?)]),
+        Event::Sample(imu, row) => return Ok(vec![(imu.topic, encode(&imu_of(imu, row))?)]),
     };
     let path = folder.join(&row.path);
     let header = header(row.at, camera.name);
@@ -359,7 +307,7 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
                 step: size.0 * if is_rgb { 3 } else { 2 },
                 data: pixels,
             };
-            (B::encode(&image)?, size)
+            (encode(&image)?, size)
         }
         Form::Jpeg(size) => {
             let image = CompressedImage {
@@ -367,13 +315,13 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
                 format: String::from("jpeg"),
                 data: fs::read(path)?,
             };
-            (B::encode(&image)?, size.unwrap_or_default())
+            (encode(&image)?, size.unwrap_or_default())
         }
     };
     let mut messages = vec![(camera.topic, bytes)];
     if let Some(known) = camera.intrinsics {
         let info = camera_info(header, size, known);
-        messages.push((camera.topic + 1, B::encode(&info)?));
+        messages.push((camera.topic + 1, encode(&info)?));
     }
     Ok(messages)
 }
