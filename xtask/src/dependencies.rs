@@ -12,14 +12,12 @@ use crate::process;
 /// Fails on a dependency with a licence that `deny.toml` does not list, or from another place
 /// than the registry.
 pub(crate) fn check() -> Result<()> {
-    let deny: toml::Table = fs::read_to_string(process::root().join("deny.toml"))?.parse()?;
-    let licences = deny.get("licenses").and_then(|it| it.get("allow"));
-    let licences: BTreeSet<&str> = licences
-        .and_then(toml::Value::as_array)
-        .context("deny.toml allows no licences")?
-        .iter()
-        .filter_map(toml::Value::as_str)
-        .collect();
+    let deny = fs::read_to_string(process::root().join("deny.toml"))?;
+    let allowed = deny
+        .split_once("allow = [")
+        .and_then(|it| it.1.split_once(']'));
+    let (allowed, _) = allowed.context("deny.toml allows no licences")?;
+    let licences: BTreeSet<&str> = allowed.split('"').skip(1).step_by(2).collect();
     let tree = process::text(
         process::command(process::cargo_program())
             .args(["tree", "--workspace", "--locked", "--prefix", "none"])

@@ -4,7 +4,6 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use serde_json::Value;
 
 use crate::process;
 
@@ -51,10 +50,16 @@ pub(crate) fn run() -> Result<()> {
                 .arg(&video)
                 .stderr(Stdio::inherit()),
         )?;
-        let json: Value = serde_json::from_str(&json)?;
-        let seconds = |key| json.pointer(key).and_then(Value::as_f64).context(key);
-        let total = seconds("/timing/total_s")?;
-        let own = total - seconds("/timing/waiting_for_input_s")?;
+        let seconds = |key: &str| -> Result<f64> {
+            let (_, rest) = json.split_once(key).context("no such time")?;
+            let number = rest.split([',', '\n', '}']).next().unwrap_or_default();
+            number
+                .trim()
+                .parse()
+                .with_context(|| format!("{key} {number}"))
+        };
+        let total = seconds("\"total_s\":")?;
+        let own = total - seconds("\"waiting_for_input_s\":")?;
         let speed = SECONDS / own;
         slowest = slowest.min(speed);
         println!(

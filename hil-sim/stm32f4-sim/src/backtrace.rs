@@ -115,7 +115,8 @@ pub(crate) fn exception_frame(
 
 /// The stack as lines for people.
 pub(crate) fn describe(firmware: &Firmware, addresses: &[u32]) -> Vec<String> {
-    let mut lines = Vec::new();
+    let mut out = Vec::new();
+    let lines = firmware.lines();
     for (n, address) in addresses.iter().enumerate() {
         // All but the innermost are return addresses.
         let at = if n == 0 {
@@ -123,13 +124,13 @@ pub(crate) fn describe(firmware: &Firmware, addresses: &[u32]) -> Vec<String> {
         } else {
             address.wrapping_sub(2)
         };
-        for (k, text) in firmware.describe(at).into_iter().enumerate() {
+        for (k, text) in firmware.describe(lines.as_ref(), at).into_iter().enumerate() {
             if k == 0 {
-                lines.push(format!("{n:3}: {address:#010x} {text}"));
+                out.push(format!("{n:3}: {address:#010x} {text}"));
             } else {
-                lines.push(format!("                {text}"));
+                out.push(format!("                {text}"));
             }
         }
     }
-    lines
+    out
 }

@@ -3,7 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use object::{Object, ObjectSymbol, SymbolKind};
+use gimli::{Dwarf, EndianSlice, LittleEndian};
+use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+
+/// The source lines of a firmware.
+pub(crate) type Lines<'a> = addr2line::Context<EndianSlice<'a, LittleEndian>>;
 
 /// A symbol of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +25,6 @@ pub struct Firmware {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: BTreeMap<String, Symbol>,
     functions: BTreeMap<u32, (u32, String)>,
-    lines: Option<addr2line::Loader>,
 }
 
 impl core::fmt::Debug for Firmware {
@@ -82,13 +85,11 @@ impl Firmware {
             }
             symbols.insert(name.to_owned(), Symbol { address, size });
         }
-        let lines = addr2line::Loader::new(path).ok();
         Ok(Self {
             path: path.to_path_buf(),
             segments,
             symbols,
             functions,
-            lines,
             bytes,
         })
     }
@@ -123,7 +124,6 @@ impl Firmware {
     /// Bytes of RAM that statics take (.data, .bss and .uninit).
     #[must_use]
     pub fn ram_size(&self) -> usize {
-        use object::ObjectSection;
         let Ok(file) = object::File::parse(&*self.bytes) else {
             return 0;
         };
@@ -159,12 +159,23 @@ impl Firmware {
         (*size == 0 || offset < *size).then_some((name.as_str(), offset))
     }
 
+    /// The source lines, if the ELF has them.
+    pub(crate) fn lines(&self) -> Option<Lines<'_>> {
+        let file = object::File::parse(&*self.bytes).ok()?;
+        let section = |id: gimli::SectionId| {
+            let section = file.section_by_name(id.name());
+            let data = section.and_then(|it| it.data().ok()).unwrap_or_default();
+            Ok::<_, gimli::Error>(EndianSlice::new(data, LittleEndian))
+        };
+        Lines::from_dwarf(Dwarf::load(section).ok()?).ok()
+    }
+
     /// An address for people: inlined functions outwards, with their source lines.
     #[must_use]
-    pub(crate) fn describe(&self, address: u32) -> Vec<String> {
+    pub(crate) fn describe(&self, lines: Option<&Lines<'_>>, address: u32) -> Vec<String> {
         let mut out = Vec::new();
-        if let Some(loader) = &self.lines
-            && let Ok(mut frames) = loader.find_frames(u64::from(address))
+        if let Some(lines) = lines
+            && let Ok(mut frames) = lines.find_frames(address.into()).skip_all_loads()
         {
             while let Ok(Some(frame)) = frames.next() {
                 let name = frame
