@@ -124,7 +124,11 @@ pub(crate) fn describe(firmware: &Firmware, addresses: &[u32]) -> Vec<String> {
         } else {
             address.wrapping_sub(2)
         };
-        for (k, text) in firmware.describe(lines.as_ref(), at).into_iter().enumerate() {
+        for (k, text) in firmware
+            .describe(lines.as_ref(), at)
+            .into_iter()
+            .enumerate()
+        {
             if k == 0 {
                 out.push(format!("{n:3}: {address:#010x} {text}"));
             } else {
