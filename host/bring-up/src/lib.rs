@@ -7,7 +7,6 @@
 //!
 //! [`run`] measures, one [`Part`] after the other, and gives a [`Report`] of
 //! [`Check`]s, each with what was measured, its limit, and what a miss means.
-//! [`page()`] shows it.
 //!
 //! - `bench`: the board's messages over a stretch of board time.
 //! - `train`: a train of pulses against the arithmetic and its captures. Pure.
@@ -15,7 +14,6 @@
 #![forbid(unsafe_code)]
 
 mod bench;
-mod page;
 mod parts;
 mod train;
 
@@ -24,8 +22,6 @@ use std::time::Duration;
 use board::BoardError;
 use protocol::usb::serial_number;
 use serde::Serialize;
-
-pub use page::page;
 
 /// Version of the JSON form of [`Report`].
 const FORMAT: u32 = 1;

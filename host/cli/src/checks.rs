@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use recording::session_file::{Check, Verdict};
-use session_report::Judgement;
+use report::session::Judgement;
 
 /// What stands at the beginning of a check's line.
 pub(crate) const MARKS: [&str; 3] = ["ok  ", "warn", "BAD "];

@@ -8,8 +8,9 @@ use twist_sync::robust::mad_sigma;
 use super::classify::{FrameCounts, Reference};
 use super::footage::Footage;
 use super::identity::Identity;
+use super::shown::Shown;
 use super::stats::{COVERAGE_99, Line, median};
-use super::track::{Choice, FramePoint, Track, track};
+use super::track::{Choice, FramePoint, track};
 use super::window::still;
 use super::{EvaluateError, Settings};
 
@@ -67,16 +68,13 @@ pub struct Drift {
     pub notes: Vec<String>,
 }
 
-/// The result with what its pictures need.
+/// The result of a long recording with what a report draws of it.
 #[derive(Debug, Clone)]
 pub struct EvaluatedDrift {
     pub result: Drift,
-    /// The regression, µs against seconds.
-    pub(crate) line: Line,
-    /// Used frames on the line.
-    pub(crate) points: Vec<FramePoint>,
-    pub(crate) track: Track,
-    pub(crate) footage: Footage,
+    /// Seconds and bias, µs, of the used frames on the line.
+    pub points: Vec<(f64, f64)>,
+    pub shown: Shown,
 }
 
 /// Evaluates the drift over all frames of a recording.
@@ -141,10 +139,8 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
     };
     Ok(EvaluatedDrift {
         result,
-        line,
-        points,
-        track,
-        footage,
+        points: points.iter().map(|p| (p.time_s, p.bias_us)).collect(),
+        shown: Shown::new(&footage, &track, settings),
     })
 }
 

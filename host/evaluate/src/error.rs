@@ -139,9 +139,6 @@ pub enum EvaluateError {
     /// A rig profile that is not TOML, or has something else at our key.
     #[error("{path}: {message}")]
     Profile { path: PathBuf, message: String },
-    /// The report's picture could not be made.
-    #[error("the report's picture could not be made: {0}")]
-    Picture(#[from] image::ImageError),
 }
 
 impl EvaluateError {

@@ -24,11 +24,11 @@ const PICTURE_CONTRAST: f64 = 0.7;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Picture {
     /// Number of the frame in its recording.
-    pub(crate) index: usize,
-    pub(crate) width: usize,
-    pub(crate) height: usize,
+    pub index: usize,
+    pub width: usize,
+    pub height: usize,
     /// Grey levels, row by row.
-    pub(crate) pixels: Vec<u8>,
+    pub pixels: Vec<u8>,
     /// Image pixels to one pixel of the picture.
     pub(crate) reduction: usize,
     /// Largest contrast of any frame so far.

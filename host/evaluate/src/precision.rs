@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::classify::{FrameCounts, Reference};
 use super::footage::Footage;
 use super::identity::Identity;
+use super::shown::Shown;
 use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
 use super::track::{Choice, Track, track};
 use super::{EvaluateError, Settings};
@@ -133,12 +134,14 @@ pub struct Precision {
 /// spent waiting for it.
 pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>, Duration) + 'a;
 
-/// One recording's result with what its pictures need.
+/// One recording's result.
 #[derive(Debug, Clone)]
 pub struct Evaluated {
     pub result: RecordingResult,
-    pub(crate) track: Track,
-    pub(crate) footage: Footage,
+    /// What a report draws of it.
+    pub shown: Shown,
+    /// Time spent waiting for the decoder and for the disk.
+    pub waited: Duration,
 }
 
 /// Evaluates one recording from its last `frames` frames with flashes.
@@ -191,8 +194,8 @@ pub fn evaluate_recording(
     };
     Ok(Evaluated {
         result,
-        track,
-        footage,
+        shown: Shown::new(&footage, &track, settings),
+        waited: footage.waited,
     })
 }
 
@@ -271,11 +274,7 @@ pub fn evaluate(
             .and_then(|r| evaluate_recording(r, settings, frames));
         match evaluated {
             Ok(evaluated) => {
-                each(
-                    path,
-                    &Ok(evaluated.result.clone()),
-                    evaluated.footage.waited,
-                );
+                each(path, &Ok(evaluated.result.clone()), evaluated.waited);
                 results.push(evaluated.result.clone());
                 shown.get_or_insert(evaluated);
             }

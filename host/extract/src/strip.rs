@@ -13,11 +13,7 @@ use image::{GrayImage, ImageFormat, ImageResult, Luma};
 use super::layout::SequenceTables;
 
 /// The strip's file in the output folder.
-pub(crate) const FILE: &str = "sample_pairs.svg";
-
-/// What stands below it.
-pub(crate) const CAPTION: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
-    Depth: near is light, far is dark, none is black.";
+pub const FILE: &str = "sample_pairs.svg";
 
 /// Pairs in the strip.
 const SHOWN: usize = 6;

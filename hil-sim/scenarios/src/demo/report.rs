@@ -5,8 +5,8 @@
 
 use std::fmt::Write as _;
 
-use page::chart::{self, Data, Series};
-use page::{Level, Page};
+use report::chart::{self, Data, Series};
+use report::page::{Level, Page};
 use serde::Serialize;
 
 use super::data_set::DataSet;

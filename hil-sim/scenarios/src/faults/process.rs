@@ -19,9 +19,9 @@ use protocol::{ImuFlags, ImuSample, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
+use report::verify::{Verdict as Checked, verify};
 use rustix::process::{Resource, Rlimit, Signal, prlimit};
 use smartdepthsync::outcome::ExitStatus;
-use verify::{Verdict as Checked, verify};
 
 use super::Verdict;
 use super::plan::{Event, Fault, Plan};

@@ -7,7 +7,8 @@ use crate::strobes::Scene;
 use crate::turn;
 use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
-use evaluate::{EvaluateError, Settings, plot, report};
+use evaluate::{EvaluateError, Settings};
+use report::evaluation::{self, plot};
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
 
@@ -148,10 +149,10 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     assert!(reasons[1].contains("no strobe flashes"), "{reasons:?}");
 
     let shown = shown.unwrap();
-    let html = report::precision(&result, &shown, &settings).unwrap();
+    let html = evaluation::precision(&result, &shown.shown, &settings);
     assert!(html.contains("data:image/png;base64,") && html.contains("left out"));
     assert!(!html.contains("src=\"http") && !html.contains("<script"));
-    let svg = plot::precision(&result, &shown, &settings);
+    let svg = plot::precision(&result, &shown.shown);
     assert!(svg.starts_with("<svg") && svg.contains("sensor row"));
 }
 

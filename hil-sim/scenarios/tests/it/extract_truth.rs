@@ -204,8 +204,9 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
 
     // And as people see it.
     let pairs = format!("{} pairs of frames", expected.len());
+    report::extraction::write(&case.out(), &report).unwrap();
     browser::check(
-        &case.out().join("report.html"),
+        &case.out().join(report::REPORT_FILE),
         "extract",
         &[
             "Extraction of recording",

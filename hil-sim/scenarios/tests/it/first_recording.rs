@@ -173,7 +173,7 @@ fn the_page_is_followed_to_a_data_set() {
     // The verdict: all is there; what nobody has measured is said, in the same words
     // everywhere.
     let session = SessionFile::load(recording).unwrap();
-    let judged = session_report::Judgement::of(recording, &session);
+    let judged = report::session::Judgement::of(recording, &session);
     let verdicts: Vec<Verdict> = judged.parts.iter().map(|part| part.verdict).collect();
     assert_eq!(verdicts[0], Verdict::Good, "{judged:?}");
     assert_eq!(verdicts[1], Verdict::Warning, "{judged:?}");

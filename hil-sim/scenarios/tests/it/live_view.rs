@@ -12,7 +12,7 @@ use crate::turn;
 use crate::whole_rig::WholeRig;
 use recording::reader::Reader;
 use recording::session_file::{SessionFile, SessionOutcome};
-use verify::{Verdict, verify};
+use report::verify::{Verdict, verify};
 
 const PATIENCE: Duration = Duration::from_secs(90);
 

@@ -84,7 +84,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let json = serde_json::to_string_pretty(&report)?;
     let page = args.out.join("bring-up.html");
     write_file(&args.out.join("bring-up.json"), &json)?;
-    write_file(&page, &bring_up::page(&report))?;
+    write_file(&page, &report::board_test::page(&report))?;
     context.print(&report, || text(&report, &page))?;
     Ok(match report.count(Verdict::Fail) {
         0 => ExitStatus::Good,

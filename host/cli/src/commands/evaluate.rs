@@ -15,10 +15,12 @@ use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
 use evaluate::frame::{Region, Rotation};
 use evaluate::precision::{self, Evaluated, Precision, Spread};
-use evaluate::report::{self, counts_text, identity_text, reference_text};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
-use evaluate::{EvaluateError, Settings, plot};
+use evaluate::{EvaluateError, Settings};
+use report::evaluation::{
+    counts_text, drift_facts, identity_text, plot, precision_facts, reference_text,
+};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -250,7 +252,6 @@ impl From<EvaluateError> for Failure {
                 ExitStatus::Usage,
                 "check the path; `smartdepthsync profile check` says what is wrong in a profile",
             ),
-            E::Picture(_) => (ExitStatus::Error, "leave --report out, and report this"),
         };
         Self::new(status, error.to_string()).next_step(step)
     }
@@ -305,11 +306,12 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         .next_step("fix what the reason names; -v lists the reason of every recording"));
     };
     if let Some(path) = &args.common.plot {
-        let svg = plot::precision(&result, &shown, &settings);
+        let svg = plot::precision(&result, &shown.shown);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
-        write_file(path, &report::precision(&result, &shown, &settings)?)?;
+        let html = report::evaluation::precision(&result, &shown.shown, &settings);
+        write_file(path, &html)?;
     }
     let calibrated = match &args.calibrate {
         Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
@@ -418,7 +420,7 @@ fn precision_text(
         "scene taken from {}",
         reference_text(shown.result.reference)
     );
-    facts_text(&mut text, report::precision_facts(result));
+    facts_text(&mut text, precision_facts(result));
     if let Some(c) = calibrated {
         let _ = writeln!(
             text,
@@ -446,11 +448,11 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     let waiting_for_input_s = recording.waited.as_secs_f64();
     let evaluated = drift::evaluate(recording, &settings)?;
     if let Some(path) = &args.common.plot {
-        let svg = plot::drift(&evaluated, &settings);
+        let svg = plot::drift(&evaluated);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
-        write_file(path, &report::drift(&evaluated, &settings)?)?;
+        write_file(path, &report::evaluation::drift(&evaluated, &settings))?;
     }
     let output = DriftOutput {
         settings: &settings,
@@ -470,7 +472,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
 
 fn drift_text(drift: &Drift) -> String {
     let mut text = String::new();
-    facts_text(&mut text, report::drift_facts(drift));
+    facts_text(&mut text, drift_facts(drift));
     for note in &drift.notes {
         let _ = writeln!(text, "{:<29} {note}", "note");
     }

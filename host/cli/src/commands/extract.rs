@@ -186,8 +186,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
         Err(error) => return Err(error.into()),
     };
+    report::extraction::write(&job.out, &report)
+        .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     context.print(&report, || {
-        format!("{}written to {}", report.text(), job.out.display())
+        let text = report::extraction::text(&report);
+        format!("{text}written to {}", job.out.display())
     })?;
     Ok(ExitStatus::of_loss(!report.losses.is_empty()))
 }

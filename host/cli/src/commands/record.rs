@@ -15,7 +15,7 @@ use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
 use phone::adb::get_files_command;
 use recording::session_file::{OtherPhone, SessionFile};
-use session_report::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
+use report::session::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
 use timebase::PhoneNanos;
 
 /// How long a calibration records between its twists: a minute is the least that a rate is
@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         file,
     } = record::run(&options, &profile, context, &mut connector)?;
     // The recording is there, whatever becomes of its report.
-    let html = match session_report::write(&folder, &file, &|| false) {
+    let html = match report::session::write(&folder, &file, &|| false) {
         Ok(path) => Some(path),
         Err(error) => {
             context.say(format!("warning: cannot write the report: {error}"));

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
-use verify::repair::{Repaired, repair};
+use report::repair::{Repaired, repair};
 
 /// Write what can be read of a damaged or unfinished recording as a new, whole
 /// one. The recording itself is never changed.

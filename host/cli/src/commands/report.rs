@@ -9,7 +9,7 @@ use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use recording::session_file::SessionFile;
-use session_report::Judgement;
+use report::session::{self, Judgement};
 
 /// Write the HTML report of a recording (again), into its folder.
 ///
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let recording = args.recording.find(context)?;
     let folder = recordings::folder_of(&recording);
     let file = SessionFile::load(folder)?;
-    let report = session_report::write(folder, &file, &context.interrupt.question())?;
+    let report = session::write(folder, &file, &context.interrupt.question())?;
     let verdict = Judgement::of(folder, &file);
     let written = Written { report, verdict };
     context.print_checks(&written, || {

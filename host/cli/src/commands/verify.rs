@@ -3,7 +3,7 @@
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::RecordingArg;
-use verify::{Verdict, verify};
+use report::verify::{Verdict, verify};
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
 /// grid, times that go on. Nothing is written.

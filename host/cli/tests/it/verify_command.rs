@@ -11,8 +11,8 @@ use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use recording::reader::Reader;
 use recording::session_file::{BoardInfo, SessionFile, SessionOutcome};
 use recording::writer::Writer;
-use verify::repair::repair;
-use verify::{Report, Verdict, verify};
+use report::repair::repair;
+use report::verify::{Report, Verdict, verify};
 
 use crate::support::synthetic::{SECONDS, Wrong, make, session};
 

@@ -41,7 +41,6 @@ use super::report::{
 };
 use super::sequence::Sequences;
 use super::streams::each_event;
-use super::strip;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame, Shutter};
 use super::time::BoardNanos;
@@ -247,9 +246,7 @@ impl Extraction<'_> {
 
     fn write_report(&self, report: &ExtractReport) -> Result<(), ExtractError> {
         let json = serde_json::to_vec_pretty(report).map_err(|error| self.failed(error.into()))?;
-        self.write("report.json", &json)?;
-        let samples = std::fs::read_to_string(self.place.out.join(strip::FILE)).ok();
-        self.write("report.html", report.html(samples.as_deref()).as_bytes())
+        self.write("report.json", &json)
     }
 
     fn board_report(&self, survey: &Survey, sequences: &Sequences) -> BoardReport {

@@ -24,8 +24,8 @@ use phone::rows::{RowError, Rows};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
-use verify::repair::repair;
-use verify::verify;
+use report::repair::repair;
+use report::verify::verify;
 use video::{parse_presentation_times, parse_probe};
 
 /// Any bytes as a ROS 1 bag: no panic.

@@ -1,5 +1,5 @@
 //! The plot of `offset`: both gyroscopes before and after, residual, left out. The
-//! drawings of [`page::chart`], one below the other.
+//! drawings of [`report::chart`], one below the other.
 
 use std::ops::Range;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::path::Path;
 use super::fault_found;
 use crate::context::Context;
 use crate::outcome::Failure;
-use page::chart::{COLOURS, Chart, Data, SIZE, stack};
+use report::chart::{COLOURS, Chart, Data, SIZE, stack};
 use session::twist_report::report_of;
 use twist_sync::compare::{self, Pair};
 use twist_sync::{

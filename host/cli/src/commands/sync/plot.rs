@@ -1,7 +1,7 @@
 //! The estimates of each pair over time, about the straight line through the ends of its
 //! course.
 
-use page::chart::{COLOURS, Chart, Data, SIZE, stack};
+use report::chart::{COLOURS, Chart, Data, SIZE, stack};
 
 use super::related::Related;
 

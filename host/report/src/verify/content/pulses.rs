@@ -2,7 +2,7 @@
 
 use protocol::{Status, Ticks};
 
-use crate::{Findings, Grade, GridReport};
+use crate::verify::{Findings, Grade, GridReport};
 use recording::grid::{FollowedGrid, Grid};
 use recording::messages::{Pulse, TriggerPeriod};
 use recording::session_file::{Alignment, SessionFile};

@@ -1,27 +1,25 @@
-//! The report of a measurement as a [`Page`].
+//! The report of a measurement of frame sync.
+
+mod picture;
+pub mod plot;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::classify::{FrameCounts, Reference};
-use super::drift::{Drift, EvaluatedDrift};
-use super::footage::Footage;
-use super::identity::Identity;
-use super::picture;
-use super::plot;
-use super::precision::{Evaluated, Precision, Spread};
-use super::track::Track;
-use super::{EvaluateError, Settings};
-use page::{Level, Page};
+use evaluate::Settings;
+use evaluate::classify::{FrameCounts, Reference};
+use evaluate::drift::{Drift, EvaluatedDrift};
+use evaluate::identity::Identity;
+use evaluate::precision::{Precision, Spread};
+use evaluate::shown::Shown;
 
-/// Report of a precision measurement.
-pub fn precision(
-    result: &Precision,
-    shown: &Evaluated,
-    settings: &Settings,
-) -> Result<String, EvaluateError> {
+use crate::page::{Level, Page};
+
+/// The report of a precision measurement, with pictures of one of its recordings.
+#[must_use]
+pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> String {
     let (level, verdict) = precision_verdict(result);
     let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
     page.facts(&precision_facts(result));
@@ -69,15 +67,15 @@ pub fn precision(
         page.note(Level::Bad, &text);
     }
     page.section("Frame with the rows found");
-    picture(&mut page, &shown.footage, &shown.track, settings)?;
+    picture(&mut page, shown);
     page.section("Row profile and launches");
     page.figure(
-        &plot::precision(result, shown, settings),
+        &plot::precision(result, shown),
         "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
          recordings, their biases.",
     );
     page.settings("Settings", &json!(settings));
-    Ok(page.html())
+    page.html()
 }
 
 /// Bias, spread and row time over all recordings, each with its name.
@@ -133,8 +131,9 @@ fn precision_verdict(result: &Precision) -> (Level, String) {
     (level, text)
 }
 
-/// Report of a drift measurement.
-pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, EvaluateError> {
+/// The report of a drift measurement.
+#[must_use]
+pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
     let r = &drift.result;
     let level = if r.identity.unique && r.notes.is_empty() {
         Level::Good
@@ -155,15 +154,15 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     page.facts(&drift_facts(r));
     notes(&mut page, &r.path.display().to_string(), &r.notes);
     page.section("Frame with the rows found");
-    picture(&mut page, &drift.footage, &drift.track, settings)?;
+    picture(&mut page, &drift.shown);
     page.section("Row profile and drift");
     page.figure(
-        &plot::drift(drift, settings),
+        &plot::drift(drift),
         "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
          against time with the fitted line.",
     );
     page.settings("Settings", &json!(settings));
-    Ok(page.html())
+    page.html()
 }
 
 /// Figures of a recording, each with its name.
@@ -305,20 +304,16 @@ fn notes(page: &mut Page, path: &str, notes: &[String]) {
 }
 
 /// The frame with lines where the flashes were found.
-fn picture(
-    page: &mut Page,
-    footage: &Footage,
-    track: &Track,
-    settings: &Settings,
-) -> Result<(), EvaluateError> {
-    page.picture(
-        &picture::svg(footage, track, settings)?,
-        &format!(
-            "Frame {} of the recording. Dashed: the middle row.",
-            footage.picture.index
+fn picture(page: &mut Page, shown: &Shown) {
+    let index = shown.picture.index;
+    let caption = format!("Frame {index} of the recording. Dashed: the middle row.");
+    match picture::svg(shown) {
+        Ok(svg) => page.picture(&svg, &caption),
+        Err(error) => page.note(
+            Level::Warning,
+            &format!("The frame cannot be drawn: {error}"),
         ),
-    );
-    Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -4,8 +4,8 @@ use protocol::Ticks;
 
 use super::curves::Curves;
 use super::{MAX_LISTED, seconds, sigmas};
-use page::chart::{self, Data, Envelope, Series};
-use page::{Level, Page};
+use crate::chart::{self, Data, Envelope, Series};
+use crate::page::{Level, Page};
 use recording::session_file::{FramePeriodSource, SessionFile, Span};
 use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;

@@ -3,7 +3,7 @@
 use protocol::Status;
 
 use super::STREAMS;
-use crate::{Findings, Grade};
+use crate::verify::{Findings, Grade};
 use board::Stream;
 
 /// How many messages may be under way between a status and the streams that it

@@ -17,8 +17,8 @@ use mcap::write::NoSeek;
 use protocol::Ticks;
 use serde::Serialize;
 
-use super::file::{Sink, walk};
-use super::{FileReport, Findings, Report, session_of, verify};
+use crate::verify::file::{Sink, walk};
+use crate::verify::{FileReport, Findings, Report, session_of, verify};
 use recording::chunks::parse;
 use recording::reader::ticks_of_nanos;
 use recording::rosbag2::{self, METADATA_FILE};

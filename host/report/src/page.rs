@@ -13,10 +13,7 @@
 //! - Nothing in a page depends on when it was made: the same input gives the same
 //!   bytes.
 //!
-//! [`chart`] draws; [`session`] is the report of a recording.
-
-pub mod chart;
-mod envelope;
+//! [`crate::chart`] draws.
 
 use std::fmt::Write as _;
 

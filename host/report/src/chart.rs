@@ -6,6 +6,7 @@
 //! envelope of a bounded number of columns, so a page stays small after hours of
 //! recording.
 
+mod envelope;
 mod head;
 
 use std::ops::Range;
@@ -14,7 +15,7 @@ use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-pub use crate::envelope::{Column, Envelope};
+pub use envelope::{Column, Envelope};
 use head::{Head, USUAL_LINES, head};
 
 /// Size of a drawing of one chart, pixels.

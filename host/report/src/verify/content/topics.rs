@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use mcap::records::MessageHeader;
 
-use crate::{Findings, Grade, TopicReport};
+use crate::verify::{Findings, Grade, TopicReport};
 use recording::Topic;
 use recording::reader::ticks_of_nanos;
 

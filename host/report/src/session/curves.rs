@@ -6,7 +6,7 @@ use std::path::Path;
 use protocol::Ticks;
 
 use super::MAX_LISTED;
-use page::chart::Envelope;
+use crate::chart::Envelope;
 use recording::RecordingError;
 use recording::grid::FollowedGrid;
 use recording::reader::{Item, Reader};

@@ -1,13 +1,11 @@
 //! Plots of a result as SVG.
 
-use page::chart::{Chart, Data, Ink, stack};
+use evaluate::drift::EvaluatedDrift;
+use evaluate::precision::Precision;
+use evaluate::shown::Shown;
+use evaluate::stats::quantile;
 
-use super::Settings;
-use super::drift::EvaluatedDrift;
-use super::footage::Footage;
-use super::precision::{Evaluated, Precision, middle_row};
-use super::stats::quantile;
-use super::track::Track;
+use crate::chart::{Chart, Data, Ink, stack};
 
 /// Size of one chart, pixels.
 const SIZE: (u32, u32) = (900, 380);
@@ -20,8 +18,8 @@ const MARK: Ink = Ink::rgb(20, 110, 180);
 
 /// Averaged row profile, fit, and histogram over launches (with two or more).
 #[must_use]
-pub fn precision(precision: &Precision, shown: &Evaluated, settings: &Settings) -> String {
-    let profile = profile(&shown.footage, &shown.track, settings);
+pub fn precision(precision: &Precision, shown: &Shown) -> String {
+    let profile = profile(shown);
     let values: Vec<f64> = precision.recordings.iter().map(|r| r.bias_us).collect();
     if values.len() > 1 {
         stack(SIZE, &[profile, launches(&values)])
@@ -32,51 +30,28 @@ pub fn precision(precision: &Precision, shown: &Evaluated, settings: &Settings) 
 
 /// Averaged row profile of the shown frames, and row against time with the line.
 #[must_use]
-pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
-    let profile = profile(&drift.footage, &drift.track, settings);
-    stack(SIZE, &[profile, course(drift)])
+pub fn drift(drift: &EvaluatedDrift) -> String {
+    stack(SIZE, &[profile(&drift.shown), course(drift)])
 }
 
-/// Rows, from 0, where the flashes lie of a train with this bias, with their numbers from 1.
-pub(crate) fn flash_rows(
-    footage: &Footage,
-    track: &Track,
-    settings: &Settings,
-    bias_us: f64,
-) -> Vec<(u32, f64)> {
-    let train = settings.train;
-    let bias_us = bias_us + settings.path_delay_us;
-    let middle = middle_row(footage);
-    let first = footage.reducer.first_row() as f64;
-    let last = first + footage.rows.len as f64;
-    (0..train.count)
-        .map(|k| {
-            let row = middle + train.flash_us(k, bias_us) / track.joint.row_time_us;
-            (k + 1, row)
-        })
-        .filter(|(_, row)| (first..last).contains(row))
-        .collect()
-}
-
-fn profile(footage: &Footage, track: &Track, settings: &Settings) -> Chart {
-    let first = footage.reducer.first_row() as f64;
+fn profile(shown: &Shown) -> Chart {
     let points = |values: &[f64]| -> Vec<(f64, f64)> {
         let rows = values.iter().enumerate();
-        rows.map(|(i, &v)| (first + i as f64, v)).collect()
+        rows.map(|(i, &v)| (shown.first_row + i as f64, v))
+            .collect()
     };
-    let flashes = flash_rows(footage, track, settings, track.shown_bias_us);
-    let flashes = flashes.into_iter().map(|(k, row)| (row, k.to_string()));
+    let flashes = shown.flashes.iter().map(|(k, row)| (*row, k.to_string()));
     Chart::new("sensor row", "grey level")
         .title("Mean brightness of rows, with the fitted train")
-        .xs(first..first + footage.rows.len as f64)
+        .xs(shown.first_row..shown.first_row + shown.mean_profile.len() as f64)
         .add(
             "measured",
-            Data::Points(points(&track.mean_profile)),
+            Data::Points(points(&shown.mean_profile)),
             MEASURED.pale(0.5),
         )
         .add(
             "fitted",
-            Data::Line(points(&track.fitted_profile)),
+            Data::Line(points(&shown.fitted_profile)),
             FITTED.wide(1),
         )
         .add(
@@ -86,7 +61,7 @@ fn profile(footage: &Footage, track: &Track, settings: &Settings) -> Chart {
         )
         .add(
             "",
-            Data::Upright(vec![middle_row(footage)]),
+            Data::Upright(vec![shown.middle_row]),
             MARK.pale(0.4).wide(1),
         )
 }
@@ -126,19 +101,21 @@ fn launches(values: &[f64]) -> Chart {
 }
 
 fn course(drift: &EvaluatedDrift) -> Chart {
-    let row_time = drift.track.joint.row_time_us;
-    let middle = middle_row(&drift.footage);
-    let row = |bias: f64| middle + bias / row_time;
+    let result = &drift.result;
+    let place = |(time_s, bias_us): (f64, f64)| {
+        let row = drift.shown.middle_row + bias_us / result.row_time_us;
+        (time_s, row)
+    };
     let every = drift.points.len().div_ceil(MAX_POINTS).max(1);
-    let points = drift.points.iter().step_by(every);
-    let points = points.map(|p| (p.time_s, row(p.bias_us))).collect();
+    let points = drift.points.iter().step_by(every).copied().map(place);
     let ends = drift.points.first().into_iter().chain(drift.points.last());
-    let line = ends.map(|p| (p.time_s, row(drift.line.at(p.time_s))));
+    let line = ends.zip([result.bias_at_start_us, result.bias_at_end_us]);
+    let line = line.map(|(&(time_s, _), bias_us)| place((time_s, bias_us)));
     Chart::new("time, s", "sensor row")
         .title(&format!(
             "Row of the train's centre, depth minus phone: {:+.3} ± {:.3} µs/min",
-            drift.result.drift_us_per_min, drift.result.drift_sigma_us_per_min
+            result.drift_us_per_min, result.drift_sigma_us_per_min
         ))
-        .add("frames", Data::Points(points), MEASURED.pale(0.5))
+        .add("frames", Data::Points(points.collect()), MEASURED.pale(0.5))
         .add("regression", Data::Line(line.collect()), FITTED)
 }

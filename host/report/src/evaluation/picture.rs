@@ -7,34 +7,21 @@ use std::ops::Range;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::footage::Footage;
-use super::plot::flash_rows;
-use super::precision::middle_row;
-use super::track::Track;
-use super::{EvaluateError, Settings};
+use evaluate::shown::Shown;
+use image::ImageResult;
 
 /// A picture narrower than this has its labels beside it, pixels.
 const LABEL_WIDTH: usize = 300;
 
 /// The frame with lines and numbers at the flashes, and a dashed line along the middle
 /// row.
-pub(crate) fn svg(
-    footage: &Footage,
-    track: &Track,
-    settings: &Settings,
-) -> Result<String, EvaluateError> {
-    let mut canvas = Canvas::new(footage)?;
-    // Where the flashes of another frame lie says nothing about this one.
-    let own = track
-        .points
-        .iter()
-        .find(|p| p.index == footage.picture.index);
-    let rows = own.map(|p| flash_rows(footage, track, settings, p.bias_us));
-    for (number, row) in rows.unwrap_or_default() {
+pub(super) fn svg(shown: &Shown) -> ImageResult<String> {
+    let mut canvas = Canvas::new(shown)?;
+    for &(number, row) in &shown.picture_flashes {
         // Only at the edges, so that the bands stay visible.
         canvas.line(row, 0.0..0.18, "stroke=\"#ff6a3d\"");
         canvas.line(row, 0.82..1.0, "stroke=\"#ff6a3d\"");
-        let (at, vertical) = canvas.place(row);
+        let (at, vertical) = shown.picture_line(row);
         let (x, y) = match (vertical, canvas.beside) {
             (true, _) => (at + 3.0, 14.0),
             (false, true) => (canvas.width + 6.0, at + 0.35 * canvas.letters),
@@ -42,10 +29,10 @@ pub(crate) fn svg(
         };
         canvas.label(x, y, "#ff6a3d", &format!("flash {number}, row {row:.2}"));
     }
-    let middle = middle_row(footage);
+    let middle = shown.middle_row;
     if canvas.beside {
         let x = canvas.width + (LABEL_WIDTH * 2 / 3) as f64;
-        let y = canvas.place(middle).0 + 0.35 * canvas.letters;
+        let y = shown.picture_line(middle).0 + 0.35 * canvas.letters;
         canvas.label(x, y, "#0072b2", "middle row");
     }
     let dashed = "stroke=\"#39a0ff\" stroke-dasharray=\"6 4\"";
@@ -56,7 +43,7 @@ pub(crate) fn svg(
 
 /// The picture that is drawn on.
 struct Canvas<'a> {
-    footage: &'a Footage,
+    shown: &'a Shown,
     width: f64,
     height: f64,
     /// True if labels stand beside the picture.
@@ -68,8 +55,8 @@ struct Canvas<'a> {
 }
 
 impl<'a> Canvas<'a> {
-    fn new(footage: &'a Footage) -> Result<Self, EvaluateError> {
-        let picture = &footage.picture;
+    fn new(shown: &'a Shown) -> ImageResult<Self> {
+        let picture = &shown.picture;
         let (w, h) = (picture.width, picture.height);
         let mut png = Cursor::new(Vec::new());
         image::write_buffer_with_format(
@@ -88,7 +75,7 @@ impl<'a> Canvas<'a> {
             0.03 * w.min(h) as f64
         };
         Ok(Self {
-            footage,
+            shown,
             width: w as f64,
             height: h as f64,
             beside,
@@ -100,18 +87,9 @@ impl<'a> Canvas<'a> {
         })
     }
 
-    /// Centre of a sensor row's pixels, and true if the row is upright.
-    fn place(&self, row: f64) -> (f64, bool) {
-        let (line, upright) = self.footage.reducer.image_line(row);
-        (
-            (line + 0.5) / self.footage.picture.reduction as f64,
-            upright,
-        )
-    }
-
     /// A line along a part of a sensor row.
     fn line(&mut self, row: f64, part: Range<f64>, style: &str) {
-        let (at, upright) = self.place(row);
+        let (at, upright) = self.shown.picture_line(row);
         let (x1, y1, x2, y2) = if upright {
             (at, part.start * self.height, at, part.end * self.height)
         } else {

@@ -2,28 +2,24 @@
 //!
 //! What was decided comes from `session.json`, the plots from `recording.mcap`,
 //! which is read once from front to back.
-#![forbid(unsafe_code)]
 
 mod curves;
+mod judgement;
 mod sections;
-mod verdict;
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use protocol::Ticks;
 use serde_json::json;
 
 use self::curves::Curves;
+use crate::REPORT_FILE;
+use crate::page::{Level, Page};
 use board::StreamCount;
-use page::{Level, Page};
+pub use judgement::{Judgement, files_to_fetch, findings, has_recorded};
 use recording::RecordingError;
 use recording::session_file::{SessionFile, Span};
 use timebase::ClockModel;
-pub use verdict::{Judgement, files_to_fetch, findings, has_recorded};
-
-/// Name of the report in a recording's folder.
-pub const REPORT_FILE: &str = "report.html";
 
 /// The most problems and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
@@ -43,12 +39,7 @@ pub fn write(
     let curves = Curves::read(folder, session, stop)?;
     let path = folder.join(REPORT_FILE);
     let html = page(folder, session, &curves).html();
-    // The folder may come from anywhere: a link of this name is replaced, not followed.
-    let written = files::new_file_in(folder).and_then(|mut file| {
-        file.write_all(html.as_bytes())?;
-        files::put_in_place(file, &path, true)
-    });
-    written.map_err(RecordingError::io("write", &path))?;
+    crate::put(&path, &html).map_err(RecordingError::io("write", &path))?;
     Ok(path)
 }
 
@@ -57,11 +48,11 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let judged = Judgement::of(folder, session);
     let mut page = Page::new(
         &title(&session.name),
-        verdict::level(judged.verdict),
+        judgement::level(judged.verdict),
         &judged.text,
     );
     for part in &judged.parts {
-        page.note(verdict::level(part.verdict), &part.line());
+        page.note(judgement::level(part.verdict), &part.line());
     }
     page.facts(&facts(session));
     if curves.broken_off {
@@ -169,7 +160,7 @@ fn checks(page: &mut Page, session: &SessionFile) {
     }
     page.section("What the checks before the recording found");
     for check in findings(session) {
-        page.note(verdict::level(check.verdict), &check.line());
+        page.note(judgement::level(check.verdict), &check.line());
     }
 }
 

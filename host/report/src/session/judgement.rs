@@ -7,7 +7,7 @@
 
 use std::path::{Path, PathBuf};
 
-use page::Level;
+use crate::page::Level;
 use phone::adb::get_files_command;
 use phone::video_files;
 use recording::folder::depth_recordings;
@@ -18,7 +18,7 @@ use recording::session_file::{
 use serde::Serialize;
 use timebase::PhoneNanos;
 
-use crate::seconds;
+use super::seconds;
 
 /// How good a recording is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -1,9 +1,10 @@
-//! The report as a page for people.
+//! The report of a board test.
 
-use page::{Level, Page, chart};
+use bring_up::{Report, Verdict};
 use serde_json::json;
 
-use crate::{Report, Verdict};
+use crate::chart;
+use crate::page::{Level, Page};
 
 /// The report as a self-contained HTML page.
 #[must_use]

@@ -6,7 +6,7 @@
 //!   with the message that was made of it; the numbers that the board gave are
 //!   followed and held against the board's own counters; pulses must be on their
 //!   grid, times must go on.
-//! - [`repair`]: what can be read, as a new recording.
+//! - [`crate::repair`]: what can be read, as a new recording.
 //!
 //! A finding says what kind it is (a stable word), how often, and when first. An
 //! error is a contradiction or damage; a warning is something that is missing and
@@ -16,8 +16,7 @@
 //! read; `smartdepthsync extract` does that.
 
 mod content;
-mod file;
-pub mod repair;
+pub(crate) mod file;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

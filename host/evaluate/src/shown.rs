@@ -1,0 +1,67 @@
+//! What a report draws of a recording.
+
+use super::Settings;
+use super::footage::{Footage, Picture};
+use super::frame::RowReducer;
+use super::precision::middle_row;
+use super::track::Track;
+
+/// Profiles of the sensor's rows, and a frame. Rows are counted from 0 in read-out order,
+/// flashes from 1.
+#[derive(Debug, Clone)]
+pub struct Shown {
+    /// The first row of the profiles.
+    pub first_row: f64,
+    /// The row that counts as the middle.
+    pub middle_row: f64,
+    /// Mean brightness of each row over some of the used frames, grey levels.
+    pub mean_profile: Vec<f64>,
+    /// The fitted train of flashes in the same frames, grey levels.
+    pub fitted_profile: Vec<f64>,
+    /// Flashes in the profiles, each with its row.
+    pub flashes: Vec<(u32, f64)>,
+    /// A frame.
+    pub picture: Picture,
+    /// Flashes found in this frame, each with its row; none if it was not used.
+    pub picture_flashes: Vec<(u32, f64)>,
+    reducer: RowReducer,
+}
+
+impl Shown {
+    pub(crate) fn new(footage: &Footage, track: &Track, settings: &Settings) -> Self {
+        let first_row = footage.reducer.first_row() as f64;
+        let middle_row = middle_row(footage);
+        let train = settings.train;
+        let shown = first_row..first_row + footage.rows.len as f64;
+        let flashes = |bias_us: f64| {
+            let bias_us = bias_us + settings.path_delay_us;
+            (0..train.count)
+                .map(|k| {
+                    let after_us = train.flash_us(k, bias_us);
+                    (k + 1, middle_row + after_us / track.joint.row_time_us)
+                })
+                .filter(|(_, row)| shown.contains(row))
+                .collect()
+        };
+        // Where the flashes of another frame lie says nothing about this one.
+        let picture = &footage.picture;
+        let own = track.points.iter().find(|p| p.index == picture.index);
+        Self {
+            first_row,
+            middle_row,
+            mean_profile: track.mean_profile.clone(),
+            fitted_profile: track.fitted_profile.clone(),
+            flashes: flashes(track.shown_bias_us),
+            picture: picture.clone(),
+            picture_flashes: own.map_or_else(Vec::new, |p| flashes(p.bias_us)),
+            reducer: footage.reducer.clone(),
+        }
+    }
+
+    /// Centre of a row's pixels in the picture, and true if the row is upright there.
+    #[must_use]
+    pub fn picture_line(&self, row: f64) -> (f64, bool) {
+        let (line, upright) = self.reducer.image_line(row);
+        ((line + 0.5) / self.picture.reduction as f64, upright)
+    }
+}

@@ -1,0 +1,395 @@
+//! The report of an extraction: `report.html` for people, with the content of its
+//! `report.json`, and the text of the terminal.
+
+use std::fmt::Write as _;
+use std::io;
+use std::path::Path;
+
+use extract::report::{
+    ClockReport, DepthReport, ExtractReport, GridReport, OtherReport, PairsReport, SAMPLES_FILE,
+    WindowResult,
+};
+use serde_json::json;
+
+use crate::REPORT_FILE;
+use crate::chart::{self, Data, Series};
+use crate::page::{Level, Page};
+
+/// What stands below the sample pairs.
+const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
+    Depth: near is light, far is dark, none is black.";
+
+/// Writes the report of an extraction into its output folder.
+///
+/// # Errors
+///
+/// The file cannot be written.
+pub fn write(out: &Path, report: &ExtractReport) -> io::Result<()> {
+    let samples = std::fs::read_to_string(out.join(SAMPLES_FILE)).ok();
+    let html = page(report, samples.as_deref());
+    crate::put(&out.join(REPORT_FILE), &html)
+}
+
+/// `samples` is a drawing of sample pairs.
+fn page(report: &ExtractReport, samples: Option<&str>) -> String {
+    let (level, verdict) = verdict(report);
+    let title = format!("Extraction of {}", report.recording);
+    let mut page = Page::new(&title, level, &verdict);
+    page.facts(&lines(report));
+    if !report.losses.is_empty() {
+        page.section("Missing or damaged");
+        let rows: Vec<Vec<String>> = report
+            .losses
+            .iter()
+            .map(|loss| vec![loss.part.to_owned(), loss.what.clone()])
+            .collect();
+        page.table(&["part", "what is missing, and what that means"], &rows);
+    }
+    if !report.remarks.is_empty() {
+        page.section("Remarks");
+        for remark in &report.remarks {
+            page.note(Level::Good, remark);
+        }
+    }
+    if let Some(pairs) = &report.pairs {
+        page.section("Time difference of the pairs");
+        let histogram = &pairs.central;
+        let svg = chart::histogram(
+            "depth − phone, µs",
+            "pairs",
+            histogram.first_ns as f64 / 1000.0,
+            histogram.bin_ns as f64 / 1000.0,
+            &histogram.counts,
+        );
+        let mut caption = String::from(
+            "Middle of exposure of the depth image minus that of the phone's frame it is paired \
+             with, both in board time.",
+        );
+        let shown: u64 = histogram.counts.iter().sum();
+        let outside = (pairs.spread.count as u64).saturating_sub(shown);
+        if outside > 0 {
+            let [least, most] = pairs.spread.range_ns.map(|ns| ns as f64 / 1e6);
+            let _ = write!(
+                caption,
+                " {outside} of {} pairs are further off than is shown ({least:.3} to {most:.3} ms \
+                 in all), as pairs are before the trigger has arrived on the phone's frames.",
+                pairs.spread.count
+            );
+        }
+        page.figure(&svg, &caption);
+        page.figure(
+            &pairs_svg(&pairs.course),
+            "The same over time. A slope is a drift of the trigger against the phone's frames.",
+        );
+        if let Some(samples) = samples {
+            page.figure(samples, SAMPLES);
+        }
+    }
+    if let Some(clock) = report.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+        page.section("Clock of the phone");
+        page.figure(
+            &course_svg(&clock.course),
+            "What the two gyroscopes say in each window against the smoothed course, with \
+             1-sigma of both.",
+        );
+    }
+    for other in &report.phones {
+        if let Some(clock) = other.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+            page.section(&format!("Clock of phone {}", other.name));
+            page.figure(
+                &course_svg(&clock.course),
+                "As above, for this phone. The trigger does not follow its frames.",
+            );
+        }
+    }
+    if report.sequences.len() > 1 {
+        page.section("Sequences");
+        let rows: Vec<Vec<String>> = report
+            .sequences
+            .iter()
+            .map(|part| {
+                vec![
+                    part.folder.clone(),
+                    part.color.to_string(),
+                    part.depth.to_string(),
+                    part.pairs.to_string(),
+                ]
+            })
+            .collect();
+        page.table(&["folder", "phone", "depth", "pairs"], &rows);
+    }
+    page.settings(
+        "Settings: constants that went into the times, ns",
+        &json!(report.constants),
+    );
+    page.html()
+}
+
+/// The difference of each pair over time.
+fn pairs_svg(course: &[(i64, i64)]) -> String {
+    let points = course
+        .iter()
+        .map(|&(at, difference)| (at as f64 * 1e-9, difference as f64 / 1000.0));
+    let series = Series {
+        name: String::from("pairs"),
+        data: Data::Points(points.collect()),
+    };
+    chart::series("board time, s", "depth − phone, µs", -1.0..1.0, &[series])
+}
+
+/// Windows against the course, with the course's own band.
+fn course_svg(course: &[WindowResult]) -> String {
+    let band = |sign: f64| {
+        Data::Line(
+            course
+                .iter()
+                .map(|window| (window.board_s, sign * window.course_sigma_s * 1e6))
+                .collect(),
+        )
+    };
+    let windows = course
+        .iter()
+        .map(|window| {
+            (
+                window.board_s,
+                window.residual_s * 1e6,
+                window.sigma_s * 1e6,
+            )
+        })
+        .collect();
+    let series = |name: &str, data| Series {
+        name: name.to_owned(),
+        data,
+    };
+    chart::series(
+        "board time, s",
+        "window − course, µs",
+        -1.0..1.0,
+        &[
+            series("windows", Data::Bars(windows)),
+            series("+1-sigma of the course", band(1.0)),
+            series("−1-sigma", band(-1.0)),
+        ],
+    )
+}
+
+/// The report as text for a terminal.
+#[must_use]
+pub fn text(report: &ExtractReport) -> String {
+    let mut out = String::new();
+    for (name, value) in lines(report) {
+        let _ = writeln!(out, "{name:<22} {value}");
+    }
+    for loss in &report.losses {
+        let _ = writeln!(out, "missing ({}): {}", loss.part, loss.what);
+    }
+    for remark in &report.remarks {
+        let _ = writeln!(out, "note: {remark}");
+    }
+    out
+}
+
+/// Name and value of what matters most.
+fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
+    let mut lines = vec![
+        ("recording", report.recording.clone()),
+        ("format", report.format.name().into()),
+        ("trigger pulses", report.board.pulses.to_string()),
+        ("board IMU samples", report.board.imu.samples.to_string()),
+    ];
+    if let Some(reference) = report
+        .reference
+        .as_ref()
+        .filter(|_| !report.phones.is_empty())
+    {
+        lines.push(("trigger follows", reference.clone()));
+    }
+    if let Some(phone) = &report.phone {
+        lines.push(("phone timestamps", phone.timestamps.to_string()));
+        lines.push(("phone images", phone.images.to_string()));
+        lines.push(("phone IMU rows", phone.imu_rows.to_string()));
+    }
+    if let Some(clock) = &report.clock {
+        lines.push(("clock relation", clock_line(clock)));
+    }
+    if let Some(grid) = &report.grid {
+        lines.push(("phone against trigger", grid_line(grid)));
+    }
+    if let Some(depth) = &report.depth {
+        lines.push(("depth frames", depth_line(depth)));
+        lines.push(("depth images", depth.images.to_string()));
+        if depth.color > 0 {
+            lines.push(("depth camera's colour", depth.color.to_string()));
+        }
+        if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
+            lines.push((
+                "depth clock",
+                format!(
+                    "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {}",
+                    depth.decided_by
+                ),
+            ));
+        }
+        lines.push(("pulses without a frame", depth.missing.len().to_string()));
+    }
+    if let Some(pairs) = &report.pairs {
+        let us = |ns: i64| format!("{:.1}", ns as f64 / 1000.0);
+        let spread = &pairs.spread;
+        lines.push((
+            "pairs",
+            format!(
+                "{}, depth − phone: median {} µs{}, quartiles {} to {} µs",
+                spread.count,
+                us(spread.median_ns),
+                known(pairs),
+                us(spread.quartiles_ns[0]),
+                us(spread.quartiles_ns[1])
+            ),
+        ));
+    }
+    for other in &report.phones {
+        lines.push(("further phone", other_phone_line(other)));
+    }
+    for sensor in &report.sensors {
+        let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
+        lines.push(("further sensor", line));
+    }
+    lines
+}
+
+/// How well it went, in words.
+fn verdict(report: &ExtractReport) -> (Level, String) {
+    let pairs = report.pairs.as_ref().map_or(String::new(), |pairs| {
+        format!(
+            " {} pairs of frames; depth − phone is {:.1} µs{} in the median.",
+            pairs.spread.count,
+            pairs.spread.median_ns as f64 / 1000.0,
+            known(pairs)
+        )
+    });
+    match report.losses.first() {
+        None => (
+            Level::Good,
+            format!(
+                "Everything is there and has its time in board time: {} trigger pulses, {} IMU \
+                 samples.{pairs}",
+                report.board.pulses, report.board.imu.samples
+            ),
+        ),
+        Some(loss) => (
+            Level::Warning,
+            format!(
+                "Something is missing or damaged: {} ({}){}. What is there has its time in board \
+                 time.{pairs}",
+                loss.what,
+                loss.part,
+                match report.losses.len() {
+                    1 => String::new(),
+                    n => format!(", and {} more (below)", n - 1),
+                }
+            ),
+        ),
+    }
+}
+
+/// How well depth − phone is known, in words behind it.
+fn known(pairs: &PairsReport) -> String {
+    pairs.sigma_us.map_or(String::new(), |sigma_us| {
+        format!(" ± {sigma_us:.1} µs (1-sigma)")
+    })
+}
+
+fn clock_line(clock: &ClockReport) -> String {
+    let from = match clock.source {
+        "session" => "the session's twists alone",
+        "bag" => "the one offset in the bag",
+        other => other,
+    };
+    let mut line = format!("from {from}");
+    // An offset alone has no rate.
+    if clock.source != "bag" {
+        let _ = write!(
+            line,
+            ": {:.3} ppm ± {:.3}",
+            clock.skew_ppm, clock.skew_sigma_ppm
+        );
+    }
+    match clock.sigma_us {
+        Some([least, most]) => {
+            let _ = write!(line, ", 1-sigma {least:.1} to {most:.1} µs");
+        }
+        None => line.push_str(", 1-sigma not known"),
+    }
+    if let Some(residual) = clock.residual_us {
+        let (used, windows) = (clock.used, clock.windows);
+        let _ = write!(
+            line,
+            ", residual {residual:.1} µs, {used} of {windows} windows"
+        );
+    }
+    if let Some(tracked) = &clock.tracked {
+        let _ = write!(line, "; {} exchanges with its clock", tracked.exchanges);
+        if let Some([least, most]) = tracked.sigma_us_without {
+            let _ = write!(
+                line,
+                ", without which 1-sigma were {least:.1} to {most:.1} µs"
+            );
+        }
+        let _ = write!(line, ", moved frames by up to {:.1} µs", tracked.moved_us);
+    }
+    line
+}
+
+/// All frames of the file: those on a pulse, and what the others are.
+fn depth_line(depth: &DepthReport) -> String {
+    let mut line = format!("{}: {} on a pulse", depth.frames, depth.matched);
+    let others = [
+        (depth.before_first_pulse, "before the first pulse"),
+        (
+            depth.after_last_pulse,
+            "after the last pulse, by the camera's own clock",
+        ),
+        (depth.doubled.len(), "doubled"),
+        (depth.off_pulse.len(), "off any pulse"),
+        (unassigned(depth), "not matched"),
+    ];
+    for (count, what) in others.into_iter().filter(|&(count, _)| count > 0) {
+        let _ = write!(line, ", {count} {what}");
+    }
+    line
+}
+
+/// Frames that nothing is known of.
+fn unassigned(depth: &DepthReport) -> usize {
+    let known = depth.matched
+        + depth.before_first_pulse
+        + depth.after_last_pulse
+        + depth.doubled.len()
+        + depth.off_pulse.len();
+    depth.frames.saturating_sub(known)
+}
+
+fn grid_line(grid: &GridReport) -> String {
+    format!(
+        "depth − phone {:+.1} µs, drifting by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
+        grid.offset_us, grid.drift_us_per_min, grid.residual_us, grid.pulses
+    )
+}
+
+fn other_phone_line(other: &OtherReport) -> String {
+    let mut line = other.name.clone();
+    if let Some(phone) = &other.phone {
+        let _ = write!(
+            line,
+            ": {} timestamps, {} images, {} IMU rows",
+            phone.timestamps, phone.images, phone.imu_rows
+        );
+    }
+    if let Some(clock) = &other.clock {
+        let _ = write!(line, "; clock {}", clock_line(clock));
+    }
+    if let Some(grid) = &other.grid {
+        let _ = write!(line, "; {}", grid_line(grid));
+    }
+    line
+}

@@ -1,0 +1,33 @@
+//! Reports: what was recorded, extracted or measured, in words and pictures, and how good
+//! it is.
+//!
+//! The crates below return plain results; here they become self-contained HTML pages and
+//! the text of the terminal.
+//!
+//! - [`page`] is the frame of every report, [`chart`] draws into it.
+//! - [`session`], [`extraction`], [`evaluation`], [`board_test`]: a report each.
+//! - [`verify`] checks whether a recording is whole, [`repair`] makes it whole.
+#![forbid(unsafe_code)]
+
+pub mod board_test;
+pub mod chart;
+pub mod evaluation;
+pub mod extraction;
+pub mod page;
+pub mod repair;
+pub mod session;
+pub mod verify;
+
+use std::io::{self, Write as _};
+use std::path::Path;
+
+/// Name of a report in the folder of a recording or of a data set.
+pub const REPORT_FILE: &str = "report.html";
+
+/// Writes a report whole or not at all. The folder may come from anywhere: a link of this
+/// name is replaced, not followed.
+fn put(path: &Path, html: &str) -> io::Result<()> {
+    let mut file = files::new_file_in(path.parent().unwrap_or(Path::new(".")))?;
+    file.write_all(html.as_bytes())?;
+    files::put_in_place(file, path, true)
+}
