@@ -20,8 +20,8 @@ use anyhow::{Context, Result};
 
 use crate::ball;
 use crate::depth_camera::{DepthCamera, FrameRecord};
+use crate::interrupt;
 use crate::k4a_mkv::{K4aMkvWriter, K4aSettings, device_us};
-use crate::serve;
 use stm32f4_sim::shared::{Shared, lock};
 
 /// How long either side waits before it looks whether it should end.
@@ -101,7 +101,7 @@ pub struct Args {
 ///
 /// There is no camera, or the file cannot be written.
 pub fn record(args: &Args) -> Result<()> {
-    let stopped = serve::stopped_by_signal()?;
+    let stopped = interrupt::watch()?;
     let camera = UnixStream::connect(&args.camera)
         .with_context(|| format!("no camera at {}", args.camera.display()))?;
     let file =

@@ -1,5 +1,5 @@
 //! The rig around the simulated board: IMU, cameras, phone, lidar, their clocks,
-//! the motion that they share, and the truth about all of it.
+//! the motion that they share, and the ground truth about all of it.
 //!
 //! The board is [`wiring::board`], a [`stm32f4_sim::sim::Sim`] with the product's wiring;
 //! a part of the rig that is wired to it is a [`stm32f4_sim::model::PinModel`] or an
@@ -12,6 +12,7 @@ pub mod depth_link;
 pub mod flash_log;
 pub mod imu;
 pub mod inertial_channel;
+mod interrupt;
 pub mod jumpers;
 pub mod k4a_mkv;
 pub mod lidar;
@@ -30,8 +31,6 @@ pub mod running_rig;
 pub mod serve;
 pub mod table;
 pub mod true_clock;
-pub mod truth;
-pub(crate) mod truth_recorder;
 pub mod video_writer;
 pub mod virtual_rig;
 pub mod wiring;

@@ -12,11 +12,10 @@ use crate::depth_camera::{DepthCamera, DepthCameraConfig};
 use crate::flash_log::FlashLog;
 use crate::imu::{SensorModel, SimImu, SimImuConfig};
 use crate::motion::{Motion, MotionSpec};
-use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
+use crate::oscillator::{BoardTime, OscillatorConfig};
 use crate::random::{Seed, Stream};
-use crate::truth::{Clocks, Run};
 use crate::wiring::BoardKind;
-use stm32f4_sim::shared::{Shared, lock};
+use stm32f4_sim::shared::Shared;
 use stm32f4_sim::sim::SimBuilder;
 
 /// What is around the board.
@@ -132,7 +131,7 @@ pub struct RigParts {
     pub config: RigConfig,
     /// How the rig moves.
     pub motion: Arc<Motion>,
-    /// The relation of the board's time to true time.
+    /// Relation of the board's time to true time.
     pub board: BoardTime,
     /// The IMU.
     pub imu: Option<Shared<SimImu>>,
@@ -154,27 +153,6 @@ impl RigParts {
             board = board.model(Arc::clone(camera));
         }
         board
-    }
-
-    /// The first record of a truth file.
-    #[must_use]
-    pub(crate) fn run_record(&self) -> Run {
-        Run {
-            imu: self.config.imu,
-            depth_camera: self.config.depth_camera,
-            ..Run::new(
-                self.config.seed,
-                self.config.motion.to_string(),
-                self.config.board_clock,
-            )
-        }
-    }
-
-    /// What the clocks of these parts show.
-    #[must_use]
-    pub(crate) fn clocks_at(&self, at: TrueTime) -> Clocks {
-        let camera = self.depth_camera.as_ref().map(|c| lock(c).clock().clone());
-        Clocks::at(at, &self.board, None, camera.as_ref())
     }
 }
 

@@ -259,6 +259,12 @@ impl RunningRig {
         SimTime::from_units(self.shared.now.load(Ordering::Relaxed))
     }
 
+    /// Forgets what the models noted so far: for a run of any length whose ground truth
+    /// nobody asks for.
+    pub(crate) fn forget(&self) {
+        *lock(&self.shared.noted) = Noted::default();
+    }
+
     /// Whether the board still runs: a firmware that fails ends it.
     #[must_use]
     pub fn is_running(&self) -> bool {

@@ -5,34 +5,30 @@
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use crate::imu::{Fault, SensorModel, SimImu};
+use crate::interrupt;
 use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
-use crate::owner_profile::owner_profile;
-use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
+use crate::phone::{PhoneConfig, VideoMode};
 use crate::random::Seed;
-use crate::rig_config::{RigConfig, RigParts};
-use crate::running_rig::{BOOT_LIMIT, PATIENCE, Pacer, Port};
+use crate::rig_config::RigConfig;
+use crate::running_rig::{Pace, RunningRig};
 use crate::table::Table;
-use crate::true_clock::{BoardClockwork, TrueClock};
-use crate::truth_recorder::TruthRecorder;
 use crate::wiring;
 use anyhow::{Context, Result};
 use jiff::SignedDuration;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::rtt::LogLine;
 use stm32f4_sim::shared::{Shared, lock};
-use stm32f4_sim::sim::Sim;
-use stm32f4_sim::time::{SimDuration, SimTime};
+use stm32f4_sim::time::SimTime;
 use stm32f4_sim::vcd_trace::VcdTrace;
 
-/// Virtual time between two looks at what the models have noted.
-const NOTE_STEP: SimDuration = SimDuration::from_millis(100);
+/// How often it looks whether it should end.
+const POLL: Duration = Duration::from_millis(2);
 
 /// Options of `serve`.
 #[derive(clap::Args)]
@@ -40,12 +36,8 @@ pub struct Args {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// Pace virtual time by the wall clock, whether or not a program takes what the board
-    /// sends. Otherwise the board runs as fast as it can, and stands still for a program
-    /// that has not taken it.
-    #[arg(long, conflicts_with = "speed")]
-    realtime: bool,
-    /// Virtual time passes at most so many times as fast as real time.
+    /// Let virtual time pass at most so many times as fast as real time; without this it
+    /// passes as fast as the machine can.
     #[arg(long, value_name = "TIMES", value_parser = speed)]
     speed: Option<f64>,
     /// Once booted, let the board stand still until a program opens its port.
@@ -85,9 +77,6 @@ pub struct Args {
     /// `sda low`, `sda free`.
     #[arg(long, conflicts_with = "phone")]
     bring_up: bool,
-    /// Write what really happened to this file, as JSON lines.
-    #[arg(long, value_name = "FILE")]
-    truth: Option<PathBuf>,
     /// Write the edges of the board's pins to this file, for a wave viewer.
     #[arg(long, value_name = "FILE")]
     vcd: Option<PathBuf>,
@@ -135,116 +124,91 @@ pub fn duration(text: &str) -> Result<Duration, jiff::Error> {
     text.parse::<SignedDuration>()?.try_into()
 }
 
-/// Becomes true at Ctrl-C and at termination signals.
-pub(crate) fn stopped_by_signal() -> Result<Arc<AtomicBool>> {
-    let stopped = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&stopped))
-            .context("cannot watch for Ctrl-C")?;
-    }
-    Ok(stopped)
-}
-
-/// Runs the rig until its time is over or Ctrl-C is pressed.
+/// Runs the command.
 ///
 /// # Errors
 ///
-/// If the firmware fails, a part of the rig cannot be set up, or a file cannot be
-/// written.
+/// The rig cannot be put together, the firmware has failed, or a file cannot be written.
 pub fn run(args: &Args) -> Result<()> {
+    let stopped = interrupt::watch()?;
     let mut config = RigConfig::published(Seed(args.seed))
         .with_motion(args.motion.clone())
         .with_imu(args.imu);
     config.board = args.board;
+    let mut board = wiring::board_of(args.board, args.elf.as_deref());
+    let jumpers = Arc::new(Mutex::new(Jumpers::default()));
     if args.bring_up {
         config.depth_camera = None;
+        board = board.model(Arc::clone(&jumpers));
     }
-    let parts = config.build()?;
-    let mut builder = parts.wire(wiring::board_of(args.board, args.elf.as_deref()));
-    if args.bring_up {
-        let jumpers = Arc::new(Mutex::new(Jumpers::default()));
-        builder = builder.model(Arc::clone(&jumpers));
-        let imu = parts.imu.clone();
-        std::thread::spawn(move || move_wires(&jumpers, imu.as_ref()));
-    }
-    let clock = TrueClock::new();
-    let phone = match args.phone {
-        None => None,
-        Some(port) => {
-            builder = builder.model(BoardClockwork::new(parts.board.clone(), clock.clone()));
-            Some(start_phone(args, &parts, &clock, port)?)
-        }
-    };
     if !args.quiet {
-        builder = builder.on_log(|line: &LogLine| eprintln!("{line}"));
+        board = board.on_log(|line: &LogLine| eprintln!("{line}"));
     }
     if args.tolerate_failures {
-        builder = builder.tolerate_failures();
+        board = board.tolerate_failures();
     }
     let mut trace = None;
     if let Some(path) = &args.vcd {
-        let file =
-            File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-        let vcd = VcdTrace::new(BufWriter::new(file), &TRACED)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        let cannot = || format!("cannot write {}", path.display());
+        let file = BufWriter::new(File::create(path).with_context(cannot)?);
+        let vcd = VcdTrace::new(file, &TRACED).with_context(cannot)?;
         let shared = Arc::new(Mutex::new(vcd));
-        builder = builder.model(Arc::clone(&shared));
+        board = board.model(Arc::clone(&shared));
         trace = Some(shared);
     }
-    let mut rig = builder.build()?;
-    let mut port = Port::new(&mut rig)?;
-    println!("port: {}", port.pty.path().display());
-    if let Some(phone) = &phone {
+    let phone = args.phone.map(|port| (phone(args), port));
+    let pace = Pace {
+        speed: args.speed,
+        wait_for_host: args.wait_for_host,
+    };
+    let rig = RunningRig::start(config, board, phone, pace)?;
+    if args.bring_up {
+        let imu = rig.parts().imu.clone();
+        std::thread::spawn(move || move_wires(&jumpers, imu.as_ref()));
+    }
+
+    println!("port: {}", rig.port().display());
+    if let Some(phone) = rig.phone() {
         println!("phone: {}", phone.address());
     }
-    let table = match (&args.profile, &phone) {
+    let _table = match (&args.profile, rig.phone()) {
         (Some(path), Some(phone)) => {
             let own = std::env::current_exe().context("where is this program?")?;
-            let table = Table::new(&parts, phone, &own)?;
-            let text = owner_profile(&parts.config, &phone.handset())? + &table.recorder();
-            std::fs::write(path, text)
+            let table = Table::new(rig.parts(), phone, &own)?;
+            std::fs::write(path, rig.profile()? + &table.recorder())
                 .with_context(|| format!("cannot write {}", path.display()))?;
-            print!("{}", table.commands(port.pty.path(), path));
+            print!("{}", table.commands(rig.port(), path));
             Some(table)
         }
         _ => None,
     };
     std::io::stdout().flush()?;
 
-    let stopped = stopped_by_signal()?;
-
-    let mut truth = match &args.truth {
-        None => None,
-        Some(path) => {
-            let cannot = || format!("cannot write {}", path.display());
-            let file = BufWriter::new(File::create(path).with_context(cannot)?);
-            Some(TruthRecorder::new(file, &mut rig, &parts).with_context(cannot)?)
-        }
-    };
-
-    let result = pump(args, &mut rig, &mut port, &stopped, |rig| {
-        match &mut truth {
-            Some(truth) => truth.poll(rig).context("the truth could not be written")?,
-            // Nobody wants it.
-            None => drop(parts.take_records()),
-        }
-        Ok(())
+    let end = args.length.map_or(SimTime::NEVER, |length| {
+        SimTime::from_nanos(u64::try_from(length.as_nanos()).unwrap_or(u64::MAX))
     });
-    let noted = truth.map_or(Ok(()), |mut truth| {
-        truth.poll(&mut rig)?;
-        truth.flush()
-    });
-    // Whoever waits for true time waits in vain now.
-    clock.stop();
-    drop(phone);
-    drop(table);
+    while rig.is_running() && rig.now() < end && !stopped.load(Ordering::Relaxed) {
+        rig.forget();
+        std::thread::sleep(POLL);
+    }
+    let ended = rig.stop();
     if let Some(trace) = trace {
         lock(&trace)
             .flush()
             .context("the trace could not be written")?;
     }
-    result?;
-    noted.context("the truth could not be written")
+    ended.map(drop)
+}
+
+/// The phone: its video shows something where a session is to be extracted.
+fn phone(args: &Args) -> PhoneConfig {
+    let mut config = PhoneConfig::draw(Seed(args.seed));
+    config.storage.clone_from(&args.phone_files);
+    if args.profile.is_some() {
+        config.camera.show_ball();
+        config.video = VideoMode::OnStop;
+    }
+    config
 }
 
 /// Moves wires of a bring-up as the lines on standard input say.
@@ -268,59 +232,4 @@ fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
             ),
         }
     }
-}
-
-/// Switches the phone on.
-fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> Result<SimPhone> {
-    let mut config = PhoneConfig::draw(parts.config.seed);
-    config.storage.clone_from(&args.phone_files);
-    if args.profile.is_some() {
-        config.camera.show_ball();
-        // The app has its file when the recording is stopped.
-        config.video = VideoMode::OnStop;
-    }
-    let surroundings = Surroundings {
-        clock: clock.clone(),
-        motion: Arc::clone(&parts.motion),
-        light: Arc::new(parts.flashes.clone()),
-    };
-    SimPhone::start(config, surroundings, port)
-}
-
-/// Runs the board and moves bytes; calls `note` every now and then.
-fn pump(
-    args: &Args,
-    rig: &mut Sim,
-    port: &mut Port,
-    stopped: &AtomicBool,
-    mut note: impl FnMut(&mut Sim) -> Result<()>,
-) -> Result<()> {
-    let end = args
-        .length
-        .map(|d| SimTime::from_nanos(u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)));
-    let stopped = || stopped.load(Ordering::Relaxed);
-    if args.wait_for_host {
-        rig.run_until_usb_ready(BOOT_LIMIT)?;
-    }
-    while args.wait_for_host && !port.pty.is_open()? && !stopped() {
-        std::thread::sleep(PATIENCE);
-    }
-    let speed = args.speed.or(args.realtime.then_some(1.0));
-    let mut pacer = Pacer::new(speed, rig.now());
-    let mut next_note = rig.now();
-    while end.is_none_or(|end| rig.now() < end) && !stopped() {
-        if !port.move_bytes(rig)? && !args.realtime {
-            std::thread::sleep(PATIENCE);
-            continue;
-        }
-        pacer.wait(rig.now());
-        rig.run_for(pacer.step())?;
-        if rig.now() >= next_note {
-            note(rig)?;
-            next_note = rig.now() + NOTE_STEP;
-        }
-    }
-    // What came of the last step.
-    port.move_bytes(rig)?;
-    Ok(())
 }

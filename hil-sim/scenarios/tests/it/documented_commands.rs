@@ -184,7 +184,7 @@ fn examples_and_fuzz_targets_are_there() {
 fn the_check_finds_what_is_not_there() {
     let help = hil_sim();
     let unknown = |line: &str| help.unknown(&arguments(line, "hil-sim").unwrap());
-    assert_eq!(unknown("target/release/hil-sim serve --realtime"), None);
+    assert_eq!(unknown("target/release/hil-sim serve --speed 1"), None);
     assert_eq!(unknown("cargo run -p hil-sim -- serve --for 10s"), None);
     assert!(unknown("hil-sim sevre").is_some());
     assert!(unknown("hil-sim serve --no-such").is_some());
