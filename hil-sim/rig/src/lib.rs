@@ -6,7 +6,6 @@
 //! [`stm32f4_sim::i2c::I2cTarget`].
 
 pub mod ball;
-pub mod beliefs;
 pub mod depth_camera;
 pub mod depth_link;
 pub mod flash_log;
@@ -17,6 +16,7 @@ pub mod jumpers;
 pub mod k4a_mkv;
 pub mod lidar;
 pub mod link_delay;
+pub mod model_ranges;
 pub mod motion;
 pub mod oscillator;
 pub mod owner_profile;

@@ -5,13 +5,13 @@
 //! between the two ways, wanders slowly, and steps: a screen goes off, a governor changes
 //! the clock of a processor, a hub wakes. Sometimes nothing is answered for seconds. All of
 //! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
-//! beliefs has a row for each.
+//! model ranges has a row for each.
 
 use crate::random::{Random, log_uniform};
 
 /// What a link is like.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LinkBeliefs {
+pub struct LinkRanges {
     /// Median of the round trip, s.
     pub median: (f64, f64),
     /// How the shortest ways scatter, s.
@@ -22,7 +22,7 @@ pub struct LinkBeliefs {
     pub there: (f64, f64),
     /// Share of ways that have a tail.
     pub tailed: (f64, f64),
-    /// Length of a tail: where it begins, s; it ends at [`LinkBeliefs::LONGEST_TAIL`].
+    /// Length of a tail: where it begins, s; it ends at [`LinkRanges::LONGEST_TAIL`].
     pub tail: (f64, f64),
     /// Steps an hour.
     pub steps: (f64, f64),
@@ -37,9 +37,9 @@ pub struct LinkBeliefs {
 }
 
 /// One of the ranges of a link.
-pub type Range = fn(&mut LinkBeliefs) -> &mut (f64, f64);
+pub type Range = fn(&mut LinkRanges) -> &mut (f64, f64);
 
-impl LinkBeliefs {
+impl LinkRanges {
     /// All ranges, by name.
     pub const RANGES: [(&'static str, Range); 11] = [
         ("median of a round trip", |link| &mut link.median),
@@ -128,29 +128,29 @@ fn waiting(random: &mut Random, between: f64) -> f64 {
 impl Link {
     /// A link by its own stream of random numbers; time begins at 0.
     #[must_use]
-    pub fn drawn(beliefs: &LinkBeliefs, mut random: Random) -> Self {
+    pub fn drawn(ranges: &LinkRanges, mut random: Random) -> Self {
         let r = &mut random;
-        let median = log_uniform(r, beliefs.median);
-        let least = median * even(r, beliefs.least);
-        let there = even(r, beliefs.there);
-        let jitter = log_uniform(r, beliefs.jitter);
+        let median = log_uniform(r, ranges.median);
+        let least = median * even(r, ranges.least);
+        let there = even(r, ranges.there);
+        let jitter = log_uniform(r, ranges.jitter);
         let between = |per_hour: f64| 3_600.0 / per_hour.max(1e-6);
         let between = (
-            between(even(r, beliefs.steps)),
-            between(even(r, beliefs.silences)),
+            between(even(r, ranges.steps)),
+            between(even(r, ranges.silences)),
         );
-        let wander = jitter * even(r, beliefs.wander);
+        let wander = jitter * even(r, ranges.wander);
         let mut link = Self {
             least: [least * there, least * (1.0 - there)],
             jitter,
             body: ((median - least) / 2.0, even(r, (0.4, 1.0))),
             waits: even(r, (0.5, 0.9)),
-            tailed: log_uniform(r, beliefs.tailed),
-            tail: log_uniform(r, beliefs.tail),
+            tailed: log_uniform(r, ranges.tailed),
+            tail: log_uniform(r, ranges.tail),
             wander: ([0.0; 2], wander, log_uniform(r, (30.0, 600.0))),
             between,
-            step: beliefs.step,
-            silence: beliefs.silence,
+            step: ranges.step,
+            silence: ranges.silence,
             next_step: waiting(r, between.0),
             silent: (0.0, 0.0),
             at: 0.0,
@@ -213,7 +213,7 @@ impl Link {
         if r.chance(self.tailed) {
             // Heavy: of Pareto's kind, α = 1.5.
             let tail = self.tail * (1.0 - r.uniform(0.0, 1.0)).powf(-1.0 / 1.5);
-            way += tail.min(LinkBeliefs::LONGEST_TAIL);
+            way += tail.min(LinkRanges::LONGEST_TAIL);
         }
         way.max(1e-5)
     }

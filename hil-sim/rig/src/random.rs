@@ -46,8 +46,8 @@ pub enum Stream {
     PhoneMagnetometer = 18,
     /// Frames of the phone that are lost or doubled, and exposures.
     PhoneFrames = 21,
-    /// What a rig may be like beyond what is believed.
-    Beliefs = 22,
+    /// Values in the model ranges.
+    ModelRanges = 22,
     /// What is drawn once for a study of clocks that are asked for their time.
     Tracking = 23,
     /// Delays of exchanges with the board.

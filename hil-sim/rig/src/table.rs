@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 use crate::depth_link::Cable;
-use crate::link_delay::LinkBeliefs;
+use crate::link_delay::LinkRanges;
 use crate::phone::{ClockTeller, SimPhone};
 use crate::rig_config::RigParts;
 
@@ -61,7 +61,7 @@ impl Table {
         // Shells and TOML take it from wherever they are.
         let storage =
             std::path::absolute(phone.storage()).context("where is the phone's storage?")?;
-        let teller = phone.tell_clock(&LinkBeliefs::PHONE_USB);
+        let teller = phone.tell_clock(&LinkRanges::PHONE_USB);
         let teller = teller.context("no port for the phone's clock")?;
         write_adb(&programs.join("adb"), &storage, teller.port())?;
         Ok(Self {

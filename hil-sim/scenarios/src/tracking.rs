@@ -12,8 +12,8 @@ use evaluate::stats::{mean, quantile};
 use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
-use rig::beliefs::{WANDER_PPM, WARMING_PPM, WARMING_S};
-use rig::link_delay::{Link, LinkBeliefs};
+use rig::link_delay::{Link, LinkRanges};
+use rig::model_ranges::{WANDER_PPM, WARMING_PPM, WARMING_S};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
 use rig::random::{Random, Seed, Stream, log_uniform};
 use rig::wiring::UNITS_PER_TICK;
@@ -58,7 +58,7 @@ pub struct StudyOptions {
 }
 
 /// Where in their ranges the links and the warming of the clocks are: the ranges of
-/// [`LinkBeliefs::RANGES`] in that order, and after them the warming.
+/// [`LinkRanges::RANGES`] in that order, and after them the warming.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// Anywhere, by the seed.
@@ -142,7 +142,7 @@ pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
         (Kind::Nominal, Place::Middle, options.rigs),
         (Kind::Drawn, Place::Drawn, options.rigs),
     ];
-    let links = LinkBeliefs::RANGES.iter().map(|(name, _)| *name);
+    let links = LinkRanges::RANGES.iter().map(|(name, _)| *name);
     for (number, name) in links.chain(["warming of the clocks"]).enumerate() {
         for end in [End::Least, End::Most] {
             let kind = Kind::Extreme(format!("{name}: {end:?}").to_lowercase());
@@ -203,7 +203,7 @@ impl StudyOptions {
         f64::from(u8::from(!self.without.contains(&part)))
     }
 
-    fn beliefs(&self, of: LinkBeliefs) -> LinkBeliefs {
+    fn beliefs(&self, of: LinkRanges) -> LinkRanges {
         let share = |part, (from, to): (f64, f64)| {
             let share = self.share(part);
             (from * share, to * share)
@@ -211,7 +211,7 @@ impl StudyOptions {
         // Nothing is drawn from the logarithm of zero.
         let scatter = self.share(Part::Scatter).max(1e-6);
         let (least, most) = share(Part::Wander, of.wander);
-        let mut link = LinkBeliefs {
+        let mut link = LinkRanges {
             jitter: (of.jitter.0 * scatter, of.jitter.1 * scatter),
             steps: share(Part::Steps, of.steps),
             // A link wanders by a part of its scatter: that stays.
@@ -219,7 +219,7 @@ impl StudyOptions {
             silences: share(Part::Silences, of.silences),
             ..of
         };
-        for (number, (_, range)) in LinkBeliefs::RANGES.iter().enumerate() {
+        for (number, (_, range)) in LinkRanges::RANGES.iter().enumerate() {
             let range = range(&mut link);
             *range = self.beliefs.within(number, *range);
         }
@@ -339,7 +339,7 @@ struct Clocks {
 impl Clocks {
     fn drawn(seed: Seed, random: &mut Random, until: f64, options: &StudyOptions) -> Self {
         let moves = options.share(Part::Clocks);
-        let warming = (options.beliefs).within(LinkBeliefs::RANGES.len(), WARMING_PPM);
+        let warming = (options.beliefs).within(LinkRanges::RANGES.len(), WARMING_PPM);
         let board = clock(seed, Stream::BoardClock, (30.0, moves), warming, random);
         let phone = clock(seed, Stream::PhoneClock, (50.0, moves), warming, random);
         let computer = clock(seed, Stream::ComputerClock, (50.0, moves), warming, random);
@@ -485,11 +485,11 @@ fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
             }
             return Ok(result);
         }
-        Arm::Usb => (LinkBeliefs::PHONE_USB, Reached::Usb),
-        Arm::Wifi => (LinkBeliefs::PHONE_WIFI, Reached::Network),
+        Arm::Usb => (LinkRanges::PHONE_USB, Reached::Usb),
+        Arm::Wifi => (LinkRanges::PHONE_WIFI, Reached::Network),
     };
     let link = |beliefs, stream| Link::drawn(&options.beliefs(beliefs), seed.stream(stream));
-    let mut board_link = link(LinkBeliefs::BOARD_USB, Stream::BoardLink);
+    let mut board_link = link(LinkRanges::BOARD_USB, Stream::BoardLink);
     let mut phone_link = link(beliefs, Stream::PhoneLink);
     let mut tracker = Tracker::new();
     let (mut asked, mut at) = ([begin; 2], begin);

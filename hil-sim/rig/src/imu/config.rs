@@ -193,7 +193,7 @@ impl SimImuConfig {
         // Against the MPU-9150: noise of gyroscope and accelerometer, biases of both, own
         // clocks. MPU-9250 product specification, 3.1 and 3.2: 0.01 °/s/√Hz, 300 µg/√Hz,
         // ±5 °/s for ±20, ±60 mg for ±150 (z); internal oscillator ±2 % for ±5 % and the
-        // MPU-6500's: beliefs.
+        // MPU-6500's: guesses.
         // ICM-42688-P data sheet, 3.1 to 3.3: 0.0028 °/s/√Hz, 70 µg/√Hz, ±0.5 °/s,
         // ±20 mg, ±1.5 % and ±3 %.
         let [noise, accel_noise, bias, accel_bias, pll, internal] = match model {

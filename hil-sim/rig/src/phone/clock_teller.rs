@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 use phone_agent::{Answer, QUESTION, read_question};
 
 use super::app::App;
-use crate::link_delay::{Link, LinkBeliefs};
+use crate::link_delay::{Link, LinkRanges};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
 use stm32f4_sim::shared::lock;
@@ -29,12 +29,12 @@ pub struct ClockTeller {
 }
 
 impl ClockTeller {
-    pub(super) fn start(app: Arc<App>, beliefs: &LinkBeliefs) -> std::io::Result<Self> {
+    pub(super) fn start(app: Arc<App>, ranges: &LinkRanges) -> std::io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
         let port = listener.local_addr()?.port();
         let stop = Arc::new(AtomicBool::new(false));
         let open = Arc::new(Mutex::new(None));
-        let link = Link::drawn(beliefs, app.config.seed.stream(Stream::PhoneLink));
+        let link = Link::drawn(ranges, app.config.seed.stream(Stream::PhoneLink));
         let thread = {
             let (stop, open) = (Arc::clone(&stop), Arc::clone(&open));
             std::thread::spawn(move || serve(&listener, &app, link, &stop, &open))

@@ -38,7 +38,7 @@ use std::thread::JoinHandle;
 use anyhow::{Context as _, Result};
 
 use crate::flash_log::FlashSource;
-use crate::link_delay::LinkBeliefs;
+use crate::link_delay::LinkRanges;
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::owner_profile::Handset;
@@ -141,7 +141,7 @@ impl SimPhone {
     /// # Errors
     ///
     /// There is no port.
-    pub fn tell_clock(&self, link: &LinkBeliefs) -> std::io::Result<ClockTeller> {
+    pub fn tell_clock(&self, link: &LinkRanges) -> std::io::Result<ClockTeller> {
         ClockTeller::start(Arc::clone(&self.app), link)
     }
 

@@ -1,7 +1,6 @@
 //! The rig with the firmware of the product, and its models alone.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod beliefs_page;
 mod black_pill;
 mod board;
 mod board_host;
@@ -9,6 +8,7 @@ mod depth_camera;
 mod gnss;
 mod imu;
 mod imu_bench;
+mod model_ranges_page;
 mod outputs;
 mod phone_app;
 mod phone_bench;

@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use evaluate::stats::{mean, quantile};
-use rig::beliefs::{BELIEFS, Beliefs};
+use rig::model_ranges::{MODEL_RANGES, ModelValues};
 use rig::random::Seed;
 use serde::Serialize;
 
@@ -59,7 +59,7 @@ impl fmt::Display for Kind {
 
 /// One rig of a study.
 #[derive(Clone, Debug)]
-pub struct Specimen<B = Beliefs> {
+pub struct Specimen<B = ModelValues> {
     /// Its seed.
     pub seed: u64,
     /// Which.
@@ -127,7 +127,7 @@ pub fn run(
         });
     };
     for seed in seeds(options.rigs) {
-        let drawn = Beliefs::drawn(Seed(seed));
+        let drawn = ModelValues::drawn(Seed(seed));
         let drawn = match options.most_warming_ppm {
             Some(most) => drawn.with_warming_at_most(most),
             None => drawn,
@@ -137,14 +137,14 @@ pub fn run(
         } else {
             drawn
         };
-        add(seed, Kind::Nominal, Beliefs::default());
+        add(seed, Kind::Nominal, ModelValues::default());
         add(seed, Kind::Drawn, drawn);
     }
-    for (place, belief) in BELIEFS.iter().enumerate() {
+    for (place, belief) in MODEL_RANGES.iter().enumerate() {
         for end in belief.extremes() {
             let kind = Kind::Extreme(format!("{}: {end} {}", belief.name, belief.unit));
             for seed in seeds(options.rigs_an_end) {
-                add(seed, kind.clone(), Beliefs::default().with(place, end));
+                add(seed, kind.clone(), ModelValues::default().with(place, end));
             }
         }
     }
@@ -255,12 +255,12 @@ mod tests {
 
     #[test]
     fn a_warming_crystal_drifts_and_is_named() {
-        let warming = BELIEFS
+        let warming = MODEL_RANGES
             .iter()
             .position(|b| b.name.contains("phone's clock"))
             .unwrap();
-        let kind = Kind::Extreme(format!("{}: 5", BELIEFS[warming].name));
-        let nominal = Beliefs::default();
+        let kind = Kind::Extreme(format!("{}: 5", MODEL_RANGES[warming].name));
+        let nominal = ModelValues::default();
         let usual = sessions(1, &nominal).unwrap();
         let warm = sessions(1, &nominal.with(warming, 5.0)).unwrap();
         // Some µs of phase; what was learnt allows for warming since, three twists do not

@@ -9,9 +9,9 @@ use protocol::mpu9150::ADDRESS;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, Video};
-use rig::beliefs::Beliefs;
 use rig::imu::SimImu;
 use rig::imu::mpu::address;
+use rig::model_ranges::ModelValues;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::oscillator::{BoardTime, Oscillator, TrueTime};
@@ -136,7 +136,7 @@ struct Rig {
 /// # Errors
 ///
 /// Twists are refused, nothing can be learnt, or nothing can be aligned.
-pub fn sessions(seed: u64, beliefs: &Beliefs) -> Result<Sessions> {
+pub fn sessions(seed: u64, beliefs: &ModelValues) -> Result<Sessions> {
     let mut rig = Rig::new(Seed(seed), beliefs)?;
     // Of the cold rig: five twists, of which sessions use one, two or three.
     let mut at = 15.0;
@@ -202,7 +202,7 @@ fn true_time(seconds: f64) -> TrueTime {
 }
 
 impl Rig {
-    fn new(seed: Seed, beliefs: &Beliefs) -> Result<Self> {
+    fn new(seed: Seed, beliefs: &ModelValues) -> Result<Self> {
         let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
         beliefs.apply(&mut config, &mut phone);

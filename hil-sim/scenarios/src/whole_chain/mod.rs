@@ -28,10 +28,10 @@ use serde_json::Value;
 
 use crate::demo::judge::{Timebase, Truth, read_streams};
 use crate::programs::{Programs, said};
-use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
 use rig::k4a_mkv::{self, K4aSettings};
+use rig::model_ranges::ModelValues;
 use rig::motion::gesture::Gesture;
 use rig::motion::{MotionSpec, Step};
 use rig::oscillator::{BoardTime, Oscillator, TrueTime};
@@ -72,7 +72,7 @@ pub struct Plan {
     /// Which depth camera.
     pub camera: Family,
     /// What is true of the rig.
-    pub beliefs: Beliefs,
+    pub beliefs: ModelValues,
     /// Whether a [`ball`](rig::ball) swings before the phone's camera.
     pub ball: bool,
     /// A profile of the same rig from an earlier session, with what was learnt
@@ -94,7 +94,7 @@ impl Plan {
             board: BoardKind::default(),
             imu: SensorModel::default(),
             camera: Family::default(),
-            beliefs: Beliefs::default(),
+            beliefs: ModelValues::default(),
             ball: false,
             profile: None,
         }

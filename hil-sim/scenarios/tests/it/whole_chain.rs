@@ -8,9 +8,9 @@ use std::process::Command;
 use crate::support;
 use crate::turn;
 use protocol::{BoardModel, ImuClock, TICK_HZ};
-use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
+use rig::model_ranges::ModelValues;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
@@ -112,7 +112,7 @@ fn what_is_stated_holds_on_a_rig_drawn_from_the_beliefs() {
     let rig = Specimen {
         seed: 2,
         kind: Kind::Drawn,
-        beliefs: Beliefs::drawn(Seed(2)),
+        beliefs: ModelValues::drawn(Seed(2)),
     };
     let plan = believed::plan(&rig, 12);
     for figure in believed::figures(&plan, &programs(), out.path()).unwrap() {

@@ -1,10 +1,10 @@
 //! What a simulated rig may be like beyond what is believed of it: numbers of the models
 //! that nothing from outside holds, each with its nominal value and the range in which the
-//! truth may lie. The book's page of beliefs has a row for each, with its source; a test
+//! truth may lie. The book's page of values has a row for each, with its source; a test
 //! compares them.
 //!
-//! A seed draws a rig from the ranges ([`Beliefs::drawn`]); a study moves one at a time to
-//! the ends of its range ([`Beliefs::with`]). What a rig's owner measures once (filter
+//! A seed draws a rig from the ranges ([`ModelValues::drawn`]); a study moves one at a time to
+//! the ends of its range ([`ModelValues::with`]). What a rig's owner measures once (filter
 //! delays, readout, the delay of the flash) is not drawn: it is in the owner's profile.
 
 use crate::oscillator::{OscillatorConfig, Warming};
@@ -13,7 +13,7 @@ use crate::random::{Random, Seed, Stream, log_uniform};
 use crate::rig_config::RigConfig;
 use stm32f4_sim::time::SimDuration;
 
-/// How a number is drawn from its range.
+/// Distribution over the range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draw {
     /// Even.
@@ -26,35 +26,34 @@ pub enum Draw {
     Whole,
 }
 
-/// A number of the models that may be another.
+/// A number of the models with its range.
 #[derive(Clone, Copy, Debug)]
-pub struct Belief {
-    /// What it is, as its row of the page is called.
+pub struct ModelRange {
+    /// Name of its row on the page.
     pub name: &'static str,
-    /// Its unit; empty if it has none.
+    /// Unit; empty if it has none.
     pub unit: &'static str,
-    /// What the models have.
+    /// Value of the models.
     pub nominal: f64,
-    /// The least and the most that it may truly be.
+    /// Least and most of a real rig.
     pub range: (f64, f64),
-    /// How it is drawn.
     pub draw: Draw,
     apply: fn(f64, &mut RigConfig, &mut PhoneConfig),
 }
 
 const LONGEST_EXPOSURE: &str = "longest exposure";
 
-/// By how much a clock warms up, ppm in 10 min, with either sign.
+/// Warming of a clock, ppm in 10 min, with either sign.
 pub const WARMING_PPM: (f64, f64) = (0.1, 5.0);
 
-/// In what time, s.
+/// Time constant of the warming, s.
 pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
 
-/// How a clock wanders, ppm per √s.
+/// Wander of a clock, ppm per √s.
 pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
-/// All of them.
-pub const BELIEFS: [Belief; 25] = [
+/// All ranges.
+pub const MODEL_RANGES: [ModelRange; 25] = [
     either_sign(
         "warming of the board's crystal",
         WARMING_PPM,
@@ -220,7 +219,7 @@ pub const BELIEFS: [Belief; 25] = [
             camera(rig, |camera| camera.flash_jitter = micros(us));
         },
     ),
-    Belief {
+    ModelRange {
         draw: Draw::Whole,
         ..even(
             "first depth frame on pulse",
@@ -232,7 +231,7 @@ pub const BELIEFS: [Belief; 25] = [
             },
         )
     },
-    Belief {
+    ModelRange {
         draw: Draw::Whole,
         ..even(
             "camera's clock zeroed at the first pulse",
@@ -290,8 +289,8 @@ const fn even(
     nominal: f64,
     range: (f64, f64),
     apply: Apply,
-) -> Belief {
-    Belief {
+) -> ModelRange {
+    ModelRange {
         name,
         unit,
         nominal,
@@ -307,16 +306,16 @@ const fn log(
     nominal: f64,
     range: (f64, f64),
     apply: Apply,
-) -> Belief {
-    Belief {
+) -> ModelRange {
+    ModelRange {
         draw: Draw::Log,
         ..even(name, unit, nominal, range, apply)
     }
 }
 
 /// A change of a frequency in the first ten minutes, that the models do not have.
-const fn either_sign(name: &'static str, range: (f64, f64), apply: Apply) -> Belief {
-    Belief {
+const fn either_sign(name: &'static str, range: (f64, f64), apply: Apply) -> ModelRange {
+    ModelRange {
         draw: Draw::EitherSign,
         ..even(name, "ppm in 10 min", 0.0, range, apply)
     }
@@ -348,7 +347,7 @@ fn each_clock(
     camera(rig, |camera| change(&mut camera.clock));
 }
 
-impl Belief {
+impl ModelRange {
     fn drawn(&self, random: &mut Random) -> f64 {
         let (least, most) = self.range;
         match self.draw {
@@ -391,26 +390,26 @@ impl Belief {
     }
 }
 
-/// A value for each belief.
+/// A value in each of the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Beliefs([f64; BELIEFS.len()]);
+pub struct ModelValues([f64; MODEL_RANGES.len()]);
 
-impl Default for Beliefs {
+impl Default for ModelValues {
     /// The nominal values.
     fn default() -> Self {
-        Self(BELIEFS.map(|belief| belief.nominal))
+        Self(MODEL_RANGES.map(|range| range.nominal))
     }
 }
 
-impl Beliefs {
+impl ModelValues {
     /// Those that a seed draws.
     #[must_use]
     pub fn drawn(seed: Seed) -> Self {
-        let mut random = seed.stream(Stream::Beliefs);
-        Self(BELIEFS.map(|belief| belief.drawn(&mut random)))
+        let mut random = seed.stream(Stream::ModelRanges);
+        Self(MODEL_RANGES.map(|range| range.drawn(&mut random)))
     }
 
-    /// The same with another value of the belief at a place of [`BELIEFS`].
+    /// The same with another value in the range at a place of [`MODEL_RANGES`].
     #[must_use]
     pub fn with(mut self, place: usize, value: f64) -> Self {
         if let Some(old) = self.0.get_mut(place) {
@@ -423,9 +422,9 @@ impl Beliefs {
     /// logarithm of each warming is pressed into the smaller range.
     #[must_use]
     pub fn with_warming_at_most(mut self, most_ppm: f64) -> Self {
-        for (belief, value) in BELIEFS.iter().zip(&mut self.0) {
-            if belief.draw == Draw::EitherSign && *value != 0.0 {
-                let (least, most) = belief.range;
+        for (range, value) in MODEL_RANGES.iter().zip(&mut self.0) {
+            if range.draw == Draw::EitherSign && *value != 0.0 {
+                let (least, most) = range.range;
                 let share = (value.abs() / least).ln() / (most / least).ln();
                 *value = value.signum() * least * (most_ppm / least).powf(share);
             }
@@ -436,23 +435,23 @@ impl Beliefs {
     /// The same where each recording has the shortest exposure.
     #[must_use]
     pub fn with_exposure_locked(self) -> Self {
-        match BELIEFS.iter().position(|b| b.name == LONGEST_EXPOSURE) {
-            Some(place) => self.with(place, BELIEFS[place].nominal),
+        match MODEL_RANGES.iter().position(|b| b.name == LONGEST_EXPOSURE) {
+            Some(place) => self.with(place, MODEL_RANGES[place].nominal),
             None => self,
         }
     }
 
-    /// The value of the belief at a place of [`BELIEFS`].
+    /// The value in the range at a place of [`MODEL_RANGES`].
     #[must_use]
     pub fn value(&self, place: usize) -> Option<f64> {
         self.0.get(place).copied()
     }
 
-    /// Makes a rig and its phone be so. What is as believed is left as it is.
+    /// Makes a rig and its phone be so. Nominal values are left as they are.
     pub fn apply(&self, rig: &mut RigConfig, phone: &mut PhoneConfig) {
-        for (belief, value) in BELIEFS.iter().zip(self.0) {
-            if value != belief.nominal {
-                (belief.apply)(value, rig, phone);
+        for (range, value) in MODEL_RANGES.iter().zip(self.0) {
+            if value != range.nominal {
+                (range.apply)(value, rig, phone);
             }
         }
     }
@@ -462,37 +461,39 @@ impl Beliefs {
 mod tests {
     use super::*;
 
-    fn made(beliefs: &Beliefs) -> (RigConfig, PhoneConfig) {
+    fn made(values: &ModelValues) -> (RigConfig, PhoneConfig) {
         let mut made = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
-        beliefs.apply(&mut made.0, &mut made.1);
+        values.apply(&mut made.0, &mut made.1);
         made
     }
 
     #[test]
-    fn each_belief_changes_the_rig_and_the_nominal_ones_do_not() {
-        let nominal = Beliefs::default();
+    fn each_range_changes_the_rig_and_the_nominal_ones_do_not() {
+        let nominal = ModelValues::default();
         let usual = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
         assert_eq!(made(&nominal), usual);
-        for (place, belief) in BELIEFS.iter().enumerate() {
+        for (place, range) in MODEL_RANGES.iter().enumerate() {
             let mut seen = vec![usual.clone()];
-            for end in belief.extremes() {
+            for end in range.extremes() {
                 let other = made(&nominal.with(place, end));
-                assert!(!seen.contains(&other), "{} of {end}", belief.name);
-                assert!(other.0.clone().build().is_ok(), "{} of {end}", belief.name);
+                assert!(!seen.contains(&other), "{} of {end}", range.name);
+                assert!(other.0.clone().build().is_ok(), "{} of {end}", range.name);
                 seen.push(other);
             }
-            assert!(seen.len() > 1, "{} has no range", belief.name);
+            assert!(seen.len() > 1, "{} has no range", range.name);
         }
     }
 
     #[test]
     fn a_seed_draws_from_the_whole_of_every_range() {
-        let draws: Vec<Beliefs> = (0..400).map(|seed| Beliefs::drawn(Seed(seed))).collect();
-        assert_eq!(draws[7], Beliefs::drawn(Seed(7)));
-        for (place, belief) in BELIEFS.iter().enumerate() {
-            let (least, most) = belief.range;
+        let draws: Vec<ModelValues> = (0..400)
+            .map(|seed| ModelValues::drawn(Seed(seed)))
+            .collect();
+        assert_eq!(draws[7], ModelValues::drawn(Seed(7)));
+        for (place, range) in MODEL_RANGES.iter().enumerate() {
+            let (least, most) = range.range;
             let values: Vec<f64> = draws.iter().filter_map(|d| d.value(place)).collect();
-            let size = |value: &f64| match belief.draw {
+            let size = |value: &f64| match range.draw {
                 Draw::EitherSign => value.abs(),
                 _ => *value,
             };
@@ -500,15 +501,15 @@ mod tests {
                 .iter()
                 .map(size)
                 .fold((most, least), |(low, high), v| {
-                    assert!((least..=most).contains(&v), "{}: {v}", belief.name);
+                    assert!((least..=most).contains(&v), "{}: {v}", range.name);
                     (low.min(v), high.max(v))
                 });
             // A twentieth of the range at both ends is reached.
-            let share = |v: f64| match belief.draw {
+            let share = |v: f64| match range.draw {
                 Draw::Log | Draw::EitherSign => (v / least).ln() / (most / least).ln(),
                 _ => (v - least) / (most - least),
             };
-            assert!(share(low) < 0.05 && share(high) > 0.95, "{}", belief.name);
+            assert!(share(low) < 0.05 && share(high) > 0.95, "{}", range.name);
         }
     }
 
@@ -516,11 +517,11 @@ mod tests {
     fn warming_can_be_limited() {
         let mut most = 0.0_f64;
         for seed in 0..200 {
-            let drawn = Beliefs::drawn(Seed(seed));
+            let drawn = ModelValues::drawn(Seed(seed));
             let limited = drawn.with_warming_at_most(1.0);
-            for (place, belief) in BELIEFS.iter().enumerate() {
+            for (place, range) in MODEL_RANGES.iter().enumerate() {
                 let (was, is) = (drawn.value(place).unwrap(), limited.value(place).unwrap());
-                if belief.draw == Draw::EitherSign {
+                if range.draw == Draw::EitherSign {
                     assert!((0.1..=1.0 + 1e-9).contains(&is.abs()) && is.signum() == was.signum());
                     most = most.max(is.abs());
                 } else {
@@ -530,20 +531,20 @@ mod tests {
         }
         assert!(most > 0.95);
         assert_eq!(
-            Beliefs::default().with_warming_at_most(1.0),
-            Beliefs::default()
+            ModelValues::default().with_warming_at_most(1.0),
+            ModelValues::default()
         );
     }
 
     #[test]
     fn the_exposure_can_be_locked() {
-        let drawn = Beliefs::drawn(Seed(3));
+        let drawn = ModelValues::drawn(Seed(3));
         let locked = drawn.with_exposure_locked();
         let moved = |place: &usize| locked.value(*place) != drawn.value(*place);
-        let moved: Vec<usize> = (0..BELIEFS.len()).filter(moved).collect();
+        let moved: Vec<usize> = (0..MODEL_RANGES.len()).filter(moved).collect();
         assert_eq!(moved.len(), 1);
-        assert_eq!(BELIEFS[moved[0]].name, "longest exposure");
-        let longest = |beliefs| made(&beliefs).1.camera.longest_exposure_ns;
+        assert_eq!(MODEL_RANGES[moved[0]].name, "longest exposure");
+        let longest = |values| made(&values).1.camera.longest_exposure_ns;
         assert!(longest(drawn) > 500_000 && longest(locked) <= 500_000);
     }
 }
