@@ -27,7 +27,7 @@ pub(crate) struct Camera {
 impl Camera {
     /// A model in its default mode, as fast as it goes there.
     pub(crate) fn new(model: &'static Model, mode: Option<&'static Mode>) -> Self {
-        let mode = mode.unwrap_or_else(|| model.default_mode());
+        let mode = mode.unwrap_or(&model.default_mode);
         Self {
             model,
             mode,
@@ -41,10 +41,7 @@ impl Camera {
         let Self { model, mode, .. } = self;
         let mut text = format!(
             "\n# {}: setting {}; pulses go to it through: {}.\n# Its own frame rate: {}.\n",
-            model.name,
-            model.sync_mode,
-            model.pulse.input.wiring(),
-            model.own_rate
+            model.name, model.sync_mode, model.pulse.through, model.own_rate
         );
         text += &format!(
             "# Middle of exposure {}: {}.\n",
@@ -61,7 +58,7 @@ impl Camera {
                  # `smartdepthsync profile init --depth-exposure-us`.\n"
             );
         }
-        for trap in model.traps {
+        for trap in &model.traps {
             text += &format!("# - {} ({})\n", trap.text, trap.source);
         }
         text
@@ -93,8 +90,8 @@ pub(crate) fn text(camera: &Camera, set: &[(&[&str], Item)]) -> Result<String, F
     let Camera { model, mode, .. } = camera;
     let exposure = camera.exposure_us.unwrap_or(USUAL_EXPOSURE_US);
     let own: [(&[&str], Item); 6] = [
-        (&["depth", "camera"], value(model.id)),
-        (&["depth", "mode"], value(mode.name)),
+        (&["depth", "camera"], value(&model.id)),
+        (&["depth", "mode"], value(&mode.name)),
         (&["depth", "fps"], value(i64::from(camera.fps))),
         (
             &["depth", "center_offset_us"],
@@ -148,7 +145,7 @@ pub(crate) fn recorder_command(text: &str, model: &Model, mode: &Mode) -> Array 
             "-c",
             "OFF",
             "-d",
-            mode.name,
+            &mode.name,
             "-r",
             "{fps}",
             "{folder}/depth.mkv",
@@ -179,7 +176,7 @@ pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
         model.name,
         depth.mode,
         depth.pulse_width_us,
-        model.pulse.input.wiring(),
+        model.pulse.through,
         depth.center_offset_us,
         depth.center_offset_sigma_us,
     )
@@ -188,12 +185,11 @@ pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use recording::camera::MODELS;
 
     #[test]
     fn the_profile_of_each_model_fits_its_camera_and_says_why() {
-        for model in MODELS {
-            for mode in model.modes {
+        for model in Model::all() {
+            for mode in model.modes() {
                 let camera = Camera::new(model, Some(mode));
                 let recorder = recorder_command(usual_recorder(model), model, mode);
                 let key: &[&str] = &["depth", "recorder", "command"];
@@ -201,7 +197,7 @@ mod tests {
                 let profile = Profile::parse(&text, None).unwrap();
                 assert_eq!(profile.depth.camera, model.id);
                 assert_eq!(model.objections(&profile), [], "{text}");
-                assert!(text.contains(mode.source) && text.contains(model.traps[0].text));
+                assert!(text.contains(&mode.source) && text.contains(&model.traps[0].text));
                 assert!(text.contains("# From the trigger's edge"), "comments stay");
                 assert!(profile.depth.recorder.command.len() > 4);
             }

@@ -12,7 +12,7 @@ use super::ros2_depth::Ros2Bag;
 use phone::video_files::{self, FilesError, VideoFiles};
 use protocol::ImuSensor;
 use recording::MCAP_FILE;
-use recording::camera::{MODELS, Model};
+use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
 use recording::foreign::is_bag;
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
@@ -143,7 +143,7 @@ pub(crate) struct Inputs {
     /// What the lidar is called, if there is a session.
     pub(crate) lidar: Option<String>,
     /// Model of the depth camera; the published rig's where no session names it.
-    pub(crate) camera: &'static Model,
+    pub(crate) camera: Option<&'static Model>,
     /// The depth camera's mode in the rig profile, if there is a session.
     pub(crate) depth_mode: Option<String>,
     /// Where the profile has the depth camera's colour camera.
@@ -302,9 +302,7 @@ pub(crate) fn find(
             .as_ref()
             .and_then(|session| Some(session.board.as_ref()?.id.clone())),
         lidar: profile.map(|profile| profile.lidar_name().to_owned()),
-        camera: profile
-            .and_then(|profile| profile.depth.model())
-            .unwrap_or(MODELS[0]),
+        camera: Model::find(profile.map_or(DEFAULT_CAMERA, |profile| &profile.depth.camera)),
         depth_mode: profile.map(|profile| profile.depth.mode.clone()),
         color_from_imu: profile.and_then(|profile| profile.depth.color_from_imu),
         recorded: session.and_then(|session| {

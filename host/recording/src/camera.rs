@@ -1,15 +1,13 @@
 //! Models of depth cameras: what a maker says, or somebody has measured, of the pulse that
 //! a camera follows and of the moment at which it then exposes.
 //!
-//! One file a model. A value that nobody has published is an assumption and says so; what
-//! is wrong with it stands in its 1-sigma until `smartdepthsync trigger latency` has
-//! measured it on the camera itself.
+//! Each is a file of `cameras/`, with its sources. A value that nobody has published is an
+//! assumption and says so; what is wrong with it stands in its 1-sigma until
+//! `smartdepthsync trigger latency` has measured it on the camera itself.
 
-mod azure_kinect_dk;
-mod femto;
-mod gemini_330;
-mod oak;
-mod realsense_d400;
+use std::sync::LazyLock;
+
+use serde::Deserialize;
 
 use crate::profile::Profile;
 
@@ -19,39 +17,42 @@ use crate::profile::Profile;
 const FAR_SIGMAS: f64 = 20.0;
 
 /// Word in a profile for the camera of the published rig.
-pub const DEFAULT_CAMERA: &str = azure_kinect_dk::MODEL.id;
+pub const DEFAULT_CAMERA: &str = "azure-kinect-dk";
 
-/// All models, the published rig's first.
-pub const MODELS: [&Model; 6] = [
-    &azure_kinect_dk::MODEL,
-    &femto::BOLT,
-    &femto::MEGA,
-    &gemini_330::MODEL,
-    &realsense_d400::MODEL,
-    &oak::MODEL,
+/// The models, the published rig's first.
+const FILES: [&str; 6] = [
+    include_str!("cameras/azure_kinect_dk.toml"),
+    include_str!("cameras/femto_bolt.toml"),
+    include_str!("cameras/femto_mega.toml"),
+    include_str!("cameras/gemini_330.toml"),
+    include_str!("cameras/realsense_d400.toml"),
+    include_str!("cameras/oak.toml"),
 ];
 
 /// A model of depth camera.
-#[derive(Debug)]
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Model {
     /// Word in profiles and options.
-    pub id: &'static str,
+    pub id: String,
     /// As its maker calls it.
-    pub name: &'static str,
+    pub name: String,
     /// Setting in which it follows the trigger, as its maker calls it.
-    pub sync_mode: &'static str,
+    pub sync_mode: String,
     /// The pulse that it follows.
     pub pulse: Pulse,
     /// Pulses a second that it can be given beside a phone at 30 frames a second.
-    pub rates: &'static [u32],
+    pub rates: Vec<u32>,
     /// Its own frame rate, by the pulses that it is given.
-    pub own_rate: &'static str,
-    /// What records it.
+    pub own_rate: String,
+    /// File that its recorder leaves.
     pub recording: Recording,
-    /// Its depth modes, the default first; there is one at least.
-    pub modes: &'static [Mode],
-    /// What has gone wrong for others.
-    pub traps: &'static [Trap],
+    /// The mode that it has unless another is chosen.
+    pub default_mode: Mode,
+    /// Its other depth modes.
+    pub other_modes: Vec<Mode>,
+    /// Problems that others have had with it.
+    pub traps: Vec<Trap>,
 }
 
 impl PartialEq for Model {
@@ -61,41 +62,20 @@ impl PartialEq for Model {
 }
 
 /// A trigger pulse; all of them are active high, and the rising edge counts.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Pulse {
     /// Length that the profile gets, µs.
     pub width_us: f64,
     /// Length that the maker asks for at least, µs.
     pub shortest_us: f64,
-    /// What its input wants.
-    pub input: Input,
+    /// Circuit between a pin of 3 V and the camera's input, in words.
+    pub through: String,
 }
 
-/// An input for the trigger, by what must stand between it and a pin of 3 V.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Input {
-    /// 5 V logic.
-    V5,
-    /// 1.8 V CMOS, of high impedance.
-    V1p8,
-    /// Isolated, 10 to 24 V.
-    Isolated,
-}
-
-impl Input {
-    /// What must stand between, in words.
-    #[must_use]
-    pub const fn wiring(self) -> &'static str {
-        match self {
-            Self::V5 => "5 V buffer (74AHCT125)",
-            Self::V1p8 => "level shifter, or a divider, to 1.8 V",
-            Self::Isolated => "optocoupler, 12 V or 24 V",
-        }
-    }
-}
-
-/// What a camera's recorder leaves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// File that a camera's recorder leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Recording {
     /// The Azure Kinect recorder's Matroska file.
     Mkv,
@@ -104,12 +84,13 @@ pub enum Recording {
 }
 
 /// A depth mode.
-#[derive(Debug)]
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Mode {
     /// As the camera's programs call it.
-    pub name: &'static str,
+    pub name: String,
     /// Pulses a second in this mode, of the model's.
-    pub rates: &'static [u32],
+    pub rates: Vec<u32>,
     /// From the edge to the middle of exposure.
     pub center: Center,
     /// 1-sigma of it, µs.
@@ -117,22 +98,26 @@ pub struct Mode {
     /// How it is known.
     pub basis: Basis,
     /// Where from.
-    pub source: &'static str,
+    pub source: String,
 }
 
 /// From the rising edge to the middle of exposure.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Center {
     /// Always the same, µs.
+    #[serde(rename = "fixed_us")]
     Fixed(f64),
     /// The exposure begins so many µs after the edge.
+    #[serde(rename = "begins_us")]
     Begins(f64),
     /// The exposure ends with the pulse that follows.
     EndsAtNext,
 }
 
 /// How a value is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Basis {
     /// Its maker says so.
     Maker,
@@ -154,47 +139,56 @@ impl Basis {
     }
 }
 
-/// What has gone wrong for others.
-#[derive(Debug)]
+/// A problem that others have had.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Trap {
-    /// What, and what to do.
-    pub text: &'static str,
-    /// Who said so.
-    pub source: &'static str,
+    /// The problem, and what to do.
+    pub text: String,
+    /// Who reported it.
+    pub source: String,
 }
 
 impl Model {
+    /// All models, the published rig's first.
+    #[must_use]
+    pub fn all() -> &'static [Self] {
+        // Each file can be read: a test does.
+        static ALL: LazyLock<Vec<Model>> =
+            LazyLock::new(|| FILES.into_iter().flat_map(toml::from_str).collect());
+        &ALL
+    }
+
     /// The model of that word.
     #[must_use]
     pub fn find(id: &str) -> Option<&'static Self> {
-        MODELS.into_iter().find(|model| model.id == id)
+        Self::all().iter().find(|model| model.id == id)
     }
 
     /// The words of all models, for messages.
     #[must_use]
     pub fn ids() -> String {
-        MODELS.map(|model| model.id).join(", ")
+        let ids: Vec<&str> = Self::all().iter().map(|model| model.id.as_str()).collect();
+        ids.join(", ")
+    }
+
+    /// Its modes, the default first.
+    pub fn modes(&self) -> impl Iterator<Item = &Mode> {
+        std::iter::once(&self.default_mode).chain(&self.other_modes)
     }
 
     /// Its mode of that name.
     #[must_use]
-    pub fn mode(&self, name: &str) -> Option<&'static Mode> {
-        self.modes
-            .iter()
+    pub fn mode(&self, name: &str) -> Option<&Mode> {
+        self.modes()
             .find(|mode| mode.name.eq_ignore_ascii_case(name))
     }
 
     /// The names of its modes, for messages.
     #[must_use]
     pub fn mode_names(&self) -> String {
-        let names: Vec<&str> = self.modes.iter().map(|mode| mode.name).collect();
+        let names: Vec<&str> = self.modes().map(|mode| mode.name.as_str()).collect();
         names.join(", ")
-    }
-
-    /// The mode that it has unless another is chosen.
-    #[must_use]
-    pub const fn default_mode(&self) -> &'static Mode {
-        &self.modes[0]
     }
 }
 
@@ -220,8 +214,8 @@ impl Model {
             width_us,
             shortest_us,
             ..
-        } = self.pulse;
-        if depth.pulse_width_us < shortest_us {
+        } = &self.pulse;
+        if depth.pulse_width_us < *shortest_us {
             object(
                 format!(
                     "pulses of {} µs, but {} needs {shortest_us} µs",
@@ -321,11 +315,11 @@ mod tests {
         // Nine pulses of 125 µs, 2,515 µs from one to the next: half of 20.245 ms.
         assert_eq!(wide.center_us(15, 0.0), 10_122.5);
         let real_sense = Model::find("realsense-d400").unwrap();
-        let mode = real_sense.default_mode();
+        let mode = &real_sense.default_mode;
         // 790 µs to the begin, and half of 8 ms.
         assert_eq!(mode.center_us(30, 8_000.0), 4_790.0);
         // Ends when the next begins: 33.333 ms less half of 10 ms.
-        let oak = Model::find("oak").unwrap().default_mode();
+        let oak = &Model::find("oak").unwrap().default_mode;
         assert!((oak.center_us(30, 10_000.0) - 28_333.333).abs() < 0.001);
         assert!(oak.follows_exposure() && !wide.follows_exposure());
     }
@@ -376,51 +370,11 @@ mod tests {
     }
 
     #[test]
-    fn the_book_s_tables_are_these() {
-        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/depth-cameras.md");
-        let page = std::fs::read_to_string(page).unwrap();
-        let mut expected = Vec::new();
-        for model in MODELS {
-            let rates: Vec<String> = model.rates.iter().map(u32::to_string).collect();
-            expected.push(format!(
-                "| {} (`{}`) | {} | {}, at least {} | {} | {} | {} |",
-                model.name,
-                model.id,
-                model.sync_mode,
-                model.pulse.width_us,
-                model.pulse.shortest_us,
-                model.pulse.input.wiring(),
-                rates.join(", "),
-                model.own_rate
-            ));
-            for mode in model.modes {
-                let center = match mode.center {
-                    Center::Fixed(center) => format!("{center} µs"),
-                    Center::Begins(delay) => format!("{delay} µs + half of the exposure"),
-                    Center::EndsAtNext => String::from("a period - half of the exposure"),
-                };
-                expected.push(format!(
-                    "| `{}` {} | {center} | {} | {} |",
-                    model.id,
-                    mode.name,
-                    mode.sigma_us,
-                    mode.basis.word()
-                ));
-            }
-        }
-        for line in expected {
-            assert!(page.lines().any(|other| other == line), "{line}");
-        }
-    }
-
-    #[test]
     fn every_model_can_be_used() {
-        for model in MODELS {
-            assert!(
-                !model.modes.is_empty() && !model.traps.is_empty(),
-                "{}",
-                model.id
-            );
+        for file in FILES {
+            let model: Model = toml::from_str(file).unwrap();
+            assert_eq!(Model::find(&model.id), Some(&model));
+            assert!(!model.traps.is_empty(), "{}", model.id);
             assert!(
                 model.pulse.width_us > model.pulse.shortest_us,
                 "{}",
@@ -431,7 +385,7 @@ mod tests {
                 "{}",
                 model.id
             );
-            for mode in model.modes {
+            for mode in model.modes() {
                 let is_rate = |rate: &u32| model.rates.contains(rate);
                 assert!(
                     !mode.rates.is_empty() && mode.rates.iter().all(is_rate),

@@ -209,7 +209,7 @@ pub struct Learnt {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Depth {
-    /// Model of the camera, by its word ([`crate::camera::MODELS`]).
+    /// Model of the camera, by its word ([`Model::all`]).
     #[serde(default = "Depth::default_camera")]
     pub camera: String,
     /// Depth mode, for the record.

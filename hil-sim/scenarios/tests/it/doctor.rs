@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::{SPEED, WholeRig};
-use recording::camera::MODELS;
+use recording::camera::Model;
 use serde_json::Value;
 
 /// Runs it; gives the exit code and each check by its name.
@@ -139,10 +139,10 @@ fn the_profile_that_is_written_for_each_camera_passes() {
     let rig = WholeRig::with(22, SPEED, |config, _| {
         config.motion = "rest".parse().unwrap();
     });
-    for model in MODELS {
+    for model in Model::all() {
         let file = rig.folder.path().join(format!("{}.toml", model.id));
         let written = Command::new(support::smartdepthsync())
-            .args(["profile", "init", "--camera", model.id])
+            .args(["profile", "init", "--camera", &model.id])
             .arg(&file)
             .output()
             .unwrap();
@@ -155,6 +155,6 @@ fn the_profile_that_is_written_for_each_camera_passes() {
         assert_eq!(code, 0, "{}: {checks}", model.id);
         let (verdict, found, _) = check(&checks, "depth camera");
         assert_eq!(verdict, "good", "{found}");
-        assert!(found.contains(model.name), "{found}");
+        assert!(found.contains(&model.name), "{found}");
     }
 }

@@ -304,7 +304,7 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
     let question = format!("Which depth camera ({})?", Model::ids());
     let model = asker.ask(given.camera, &question, DEFAULT_CAMERA, parse_model)?;
     let question = format!("Mode of the depth camera ({})?", model.mode_names());
-    let default = model.default_mode().name;
+    let default = &model.default_mode.name;
     let mode = asker.ask(given.mode(model)?, &question, default, |text| {
         parse_mode(model, text)
     })?;

@@ -239,7 +239,7 @@ impl Extraction<'_> {
     /// From the edge to the middle of exposure in a mode of the camera, ns, where that is
     /// always the same.
     fn nominal(&self, mode: &str) -> Option<i64> {
-        match self.inputs.camera.mode(mode)?.center {
+        match self.inputs.camera?.mode(mode)?.center {
             Center::Fixed(center_us) => Some((center_us * 1e3).round() as i64),
             Center::Begins(_) | Center::EndsAtNext => None,
         }
