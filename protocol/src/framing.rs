@@ -277,13 +277,20 @@ impl<M: DeserializeOwned> Default for Decoder<M> {
     }
 }
 
-fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
-    parse(body(frame)?)
+/// The message of a whole frame, without its delimiter, as a recording has it.
+///
+/// # Errors
+///
+/// The frame is damaged, or no such message.
+pub fn decode_frame<M: DeserializeOwned>(frame: &[u8]) -> Result<M, FrameError> {
+    let mut buffer = [0; MAX_FRAME];
+    let copy = buffer.get_mut(..frame.len()).ok_or(FrameError::Oversize)?;
+    copy.copy_from_slice(frame);
+    decode(copy)
 }
 
-/// A message that is all of `body`.
-pub(crate) fn parse<M: DeserializeOwned>(body: &[u8]) -> Result<M, FrameError> {
-    match postcard::take_from_bytes(body) {
+fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
+    match postcard::take_from_bytes(body(frame)?) {
         Ok((message, [])) => Ok(message),
         _ => Err(FrameError::Message),
     }
@@ -313,7 +320,7 @@ pub fn hello_version(frame: &[u8]) -> Option<u16> {
 }
 
 /// Undoes COBS and checks the CRC.
-pub(crate) fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
+fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
     let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Cobs)?;
     let decoded = frame.get(..len).ok_or(FrameError::Cobs)?;
     let (body, crc) = decoded

@@ -13,7 +13,6 @@
 //! - [`board`]: who the board is ([`Hello`]) and how all of it fares ([`Status`]).
 //! - [`commands`]: what the host can ask for, each with its reply.
 //! - [`messages`]: what is said ([`DeviceToHost`], [`HostToDevice`]).
-//! - [`recorded`]: frames in recordings, also of boards of an older version.
 //!
 //! Beside them, without imports:
 //!
@@ -55,7 +54,6 @@ pub mod icm42688p;
 pub mod imu;
 pub mod messages;
 pub mod mpu9150;
-pub mod recorded;
 pub mod trigger;
 pub mod units;
 pub mod usb;
@@ -63,11 +61,12 @@ pub mod usb;
 pub use board::*;
 pub use capture::*;
 pub use commands::*;
-pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode, hello_version};
+pub use framing::{
+    Decoder, FrameError, LinkCounters, MAX_FRAME, decode_frame, encode, hello_version,
+};
 pub use gnss::*;
 pub use imu::*;
 pub use messages::*;
-pub use recorded::{OLDEST_RECORDED, read_recorded};
 pub use trigger::*;
 pub use units::{Period, TICK_HZ, TickDelta, Ticks};
 

@@ -11,9 +11,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use mcap::records::MessageHeader;
-use protocol::{
-    DeviceToHost, OLDEST_RECORDED, PROTOCOL_VERSION, Status, Ticks, hello_version, read_recorded,
-};
+use protocol::{DeviceToHost, PROTOCOL_VERSION, Status, Ticks, decode_frame, hello_version};
 
 use counters::Counters;
 use pulses::Pulses;
@@ -195,24 +193,21 @@ impl Content {
     fn frame(&mut self, frame: &LinkFrame, at: Ticks, findings: &mut Findings) {
         self.protocol = hello_version(&frame.data).unwrap_or(self.protocol);
         let version = self.protocol;
-        if !(OLDEST_RECORDED..=PROTOCOL_VERSION).contains(&version) {
+        if version != PROTOCOL_VERSION {
             if !std::mem::replace(&mut self.unread, true) {
                 findings.add(Grade::Warning, "frames_not_read", Some(at), || {
                     format!(
                         "the board spoke protocol version {version}; this program reads the \
-                         frames of {OLDEST_RECORDED} to {PROTOCOL_VERSION}, so its numbers are \
-                         not checked"
+                         frames of {PROTOCOL_VERSION}, so its numbers are not checked"
                     )
                 });
             }
             return;
         }
-        match read_recorded(version, &frame.data) {
+        match decode_frame(&frame.data) {
             Ok(message) => {
                 self.in_step = true;
-                if let Some(message) = message {
-                    self.link_message(message, findings);
-                }
+                self.link_message(message, findings);
             }
             Err(error) if self.in_step => {
                 self.damaged_frames += 1;

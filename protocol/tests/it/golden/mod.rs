@@ -23,11 +23,6 @@ fn hex(bytes: &[u8]) -> String {
     })
 }
 
-fn bytes(hex: &str) -> Vec<u8> {
-    let digits = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
-    (0..hex.len()).step_by(2).map(digits).collect()
-}
-
 fn golden() -> String {
     let mut text = format!("protocol-version {PROTOCOL_VERSION}\n");
     let mut buffer = [0; MAX_FRAME];
@@ -81,88 +76,20 @@ fn the_golden_bytes_are_read_back_as_the_same_messages() {
     }
 }
 
-/// The frames of a board that spoke version 2, and what they say today.
+/// A frame of a recording is read as the decoder reads it, and damage is found.
 #[test]
-fn recorded_frames_of_version_2_are_read() {
-    let pinned = include_str!("../../version_2.txt");
-    let read = |name: &str| {
-        let line = pinned.lines().find_map(|line| line.strip_prefix(name));
-        let frame = bytes(line.unwrap().trim());
-        read_recorded(2, frame.strip_suffix(&[0]).unwrap()).unwrap()
-    };
-    let today: std::collections::HashMap<_, _> = messages().into_iter().collect();
-    for (then, now) in [
-        ("pulse-alone", "pulse-alone"),
-        ("pulse-read-back", "pulse-read-back"),
-        ("output-pulse-2", "pulse-2"),
-        ("output-pulse-3", "pulse-3"),
-        ("output-pulse-4", "pulse-4"),
-        ("arrived", "arrived"),
-        ("output-arrived", "arrived-3"),
-        ("capture-Rising", "capture-Rising"),
-        ("imu", "imu"),
-        ("filler", "filler"),
-        ("pps", "pps"),
-    ] {
-        assert_eq!(read(&format!("{then} ")).as_ref(), today.get(now), "{then}");
-    }
-    let mut hello = hello(ResetCause::PowerOn, None);
-    hello.protocol_version = 2;
-    assert_eq!(read("hello-PowerOn "), Some(DeviceToHost::Hello(hello)));
-    let mut status = status();
-    status.handlers = Handlers::default();
-    status.handlers.trigger.cycles = 2 * 13_000;
-    status.die_decidegrees = None;
-    assert_eq!(read("status "), Some(DeviceToHost::Status(status)));
-    for answer in ["answer-pong ", "answer-align ", "answer-imu "] {
-        assert_eq!(read(answer), None);
-    }
-    // And as a frame of any other version they are not taken for something else.
-    let pps = bytes("110a0980f0f0e401a2ec88b00db03598ba");
-    for version in [0, 1, 3, PROTOCOL_VERSION, PROTOCOL_VERSION + 1] {
-        assert_eq!(read_recorded(version, &pps), Err(FrameError::Message));
-    }
-    let mut damaged = pps;
-    damaged[5] ^= 1;
-    assert_eq!(read_recorded(2, &damaged), Err(FrameError::Checksum));
-}
-
-/// The frames of a board that spoke version 3: all but hellos and answers are as today.
-#[test]
-fn recorded_frames_of_version_3_are_read() {
-    let today: std::collections::HashMap<_, _> = messages().into_iter().collect();
-    let (mut read, mut answers) = (0, 0);
-    for line in include_str!("../../version_3.txt").lines() {
-        let Some((name, frame)) = line.split_once(' ').filter(|(name, _)| *name != "#") else {
-            continue;
-        };
-        let frame = bytes(frame);
-        let message = read_recorded(3, frame.strip_suffix(&[0]).unwrap()).unwrap();
-        if name.starts_with("answer-") {
-            assert_eq!(message, None, "{name}");
-            answers += 1;
-            continue;
-        }
-        let mut expected = today[name].clone();
-        if let DeviceToHost::Hello(hello) = &mut expected {
-            hello.protocol_version = 3;
-        }
-        assert_eq!(message, Some(expected), "{name}");
-        read += 1;
-    }
-    assert_eq!((read, answers), (31, 3));
-}
-
-/// A frame of this version is read as the decoder reads it.
-#[test]
-fn recorded_frames_of_this_version_are_read() {
+fn single_frames_are_read() {
     let mut buffer = [0; MAX_FRAME];
     for (name, message) in messages() {
         let frame = encode(&message, &mut buffer).unwrap();
         let frame = frame.strip_suffix(&[0]).unwrap();
-        let read = read_recorded(PROTOCOL_VERSION, frame);
-        assert_eq!(read, Ok(Some(message)), "{name}");
+        assert_eq!(decode_frame(frame), Ok(message), "{name}");
+        let mut damaged = frame.to_vec();
+        damaged[frame.len() / 2] ^= 1;
+        assert!(decode_frame::<DeviceToHost>(&damaged).is_err(), "{name}");
     }
+    let oversize = decode_frame::<DeviceToHost>(&[1; MAX_FRAME + 1]);
+    assert_eq!(oversize, Err(FrameError::Oversize));
 }
 
 /// The page that describes the format names the checksum of the golden bytes:
