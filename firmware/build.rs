@@ -23,6 +23,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("cargo:rustc-link-arg-bins=-T{}", board.display());
         }
         println!("cargo:rustc-link-arg-bins=-Tlink.x");
+        let checks = root.join("firmware/memory/checks.x");
+        println!("cargo:rustc-link-arg-bins=-T{}", checks.display());
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     }
 

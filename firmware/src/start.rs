@@ -2,10 +2,12 @@
 
 use defmt_rtt as _;
 use embassy_executor::{SpawnError, SpawnToken, Spawner};
+#[cfg(feature = "developer")]
+use embassy_stm32::pac;
 use embassy_stm32::peripherals::IWDG;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
+use embassy_stm32::uid;
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{pac, uid};
 use firmware::config;
 use protocol::ResetCause;
 
@@ -20,7 +22,8 @@ use crate::tasks;
 #[cortex_m_rt::entry]
 fn main() -> ! {
     clocks::set_priorities();
-    cycles::init();
+    faults::init();
+    cycles::keep_running();
     let reset_cause = clocks::take_reset_cause();
     let run = faults::begin_run();
     let watchdog = start_watchdog();
@@ -33,7 +36,9 @@ fn main() -> ! {
     let epoch = number(&run);
     let last_panic = run.last_panic;
     stack::paint();
-    // A halted core does not feed the watchdog.
+    // A halted core does not feed the watchdog. Without this one that a tool left halted
+    // starts again.
+    #[cfg(feature = "developer")]
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
     let (trigger_events, output_events) = handover::init();
     outputs::init(output_events);
@@ -47,7 +52,7 @@ fn main() -> ! {
     let _imu_clock = Mco::new(p.MCO1, p.PA8, Mco1Source::PLL, clock_out);
 
     let failed = last_panic.is_some() || reset_cause == ResetCause::Watchdog;
-    leds::set(leds::Led::Fault, failed);
+    leds::show_failed_run(failed);
     let info = BoardInfo {
         board_id: uid::uid(),
         epoch,

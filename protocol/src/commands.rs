@@ -229,4 +229,6 @@ pub enum Failure {
     /// The handler of the camera's trigger takes 50 µs longer from now on, which the
     /// times in [`crate::Handlers`] must show.
     SlowHandler,
+    /// A task that overflows its stack; the next [`crate::Hello`] must say so.
+    StackOverflow,
 }

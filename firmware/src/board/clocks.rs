@@ -5,6 +5,7 @@
     reason = "priorities and reset flags of the bare hardware"
 )]
 
+use cortex_m::peripheral::DCB;
 use embassy_stm32::Config;
 use embassy_stm32::interrupt::Priority;
 use embassy_stm32::pac;
@@ -48,6 +49,8 @@ pub(crate) fn config() -> Config {
     config.rcc.apb1_pre = APBPrescaler::DIV4;
     config.rcc.apb2_pre = APBPrescaler::DIV2;
     config.dma_interrupt_priority = Priority::P8;
+    // ES0182 2.1.3: see `idle`.
+    config.enable_debug_during_sleep = DCB::is_debugger_attached();
     config
 }
 

@@ -1,5 +1,8 @@
 //! What handlers take, by the core's cycle counter (DWT_CYCCNT, ARMv7-M C1.8). It stands
 //! still while the core sleeps, in which no handler runs.
+//!
+//! A probe that is detached switches the debug unit off (TRCENA, C1.6.5), and the counter with
+//! it: [`keep_running`] switches it on again each second.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -11,10 +14,10 @@ pub(crate) static OUTPUTS_TIME: Meter = Meter::new();
 pub(crate) static HANDOVER_TIME: Meter = Meter::new();
 pub(crate) static USB_TIME: Meter = Meter::new();
 
-/// Starts the counter.
+/// Starts the counter, again if it was stopped.
 #[allow(unsafe_code, reason = "nobody else uses the debug unit")]
-pub(crate) fn init() {
-    // SAFETY: called once, before any handler runs.
+pub(crate) fn keep_running() {
+    // SAFETY: called by `main` and one task, and no handler touches these registers.
     let mut core = unsafe { cortex_m::Peripherals::steal() };
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();

@@ -45,6 +45,7 @@ pub(super) fn arm(rise: u32, fall: u32) {
     cortex_m::asm::dmb();
     let stream = DMA.st(STREAM);
     stream.ndtr().write(|w| w.set_ndt(VALUES.len() as u16));
+    // The stream is set up while it is off, and then switched on (RM0090 10.3.17).
     stream.cr().write(|w| {
         w.set_chsel(CHANNEL);
         w.set_pl(Pl::VERY_HIGH);
@@ -53,8 +54,8 @@ pub(super) fn arm(rise: u32, fall: u32) {
         w.set_minc(true);
         w.set_dir(Dir::MEMORY_TO_PERIPHERAL);
         w.set_tcie(true);
-        w.set_en(true);
     });
+    stream.cr().modify(|w| w.set_en(true));
 }
 
 /// Switches the stream off, wherever it stands, and clears what it flagged.

@@ -11,16 +11,33 @@ use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicBool, Ordering};
 
+use cortex_m::peripheral::scb::Exception;
 use cortex_m::peripheral::{DCB, SCB};
 use cortex_m_rt::{ExceptionFrame, exception};
 use firmware::retained::Kept;
 use heapless::String;
 use protocol::MAX_PANIC;
 
+use crate::board::stack;
+
 #[unsafe(link_section = ".uninit.KEPT")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
 static FAILED: AtomicBool = AtomicBool::new(false);
+
+/// VC_CORERESET and the other catches of DEMCR (ARMv7-M C1.6.5).
+const VECTOR_CATCHES: u32 = 0x07F1;
+
+/// Faults of the bus get a handler of their own priority, so that one on the tasks' stack can be
+/// taken where that stack has overflowed. Catches that a flashing tool left on would halt the
+/// core for ever at the next fault. To be called once, first thing.
+pub(crate) fn init() {
+    // SAFETY: nobody else runs yet.
+    let mut core = unsafe { cortex_m::Peripherals::steal() };
+    core.SCB.enable(Exception::BusFault);
+    // SAFETY: without the catches the core takes its exceptions itself.
+    unsafe { core.DCB.demcr.modify(|demcr| demcr & !VECTOR_CATCHES) };
+}
 
 fn load() -> Kept {
     // SAFETY: every bit pattern is a value of `Kept`. The access is volatile,
@@ -91,10 +108,17 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     }
 }
 
+/// Faults of the bus come here too (memory/checks.x).
 #[exception(trampoline = true)]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     // SAFETY: reading the fault status registers has no effect.
     let (cfsr, hfsr) = unsafe { ((*SCB::PTR).cfsr.read(), (*SCB::PTR).hfsr.read()) };
+    let at = core::ptr::from_ref(frame).addr();
+    if !stack::holds_frame(at) {
+        fail(format_args!(
+            "stack overflow: the tasks' stack ended, sp {at:#010x}, cfsr {cfsr:#010x}"
+        ));
+    }
     fail(format_args!(
         "HardFault at pc {:#010x}, lr {:#010x}, cfsr {:#010x}, hfsr {:#010x}",
         frame.pc(),

@@ -5,6 +5,11 @@
 //! awake, and a wake-up that comes between the check and the sleep is not lost.
 //! Unmasking costs a handler some ten cycles, nothing to edges that are armed
 //! ahead.
+//!
+//! With debug in sleep (DBGMCU_CR) and the flash's prefetch on, the core may run wrong
+//! instructions behind a WFI, depending on its address (ES0182 2.1.3). So
+//! [`super::clocks::config`] leaves debug in sleep off unless a debugger is there, and the WFI
+//! is an aligned function of its own, whose address the linker checks (memory/checks.x).
 
 #![allow(unsafe_code, reason = "the executor's platform")]
 
@@ -16,7 +21,27 @@ use embassy_executor::{Spawner, raw};
 use firmware::load::LoadMeter;
 use static_cell::StaticCell;
 
-use crate::board::tim2;
+use crate::board::{stack, tim2};
+
+core::arch::global_asm!(
+    ".pushsection .text.wait_for_interrupt, \"ax\", %progbits",
+    ".balign 8",
+    ".global wait_for_interrupt",
+    ".type wait_for_interrupt, %function",
+    ".thumb_func",
+    "wait_for_interrupt:",
+    "wfi",
+    "isb",
+    "nop",
+    "nop",
+    "bx lr",
+    ".size wait_for_interrupt, . - wait_for_interrupt",
+    ".popsection",
+);
+
+unsafe extern "C" {
+    safe fn wait_for_interrupt();
+}
 
 static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
 static WORK: AtomicBool = AtomicBool::new(false);
@@ -28,16 +53,20 @@ fn pend(_: *mut ()) {
     WORK.store(true, Ordering::Release);
 }
 
-/// Runs the tasks that `spawn` starts, for ever.
+/// Runs the tasks that `spawn` starts, for ever, on their stack.
 pub(crate) fn run(spawn: impl FnOnce(Spawner)) -> ! {
     let executor = EXECUTOR.init(raw::Executor::new(core::ptr::null_mut()));
     spawn(executor.spawner());
+    stack::leave_to_handlers(run_tasks, executor)
+}
+
+extern "C" fn run_tasks(executor: &'static raw::Executor) -> ! {
     loop {
         interrupt::free(|token| {
             if !WORK.load(Ordering::Acquire) {
                 let from = tim2::counter();
                 cortex_m::asm::dsb();
-                cortex_m::asm::wfi();
+                wait_for_interrupt();
                 let to = tim2::counter();
                 let load = LOAD.borrow(token);
                 let mut meter = load.get();

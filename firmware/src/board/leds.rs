@@ -1,5 +1,7 @@
 //! The LEDs, on the pins of [`BOARD`].
 
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::gpio::vals::Moder;
@@ -13,7 +15,7 @@ pub(crate) enum Led {
     Imu,
     /// Changes with every pulse of the trigger.
     Pulse,
-    /// The IMU has failed, or the last run ended in a panic or watchdog reset.
+    /// The IMU has failed, or the last run ended in a panic, fault or watchdog reset.
     Fault,
     /// A host is linked.
     Link,
@@ -45,6 +47,20 @@ fn make_output(led: Led) {
     port(pin.port)
         .moder()
         .modify(|w| w.set_moder(pin.pin.into(), Moder::OUTPUT));
+}
+
+/// The last run ended in a panic, fault or watchdog reset.
+static RUN_FAILED: AtomicBool = AtomicBool::new(false);
+
+/// Lights the LED of faults for as long as this run lasts, if the last one failed.
+pub(crate) fn show_failed_run(failed: bool) {
+    RUN_FAILED.store(failed, Ordering::Relaxed);
+    show_imu_fault(false);
+}
+
+/// Lights the LED of faults while the IMU has failed; it stays on after a failed run.
+pub(crate) fn show_imu_fault(on: bool) {
+    set(Led::Fault, on || RUN_FAILED.load(Ordering::Relaxed));
 }
 
 /// Switches an LED. One write to the bit-set register: safe from any context.

@@ -1,15 +1,26 @@
-//! The deepest stack so far, by paint.
+//! The two stacks, and how deep each has been, by paint.
+//!
+//! Tasks run on the process stack, handlers and start-up on the main one (ARMv7-M B1.4.1), so
+//! that a task that overflows its stack leaves the fault's handler one to report it from.
 
-#![allow(unsafe_code, reason = "looks at the stack's memory")]
+#![allow(
+    unsafe_code,
+    reason = "the stacks' memory, and the switch between them"
+)]
 
+use core::ops::Range;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
+use embassy_executor::raw::Executor;
 use firmware::load::stack_used;
 
+// Addresses of the linker script (memory.x).
 unsafe extern "C" {
-    /// Highest address of the stack, exclusive; its address is its value.
+    /// Above the handlers' stack.
     static _stack_start: u32;
-    /// Lowest address of the stack; its address is its value.
+    /// Above the tasks' stack, which is below the handlers'.
+    static _task_stack_start: u32;
+    /// The tasks' stack begins here.
     static _stack_end: u32;
 }
 
@@ -20,41 +31,103 @@ const PAINT: u32 = 0xC0DE_CAFE;
 /// frames of the painting itself.
 const KEEP_WORDS: usize = 64;
 
-static USED_WORDS: AtomicUsize = AtomicUsize::new(0);
-
-/// Lowest address of the stack, and its size in words.
-fn bounds() -> (*mut u32, usize) {
-    let low = (&raw const _stack_end).cast_mut();
-    let words = (&raw const _stack_start as usize - low as usize) / 4;
-    (low, words)
+/// A stack, and how much of it was ever used.
+struct Stack {
+    low: fn() -> *const u32,
+    high: fn() -> *const u32,
+    used_words: AtomicUsize,
 }
 
-/// Size of the stack, in bytes.
-pub(crate) fn size() -> u32 {
-    (bounds().1 * 4) as u32
-}
+static TASKS: Stack = Stack {
+    low: || &raw const _stack_end,
+    high: || &raw const _task_stack_start,
+    used_words: AtomicUsize::new(0),
+};
 
-/// Fills the unused stack. To be called early in `main`, while no interrupt is
-/// enabled.
-pub(crate) fn paint() {
-    let (low, _) = bounds();
-    let top = cortex_m::register::msp::read() as usize;
-    let words = ((top - low as usize) / 4).saturating_sub(KEEP_WORDS);
-    for word in 0..words {
-        // SAFETY: between the end of the statics and the stack pointer, with
-        // room for the frames of this function and of interrupts (none are
-        // enabled yet).
-        unsafe { low.add(word).write_volatile(PAINT) };
+static HANDLERS: Stack = Stack {
+    low: || &raw const _task_stack_start,
+    high: || &raw const _stack_start,
+    used_words: AtomicUsize::new(0),
+};
+
+impl Stack {
+    fn addresses(&self) -> Range<usize> {
+        (self.low)() as usize..(self.high)() as usize
+    }
+
+    /// Fills it below an address in it.
+    fn paint(&self, below: usize) {
+        let words = (below - self.addresses().start) / 4;
+        for word in 0..words {
+            // SAFETY: within the stack, and below what is in use.
+            unsafe { (self.low)().cast_mut().add(word).write_volatile(PAINT) };
+        }
+    }
+
+    fn depth(&self) -> Depth {
+        let words = self.addresses().len() / 4;
+        let known = self.used_words.load(Ordering::Relaxed);
+        // SAFETY: the whole stack is readable RAM. Volatile: handlers write there.
+        let read = |word: usize| unsafe { (self.low)().add(word).read_volatile() };
+        let used = stack_used(words, read, PAINT, known);
+        self.used_words.store(used, Ordering::Relaxed);
+        Depth {
+            used: (used * 4) as u32,
+            size: (words * 4) as u32,
+        }
     }
 }
 
-/// Most stack ever used, in bytes.
-pub(crate) fn used() -> u32 {
-    let (low, words) = bounds();
-    let known = USED_WORDS.load(Ordering::Relaxed);
-    // SAFETY: the whole stack is readable RAM. Volatile: handlers write there.
-    let read = |word: usize| unsafe { low.add(word).read_volatile() };
-    let used = stack_used(words, read, PAINT, known);
-    USED_WORDS.store(used, Ordering::Relaxed);
-    (used * 4) as u32
+/// How deep a stack has been, and its size, in bytes.
+#[derive(Clone, Copy)]
+pub(crate) struct Depth {
+    pub(crate) used: u32,
+    pub(crate) size: u32,
+}
+
+/// Fills both stacks where they are unused. To be called early in `main`, on the handlers'
+/// stack, while no interrupt is enabled.
+pub(crate) fn paint() {
+    let used = cortex_m::register::msp::read() as usize - 4 * KEEP_WORDS;
+    HANDLERS.paint(used);
+    TASKS.paint(TASKS.addresses().end);
+}
+
+/// The stack of which the larger share was ever used.
+pub(crate) fn fullest() -> Depth {
+    let (tasks, handlers) = (TASKS.depth(), HANDLERS.depth());
+    let tasks_are = u64::from(tasks.used) * u64::from(handlers.size)
+        >= u64::from(handlers.used) * u64::from(tasks.size);
+    if tasks_are { tasks } else { handlers }
+}
+
+/// Whether a whole exception frame fits at this address of either stack.
+pub(crate) fn holds_frame(at: usize) -> bool {
+    const FRAME: usize = 32;
+    let all = TASKS.addresses().start..HANDLERS.addresses().end;
+    at >= all.start && at + FRAME <= all.end
+}
+
+/// Goes on with `run` on the tasks' stack, and leaves this one to handlers. To be called once,
+/// by `main`.
+pub(crate) fn leave_to_handlers(
+    run: extern "C" fn(&'static Executor) -> !,
+    executor: &'static Executor,
+) -> ! {
+    let top = TASKS.addresses().end;
+    // SAFETY: the process stack is the tasks' memory, which nothing else uses. Nothing of this
+    // frame is used after the switch, and `run` never returns.
+    unsafe {
+        core::arch::asm!(
+            "msr PSP, {top}",
+            "msr CONTROL, {process_stack}",
+            "isb",
+            "bx {run}",
+            top = in(reg) top,
+            process_stack = in(reg) 2_u32,
+            run = in(reg) run,
+            in("r0") executor,
+            options(noreturn),
+        )
+    }
 }

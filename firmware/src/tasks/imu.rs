@@ -102,7 +102,7 @@ fn book(fault: ImuFault) {
 
 fn show(state: ImuState) {
     leds::set(Led::Imu, state == ImuState::Running);
-    leds::set(Led::Fault, state == ImuState::Failed);
+    leds::show_imu_fault(state == ImuState::Failed);
     if STATUS.lock(Cell::get).state != state {
         defmt::info!("imu: {}", state);
     }

@@ -23,6 +23,14 @@ pub(crate) fn is_stalled() -> bool {
     STALLED.load(Ordering::Relaxed)
 }
 
+/// Calls itself until the stack ends.
+#[allow(unconditional_recursion, reason = "that is its purpose")]
+fn overflow(depth: u32) {
+    let frame = core::hint::black_box([depth; 64]);
+    overflow(frame[0].wrapping_add(1));
+    core::hint::black_box(frame);
+}
+
 #[embassy_executor::task]
 #[allow(clippy::panic, reason = "that is its purpose")]
 pub(crate) async fn run() {
@@ -32,6 +40,7 @@ pub(crate) async fn run() {
         match failure {
             Failure::Panic => panic!("self test: panic on request"),
             Failure::HardFault => faults::undefined_instruction(),
+            Failure::StackOverflow => overflow(0),
             Failure::SlowHandler => tim2::slow_down(),
             Failure::Stall => STALLED.store(true, Ordering::Relaxed),
             Failure::Hang => loop {

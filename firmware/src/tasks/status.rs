@@ -21,6 +21,7 @@ pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
     let mut thermometer = Thermometer::new();
     loop {
         ticker.next().await;
+        cycles::keep_running();
         if ALIVE.all() && !triggers::is_overdue(TRIGGER_OVERDUE) {
             watchdog.pet();
         }
@@ -40,6 +41,7 @@ fn status(seq: u32, handlers: Handlers, die_decidegrees: Option<i16>) -> Status 
     let (lost, output_latency) = outputs::counters();
     dropped.outputs = dropped.outputs.saturating_add(lost);
     let now = tim2::now();
+    let stack = stack::fullest();
     Status {
         seq,
         at: now,
@@ -48,8 +50,8 @@ fn status(seq: u32, handlers: Handlers, die_decidegrees: Option<i16>) -> Status 
         link: RECEIVED.lock(core::cell::Cell::get),
         connects: CONNECTS.load(Ordering::Relaxed),
         cpu_permille: idle::load_permille(),
-        stack_used: stack::used(),
-        stack_size: stack::size(),
+        stack_used: stack.used,
+        stack_size: stack.size,
         trigger: triggers::status(Output::Camera),
         trigger_latency: counters.latency,
         handlers,

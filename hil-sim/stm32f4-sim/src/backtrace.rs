@@ -17,10 +17,12 @@ const MAX_FRAMES: usize = 48;
 const EXC_RETURN: u32 = 0xffff_ffe0;
 
 /// Return addresses from the innermost function outwards, beginning with the
-/// program counter in `regs`. `read` reads a word of memory.
+/// program counter in `regs`. `psp` is the process stack of interrupted tasks, `read` reads a
+/// word of memory.
 pub(crate) fn unwind(
     firmware: &Firmware,
     regs: [u32; 16],
+    psp: u32,
     read: impl Fn(u32) -> Option<u32>,
 ) -> Vec<u32> {
     let mut out = vec![regs[15]];
@@ -73,7 +75,7 @@ pub(crate) fn unwind(
         let ret = caller[14];
         if ret >= EXC_RETURN {
             // The caller is the hardware: its frame has what was interrupted.
-            let Some(interrupted) = exception_frame(caller, &read) else {
+            let Some(interrupted) = exception_frame(caller, psp, &read) else {
                 return out;
             };
             regs = interrupted;
@@ -92,13 +94,17 @@ pub(crate) fn unwind(
 }
 
 /// Registers of the code that an exception interrupted. `regs` are those at
-/// the handler's first instruction: LR is the EXC_RETURN value, SP the frame
-/// (if it is on the main stack).
+/// the handler's first instruction: LR is the EXC_RETURN value; SP is the frame, or `psp` if
+/// that says so (DDI 0403 B1.5.8).
 pub(crate) fn exception_frame(
     regs: [u32; 16],
+    psp: u32,
     read: &impl Fn(u32) -> Option<u32>,
 ) -> Option<[u32; 16]> {
-    let sp = regs[13];
+    let sp = match regs[14] & (1 << 2) {
+        0 => regs[13],
+        _ => psp,
+    };
     let mut out = regs;
     for (n, slot) in [0usize, 1, 2, 3, 12, 14, 15].into_iter().enumerate() {
         out[slot] = read(sp.wrapping_add(n as u32 * 4))?;

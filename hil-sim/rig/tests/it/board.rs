@@ -248,6 +248,19 @@ fn a_hard_fault_is_reported_in_the_next_hello() {
     );
 }
 
+/// The handler of the fault has a stack of its own to report from.
+#[test]
+fn a_stack_that_overflows_is_reported_in_the_next_hello() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    self_test(&mut board, Failure::StackOverflow);
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::Software);
+    let message = hello.last_panic.expect("the message of the fault");
+    assert!(message.contains("stack overflow"), "{message}");
+    let kinds: Vec<_> = board.rig.failures().iter().map(|f| f.kind).collect();
+    assert_eq!(kinds, [FailureKind::HardFault]);
+}
+
 #[test]
 fn a_hang_and_a_dead_task_end_in_a_watchdog_reset() {
     for failure in [Failure::Hang, Failure::Stall] {
@@ -351,13 +364,39 @@ fn what_the_manual_forbids_ends_the_run_whatever_is_tolerated() {
 fn the_stack_ends_where_memory_ends() {
     let mut board = Board::boot(wiring::board());
     let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
-    let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
-    assert_eq!((bottom, top), (0x1000_0000, 0x1001_0000));
+    let (top, bottom) = (symbol("_task_stack_start"), symbol("_stack_end"));
+    assert_eq!((bottom, top), (0x1000_0000, 0x1000_e000));
+    let end = symbol("_stack_start");
+    assert_eq!(end, 0x1001_0000);
     assert!(board.rig.peek(bottom, 4).is_some());
     assert!(board.rig.peek(bottom - 4, 4).is_none());
     let status = board.next_status();
-    assert_eq!(status.stack_size, top - bottom);
-    assert!((512..16_384).contains(&status.stack_used), "{status:?}");
+    // Of the one that is fuller.
+    assert!(
+        [top - bottom, end - top].contains(&status.stack_size),
+        "{status:?}"
+    );
+    assert!((512..6_144).contains(&status.stack_used), "{status:?}");
+}
+
+/// The ROM's bootloader leaves its own vectors behind (AN2606): the first interrupt would go
+/// there.
+#[test]
+fn it_runs_when_the_rom_has_started_it() {
+    let mut board = Board::boot(wiring::board().started_by_rom());
+    board.run(3_000);
+    assert_eq!(board.hellos.len(), 1);
+}
+
+/// A probe that detaches stops the counter that the handlers are measured with.
+#[test]
+fn handlers_are_measured_after_a_probe_has_gone() {
+    let mut board = Board::boot(wiring::board());
+    board.run(1_500);
+    board.rig.detach_probe();
+    board.run(2_100);
+    let usb = board.statuses.last().unwrap().handlers.usb;
+    assert!(usb.calls > 0 && usb.mean() > 20, "{usb:?}");
 }
 
 /// A clock tree that is not what the firmware believes shows as wrong time.

@@ -58,6 +58,10 @@ pub(crate) enum Rule {
     FlashLatency { hz: u64, states: u32 },
     /// Revision A is to prefetch (ES0182).
     Prefetch,
+    /// The core sleeps where the instructions behind may not be what the flash holds
+    /// (ES0182 2.1.3; where the address matters is from mynewt-core #2057 and "An STM32 WFI
+    /// bug", cliffle.com).
+    Wfi { address: u32 },
     /// More is written into a transmit FIFO than it holds (RM0090 34.11).
     Fifo { endpoint: usize },
 }
@@ -68,6 +72,8 @@ const HZ_A_WAIT_STATE: u64 = 30_000_000;
 pub(super) const FLASH_ACR: u32 = 0x4002_3c00;
 pub(super) const ACR_LATENCY: u32 = 7;
 const ACR_PRFTEN: u32 = 1 << 8;
+const DBGMCU_CR: u32 = 0xe004_2004;
+const DBG_SLEEP: u32 = 1;
 
 impl fmt::Display for End {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -142,6 +148,12 @@ impl fmt::Display for Rule {
                 "it switches on the flash's prefetch on revision A of the chip, which cannot \
                  (ES0182)",
             ),
+            Self::Wfi { address } => write!(
+                f,
+                "it sleeps by a WFI at {address:#010x} with debug in sleep (DBGMCU_CR) and the \
+                 flash's prefetch on: what the core runs next may not be what the flash holds \
+                 (ES0182 2.1.3)"
+            ),
             Self::Fifo { endpoint } => write!(
                 f,
                 "it writes more into the transmit FIFO of USB endpoint {endpoint} than that was \
@@ -183,6 +195,14 @@ impl Soc {
 }
 
 impl Soc {
+    /// Holds a WFI to the addresses at which it is safe.
+    pub(crate) fn require_safe_sleep(&mut self, address: u32) {
+        let is_set = |register, bit| self.cells.read(register).unwrap_or(0) & bit != 0;
+        if address & 4 != 0 && is_set(DBGMCU_CR, DBG_SLEEP) && is_set(FLASH_ACR, ACR_PRFTEN) {
+            self.forbid(Rule::Wfi { address });
+        }
+    }
+
     /// Holds clocks and wait states to their limits.
     pub(super) fn require_clocks(&mut self) {
         let (input, oscillator) = self.rcc.pll_rates();

@@ -45,8 +45,13 @@ use state::Fast;
 
 /// The upper byte of the SVC instruction.
 const SVC: u32 = 0xdf;
-/// Number of the HardFault exception.
-pub(crate) const HARD_FAULT: u16 = 3;
+/// The WFI instruction.
+const WFI: u32 = 0xbf30;
+/// Where the ROM's vectors are (RM0090 table 5).
+const ROM: u32 = 0x1fff_0000;
+/// Numbers of the exceptions HardFault and BusFault.
+const HARD_FAULT: usize = 3;
+const BUS_FAULT: usize = 5;
 
 /// What the core did when it was run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +60,7 @@ pub(crate) enum Event {
     None,
     /// Reached a breakpoint; the instruction there has not been executed.
     Breakpoint(u32),
-    /// Entered the HardFault handler.
+    /// Entered the handler of HardFault or BusFault.
     HardFault,
     /// Locked up: a fault that no handler can take.
     LockUp,
@@ -133,6 +138,8 @@ pub(crate) struct Cpu {
     breakpoints: Vec<u32>,
     /// A breakpoint to pass over once.
     passing: Option<u32>,
+    /// The ROM has started the program, with its own vectors.
+    by_rom: bool,
     stats: CpuStats,
     /// Where cycles are being counted to, and since when.
     running: usize,
@@ -179,6 +186,7 @@ impl Cpu {
             known_irq: 0,
             breakpoints: Vec::new(),
             passing: None,
+            by_rom: false,
             stats: CpuStats {
                 exceptions: vec![IrqStats::default(); 112],
                 ..CpuStats::default()
@@ -209,9 +217,24 @@ impl Cpu {
         self.code.plant(addr);
     }
 
+    /// The next reset is a start by the ROM's bootloader, which leaves its vectors.
+    pub(crate) fn start_by_rom(&mut self) {
+        self.by_rom = true;
+    }
+
+    /// A debug probe has gone: probe-rs clears DEMCR when it detaches.
+    pub(crate) fn detach_probe(&mut self) {
+        self.arm.with_sys(|s| s.demcr = 0);
+    }
+
     /// R0 to R15 (R15 is the address of the next instruction) and xPSR.
     pub(crate) fn registers(&self) -> ([u32; 16], u32) {
         (self.fast.r, self.fast.xpsr())
+    }
+
+    /// The process stack pointer, while a handler runs.
+    pub(crate) fn process_stack(&self) -> u32 {
+        self.regs.psp
     }
 
     /// Fault status: CFSR, HFSR, MMFAR, BFAR.
@@ -362,6 +385,12 @@ impl Cpu {
         };
         self.cycles += self.arm.step() + self.waits(pc);
         self.stats.slow_steps += 1;
+        if executed && word >> 16 == WFI {
+            lock(&self.soc).require_safe_sleep(pc);
+        }
+        if std::mem::take(&mut self.by_rom) {
+            self.arm.with_sys(|s| s.vtor = ROM);
+        }
 
         self.regs = self.arm.regs();
         self.fast.r = self.regs.r;
@@ -388,7 +417,7 @@ impl Cpu {
             // Entered, not returned to: the handler is at its first instruction.
             if running != 0 && self.is_entry(running) {
                 self.entered(running);
-                if running == usize::from(HARD_FAULT) {
+                if matches!(running, HARD_FAULT | BUS_FAULT) {
                     event = Event::HardFault;
                 }
             }

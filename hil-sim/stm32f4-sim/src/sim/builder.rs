@@ -37,6 +37,7 @@ pub struct SimBuilder {
     seed: Seed,
     plugged: bool,
     tolerate_failures: bool,
+    by_rom: bool,
     chip: ChipConfig,
     models: Vec<Box<dyn PinModel>>,
     targets: Vec<Box<dyn I2cTarget>>,
@@ -57,6 +58,7 @@ impl SimBuilder {
             seed: Seed(1),
             plugged: true,
             tolerate_failures: false,
+            by_rom: false,
             chip: ChipConfig {
                 part: Part::default(),
                 crystal: None,
@@ -128,6 +130,13 @@ impl SimBuilder {
     #[must_use]
     pub fn tolerate_failures(mut self) -> Self {
         self.tolerate_failures = true;
+        self
+    }
+
+    /// The ROM's bootloader starts the firmware, as behind a download by DFU.
+    #[must_use]
+    pub fn started_by_rom(mut self) -> Self {
+        self.by_rom = true;
         self
     }
 
@@ -258,6 +267,9 @@ impl SimBuilder {
         let code_bytes = firmware.flash_size();
         let soc = Arc::new(Mutex::new(soc));
         let mut cpu = Cpu::new(Arc::clone(&soc), code_bytes).map_err(SimError::Setup)?;
+        if self.by_rom {
+            cpu.start_by_rom();
+        }
         let mut panic_at = None;
         for name in ["rust_begin_unwind", "__rustc::rust_begin_unwind"] {
             let found = firmware

@@ -99,6 +99,7 @@ impl Sim {
 
     fn describe_failure(&mut self, kind: FailureKind) -> Failure {
         let (mut regs, _) = self.cpu.registers();
+        let psp = self.cpu.process_stack();
         let soc = lock(&self.soc);
         let read = |addr: u32| soc.mem.read32(addr);
         let mut detail = String::new();
@@ -107,11 +108,11 @@ impl Sim {
             detail = format!(
                 "CFSR {cfsr:#010x}, HFSR {hfsr:#010x}, MMFAR {mmfar:#010x}, BFAR {bfar:#010x}"
             );
-            if let Some(faulting) = backtrace::exception_frame(regs, &read) {
+            if let Some(faulting) = backtrace::exception_frame(regs, psp, &read) {
                 regs = faulting;
             }
         }
-        let stack = backtrace::unwind(&self.firmware, regs, read);
+        let stack = backtrace::unwind(&self.firmware, regs, psp, read);
         let at = soc.now();
         drop(soc);
         Failure {

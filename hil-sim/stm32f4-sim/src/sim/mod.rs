@@ -324,7 +324,8 @@ impl Sim {
     pub fn backtrace(&self) -> Vec<String> {
         let (regs, _) = self.cpu.registers();
         let soc = lock(&self.soc);
-        let stack = backtrace::unwind(&self.firmware, regs, |a| soc.mem.read32(a));
+        let psp = self.cpu.process_stack();
+        let stack = backtrace::unwind(&self.firmware, regs, psp, |a| soc.mem.read32(a));
         drop(soc);
         backtrace::describe(&self.firmware, &stack)
     }

@@ -161,6 +161,11 @@ impl Sim {
         self.with_chip(|s| s.rng.last)
     }
 
+    /// Takes a debug probe off, which leaves the debug unit off (probe-rs clears DEMCR).
+    pub fn detach_probe(&mut self) {
+        self.cpu.detach_probe();
+    }
+
     /// Halts the core, as a debugger does, and lets it go on. Clocks, timers and DMA
     /// run on.
     pub fn halt_core(&mut self, length: SimDuration) {

@@ -273,6 +273,7 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
         Failure::HardFault,
         Failure::Stall,
         Failure::SlowHandler,
+        Failure::StackOverflow,
     ] {
         let key = SELF_TEST_KEY;
         let name = format!("self-test-{failure:?}");

@@ -346,6 +346,23 @@ fn revision_a_does_not_prefetch() {
 }
 
 #[test]
+fn a_sleep_is_safe_at_some_addresses_or_without_debug_or_prefetch() {
+    for (debug, acr, address, breaks) in [
+        (7, 0x700, 0x0800_1234, true),
+        (7, 0x700, 0x0800_123e, true),
+        (7, 0x700, 0x0800_1230, false),
+        (7, 0x700, 0x0800_123a, false),
+        (6, 0x700, 0x0800_1234, false),
+        (7, 0x600, 0x0800_1234, false),
+    ] {
+        let mut soc = chip();
+        write(&mut soc, &[(FLASH_ACR, acr), (DBGMCU_CR, debug)]);
+        soc.require_safe_sleep(address);
+        assert_eq!(broken(&mut soc), breaks.then_some(Rule::Wfi { address }));
+    }
+}
+
+#[test]
 fn usb_needs_its_pins_and_keeps_to_its_fifos() {
     const RCC_AHB2ENR: u32 = 0x4002_3834;
     const OTG_FS: u32 = 0x5000_0000;
