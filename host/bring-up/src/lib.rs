@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use board::BoardError;
 use protocol::usb::serial_number;
+use recording::finding::{Finding, Severity};
 use serde::Serialize;
 
 /// Version of the JSON form of [`Report`].
@@ -65,45 +66,17 @@ pub struct Operator<'a> {
     pub stop: &'a dyn Fn() -> bool,
 }
 
-/// How a check came out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// Within its limit.
-    Pass,
-    /// Not within its limit.
-    Fail,
-    /// Could not be measured; `measured` says why.
-    Skipped,
-}
-
-impl Verdict {
-    /// In words.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Pass => "pass",
-            Self::Fail => "FAIL",
-            Self::Skipped => "not made",
-        }
-    }
-}
-
 /// One property of the board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Check {
     /// What it belongs to.
     pub part: Part,
-    /// Its name.
-    pub name: &'static str,
-    /// How it came out.
-    pub verdict: Verdict,
-    /// What was measured, with units.
-    pub measured: String,
+    /// What was measured, with units; its next step is where to look after a miss. Good:
+    /// within its limit. Check: could not be measured. Bad: outside.
+    #[serde(flatten)]
+    pub finding: Finding,
     /// What it must be.
     pub limit: String,
-    /// What a miss points at.
-    pub reason: &'static str,
 }
 
 /// The board that was measured.
@@ -146,8 +119,8 @@ pub struct Report {
 impl Report {
     /// Number of checks that came out so.
     #[must_use]
-    pub fn count(&self, verdict: Verdict) -> usize {
-        let same = |check: &&Check| check.verdict == verdict;
+    pub fn count(&self, severity: Severity) -> usize {
+        let same = |check: &&Check| check.finding.severity == severity;
         self.checks.iter().filter(same).count()
     }
 }

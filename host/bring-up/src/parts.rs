@@ -11,9 +11,11 @@ use protocol::{
     TrainState, TriggerAlign, TriggerStart,
 };
 
+use recording::finding::{Finding, Severity};
+
 use crate::bench::{Heard, millis};
 use crate::train::{Extent, Grid, Trains};
-use crate::{BringUpError, Check, Histogram, Operator, Part, Verdict};
+use crate::{BringUpError, Check, Histogram, Operator, Part};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
@@ -119,24 +121,19 @@ impl<'a> Session<'a> {
         limit: impl Into<String>,
         reason: &'static str,
     ) {
+        let severity = if good { Severity::Good } else { Severity::Bad };
         self.checks.push(Check {
             part: self.part,
-            name,
-            verdict: if good { Verdict::Pass } else { Verdict::Fail },
-            measured,
+            finding: Finding::new(severity, name, measured).next_step(reason),
             limit: limit.into(),
-            reason,
         });
     }
 
     fn skip(&mut self, name: &'static str, why: &str, reason: &'static str) {
         self.checks.push(Check {
             part: self.part,
-            name,
-            verdict: Verdict::Skipped,
-            measured: why.to_owned(),
+            finding: Finding::check(name, why).next_step(reason),
             limit: String::new(),
-            reason,
         });
     }
 

@@ -2,34 +2,34 @@
 
 use std::fmt::Write as _;
 
-use recording::session_file::{Check, Verdict};
+use recording::finding::{Finding, Severity};
 use report::session::Judgement;
 
 /// What stands at the beginning of a check's line.
-pub(crate) const MARKS: [&str; 3] = ["ok  ", "warn", "BAD "];
+pub(crate) const MARKS: [&str; 3] = ["good ", "check", "BAD  "];
 
-const fn mark(verdict: Verdict) -> &'static str {
+pub(crate) const fn mark(severity: Severity) -> &'static str {
     let [good, warning, bad] = MARKS;
-    match verdict {
-        Verdict::Good => good,
-        Verdict::Warning => warning,
-        Verdict::Bad => bad,
+    match severity {
+        Severity::Good => good,
+        Severity::Check => warning,
+        Severity::Bad => bad,
     }
 }
 
 /// A line a check, and what to do below it.
-pub(crate) fn text<'a>(checks: impl IntoIterator<Item = &'a Check>) -> String {
+pub(crate) fn text<'a>(checks: impl IntoIterator<Item = &'a Finding>) -> String {
     let mut text = String::new();
     for check in checks {
         let _ = writeln!(
             text,
             "{}  {:<18} {}",
-            mark(check.verdict),
-            check.name,
-            check.found
+            mark(check.severity),
+            check.kind,
+            check.text
         );
         if let Some(step) = &check.next_step {
-            let _ = writeln!(text, "      {:<18} -> {step}", "");
+            let _ = writeln!(text, "       {:<18} -> {step}", "");
         }
     }
     text

@@ -77,10 +77,10 @@ mod tests {
 
     #[test]
     fn marks_alone_are_coloured() {
-        let text = "ok    disk  40 GB\nBAD   board  \u{1b}[31mok  \n      -> ok  \n";
+        let text = "good   disk  40 GB\nBAD    board  \u{1b}[31mok  \n       -> good \n";
         assert_eq!(
             harmless(text, Shown::WithMarks),
-            "\u{1b}[32mok  \u{1b}[0m  disk  40 GB\n\u{1b}[1;31mBAD \u{1b}[0m  board  \\u{1b}[31mok  \n      -> ok  \n"
+            "\u{1b}[32mgood \u{1b}[0m  disk  40 GB\n\u{1b}[1;31mBAD  \u{1b}[0m  board  \\u{1b}[31mok  \n       -> good \n"
         );
     }
 

@@ -14,6 +14,7 @@
 //! - [`kalibr`]: what Kalibr found, into the profile.
 //! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
+//! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - [`reader`]: reads it, whole or broken off.
@@ -28,6 +29,7 @@
 pub mod camera;
 pub mod chunks;
 mod diagnostics;
+pub mod finding;
 pub mod folder;
 pub mod foreign;
 pub mod grid;

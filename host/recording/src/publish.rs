@@ -8,6 +8,7 @@ use protocol::{CaptureChannel, Edge, Ticks};
 
 use super::RecordingError;
 use super::diagnostics::diagnostics;
+use super::finding::Severity;
 use super::grid::Grid;
 use super::messages::{
     BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature,
@@ -19,18 +20,6 @@ use board::reset_cause;
 use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
 use timebase::runs::Joint;
-
-/// How bad something is that is said, with the level that ROS has for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// As it should be.
-    Info = 20,
-    /// Something may be missing.
-    Warning = 30,
-    /// Something is missing or broken.
-    Error = 40,
-}
 
 /// Where the messages of the topics go.
 pub trait Output {
@@ -318,7 +307,7 @@ impl<O: Output> Publisher<O> {
             at,
             Item::Log(Log {
                 stamp: stamp(at),
-                level: severity as u8,
+                level: level(severity),
                 name: String::from("smartdepthsync"),
                 msg: text.to_owned(),
                 file: String::new(),
@@ -371,6 +360,15 @@ impl<O: Output> Publisher<O> {
 
 fn stamp(at: Ticks) -> Time {
     Time::from_nanos(i64::try_from(at.as_nanos()).unwrap_or(i64::MAX))
+}
+
+/// The level that ROS has for it.
+const fn level(severity: Severity) -> u8 {
+    match severity {
+        Severity::Good => 20,
+        Severity::Check => 30,
+        Severity::Bad => 40,
+    }
 }
 
 pub(crate) fn header(at: Ticks, frame_id: &str) -> Header {

@@ -10,6 +10,7 @@ use protocol::{BoardModel, ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
+use crate::finding::Finding;
 use crate::profile::Profile;
 use board::StreamCounts;
 use board::imu::Scale;
@@ -49,7 +50,7 @@ pub struct SessionFile {
     pub phone: Option<PhoneInfo>,
     /// What was looked at before the recording, and how it was.
     #[serde(default)]
-    pub preflight: Vec<Check>,
+    pub preflight: Vec<Finding>,
     /// Every twist, in order, refused ones too.
     pub twists: Vec<Twist>,
     /// The relation of the clocks that is best known.
@@ -80,7 +81,7 @@ pub struct SessionFile {
     /// How often the link was lost and taken up again.
     pub reconnects: u32,
     /// What went wrong, in order.
-    pub problems: Vec<Problem>,
+    pub problems: Vec<Finding>,
     /// Files in the folder besides `recording.mcap` and this one.
     pub files: Vec<String>,
 }
@@ -107,41 +108,6 @@ pub const CHECK_LEARNT: &str = "learnt clocks";
 
 /// Name of the check of the trigger's read-back.
 pub const CHECK_READBACK: &str = "trigger read-back";
-
-/// How a check ended, from good to bad.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// As it should be.
-    Good,
-    /// It works, but less well than it could.
-    Warning,
-    /// A recording will not work.
-    Bad,
-}
-
-/// One check.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Check {
-    /// What was looked at.
-    pub name: String,
-    /// How it is.
-    pub verdict: Verdict,
-    /// What was found.
-    pub found: String,
-    /// What to do about it.
-    pub next_step: Option<String>,
-}
-
-impl Check {
-    /// In one line, with what to do.
-    #[must_use]
-    pub fn line(&self) -> String {
-        let next = self.next_step.as_deref().unwrap_or_default();
-        let arrow = if next.is_empty() { "" } else { " -> " };
-        format!("{}: {}{arrow}{next}", self.name, self.found)
-    }
-}
 
 /// The board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -399,17 +365,6 @@ pub struct Marker {
     pub at: Ticks,
     /// What it is called.
     pub label: String,
-}
-
-/// Something that went wrong.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Problem {
-    /// Board time, as far as known.
-    pub at: Ticks,
-    /// A stable word: `pulses_missing`, `imu_gap`, `link_lost`, ...
-    pub kind: String,
-    /// In words.
-    pub text: String,
 }
 
 impl SessionFile {

@@ -9,9 +9,10 @@ use protocol::{
     Readback, Status, TrainState, TriggerStatus,
 };
 
+use super::finding::Severity;
 use super::reader::{Item, Reader, ticks_of_nanos};
 use super::session_file::{SessionFile, SessionOutcome};
-use super::writer::{Severity, Writer};
+use super::writer::Writer;
 use super::*;
 use crate::profile::Profile;
 use board::imu::Sample;
@@ -124,7 +125,7 @@ fn everything_comes_back_as_it_was_written() {
         .clock_model(Ticks(78), None, &clock(), "twist 1")
         .unwrap();
     writer
-        .log(Ticks(79), Severity::Warning, "imu_gap", "2 samples")
+        .log(Ticks(79), Severity::Check, "imu_gap", "2 samples")
         .unwrap();
     writer.frame(Ticks(80), vec![1, 2, 255]).unwrap();
     writer.output_pulse(&pulse(7), "left").unwrap();

@@ -22,7 +22,7 @@ use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
 use super::chunks::Chunk;
-pub use super::publish::{Output, Publisher, Severity};
+pub use super::publish::{Output, Publisher};
 use super::rosbag2::{self, Bag};
 use super::session_file::SessionFile;
 use super::topic::Topic;

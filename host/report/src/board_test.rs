@@ -1,25 +1,26 @@
 //! The report of a board test.
 
-use bring_up::{Report, Verdict};
+use bring_up::Report;
 use serde_json::json;
 
 use crate::chart;
-use crate::page::{Level, Page};
+use crate::page::Page;
+use recording::finding::Severity;
 
 /// The report as a self-contained HTML page.
 #[must_use]
 pub fn page(report: &Report) -> String {
-    let failed = report.count(Verdict::Fail);
-    let skipped = report.count(Verdict::Skipped);
-    let passed = report.count(Verdict::Pass);
+    let failed = report.count(Severity::Bad);
+    let skipped = report.count(Severity::Check);
+    let passed = report.count(Severity::Good);
     let (level, verdict) = match (failed, skipped) {
-        (0, 0) => (Level::Good, format!("All {passed} checks passed.")),
+        (0, 0) => (Severity::Good, format!("All {passed} checks passed.")),
         (0, _) => (
-            Level::Warning,
+            Severity::Check,
             format!("{passed} checks passed; {skipped} could not be made."),
         ),
         _ => (
-            Level::Bad,
+            Severity::Bad,
             format!("{failed} of {} checks failed.", report.checks.len()),
         ),
     };
@@ -36,11 +37,11 @@ pub fn page(report: &Report) -> String {
         .iter()
         .map(|check| {
             vec![
-                check.verdict.text().to_owned(),
-                check.name.to_owned(),
-                check.measured.clone(),
+                check.finding.severity.word().to_owned(),
+                check.finding.kind.clone(),
+                check.finding.text.clone(),
                 check.limit.clone(),
-                check.reason.to_owned(),
+                check.finding.next_step.clone().unwrap_or_default(),
             ]
         })
         .collect();

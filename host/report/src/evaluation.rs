@@ -15,7 +15,8 @@ use evaluate::identity::Identity;
 use evaluate::precision::{Precision, Spread};
 use evaluate::shown::Shown;
 
-use crate::page::{Level, Page};
+use crate::page::Page;
+use recording::finding::Severity;
 
 /// The report of a precision measurement, with pictures of one of its recordings.
 #[must_use]
@@ -58,13 +59,13 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> Stri
                 "{name}: which flash is which is {}",
                 identity_text(&r.identity)
             );
-            page.note(Level::Warning, &open);
+            page.note(Severity::Check, &open);
         }
         notes(&mut page, &name, &r.notes);
     }
     for l in &result.left_out {
         let text = format!("{} is left out: {}", l.path.display(), l.reason);
-        page.note(Level::Bad, &text);
+        page.note(Severity::Bad, &text);
     }
     page.section("Frame with the rows found");
     picture(&mut page, shown);
@@ -90,12 +91,12 @@ pub fn precision_facts(result: &Precision) -> Vec<(&'static str, String)> {
     facts
 }
 
-fn precision_verdict(result: &Precision) -> (Level, String) {
+fn precision_verdict(result: &Precision) -> (Severity, String) {
     let open = result.recordings.iter().any(|r| !r.identity.unique);
     let level = if open || !result.left_out.is_empty() {
-        Level::Warning
+        Severity::Check
     } else {
-        Level::Good
+        Severity::Good
     };
     let mut text = match &result.bias {
         Some(bias) => format!(
@@ -136,9 +137,9 @@ fn precision_verdict(result: &Precision) -> (Level, String) {
 pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
     let r = &drift.result;
     let level = if r.identity.unique && r.notes.is_empty() {
-        Level::Good
+        Severity::Good
     } else {
-        Level::Warning
+        Severity::Check
     };
     let verdict = format!(
         "Over {:.1} s the depth camera's exposure moves against the phone's (depth minus phone) \
@@ -299,7 +300,7 @@ fn spread_rows(facts: &mut Vec<(&str, String)>, name: &'static str, s: &Spread) 
 
 fn notes(page: &mut Page, path: &str, notes: &[String]) {
     for note in notes {
-        page.note(Level::Warning, &format!("{path}: {note}"));
+        page.note(Severity::Check, &format!("{path}: {note}"));
     }
 }
 
@@ -310,7 +311,7 @@ fn picture(page: &mut Page, shown: &Shown) {
     match picture::svg(shown) {
         Ok(svg) => page.picture(&svg, &caption),
         Err(error) => page.note(
-            Level::Warning,
+            Severity::Check,
             &format!("The frame cannot be drawn: {error}"),
         ),
     }

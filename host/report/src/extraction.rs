@@ -13,7 +13,8 @@ use serde_json::json;
 
 use crate::REPORT_FILE;
 use crate::chart::{self, Data, Series};
-use crate::page::{Level, Page};
+use crate::page::Page;
+use recording::finding::Severity;
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
@@ -48,7 +49,7 @@ fn page(report: &ExtractReport, samples: Option<&str>) -> String {
     if !report.remarks.is_empty() {
         page.section("Remarks");
         for remark in &report.remarks {
-            page.note(Level::Good, remark);
+            page.note(Severity::Good, remark);
         }
     }
     if let Some(pairs) = &report.pairs {
@@ -258,7 +259,7 @@ fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
 }
 
 /// How well it went, in words.
-fn verdict(report: &ExtractReport) -> (Level, String) {
+fn verdict(report: &ExtractReport) -> (Severity, String) {
     let pairs = report.pairs.as_ref().map_or(String::new(), |pairs| {
         format!(
             " {} pairs of frames; depth − phone is {:.1} µs{} in the median.",
@@ -269,7 +270,7 @@ fn verdict(report: &ExtractReport) -> (Level, String) {
     });
     match report.losses.first() {
         None => (
-            Level::Good,
+            Severity::Good,
             format!(
                 "Everything is there and has its time in board time: {} trigger pulses, {} IMU \
                  samples.{pairs}",
@@ -277,7 +278,7 @@ fn verdict(report: &ExtractReport) -> (Level, String) {
             ),
         ),
         Some(loss) => (
-            Level::Warning,
+            Severity::Check,
             format!(
                 "Something is missing or damaged: {} ({}){}. What is there has its time in board \
                  time.{pairs}",

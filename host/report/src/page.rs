@@ -17,36 +17,8 @@
 
 use std::fmt::Write as _;
 
+use recording::finding::Severity;
 use serde_json::Value;
-
-/// How well it went.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
-    /// Nothing to be done.
-    Good,
-    /// Usable; something should be known.
-    Warning,
-    /// Not usable as it is, or in part only.
-    Bad,
-}
-
-impl Level {
-    const fn class(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Warning => "warning",
-            Self::Bad => "bad",
-        }
-    }
-
-    const fn word(self) -> &'static str {
-        match self {
-            Self::Good => "Good",
-            Self::Warning => "With remarks",
-            Self::Bad => "Not good",
-        }
-    }
-}
 
 const STYLE: &str = "\
 :root{color-scheme:light}\
@@ -55,9 +27,9 @@ body{font:16px/1.5 system-ui,sans-serif;color:#1b1b1b;background:#fff;max-width:
 h1{font-size:1.5rem;line-height:1.25;margin:.5rem 0}\
 h2{font-size:1.15rem;margin:2rem 0 .5rem;padding-top:.5rem;border-top:1px solid #ccc}\
 .verdict{border-left:.5rem solid;padding:.75rem 1rem;margin:1rem 0;background:#f4f4f4}\
-.verdict b{display:block;font-size:1.15rem}\
+.verdict b{display:block;font-size:1.15rem;text-transform:capitalize}\
 .note{border-left:.25rem solid;padding:.4rem .8rem;margin:.4rem 0;background:#f7f7f7}\
-.good{border-color:#1a7f37}.warning{border-color:#b26a00}.bad{border-color:#b3261e}\
+.good{border-color:#1a7f37}.check{border-color:#b26a00}.bad{border-color:#b3261e}\
 .wide{overflow-x:auto}\
 table{border-collapse:collapse;margin:.5rem 0;min-width:50%}\
 td,th{padding:.3rem .8rem .3rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
@@ -86,7 +58,7 @@ impl Page {
     /// A page with its verdict: what it is about, how well it went, and what that
     /// means in one or two sentences.
     #[must_use]
-    pub fn new(title: &str, level: Level, verdict: &str) -> Self {
+    pub fn new(title: &str, severity: Severity, verdict: &str) -> Self {
         let mut page = Self {
             title: title.to_owned(),
             body: String::new(),
@@ -95,8 +67,8 @@ impl Page {
             page.body,
             "<h1>{}</h1>\n<p class=\"verdict {}\"><b>{}</b>{}</p>",
             escape(title),
-            level.class(),
-            level.word(),
+            severity.word(),
+            severity.word(),
             escape(verdict)
         );
         page
@@ -197,11 +169,11 @@ impl Page {
     }
 
     /// Something to be known.
-    pub fn note(&mut self, level: Level, text: &str) {
+    pub fn note(&mut self, severity: Severity, text: &str) {
         let _ = writeln!(
             self.body,
             "<p class=\"note {}\">{}</p>",
-            level.class(),
+            severity.word(),
             escape(text)
         );
     }
@@ -305,13 +277,13 @@ mod tests {
     #[test]
     fn text_from_outside_is_never_markup() {
         let evil = "<script>alert(\"1\")</script>\u{7}'&";
-        let mut page = Page::new(evil, Level::Bad, evil);
+        let mut page = Page::new(evil, Severity::Bad, evil);
         page.section(evil);
         page.text(evil);
         page.facts(&[(evil, evil)]);
         page.table(&[evil], &[vec![evil.to_owned()]]);
         page.figure("<svg></svg>", evil);
-        page.note(Level::Warning, evil);
+        page.note(Severity::Check, evil);
         page.settings(evil, &json!({ evil: [evil, {"x": evil}] }));
         let html = page.html();
         assert!(!html.contains("<script"), "{html}");
@@ -321,7 +293,7 @@ mod tests {
 
     #[test]
     fn nothing_comes_from_elsewhere() {
-        let html = Page::new("t", Level::Good, "v").html();
+        let html = Page::new("t", Severity::Good, "v").html();
         for foreign in ["http:", "https:", "src=", "url(", "@import", "<script"] {
             assert!(!html.contains(foreign), "{foreign}");
         }
@@ -329,7 +301,7 @@ mod tests {
 
     #[test]
     fn columns_of_numbers_stand_to_the_right() {
-        let mut page = Page::new("t", Level::Good, "v");
+        let mut page = Page::new("t", Severity::Good, "v");
         page.table(
             &["name", "value", "text"],
             &[
@@ -349,7 +321,7 @@ mod tests {
 
     #[test]
     fn settings_are_listed_with_their_paths() {
-        let mut page = Page::new("t", Level::Good, "v");
+        let mut page = Page::new("t", Severity::Good, "v");
         page.settings(
             "Settings",
             &json!({"depth": {"fps": 30, "command": ["a", "b"], "none": null}, "l": [{"x": 1}]}),

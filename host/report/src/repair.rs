@@ -20,10 +20,11 @@ use serde::Serialize;
 use crate::verify::file::{Sink, walk};
 use crate::verify::{FileReport, Findings, Report, session_of, verify};
 use recording::chunks::parse;
+use recording::finding::Finding;
 use recording::reader::ticks_of_nanos;
 use recording::rosbag2::{self, METADATA_FILE};
 use recording::scan::Scan;
-use recording::session_file::{Problem, SessionFile, SessionOutcome};
+use recording::session_file::{SessionFile, SessionOutcome};
 use recording::writer::{attach, options};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic, mcap_of};
 
@@ -279,11 +280,9 @@ fn repaired_session(from: &Path, before: &FileReport, last: Ticks) -> Option<Ses
         return Some(session);
     };
     session.outcome = Some(SessionOutcome::Loss);
-    session.problems.push(Problem {
-        at: last,
-        kind: String::from("repaired"),
-        text,
-    });
+    session
+        .problems
+        .push(Finding::check("repaired", text).at(last));
     Some(session)
 }
 

@@ -14,10 +14,11 @@ use serde_json::json;
 
 use self::curves::Curves;
 use crate::REPORT_FILE;
-use crate::page::{Level, Page};
+use crate::page::Page;
 use board::StreamCount;
 pub use judgement::{Judgement, files_to_fetch, findings, has_recorded};
 use recording::RecordingError;
+use recording::finding::Severity;
 use recording::session_file::{SessionFile, Span};
 use timebase::ClockModel;
 
@@ -46,18 +47,14 @@ pub fn write(
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let judged = Judgement::of(folder, session);
-    let mut page = Page::new(
-        &title(&session.name),
-        judgement::level(judged.verdict),
-        &judged.text,
-    );
+    let mut page = Page::new(&title(&session.name), judged.severity, &judged.text);
     for part in &judged.parts {
-        page.note(judgement::level(part.verdict), &part.line());
+        page.note(part.severity, &part.line());
     }
     page.facts(&facts(session));
     if curves.broken_off {
         page.note(
-            Level::Warning,
+            Severity::Check,
             "The recording is not closed or is damaged; the plots end where it breaks. \
              The command verify says more.",
         );
@@ -138,7 +135,7 @@ fn warnings(page: &mut Page, session: &SessionFile) {
         .take(MAX_LISTED)
         .map(|problem| {
             vec![
-                format!("{:.3}", problem.at.as_secs_f64()),
+                problem.seconds(),
                 problem.kind.clone(),
                 problem.text.clone(),
             ]
@@ -160,7 +157,7 @@ fn checks(page: &mut Page, session: &SessionFile) {
     }
     page.section("What the checks before the recording found");
     for check in findings(session) {
-        page.note(judgement::level(check.verdict), &check.line());
+        page.note(check.severity, &check.line());
     }
 }
 

@@ -262,7 +262,7 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
         findings.add_many(
             Grade::Note,
             "problems_recorded",
-            Some(problem.at),
+            problem.at,
             session.problems.len() as u64,
             || format!("the session itself noted: {}", problem.text),
         );

@@ -9,8 +9,9 @@
 use board::Board;
 use board::imu::{ImuLook, describe, last_fault};
 use protocol::{BoardModel, Hello, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
+use recording::finding::{Finding, Severity};
 use recording::profile::Profile;
-use recording::session_file::{CHECK_READBACK, Check, Verdict};
+use recording::session_file::CHECK_READBACK;
 use serde::Serialize;
 
 use crate::error::SessionError;
@@ -61,7 +62,7 @@ pub enum Fault {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checks {
     /// All of them.
-    pub checks: Vec<Check>,
+    pub checks: Vec<Finding>,
     /// Where the first bad one lies.
     #[serde(skip)]
     fault: Option<Fault>,
@@ -70,27 +71,19 @@ pub struct Checks {
 impl Checks {
     /// Adds one that is as it should be.
     pub fn good(&mut self, name: &str, found: impl Into<String>) {
-        self.add(name, Verdict::Good, found.into(), None);
+        self.checks.push(Finding::good(name, found));
     }
 
     /// Adds one that could be better; `next` says what to do.
     pub fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
-        self.add(name, Verdict::Warning, found.into(), Some(next));
+        self.checks
+            .push(Finding::check(name, found).next_step(next));
     }
 
     /// Adds one with which a recording will not work; `next` says what to do.
     pub fn bad(&mut self, fault: Fault, name: &str, found: impl Into<String>, next: &str) {
         self.fault.get_or_insert(fault);
-        self.add(name, Verdict::Bad, found.into(), Some(next));
-    }
-
-    fn add(&mut self, name: &str, verdict: Verdict, found: String, next: Option<&str>) {
-        self.checks.push(Check {
-            name: name.to_owned(),
-            verdict,
-            found,
-            next_step: next.map(str::to_owned),
-        });
+        self.checks.push(Finding::bad(name, found).next_step(next));
     }
 
     /// The first bad one as an error.
@@ -99,11 +92,11 @@ impl Checks {
     ///
     /// There is one.
     pub fn result(&self) -> Result<(), SessionError> {
-        let bad = self.checks.iter().find(|c| c.verdict == Verdict::Bad);
+        let bad = self.checks.iter().find(|c| c.severity == Severity::Bad);
         match (bad, self.fault) {
             (Some(bad), Some(fault)) => Err(SessionError::Check {
-                name: bad.name.clone(),
-                found: bad.found.clone(),
+                name: bad.kind.clone(),
+                found: bad.text.clone(),
                 next_step: bad.next_step.clone(),
                 fault,
             }),
@@ -341,10 +334,10 @@ mod tests {
         let verdict = |norm: f64| {
             let mut checks = Checks::default();
             checks.gravity([Some(norm), Some(0.0), Some(0.0)]);
-            checks.checks[0].verdict
+            checks.checks[0].severity
         };
-        assert_eq!(verdict(9.6), Verdict::Good);
-        assert_eq!(verdict(4.9), Verdict::Warning);
-        assert_eq!(verdict(0.0), Verdict::Warning);
+        assert_eq!(verdict(9.6), Severity::Good);
+        assert_eq!(verdict(4.9), Severity::Check);
+        assert_eq!(verdict(0.0), Severity::Check);
     }
 }

@@ -9,16 +9,13 @@ use std::sync::Arc;
 
 use board::imu::{Sample, Scale};
 use protocol::{DeviceToHost, ResetCause, Ticks};
-use recording::session_file::{
-    Alignment, Check, Placement, RateChange, SessionOutcome, Verdict, Video,
-};
-use recording::writer::Severity;
+use recording::finding::{Finding, Severity};
+use recording::session_file::{Alignment, Placement, RateChange, SessionOutcome, Video};
 use serde::{Serialize, Serializer};
 use timebase::ClockModel;
 
 use crate::devices::RecorderEnd;
 use crate::error::SessionError;
-use crate::watch::Finding;
 
 mod text;
 
@@ -234,7 +231,7 @@ pub enum SessionEvent {
     /// Something was checked.
     Checked {
         /// What was found.
-        check: Check,
+        check: Finding,
     },
     /// A message of the board.
     Board {
@@ -618,12 +615,12 @@ impl SessionEvent {
     /// The stable word under which the recording's log and the problems keep it; `None` of
     /// what is kept in another form, or not at all.
     #[must_use]
-    pub const fn kind(&self) -> Option<&'static str> {
+    pub fn kind(&self) -> Option<&str> {
         Some(match self {
             Self::Connected { .. } => "connected",
-            Self::Checked { check } => match check.verdict {
-                Verdict::Good => return None,
-                Verdict::Warning | Verdict::Bad => "preflight",
+            Self::Checked { check } => match check.severity {
+                Severity::Good => return None,
+                Severity::Check | Severity::Bad => "preflight",
             },
             Self::Lost { .. } => "lost",
             Self::Damaged { .. } => "damaged",
@@ -669,7 +666,7 @@ impl SessionEvent {
             Self::BoardQuiet { .. } => "board_quiet",
             Self::Hello => "hello",
             Self::TimeOdd { .. } => "time_odd",
-            Self::Found { finding } => finding.kind,
+            Self::Found { finding } => &finding.kind,
             Self::DiskNearlyFull { .. } => "disk_nearly_full",
             Self::NotStopped { what, .. } => match what {
                 Device::Trigger => "trigger_not_stopped",
@@ -702,11 +699,7 @@ impl SessionEvent {
     #[must_use]
     pub const fn severity(&self) -> Severity {
         match self {
-            Self::Checked { check } => match check.verdict {
-                Verdict::Good => Severity::Info,
-                Verdict::Warning => Severity::Warning,
-                Verdict::Bad => Severity::Error,
-            },
+            Self::Checked { check } => check.severity,
             Self::Found { finding } => finding.severity,
             Self::Lost { .. }
             | Self::Damaged { .. }
@@ -720,7 +713,7 @@ impl SessionEvent {
             | Self::TrackLost
             | Self::BoardQuiet { .. }
             | Self::TimeOdd { .. }
-            | Self::DiskNearlyFull { .. } => Severity::Warning,
+            | Self::DiskNearlyFull { .. } => Severity::Check,
             Self::RecorderGone { .. }
             | Self::RecorderFailed { .. }
             | Self::RecorderKilled { .. }
@@ -731,8 +724,8 @@ impl SessionEvent {
             | Self::Failed { .. }
             | Self::SecondTwistFailed { .. }
             | Self::VideoNotFetched { .. }
-            | Self::NoVideoToFetch { .. } => Severity::Error,
-            _ => Severity::Info,
+            | Self::NoVideoToFetch { .. } => Severity::Bad,
+            _ => Severity::Good,
         }
     }
 
@@ -741,10 +734,10 @@ impl SessionEvent {
     #[must_use]
     pub const fn is_problem(&self) -> bool {
         match self {
-            Self::Found { .. } => !matches!(self.severity(), Severity::Info),
+            Self::Found { .. } => !matches!(self.severity(), Severity::Good),
             Self::PhoneLeftOut { .. } | Self::ArrivalUnconfirmed | Self::TimeOdd { .. } => true,
             Self::Checked { .. } => false,
-            _ => matches!(self.severity(), Severity::Error),
+            _ => matches!(self.severity(), Severity::Bad),
         }
     }
 

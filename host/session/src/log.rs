@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use protocol::{TICK_HZ, Ticks};
 use recording::RecordingError;
-use recording::session_file::{OtherPhone, Problem, SessionFile, SessionOutcome, Twist, Video};
+use recording::session_file::{OtherPhone, SessionFile, SessionOutcome, Twist, Video};
 use recording::writer::Writer;
 use timebase::ClockModel;
 
 use crate::error::Stop;
 use crate::event::{PhoneName, SessionEvent, Stamped};
-use crate::watch::Finding;
+use recording::finding::Finding;
 
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;
@@ -113,8 +113,10 @@ impl<'a> Log<'a> {
 
     /// As [`Log::report`], for an event whose time is not the latest.
     pub(crate) fn report_at(&mut self, at: Ticks, event: SessionEvent) -> Result<(), Stop> {
+        let stamped = Stamped { at, event };
+        let event = &stamped.event;
         let Some(kind) = event.kind() else {
-            self.tell(event);
+            self.tell(stamped.event);
             return Ok(());
         };
         let (severity, text) = (event.severity(), event.to_string());
@@ -127,14 +129,11 @@ impl<'a> Log<'a> {
                 _ => (kind, text.as_str()),
             };
             if count <= MAX_PROBLEMS {
-                self.file.problems.push(Problem {
-                    at,
-                    kind: kind.to_owned(),
-                    text: text.to_owned(),
-                });
+                let problem = Finding::new(severity, kind, text).at(at);
+                self.file.problems.push(problem);
             }
         }
-        (self.listener)(&Stamped { at, event });
+        (self.listener)(&stamped);
         self.write(|writer, _| writer.log(at, severity, kind, &text))
     }
 

@@ -10,7 +10,8 @@ use crate::error::Stop;
 use crate::event::SessionEvent;
 use crate::link::BoardLink;
 use crate::log::Log;
-use crate::watch::{Finding, Watch};
+use crate::watch::Watch;
+use recording::finding::Finding;
 
 /// The monitors.
 #[derive(Default)]

@@ -6,49 +6,12 @@
 use protocol::{ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
 
 use board::Stream;
+use recording::finding::Finding;
 use recording::grid::FollowedGrid;
 pub use recording::grid::Grid;
-use recording::writer::Severity;
 
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
-
-/// Something that was noticed.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Finding {
-    /// A stable word.
-    pub kind: &'static str,
-    /// How bad it is. Anything but information makes the outcome "with loss".
-    pub severity: Severity,
-    /// In words.
-    pub text: String,
-}
-
-impl Finding {
-    fn new(severity: Severity, kind: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            kind,
-            severity,
-            text: text.into(),
-        }
-    }
-
-    /// A warning.
-    #[must_use]
-    pub fn warning(kind: &'static str, text: impl Into<String>) -> Self {
-        Self::new(Severity::Warning, kind, text)
-    }
-
-    /// An error.
-    #[must_use]
-    pub fn error(kind: &'static str, text: impl Into<String>) -> Self {
-        Self::new(Severity::Error, kind, text)
-    }
-
-    fn info(kind: &'static str, text: impl Into<String>) -> Self {
-        Self::new(Severity::Info, kind, text)
-    }
-}
 
 /// A counter of the board that grows only when something goes wrong: a stable word, the
 /// counter, and what it counts.
@@ -129,12 +92,12 @@ impl Watch {
     pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
         if self.pulses_away {
             self.pulses_away = false;
-            findings.push(Finding::info("pulses_back", "pulses arrive again"));
+            findings.push(Finding::good("pulses_back", "pulses arrive again"));
         }
         if let Some(expected) = self.next_number
             && pulse.number != expected
         {
-            findings.push(Finding::error(
+            findings.push(Finding::bad(
                 "pulses_missing",
                 format!("pulse {} came where {expected} was expected", pulse.number),
             ));
@@ -143,12 +106,12 @@ impl Watch {
         self.last_pulse = pulse.at;
         let off = self.grid.off(pulse.at).0;
         match (off != 0, self.off_grid) {
-            (true, false) => findings.push(Finding::error(
+            (true, false) => findings.push(Finding::bad(
                 "phase_off",
                 format!("pulse {} is {off} ticks off its grid", pulse.number),
             )),
             (false, true) => {
-                findings.push(Finding::info(
+                findings.push(Finding::good(
                     "phase_back",
                     "pulses are on their grid again",
                 ));
@@ -162,17 +125,17 @@ impl Watch {
     pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
         if self.imu_away {
             self.imu_away = false;
-            findings.push(Finding::info("imu_back", "IMU samples arrive again"));
+            findings.push(Finding::good("imu_back", "IMU samples arrive again"));
         }
         self.last_imu = sample.at;
         if sample.flags.has(ImuFlags::AFTER_LOSS) {
-            findings.push(Finding::warning(
+            findings.push(Finding::check(
                 "imu_gap",
                 "the board missed a data-ready edge of the IMU",
             ));
         }
         if sample.flags.has(ImuFlags::FIRST) {
-            findings.push(Finding::warning("imu_gap", "the IMU was set up again"));
+            findings.push(Finding::check("imu_gap", "the IMU was set up again"));
         }
     }
 
@@ -190,7 +153,7 @@ impl Watch {
             Stream::Pps => "pps_lost",
             Stream::Filler => return,
         };
-        findings.push(Finding::warning(kind, format!("{count} {stream} lost")));
+        findings.push(Finding::check(kind, format!("{count} {stream} lost")));
     }
 
     /// The number of a message does not follow on the one before; told once a stream.
@@ -201,7 +164,7 @@ impl Watch {
                 "{stream} came twice, or with numbers that do not follow: how many are missing \
                  is not known"
             );
-            findings.push(Finding::error("numbers_disordered", text));
+            findings.push(Finding::bad("numbers_disordered", text));
         }
     }
 
@@ -211,13 +174,13 @@ impl Watch {
             for (kind, counter, what) in COUNTERS {
                 let more = counter(status).saturating_sub(counter(&before));
                 if more > 0 {
-                    findings.push(Finding::warning(kind, format!("{more} {what}")));
+                    findings.push(Finding::check(kind, format!("{more} {what}")));
                 }
             }
         }
         if status.imu.state == ImuState::Failed && !self.imu_away {
             self.imu_away = true;
-            findings.push(Finding::error(
+            findings.push(Finding::bad(
                 "imu_gone",
                 match status.imu.last_fault {
                     Some(fault) => format!("the IMU does not answer ({fault:?})"),
@@ -232,11 +195,11 @@ impl Watch {
         let patience = 3 * u64::from(self.grid.last().period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
-            findings.push(Finding::error("pulses_missing", "pulses have stopped"));
+            findings.push(Finding::bad("pulses_missing", "pulses have stopped"));
         }
         if !self.imu_away && now.0.saturating_sub(self.last_imu.0) > IMU_PATIENCE {
             self.imu_away = true;
-            findings.push(Finding::error("imu_gap", "IMU samples have stopped"));
+            findings.push(Finding::bad("imu_gap", "IMU samples have stopped"));
         }
     }
 
@@ -275,8 +238,8 @@ mod tests {
         }
     }
 
-    fn kinds(findings: &[Finding]) -> Vec<&'static str> {
-        findings.iter().map(|finding| finding.kind).collect()
+    fn kinds(findings: &[Finding]) -> Vec<&str> {
+        findings.iter().map(|finding| &*finding.kind).collect()
     }
 
     #[test]

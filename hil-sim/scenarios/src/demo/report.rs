@@ -5,8 +5,9 @@
 
 use std::fmt::Write as _;
 
+use recording::finding::Severity;
 use report::chart::{self, Data, Series};
-use report::page::{Level, Page};
+use report::page::Page;
 use serde::Serialize;
 
 use super::data_set::DataSet;
@@ -196,9 +197,9 @@ pub fn page(
     twist_svg: Option<&str>,
 ) -> String {
     let level = if figures.lost == 0 {
-        Level::Good
+        Severity::Good
     } else {
-        Level::Warning
+        Severity::Check
     };
     let lost = match figures.lost {
         0 => "Nothing was lost.".to_owned(),

@@ -77,10 +77,10 @@ impl Bench {
 fn verdicts(report: &Value, name: &str) -> Vec<(String, String)> {
     let all = report["checks"].as_array().unwrap().iter();
     let found: Vec<_> = all
-        .filter(|check| check["name"] == name)
+        .filter(|check| check["kind"] == name)
         .map(|check| {
             let text = |key: &str| check[key].as_str().unwrap().to_owned();
-            (text("verdict"), text("measured"))
+            (text("severity"), text("text"))
         })
         .collect();
     assert!(!found.is_empty(), "no check {name} in {report:#}");
@@ -109,7 +109,7 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
     let said = session.ends_with(0);
     let report = bench.report();
     for check in report["checks"].as_array().unwrap() {
-        assert_eq!(check["verdict"], "pass", "{check:#}\n{said}");
+        assert_eq!(check["severity"], "good", "{check:#}\n{said}");
     }
     for name in [
         "edges on their ticks",
@@ -160,15 +160,15 @@ fn a_broken_wire_and_a_held_bus_fail_with_what_to_look_at() {
     bench.sensor(Fault::HoldSda(None));
     let said = Session::start(&mut bench.command(&arguments)).ends_with(3);
     let report = bench.report();
-    assert_eq!(verdicts(&report, "read-back")[0].0, "fail");
-    assert_eq!(verdicts(&report, "strobe input")[0].0, "pass");
-    assert_eq!(verdicts(&report, "edges on their ticks")[0].0, "pass");
+    assert_eq!(verdicts(&report, "read-back")[0].0, "bad");
+    assert_eq!(verdicts(&report, "strobe input")[0].0, "good");
+    assert_eq!(verdicts(&report, "edges on their ticks")[0].0, "good");
     assert_eq!(
         verdicts(&report, "output 2 on the strobe input")[0].0,
-        "skipped"
+        "check"
     );
     let (verdict, measured) = &verdicts(&report, "data-ready")[0];
-    assert_eq!(verdict, "fail");
+    assert_eq!(verdict, "bad");
     assert!(measured.contains("BusHeld"), "{measured}");
     assert!(said.contains("the wire from PA5 to PA3"), "{said}");
     assert!(said.contains("pull-ups"), "{said}");
@@ -207,10 +207,10 @@ fn a_slow_handler_fails() {
     let said = Session::start(&mut bench.command(&["--part=link", "--hands-off"])).ends_with(3);
     let report = bench.report();
     for name in ["handlers", "handler of the trigger"] {
-        assert_eq!(verdicts(&report, name)[0].0, "fail", "{said}");
+        assert_eq!(verdicts(&report, name)[0].0, "bad", "{said}");
     }
     for name in ["handler of the outputs", "handler of USB", "throughput"] {
-        assert_eq!(verdicts(&report, name)[0].0, "pass", "{said}");
+        assert_eq!(verdicts(&report, name)[0].0, "good", "{said}");
     }
     assert!(said.contains("a handler of higher priority that takes too long"));
 }
@@ -232,13 +232,13 @@ fn the_crystal_is_compared_with_the_computers_clock() {
     std::thread::scope(|scope| {
         scope.spawn(|| {
             let (verdict, code, said) = compare(1.01, 4);
-            assert_eq!((verdict.as_str(), code), ("fail", Some(3)), "{said}");
+            assert_eq!((verdict.as_str(), code), ("bad", Some(3)), "{said}");
         });
         let mut said = String::new();
         let passes = [8, 16, 32].into_iter().any(|seconds| {
             let (verdict, code, last) = compare(1.0, seconds);
             said = last;
-            (verdict.as_str(), code) == ("pass", Some(0))
+            (verdict.as_str(), code) == ("good", Some(0))
         });
         assert!(passes, "{said}");
     });

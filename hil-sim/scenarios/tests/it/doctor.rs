@@ -54,10 +54,10 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
     let all = checks["checks"].as_array().unwrap();
     let check = all
         .iter()
-        .find(|check| check["name"] == name)
+        .find(|check| check["kind"] == name)
         .unwrap_or_else(|| panic!("no check {name} in {checks}"));
     let text = |key: &str| check[key].as_str().unwrap_or_default().to_owned();
-    (text("verdict"), text("found"), text("next_step"))
+    (text("severity"), text("text"), text("next_step"))
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
         ("trigger read-back", "PA3"),
     ] {
         let (verdict, _, next) = check(&checks, name);
-        assert_eq!(verdict, "warning", "{name}");
+        assert_eq!(verdict, "check", "{name}");
         assert!(next.contains(words), "{name}: {next}");
     }
 
@@ -109,7 +109,7 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
     assert!(found.contains("no-such-recorder"), "{found}");
     assert!(next.contains("[depth.recorder]"), "{next}");
     let (verdict, _, next) = check(&checks, "ffmpeg");
-    assert_eq!(verdict, "warning");
+    assert_eq!(verdict, "check");
     assert!(next.contains("install ffmpeg"), "{next}");
 
     rig.phone().leave_network();

@@ -7,8 +7,9 @@ use std::process::{Child, Command, Stdio};
 
 use crate::support;
 use crate::turn;
+use recording::finding::Severity;
 use recording::profile::Profile;
-use recording::session_file::{SessionFile, Verdict};
+use recording::session_file::SessionFile;
 use test_support::documents::Code;
 use test_support::root;
 
@@ -174,17 +175,17 @@ fn the_page_is_followed_to_a_data_set() {
     // everywhere.
     let session = SessionFile::load(recording).unwrap();
     let judged = report::session::Judgement::of(recording, &session);
-    let verdicts: Vec<Verdict> = judged.parts.iter().map(|part| part.verdict).collect();
-    assert_eq!(verdicts[0], Verdict::Good, "{judged:?}");
-    assert_eq!(verdicts[1], Verdict::Warning, "{judged:?}");
+    let verdicts: Vec<Severity> = judged.parts.iter().map(|part| part.severity).collect();
+    assert_eq!(verdicts[0], Severity::Good, "{judged:?}");
+    assert_eq!(verdicts[1], Severity::Check, "{judged:?}");
     let bias = &judged.parts[1];
     assert!(
-        bias.found.contains("constant bias: not measured"),
+        bias.text.contains("constant bias: not measured"),
         "{bias:?}"
     );
     let html = std::fs::read_to_string(recording.join("report.html")).unwrap();
     assert!(
-        said.contains(&bias.found) && html.contains(&bias.found),
+        said.contains(&bias.text) && html.contains(&bias.text),
         "{said}"
     );
 

@@ -6,8 +6,8 @@ use std::path::Path;
 use crate::turn;
 use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig, run_python};
 use recording::MCAP_FILE;
+use recording::finding::Severity;
 use recording::reader::{Item, Reader};
-use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::SampleRecord;
 use scenarios::demo::judge::Truth;
@@ -36,7 +36,7 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     assert_eq!(session.counts.lost(), 0);
     assert!(session.problems.is_empty());
     // Both sides were looked at before, and all of them were in order.
-    let looked: Vec<&str> = session.preflight.iter().map(|c| c.name.as_str()).collect();
+    let looked: Vec<&str> = session.preflight.iter().map(|c| c.kind.as_str()).collect();
     for name in [
         "disk",
         "ffmpeg",
@@ -50,7 +50,12 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
         assert!(looked.contains(&name), "{name} is missing in {looked:?}");
     }
     assert_eq!(looked.last(), Some(&"trigger read-back"));
-    assert!(session.preflight.iter().all(|c| c.verdict != Verdict::Bad));
+    assert!(
+        session
+            .preflight
+            .iter()
+            .all(|c| c.severity != Severity::Bad)
+    );
     assert_eq!(session.markers.len(), 2);
     let span = session.recorded.unwrap();
     let seconds = (span.to - span.from).as_secs_f64();

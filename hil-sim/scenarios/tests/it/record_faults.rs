@@ -9,8 +9,8 @@ use std::process::Command;
 use crate::support::smartdepthsync;
 use crate::turn;
 use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig};
+use recording::finding::Severity;
 use recording::reader::{Item, Reader};
-use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
@@ -391,13 +391,13 @@ fn what_is_bad_before_a_recording_ends_it_and_says_what_to_do() {
     let file = SessionFile::load(&rig.recording("no_imu")).unwrap();
     assert_eq!(file.outcome, Some(SessionOutcome::Failed));
     let verdict = |name: &str| {
-        let check = file.preflight.iter().find(|check| check.name == name);
-        check.unwrap_or_else(|| panic!("{name}")).verdict
+        let check = file.preflight.iter().find(|check| check.kind == name);
+        check.unwrap_or_else(|| panic!("{name}")).severity
     };
-    assert_eq!(verdict("IMU"), Verdict::Bad);
-    assert_eq!(verdict("disk"), Verdict::Good);
-    assert_eq!(verdict("constant bias"), Verdict::Warning);
-    assert_eq!(verdict("phone"), Verdict::Good);
+    assert_eq!(verdict("IMU"), Severity::Bad);
+    assert_eq!(verdict("disk"), Severity::Good);
+    assert_eq!(verdict("constant bias"), Severity::Check);
+    assert_eq!(verdict("phone"), Severity::Good);
     all_is_stopped(&rig, "no IMU");
 }
 

@@ -5,9 +5,11 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bring_up::{Operator, Part, Report, Verdict};
+use bring_up::{Operator, Part, Report};
 use clap::ValueEnum;
+use recording::finding::Severity;
 
+use crate::checks::mark;
 use crate::context::Context;
 use crate::decimal::parse_real_time;
 use crate::options::PortArg;
@@ -86,7 +88,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     write_file(&args.out.join("bring-up.json"), &json)?;
     write_file(&page, &report::board_test::page(&report))?;
     context.print(&report, || text(&report, &page))?;
-    Ok(match report.count(Verdict::Fail) {
+    Ok(match report.count(Severity::Bad) {
         0 => ExitStatus::Good,
         _ => ExitStatus::Refused,
     })
@@ -95,11 +97,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 fn text(report: &Report, page: &Path) -> String {
     let mut text = String::new();
     for check in &report.checks {
-        let mark = check.verdict.text();
-        let _ = writeln!(text, "{mark:<8}  {:<28} {}", check.name, check.measured);
-        if check.verdict == Verdict::Fail {
-            let _ = writeln!(text, "{:39}must be: {}", "", check.limit);
-            let _ = writeln!(text, "{:39}look at: {}", "", check.reason);
+        let found = &check.finding;
+        let mark = mark(found.severity);
+        let _ = writeln!(text, "{mark}  {:<28} {}", found.kind, found.text);
+        if found.severity == Severity::Bad {
+            let reason = found.next_step.as_deref().unwrap_or_default();
+            let _ = writeln!(text, "{:36}must be: {}", "", check.limit);
+            let _ = writeln!(text, "{:36}look at: {reason}", "");
         }
     }
     let _ = writeln!(text, "report: {}", page.display());

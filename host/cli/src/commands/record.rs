@@ -256,8 +256,8 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
     for problem in session.problems.iter().take(10) {
         let _ = writeln!(
             text,
-            "problem      {:.3} s: {}",
-            problem.at.as_secs_f64(),
+            "problem      {} s: {}",
+            problem.seconds(),
             problem.text
         );
     }

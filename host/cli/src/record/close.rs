@@ -15,7 +15,7 @@ use board::Conversation;
 use phone::adb::{copy_command, get_files_command};
 use phone::task::PhoneTask;
 use protocol::Output;
-use session::watch::Finding;
+use recording::finding::Finding;
 
 /// How long after its first failure a phone is asked again to stop its video.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
@@ -164,7 +164,7 @@ fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
                 let label = rig.phones.label(place);
                 let text = format!("{label} made no video in this session: none is asked for");
                 rig.journal
-                    .problem(Finding::error("video_not_fetched", text))?;
+                    .problem(Finding::bad("video_not_fetched", text))?;
                 continue;
             }
             step(rig, "the download", |rig| fetch_video(rig, place))
@@ -213,7 +213,7 @@ fn fetch_files(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
 fn lesser(journal: &mut Journal<'_>, kind: &'static str, stop: Stop) -> Result<(), Stop> {
     match stop {
         Stop::Failed(failure) if is_repeatable(&failure) => {
-            journal.problem(Finding::error(kind, failure.to_string()))
+            journal.problem(Finding::bad(kind, failure.to_string()))
         }
         stop => Err(stop),
     }

@@ -18,10 +18,11 @@ use crate::advice::imu_scale;
 use crate::context::Context;
 use board::Board;
 use board::imu::{ImuLook, Scale};
+use recording::finding::Severity;
 use recording::folder;
 use recording::profile::Profile;
-use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile, Verdict};
-use recording::writer::{Severity, Writer};
+use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile};
+use recording::writer::Writer;
 
 /// Both sides of a rig, once they have answered.
 struct Sides<'a> {
@@ -208,10 +209,10 @@ pub(super) fn check_readback(rig: &mut Rig<'_>) -> Result<(), Stop> {
 /// Says what was found, and ends with the first of it that is bad.
 fn found(journal: &mut Journal<'_>, checks: Checks) -> Result<(), Stop> {
     for check in &checks.checks {
-        match check.verdict {
-            Verdict::Good => {}
-            Verdict::Warning => journal.tell(Severity::Warning, "preflight", &check.line())?,
-            Verdict::Bad => journal.tell(Severity::Error, "preflight", &check.line())?,
+        match check.severity {
+            Severity::Good => {}
+            Severity::Check => journal.tell(Severity::Check, "preflight", &check.line())?,
+            Severity::Bad => journal.tell(Severity::Bad, "preflight", &check.line())?,
         }
     }
     let failure = checks.failure();

@@ -9,9 +9,10 @@ use super::Stop;
 use super::live::Live;
 use crate::context::Context;
 use recording::RecordingError;
-use recording::session_file::{OtherPhone, Problem, SessionFile, SessionOutcome, Twist, Video};
-use recording::writer::{Severity, Writer};
-use session::watch::Finding;
+use recording::finding::Finding;
+use recording::finding::Severity;
+use recording::session_file::{OtherPhone, SessionFile, SessionOutcome, Twist, Video};
+use recording::writer::Writer;
 use timebase::ClockModel;
 
 /// The most problems that are kept one by one.
@@ -81,7 +82,7 @@ impl<'a> Journal<'a> {
                      recorded as it came, and further ones are not told",
                     odd.as_secs_f64()
                 );
-                self.problem(Finding::warning("time_odd", text))
+                self.problem(Finding::check("time_odd", text))
             }
             _ => Ok(()),
         }
@@ -107,48 +108,45 @@ impl<'a> Journal<'a> {
     /// Says something, and keeps it in the recording.
     pub(super) fn tell(&mut self, severity: Severity, kind: &str, text: &str) -> Result<(), Stop> {
         match severity {
-            Severity::Info => self.context.say(text),
-            Severity::Warning => self.context.say(format!("warning: {text}")),
-            Severity::Error => self.context.say(format!("ERROR: {text}")),
+            Severity::Good => self.context.say(text),
+            Severity::Check => self.context.say(format!("warning: {text}")),
+            Severity::Bad => self.context.say(format!("ERROR: {text}")),
         }
         self.write(|writer, now| writer.log(now, severity, kind, text))
     }
 
     /// As [`Journal::tell`], for what is as it should be.
     pub(super) fn info(&mut self, kind: &str, text: &str) -> Result<(), Stop> {
-        self.tell(Severity::Info, kind, text)
+        self.tell(Severity::Good, kind, text)
     }
 
     /// Warns, in the live view too; the outcome stays as it is.
     pub(super) fn warn(&mut self, kind: &str, text: &str) -> Result<(), Stop> {
         self.live.gauge.warning(kind, text);
-        self.tell(Severity::Warning, kind, text)
+        self.tell(Severity::Check, kind, text)
     }
 
     /// Something went wrong: says it, and keeps it in the session file too. It
     /// makes the outcome "with loss".
     pub(super) fn problem(&mut self, finding: Finding) -> Result<(), Stop> {
         self.has_problems = true;
-        self.live.gauge.warning(finding.kind, &finding.text);
+        self.live.gauge.warning(&finding.kind, &finding.text);
         let count = self.file.problems.len();
         let mut keep = |kind: &str, text: &str| {
-            self.file.problems.push(Problem {
-                at: self.now,
-                kind: kind.to_owned(),
-                text: text.to_owned(),
-            });
+            let problem = Finding::new(finding.severity, kind, text).at(self.now);
+            self.file.problems.push(problem);
         };
         if count < MAX_PROBLEMS {
-            keep(finding.kind, &finding.text);
+            keep(&finding.kind, &finding.text);
         } else if count == MAX_PROBLEMS {
             keep("more", "further problems are in /session/log only");
         }
-        self.tell(finding.severity, finding.kind, &finding.text)
+        self.tell(finding.severity, &finding.kind, &finding.text)
     }
 
     /// A problem while closing, where nothing can be done about a failure.
     pub(super) fn last_problem(&mut self, kind: &'static str, text: impl Into<String>) {
-        if self.problem(Finding::error(kind, text)).is_err() {
+        if self.problem(Finding::bad(kind, text)).is_err() {
             self.writer = None;
         }
     }
@@ -156,8 +154,8 @@ impl<'a> Journal<'a> {
     /// Tells what was found; anything but information is a problem.
     pub(super) fn tell_all(&mut self, findings: Vec<Finding>) -> Result<(), Stop> {
         for finding in findings {
-            if finding.severity == Severity::Info {
-                self.info(finding.kind, &finding.text)?;
+            if finding.severity == Severity::Good {
+                self.info(&finding.kind, &finding.text)?;
             } else {
                 self.problem(finding)?;
             }

@@ -8,9 +8,10 @@ use super::journal::Journal;
 use super::link::BoardLink;
 use board::Stream;
 use board::imu::{ImuLook, Sample};
+use recording::finding::Finding;
+use recording::finding::Severity;
 use recording::session_file::SessionFile;
-use recording::writer::Severity;
-use session::watch::{Finding, Watch};
+use session::watch::Watch;
 
 /// Who looks on.
 #[derive(Default)]
@@ -141,13 +142,13 @@ pub(super) fn take_message(
             };
             let (pulse, remaining) = (arrived.pulse, arrived.remaining.0);
             let text = format!("{name} arrived at pulse {pulse}, {remaining} ticks from its grid");
-            let written = writer.log(arrived.at, Severity::Info, kind, &text);
+            let written = writer.log(arrived.at, Severity::Good, kind, &text);
             (arrived.at, written)
         }
         DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps, profile.lidar_name())),
         DeviceToHost::Hello(hello) => (
             hello.now,
-            writer.log(hello.now, Severity::Info, "hello", "the board said hello"),
+            writer.log(hello.now, Severity::Good, "hello", "the board said hello"),
         ),
         DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
     };

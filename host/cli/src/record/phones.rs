@@ -18,11 +18,11 @@ use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use phone::task::{Pending, PhoneTask};
 use phone::{PhoneError, VideoStart};
+use recording::finding::Finding;
 use recording::profile::{Phone, Profile};
 use recording::session_file::{PhoneInfo, RateChange, Video};
 use session::alignment::placement;
 use session::rates::Course;
-use session::watch::Finding;
 use timebase::ClockModel;
 
 /// The phones, each on its own thread.
@@ -328,7 +328,7 @@ pub(super) fn place_others(phones: &Phones<'_>, journal: &mut Journal<'_>) -> Re
     for place in phones.places().skip(1) {
         if !place_other(phones, journal, place)? && journal.file.runs.is_empty() {
             let name = &phones.profile(place).name;
-            journal.problem(Finding::warning(
+            journal.problem(Finding::check(
                 "phone_left_out",
                 format!("phone {name} records no video"),
             ))?;

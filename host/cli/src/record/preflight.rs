@@ -21,8 +21,9 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::Place;
 use board::Board;
 use board::imu::{ImuLook, describe, last_fault};
+use recording::finding::{Finding, Severity};
 use recording::profile::Profile;
-use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, Verdict};
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK};
 
 /// How long the IMU is looked at, ticks.
 pub(crate) const IMU_TIME: u64 = TICK_HZ as u64;
@@ -64,7 +65,7 @@ pub(crate) fn firmware_version(hello: &Hello) -> String {
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Checks {
     /// All of them.
-    pub(crate) checks: Vec<Check>,
+    pub(crate) checks: Vec<Finding>,
     #[serde(skip)]
     failed: Option<ExitStatus>,
 }
@@ -77,9 +78,9 @@ impl Checks {
 
     /// The first bad one as an error.
     pub(crate) fn failure(&self) -> Option<Failure> {
-        let bad = self.checks.iter().find(|c| c.verdict == Verdict::Bad)?;
+        let bad = self.checks.iter().find(|c| c.severity == Severity::Bad)?;
         let status = self.failed.unwrap_or(ExitStatus::Error);
-        let failure = Failure::new(status, format!("{}: {}", bad.name, bad.found));
+        let failure = Failure::new(status, format!("{}: {}", bad.kind, bad.text));
         Some(match &bad.next_step {
             Some(next) => failure.next_step(next),
             None => failure,
@@ -88,12 +89,13 @@ impl Checks {
 
     /// It is as it should be.
     pub(crate) fn good(&mut self, name: &str, found: impl Into<String>) {
-        self.add(name, Verdict::Good, found.into(), None);
+        self.checks.push(Finding::good(name, found));
     }
 
     /// It could be better.
     pub(crate) fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
-        self.add(name, Verdict::Warning, found.into(), Some(next.to_owned()));
+        self.checks
+            .push(Finding::check(name, found).next_step(next));
     }
 
     /// A recording will not work.
@@ -101,16 +103,8 @@ impl Checks {
         let failure = failure.into();
         self.failed.get_or_insert(failure.status());
         let step = failure.what_to_do().to_owned();
-        self.add(name, Verdict::Bad, failure.to_string(), Some(step));
-    }
-
-    fn add(&mut self, name: &str, verdict: Verdict, found: String, next: Option<String>) {
-        self.checks.push(Check {
-            name: name.to_owned(),
-            verdict,
-            found,
-            next_step: next,
-        });
+        self.checks
+            .push(Finding::bad(name, failure.to_string()).next_step(step));
     }
 
     /// What does not need the board: profile, disk, ffmpeg, depth recorder.
@@ -510,10 +504,10 @@ mod tests {
         let verdict = |norm: f64| {
             let mut checks = Checks::default();
             checks.gravity([Some(norm), Some(0.0), Some(0.0)]);
-            checks.checks[0].verdict
+            checks.checks[0].severity
         };
-        assert_eq!(verdict(9.6), Verdict::Good);
-        assert_eq!(verdict(4.9), Verdict::Warning);
-        assert_eq!(verdict(0.0), Verdict::Warning);
+        assert_eq!(verdict(9.6), Severity::Good);
+        assert_eq!(verdict(4.9), Severity::Check);
+        assert_eq!(verdict(0.0), Severity::Check);
     }
 }

@@ -26,8 +26,8 @@ use board::Event;
 use board::transport::LinkError;
 use board::{Board, BoardError};
 use protocol::{Pong, Reply, Ticks};
+use recording::finding::Severity;
 use recording::profile::Profile;
-use recording::writer::Severity;
 
 /// A twist is enough when its expected 1-sigma is this part of the gate's: the
 /// phase then depends on the profile's constants more than on the twist.
@@ -199,12 +199,12 @@ impl<'a> Rig<'a> {
                 self.journal.live.gauge.lost(count);
                 self.observers.lost(stream, count);
                 let text = format!("{count} {stream} lost on the link");
-                writer.log(now, Severity::Warning, "lost", &text)?;
+                writer.log(now, Severity::Check, "lost", &text)?;
             }
             Event::Disordered { stream } => self.observers.disordered(stream),
             Event::Damaged(error) => {
                 self.journal.live.gauge.damaged();
-                writer.log(now, Severity::Warning, "damaged", &error.to_string())?;
+                writer.log(now, Severity::Check, "damaged", &error.to_string())?;
             }
             Event::Restarted { .. } => {
                 let goes_on = self.observers.watch.is_some() || self.closing;
@@ -246,7 +246,7 @@ impl<'a> Rig<'a> {
             let text = format!(
                 "no message came from the board for 5 s; {damaged} damaged frames came so far"
             );
-            self.journal.tell(Severity::Warning, "board_quiet", &text)?;
+            self.journal.tell(Severity::Check, "board_quiet", &text)?;
         }
         if self.link.is_silent() {
             let reason = String::from("no message came for 10 s");

@@ -7,8 +7,8 @@ use super::depth_recorder::DepthRecorder;
 use super::journal::Journal;
 use crate::outcome::{ExitStatus, Failure};
 use recording::MCAP_FILE;
-use recording::writer::Severity;
-use session::watch::Finding;
+use recording::finding::Finding;
+use recording::finding::Severity;
 
 /// How often they are looked at.
 const EVERY: Duration = Duration::from_secs(1);
@@ -53,7 +53,7 @@ impl Rounds {
         }
         self.last = Instant::now();
         if let Some(text) = self.depth.as_mut().and_then(DepthRecorder::gone) {
-            journal.problem(Finding::error("depth_recorder_gone", text))?;
+            journal.problem(Finding::bad("depth_recorder_gone", text))?;
         }
         if !journal.folder.join(MCAP_FILE).exists() && !closing {
             return Err(Failure::new(
@@ -80,7 +80,7 @@ impl Rounds {
         if free < DISK_LOW && !self.disk_warned {
             self.disk_warned = true;
             let text = format!("the disk is nearly full: {} MB are left", free / 1_000_000);
-            journal.tell(Severity::Warning, "disk_nearly_full", &text)?;
+            journal.tell(Severity::Check, "disk_nearly_full", &text)?;
         }
         Ok(())
     }

@@ -17,9 +17,10 @@ use crate::arrival::PlannedArrival;
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
+use recording::finding::Finding;
 use recording::session_file::{Alignment, Marker, Span, Twist, Video};
 use session::alignment::{plan, stated_sigma_us_at};
-use session::watch::{Finding, Grid, Watch};
+use session::watch::{Grid, Watch};
 use timebase::ClockModel;
 
 /// The session from the twist to the end of the recording.
@@ -154,7 +155,7 @@ fn confirm_arrival(rig: &mut Rig<'_>, alignment: &Alignment) -> Result<(), Stop>
     }
     let status = rig.call(Board::trigger)?;
     if planned.has_come(&status) {
-        return rig.journal.problem(Finding::warning(
+        return rig.journal.problem(Finding::check(
             "arrival_unconfirmed",
             "the board did not report the arrival, but its train runs on the grid",
         ));

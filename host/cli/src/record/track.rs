@@ -23,10 +23,10 @@ use crate::outcome::Failure;
 use crate::tracked::Tracked;
 use board::BoardError;
 use board::transport::serial::program_time;
+use recording::finding::Severity;
 use recording::messages::{ClockExchange, Header};
 use recording::profile::Profile;
 use recording::session_file::TrackInfo;
-use recording::writer::Severity;
 use session::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use timebase::ClockModel;
 use timebase::runs::Asking;
@@ -350,7 +350,7 @@ pub(super) fn give_up(rig: &mut Rig<'_>) -> Result<(), Stop> {
     match rig.tracking.take() {
         None => Ok(()),
         Some(_) => rig.journal.tell(
-            Severity::Warning,
+            Severity::Check,
             "track_ended",
             "the board was reset: the phone's clock is not followed from here on",
         ),

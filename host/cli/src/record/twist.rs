@@ -14,8 +14,8 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::view::lacking_motion;
 use phone::PhoneSample;
 use phone::task::PhoneTask;
+use recording::finding::Severity;
 use recording::session_file::{Span, Twist};
-use recording::writer::Severity;
 use session::alignment::{skew_prior, with_known_skew};
 use session::rates::Course;
 use session::twist_report::{TwistReport, report_of};
@@ -115,7 +115,7 @@ fn joined(
             rig.phones.whose(place)
         );
         rig.journal
-            .tell(Severity::Warning, "twists_contradict", &text)?;
+            .tell(Severity::Check, "twists_contradict", &text)?;
         return Ok(alone);
     };
     let course = joined.course();
@@ -288,7 +288,7 @@ fn relate(
         }
         Err(refusal) => {
             let text = format!("{label} refused: {refusal}");
-            journal.tell(Severity::Warning, "twist_refused", &text)?;
+            journal.tell(Severity::Check, "twist_refused", &text)?;
             Ok(None)
         }
     }
@@ -336,7 +336,7 @@ fn sharpen(journal: &mut Journal<'_>, twists: &Twists, learnt: &KnownSkew) -> Re
             learnt.rate.sigma * 1e6,
             twists.course().clock.skew * 1e6
         );
-        journal.tell(Severity::Warning, "learnt_skew", &text)?;
+        journal.tell(Severity::Check, "learnt_skew", &text)?;
     }
     Ok(sharper.unwrap_or(*twists).course())
 }

@@ -7,8 +7,8 @@
 use phone::PhoneError;
 use phone::task::{Pending, PhoneTask};
 use protocol::Ticks;
-use recording::writer::Severity;
-use session::watch::Finding;
+use recording::finding::Finding;
+use recording::finding::Severity;
 
 use super::rig::Rig;
 use super::steps::mark;
@@ -64,7 +64,7 @@ impl Rig<'_> {
                         "the video of {label} has ended: it was stopped by hand, or its app was \
                          in the background"
                     );
-                    self.journal.problem(Finding::error("video_ended", text))?;
+                    self.journal.problem(Finding::bad("video_ended", text))?;
                     mark(
                         &mut self.journal,
                         now,
@@ -79,7 +79,7 @@ impl Rig<'_> {
                 Some(Err(error)) if !check.away => {
                     check.away = true;
                     let text = format!("whether {label} records is not known: {error}");
-                    self.journal.tell(Severity::Warning, "phone_away", &text)?;
+                    self.journal.tell(Severity::Check, "phone_away", &text)?;
                 }
                 _ => {}
             }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use board::imu::Sample;
 use protocol::{Answer, DeviceToHost, HostToDevice, ImuFlags, Pulse, Reply, Ticks};
 use recording::SESSION_FILE;
-use recording::session_file::Problem;
+use recording::finding::Finding;
 use recording::writer::Writer;
 use serde_json::Value;
 
@@ -327,11 +327,7 @@ fn no_escape_sequence_reaches_the_terminal() {
     };
     let parent = tempfile::tempdir().unwrap();
     let folder = with_session(parent.path(), |session| {
-        let problem = Problem {
-            at: Ticks(1),
-            kind: String::from("imu_gap"),
-            text: String::from(WILD),
-        };
+        let problem = Finding::check("imu_gap", WILD).at(Ticks(1));
         session["problems"] = serde_json::to_value([problem]).unwrap();
         session["outcome"] = "failed".into();
     });

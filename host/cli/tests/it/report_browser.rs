@@ -4,7 +4,8 @@ use std::process::Command;
 
 use board::{StreamCount, StreamCounts};
 use protocol::Ticks;
-use recording::session_file::{Marker, Problem, SessionFile, SessionOutcome, Span, Twist};
+use recording::finding::Finding;
+use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use test_support::browser;
@@ -42,11 +43,8 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         ..StreamCounts::default()
     };
     session.outcome = Some(SessionOutcome::Loss);
-    session.problems.push(Problem {
-        at: Ticks(48_000_000 * 5),
-        kind: String::from("imu_gap"),
-        text: String::from("2 IMU samples lost <b>here</b>"),
-    });
+    let lost = Finding::check("imu_gap", "2 IMU samples lost <b>here</b>");
+    session.problems.push(lost.at(Ticks(48_000_000 * 5)));
     session.markers.push(Marker {
         at: Ticks(48_000_000 * 4),
         label: String::from("a door that has a very long name, as people write them"),
@@ -59,15 +57,15 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let written: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(written["verdict"]["verdict"], "warning");
+    assert_eq!(written["verdict"]["severity"], "check");
     let part = &written["verdict"]["parts"][0];
-    assert_eq!(part["name"], "board and phone");
-    assert_eq!(part["verdict"], "warning", "{part}");
+    assert_eq!(part["kind"], "board and phone");
+    assert_eq!(part["severity"], "check", "{part}");
     browser::check(
         &folder.join("report.html"),
         "record",
         &[
-            "With remarks",
+            "Check",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
             "off the grid, ticks",
             "rad/s",

@@ -325,7 +325,7 @@ fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
     let checks = found["checks"].as_array().unwrap();
     let bad: Vec<_> = checks
         .iter()
-        .filter(|check| check["verdict"] != "good")
+        .filter(|check| check["severity"] != "good")
         .collect();
     assert!(bad.len() >= 2, "{found:#}");
     for check in bad {

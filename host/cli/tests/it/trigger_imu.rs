@@ -270,7 +270,7 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
 /// As after power-on, or after another setting.
 #[test]
 fn doctor_looks_again_at_a_sensor_that_is_set_up() {
-    for (starting, verdict) in [(600, "good"), (u32::MAX, "bad")] {
+    for (starting, severity) in [(600, "good"), (u32::MAX, "bad")] {
         let board = StandIn::new(ImuStandIn {
             starting,
             ..ImuStandIn::default()
@@ -286,8 +286,8 @@ fn doctor_looks_again_at_a_sensor_that_is_set_up() {
         ]);
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
         let mut checks = report["checks"].as_array().unwrap().iter();
-        let imu = checks.find(|check| check["name"] == "IMU").unwrap();
-        assert_eq!(imu["verdict"], verdict, "{imu}");
+        let imu = checks.find(|check| check["kind"] == "IMU").unwrap();
+        assert_eq!(imu["severity"], severity, "{imu}");
     }
 }
 

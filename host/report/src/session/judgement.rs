@@ -7,13 +7,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::page::Level;
 use phone::adb::get_files_command;
 use phone::video_files;
+use recording::finding::{Finding, Severity};
 use recording::folder::depth_recordings;
 use recording::foreign;
 use recording::session_file::{
-    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
 use serde::Serialize;
 use timebase::PhoneNanos;
@@ -24,11 +24,11 @@ use super::seconds;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Judgement {
     /// The worst of the parts.
-    pub verdict: Verdict,
+    pub severity: Severity,
     /// What that means, in a sentence or two.
     pub text: String,
     /// `board and phone`, `alignment` and `depth`.
-    pub parts: Vec<Check>,
+    pub parts: Vec<Finding>,
 }
 
 impl Judgement {
@@ -44,47 +44,41 @@ impl Judgement {
                 depth(folder, session),
             ],
         };
-        let verdicts = parts.iter().map(|part| part.verdict);
-        let verdict = verdicts.max().unwrap_or(Verdict::Good);
+        let severity = parts
+            .iter()
+            .map(|part| part.severity)
+            .max()
+            .unwrap_or(Severity::Good);
         let open: Vec<&str> = parts
             .iter()
-            .filter(|part| part.verdict != Verdict::Good)
-            .map(|part| part.name.as_str())
+            .filter(|part| part.severity != Severity::Good)
+            .map(|part| part.kind.as_str())
             .collect();
-        let text = match (verdict, parts.as_slice()) {
-            (_, [only]) if nothing => only.found.clone(),
-            (Verdict::Good, _) => {
+        let text = match (severity, parts.as_slice()) {
+            (_, [only]) if nothing => only.text.clone(),
+            (Severity::Good, _) => {
                 String::from("Everything is there, and nothing of it is unknown.")
             }
-            (Verdict::Warning, _) => {
+            (Severity::Check, _) => {
                 format!(
                     "Recorded, but not all is there or known: {}.",
                     open.join(", ")
                 )
             }
-            (Verdict::Bad, _) => format!("Not usable as it is: {}.", open.join(", ")),
+            (Severity::Bad, _) => format!("Not usable as it is: {}.", open.join(", ")),
         };
         Self {
-            verdict,
+            severity,
             text,
             parts,
         }
     }
 }
 
-/// The colour of the page.
-pub(crate) const fn level(verdict: Verdict) -> Level {
-    match verdict {
-        Verdict::Good => Level::Good,
-        Verdict::Warning => Level::Warning,
-        Verdict::Bad => Level::Bad,
-    }
-}
-
 /// The checks before the recording that were not good.
-pub fn findings(session: &SessionFile) -> impl Iterator<Item = &Check> {
+pub fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> {
     let checks = session.preflight.iter();
-    checks.filter(|check| check.verdict != Verdict::Good)
+    checks.filter(|check| check.severity != Severity::Good)
 }
 
 /// Whether there is anything between begin and end of the recording.
@@ -94,16 +88,14 @@ pub fn has_recorded(session: &SessionFile) -> bool {
     span.is_some_and(|span| span.to > span.from || session.outcome.is_none())
 }
 
-fn part(name: &str, verdict: Verdict, found: String, next: Vec<String>) -> Check {
-    Check {
-        name: name.to_owned(),
-        verdict,
-        found,
+fn part(name: &str, severity: Severity, found: String, next: Vec<String>) -> Finding {
+    Finding {
         next_step: (!next.is_empty()).then(|| next.join("; ")),
+        ..Finding::new(severity, name, found)
     }
 }
 
-fn nothing_recorded(session: &SessionFile) -> Check {
+fn nothing_recorded(session: &SessionFile) -> Finding {
     let delete = "record again; this folder can be deleted";
     let (found, next) = match session.outcome {
         Some(SessionOutcome::Interrupted) => (
@@ -122,7 +114,7 @@ fn nothing_recorded(session: &SessionFile) -> Check {
     };
     part(
         "board and phone",
-        Verdict::Bad,
+        Severity::Bad,
         found,
         vec![next.to_owned()],
     )
@@ -134,7 +126,7 @@ fn reason(session: &SessionFile) -> &str {
 }
 
 /// What the board sent, and the files of the phones.
-fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
+fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
     let counts = &session.counts;
     let length = session
         .recorded
@@ -150,33 +142,33 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
     };
     let mut next = Vec::new();
     let (mut verdict, mut found) = match session.outcome {
-        Some(SessionOutcome::Good) => (Verdict::Good, format!("{came}, {lost}")),
+        Some(SessionOutcome::Good) => (Severity::Good, format!("{came}, {lost}")),
         Some(SessionOutcome::Loss) => {
             let problems = match session.problems.as_slice() {
                 [] => String::new(),
                 [only] => format!("; {}", only.text),
                 [first, more @ ..] => format!("; {}, and {} more (below)", first.text, more.len()),
             };
-            (Verdict::Warning, format!("{came}, {lost}{problems}"))
+            (Severity::Check, format!("{came}, {lost}{problems}"))
         }
         Some(SessionOutcome::Interrupted) => {
             next.push(String::from("record again if that is too short"));
             (
-                Verdict::Warning,
+                Severity::Check,
                 format!("interrupted: {came} until then, {lost}"),
             )
         }
         Some(SessionOutcome::Failed) => {
             next.push(String::from("`smartdepthsync verify` says what there is"));
             let found = format!("the session failed: {}; {came} until then", reason(session));
-            (Verdict::Bad, found)
+            (Severity::Bad, found)
         }
         None => {
             next.push(String::from(
                 "`smartdepthsync repair` makes a whole recording of what is there",
             ));
             let found = "the program was ended before it could close the session";
-            (Verdict::Bad, found.to_owned())
+            (Severity::Bad, found.to_owned())
         }
     };
     for (name, video) in videos(session) {
@@ -185,7 +177,7 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
         if missing.is_empty() {
             continue;
         }
-        verdict = verdict.max(Verdict::Warning);
+        verdict = verdict.max(Severity::Check);
         found += &format!(
             "; not in the folder yet: the {} of {name}",
             missing.join(", ")
@@ -241,31 +233,31 @@ pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf
 }
 
 /// How the two exposures lie to each other, and what of it is not known.
-fn alignment(session: &SessionFile) -> Check {
+fn alignment(session: &SessionFile) -> Finding {
     const NAME: &str = "alignment";
     let Some(alignment) = session.alignment else {
         let found = String::from("the trigger was not aligned to the phone's frames");
         return part(
             NAME,
-            Verdict::Bad,
+            Severity::Bad,
             found,
             vec![String::from("record again")],
         );
     };
     let mut found = alignment.promise();
     let mut next = Vec::new();
-    let mut verdict = Verdict::Good;
+    let mut verdict = Severity::Good;
     for name in [CHECK_BIAS, CHECK_LEARNT] {
-        let check = session.preflight.iter().find(|check| check.name == name);
+        let check = session.preflight.iter().find(|check| check.kind == name);
         match check {
-            Some(check) if check.verdict == Verdict::Good => continue,
+            Some(check) if check.severity == Severity::Good => continue,
             Some(check) => {
-                found += &format!("; {name}: {}", check.found);
+                found += &format!("; {name}: {}", check.text);
                 next.extend(check.next_step.clone());
             }
             None => found += &format!("; {name}: not known, this was not checked"),
         }
-        verdict = Verdict::Warning;
+        verdict = Severity::Check;
     }
     part(NAME, verdict, found, next)
 }
@@ -274,12 +266,12 @@ fn alignment(session: &SessionFile) -> Check {
 const DEPTH_FILES: &str = ".mkv, or the folder of a ROS 2 bag with its metadata.yaml";
 
 /// The depth recording, and whether the pulses came out of the board.
-fn depth(folder: &Path, session: &SessionFile) -> Check {
+fn depth(folder: &Path, session: &SessionFile) -> Finding {
     let recorder = session.profile.depth.recorder.command.first();
     let mut next = Vec::new();
     let (mut verdict, mut found) = match (depth_file(folder), recorder) {
         (Some((name, bytes)), _) => (
-            Verdict::Good,
+            Severity::Good,
             format!("{name}, {:.1} MB", bytes as f64 / 1e6),
         ),
         (None, Some(program)) => {
@@ -287,7 +279,7 @@ fn depth(folder: &Path, session: &SessionFile) -> Check {
                 "`depth_recorder.log` in the folder has what it said",
             ));
             let found = format!("`{program}` left no recording ({DEPTH_FILES}) in the folder");
-            (Verdict::Warning, found)
+            (Severity::Check, found)
         }
         (None, None) => {
             next.push(String::from(
@@ -297,20 +289,20 @@ fn depth(folder: &Path, session: &SessionFile) -> Check {
             let found = format!(
                 "no recording ({DEPTH_FILES}) in the folder, and no recorder in the profile"
             );
-            (Verdict::Warning, found)
+            (Severity::Check, found)
         }
     };
     let mut problems = session.problems.iter();
     if let Some(problem) = problems.find(|problem| problem.kind == "depth_recorder_gone") {
-        verdict = Verdict::Warning;
+        verdict = Severity::Check;
         found += &format!("; {}", problem.text);
     }
     let mut checks = session.preflight.iter();
-    if let Some(check) = checks.find(|check| check.name == CHECK_READBACK)
-        && check.verdict != Verdict::Good
+    if let Some(check) = checks.find(|check| check.kind == CHECK_READBACK)
+        && check.severity != Severity::Good
     {
-        verdict = Verdict::Warning;
-        found += &format!("; {CHECK_READBACK}: {}", check.found);
+        verdict = Severity::Check;
+        found += &format!("; {CHECK_READBACK}: {}", check.text);
         next.extend(check.next_step.clone());
     }
     part("depth", verdict, found, next)
@@ -349,10 +341,10 @@ mod tests {
         session
     }
 
-    fn check(name: &str, verdict: Verdict) -> Check {
+    fn check(name: &str, severity: Severity) -> Finding {
         part(
             name,
-            verdict,
+            severity,
             String::from("as found"),
             vec![String::from("as told")],
         )
@@ -377,7 +369,7 @@ mod tests {
             ] {
                 session.outcome = Some(outcome);
                 let judged = Judgement::of(folder.path(), &session);
-                assert_eq!(judged.verdict, Verdict::Bad, "{judged:?}");
+                assert_eq!(judged.severity, Severity::Bad, "{judged:?}");
                 assert!(
                     judged.text.contains("before the recording began"),
                     "{judged:?}"
@@ -392,23 +384,23 @@ mod tests {
         let mut session = session();
         let verdict = |session: &SessionFile| depth(folder.path(), session);
         let without = verdict(&session);
-        assert_eq!(without.verdict, Verdict::Warning);
+        assert_eq!(without.severity, Severity::Check);
         assert!(without.next_step.unwrap().contains("[depth.recorder]"));
         let bag = folder.path().join("depth");
         std::fs::create_dir(&bag).unwrap();
         std::fs::write(bag.join("depth_0.mcap"), [0; 1000]).unwrap();
-        assert_eq!(verdict(&session).verdict, Verdict::Warning);
+        assert_eq!(verdict(&session).severity, Severity::Check);
         std::fs::write(bag.join("metadata.yaml"), "").unwrap();
-        assert_eq!(verdict(&session).verdict, Verdict::Good);
+        assert_eq!(verdict(&session).severity, Severity::Good);
         std::fs::remove_dir_all(&bag).unwrap();
         std::fs::write(folder.path().join("depth.mkv"), [0; 1000]).unwrap();
-        assert_eq!(verdict(&session).verdict, Verdict::Good);
+        assert_eq!(verdict(&session).severity, Severity::Good);
         session
             .preflight
-            .push(check(CHECK_READBACK, Verdict::Warning));
+            .push(check(CHECK_READBACK, Severity::Check));
         let unproved = verdict(&session);
-        assert_eq!(unproved.verdict, Verdict::Warning);
-        assert!(unproved.found.contains("trigger read-back: as found"));
+        assert_eq!(unproved.severity, Severity::Check);
+        assert!(unproved.text.contains("trigger read-back: as found"));
         assert_eq!(unproved.next_step.as_deref(), Some("as told"));
     }
 
@@ -422,15 +414,15 @@ mod tests {
             exposure_ns: None,
         });
         let judged = board_and_phone(folder.path(), &session);
-        assert_eq!(judged.verdict, Verdict::Warning);
+        assert_eq!(judged.severity, Severity::Check);
         assert!(judged.next_step.unwrap().contains("--phase 42"));
         assert_eq!(files_to_fetch(folder.path(), &session).len(), 1);
         for name in ["V.mp4", "Vgyro.csv", "Vaccel.csv", "V_timestamps.csv"] {
             std::fs::write(folder.path().join(name), "1").unwrap();
         }
         assert_eq!(
-            board_and_phone(folder.path(), &session).verdict,
-            Verdict::Good
+            board_and_phone(folder.path(), &session).severity,
+            Severity::Good
         );
         assert!(files_to_fetch(folder.path(), &session).is_empty());
     }

@@ -5,7 +5,8 @@ use protocol::Ticks;
 use super::curves::Curves;
 use super::{MAX_LISTED, seconds, sigmas};
 use crate::chart::{self, Data, Envelope, Series};
-use crate::page::{Level, Page};
+use crate::page::Page;
+use recording::finding::Severity;
 use recording::session_file::{FramePeriodSource, SessionFile, Span};
 use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
@@ -220,13 +221,13 @@ pub(super) fn further_sensors(page: &mut Page, session: &SessionFile, curves: &C
             ));
             if gnss.changed {
                 page.note(
-                    Level::Warning,
+                    Severity::Check,
                     "The relation of what was told to board time changed within the recording.",
                 );
             }
         }
         None if profile.lidar.is_some() => page.note(
-            Level::Warning,
+            Severity::Check,
             &format!("{name} is in the profile, but no second was told."),
         ),
         None => {}
@@ -258,7 +259,7 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
             );
         }
         None if session.counts.pulses.received > 0 => page.note(
-            Level::Warning,
+            Severity::Check,
             "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
              PA3 behind the buffer.",
         ),

@@ -12,7 +12,7 @@ use crate::record::rig::Rig;
 use board::BoardError;
 use board::transport::LinkError;
 use protocol::TICK_HZ;
-use session::watch::Finding;
+use recording::finding::Finding;
 
 /// How long a lost link is waited for at most while a session is being closed.
 const TIME_CLOSING: Duration = Duration::from_secs(3);
@@ -24,7 +24,7 @@ impl Rig<'_> {
     /// Waits for a lost link and goes on with it.
     pub(in crate::record) fn take_up_link(&mut self, error: &LinkError) -> Result<(), Stop> {
         let lost_at = self.now();
-        let problem = Finding::error("link_lost", error.to_string());
+        let problem = Finding::bad("link_lost", error.to_string());
         self.journal.problem(problem)?;
         // Nothing will fill the chunk for a while.
         self.journal.write(|writer, _| writer.flush())?;

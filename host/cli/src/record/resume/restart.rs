@@ -11,9 +11,10 @@ use crate::record::rig::Rig;
 use crate::record::{Stop, further, phones};
 use board::imu::Scale;
 use board::{BoardError, reset_cause};
+use recording::finding::Finding;
 use recording::profile::Profile;
 use recording::session_file::BoardRun;
-use session::watch::{Finding, Grid, Watch};
+use session::watch::{Grid, Watch};
 use timebase::runs::{Joint, Pair};
 
 /// How often the clocks are read beside each other once the board is back.
@@ -166,7 +167,7 @@ impl Rig<'_> {
             anchor: None,
         });
         journal.now = last.max(from);
-        journal.problem(Finding::error(
+        journal.problem(Finding::bad(
             "board_reset",
             format!(
                 "the board was reset ({}); its time goes on {:.3} s later, by this computer's clock \
@@ -255,7 +256,7 @@ impl Rig<'_> {
         self.journal.save()?;
         phones::place_others(&self.phones, &mut self.journal)?;
         match further::start(self) {
-            Err(Stop::Failed(failure)) => self.journal.problem(Finding::error(
+            Err(Stop::Failed(failure)) => self.journal.problem(Finding::bad(
                 "outputs_not_restarted",
                 format!("a further output could not be started again: {failure}"),
             )),

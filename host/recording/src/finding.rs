@@ -1,0 +1,127 @@
+//! What was found, and how bad it is: one scale from the checks before a recording to the
+//! report over a data set.
+
+use protocol::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// How bad something is, from good to bad.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// As it should be, or just worth knowing.
+    Good,
+    /// Usable; something is missing, or less good than it could be.
+    Check,
+    /// Damaged, broken or not usable.
+    Bad,
+}
+
+impl Severity {
+    /// The word for it.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Check => "check",
+            Self::Bad => "bad",
+        }
+    }
+}
+
+/// Something that was checked or noticed, once or often.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Finding {
+    /// A stable word for its kind, or the name of what was checked.
+    pub kind: String,
+    /// How bad it is.
+    pub severity: Severity,
+    /// What was found; of several the first.
+    pub text: String,
+    /// What to do about it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next_step: Option<String>,
+    /// Board time of the first, where it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<Ticks>,
+    /// How often it was found.
+    #[serde(default = "once", skip_serializing_if = "is_once")]
+    pub count: u64,
+}
+
+const fn once() -> u64 {
+    1
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+const fn is_once(count: &u64) -> bool {
+    *count == 1
+}
+
+impl Finding {
+    /// A finding, without a next step.
+    #[must_use]
+    pub fn new(severity: Severity, kind: impl Into<String>, text: impl Into<String>) -> Self {
+        Self {
+            kind: kind.into(),
+            severity,
+            text: text.into(),
+            next_step: None,
+            at: None,
+            count: 1,
+        }
+    }
+
+    /// Something as it should be.
+    #[must_use]
+    pub fn good(kind: impl Into<String>, text: impl Into<String>) -> Self {
+        Self::new(Severity::Good, kind, text)
+    }
+
+    /// Something missing, or less good than it could be.
+    #[must_use]
+    pub fn check(kind: impl Into<String>, text: impl Into<String>) -> Self {
+        Self::new(Severity::Check, kind, text)
+    }
+
+    /// Something broken.
+    #[must_use]
+    pub fn bad(kind: impl Into<String>, text: impl Into<String>) -> Self {
+        Self::new(Severity::Bad, kind, text)
+    }
+
+    /// At this board time.
+    #[must_use]
+    pub fn at(self, at: Ticks) -> Self {
+        Self {
+            at: Some(at),
+            ..self
+        }
+    }
+
+    /// With what to do about it.
+    #[must_use]
+    pub fn next_step(self, step: impl Into<String>) -> Self {
+        Self {
+            next_step: Some(step.into()),
+            ..self
+        }
+    }
+
+    /// Seconds of board time of the first, in words; empty without them.
+    #[must_use]
+    pub fn seconds(&self) -> String {
+        self.at
+            .map_or(String::new(), |at| format!("{:.3}", at.as_secs_f64()))
+    }
+
+    /// In one line, with what to do.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let next = self.next_step.as_deref().unwrap_or_default();
+        let arrow = if next.is_empty() { "" } else { " -> " };
+        format!("{}: {}{arrow}{next}", self.kind, self.text)
+    }
+}
