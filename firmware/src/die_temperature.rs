@@ -22,6 +22,17 @@ pub struct Calibration {
     pub at_110: u16,
 }
 
+/// The chip's analog supply in mV from the code of the reference (RM0090 13.10, "reading the
+/// internal reference"): the factory's was taken at 3.3 V. `None` if it is of no working chip.
+#[must_use]
+pub fn supply_mv(calibration: &Calibration, reference: u16) -> Option<u16> {
+    let millivolts = (3_300 * u32::from(calibration.reference)).checked_div(reference.into())?;
+    // What the chip is made for, and some (DS8626 table 14).
+    (1_500..=4_000)
+        .contains(&millivolts)
+        .then_some(millivolts as u16)
+}
+
 /// Temperature in 0.1 °C from the codes of sensor and reference; `None` if they, or the
 /// calibration, are of no working chip.
 #[must_use]
@@ -57,6 +68,12 @@ mod tests {
                 let tenths = decidegrees(&CHIP, sensor, reference).unwrap();
                 // Half a code of each of both is 0.2 °C at 3.3 V.
                 assert!((tenths - expected).abs() <= 4, "{supply} V: {tenths}");
+                // Half a code of the reference at 3.6 V is 1.3 mV, and so is the factory's.
+                let millivolts = f64::from(supply_mv(&CHIP, reference).unwrap());
+                assert!(
+                    (millivolts - supply * 1e3).abs() < 4.0,
+                    "{supply} V: {millivolts}"
+                );
             }
         }
     }
@@ -66,6 +83,8 @@ mod tests {
         for (sensor, reference) in [(0, 0), (940, 0), (4_095, 4_095), (4_095, 1_500), (0, 1_500)] {
             assert_eq!(decidegrees(&CHIP, sensor, reference), None);
         }
+        assert_eq!(supply_mv(&CHIP, 0), None);
+        assert_eq!(supply_mv(&CHIP, 4_095), None);
         let blank = Calibration {
             reference: u16::MAX,
             at_30: u16::MAX,

@@ -128,7 +128,7 @@ const fn model_of(identity: u8) -> Option<ImuModel> {
     Some(match identity {
         mpu::IDENTITY_6050 => ImuModel::Mpu6050,
         mpu::IDENTITY_6500 => ImuModel::Mpu6500,
-        mpu::IDENTITY_9250 => ImuModel::Mpu9250,
+        mpu::IDENTITY_9250 | mpu::IDENTITY_9255 => ImuModel::Mpu9250,
         icm42688p::IDENTITY => ImuModel::Icm42688P,
         _ => return None,
     })

@@ -129,6 +129,10 @@ pub struct Status {
     pub handlers: Handlers,
     /// Temperature of the chip, in 0.1 °C; `None` before it was first measured.
     pub die_decidegrees: Option<i16>,
+    /// The chip's supply, in mV; `None` before it was first measured.
+    pub supply_mv: Option<u16>,
+    /// What happened on the USB.
+    pub usb: UsbCounters,
     /// How often edges on the strobe input were lost (over-captures of TIM2
     /// channel 3).
     pub strobe_overcaptures: u32,
@@ -144,6 +148,15 @@ pub struct Status {
     pub output_latency: u32,
     /// The pulse per second.
     pub gnss: GnssStatus,
+}
+
+/// What happened on the USB since the board's reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UsbCounters {
+    /// Resets by the host.
+    pub resets: u32,
+    /// Suspends by the host, or of a bus without traffic.
+    pub suspends: u32,
 }
 
 /// What one handler took, by the core's cycle counter, at [`CORE_HZ`]. A handler that

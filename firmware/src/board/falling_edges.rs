@@ -9,8 +9,10 @@
 //! before the next pulse. That second transfer ends the stream, which calls the handler.
 //!
 //! The first value waits in the stream's FIFO before it is asked for (10.3.12), so the
-//! load takes one access of APB1: less than 1 µs behind the core's and the IMU's, which
-//! have a lower priority. [`protocol::MIN_PULSE_WIDTH`] is ten times that.
+//! load takes one access of APB1. The IMU's streams have the same priority (the HAL's), and of
+//! those the one with the lower number goes first (10.3.6): the load may come behind the core's
+//! access and one of the IMU's, in less than 1 µs. [`protocol::MIN_PULSE_WIDTH`] is ten times
+//! that.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 

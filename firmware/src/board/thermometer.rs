@@ -1,4 +1,4 @@
-//! ADC1, which measures the chip's temperature: two conversions, one at each look, so
+//! ADC1, which measures the chip's temperature and supply: two conversions, one at each look, so
 //! nobody waits for them.
 
 use embassy_stm32::pac;
@@ -23,7 +23,16 @@ pub(crate) struct Thermometer {
     calibration: Calibration,
     converting: u8,
     sensor: Option<u16>,
-    decidegrees: Option<i16>,
+    measured: Measured,
+}
+
+/// What the chip measures of itself.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Measured {
+    /// Temperature, in 0.1 °C.
+    pub(crate) decidegrees: Option<i16>,
+    /// Supply, in mV.
+    pub(crate) supply_mv: Option<u16>,
 }
 
 impl Thermometer {
@@ -46,18 +55,20 @@ impl Thermometer {
             calibration: calibration(),
             converting: 0,
             sensor: None,
-            decidegrees: None,
+            measured: Measured::default(),
         }
     }
 
     /// Takes the conversion of the last look, 0.1 ms ago at least, and starts the next.
-    /// Returns the temperature, in 0.1 °C.
-    pub(crate) fn look(&mut self) -> Option<i16> {
+    pub(crate) fn look(&mut self) -> Measured {
         let done = ADC.sr().read().eoc().then(|| ADC.dr().read().data());
         if self.converting == SENSOR {
             self.sensor = done;
         } else if let (Some(sensor), Some(reference)) = (self.sensor, done) {
-            self.decidegrees = die_temperature::decidegrees(&self.calibration, sensor, reference);
+            self.measured = Measured {
+                decidegrees: die_temperature::decidegrees(&self.calibration, sensor, reference),
+                supply_mv: die_temperature::supply_mv(&self.calibration, reference),
+            };
         }
         self.converting = if self.converting == SENSOR {
             REFERENCE
@@ -66,7 +77,7 @@ impl Thermometer {
         };
         ADC.sqr3().write(|w| w.set_sq(0, self.converting));
         ADC.cr2().modify(|w| w.set_swstart(true));
-        self.decidegrees
+        self.measured
     }
 }
 

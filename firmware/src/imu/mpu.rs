@@ -24,6 +24,10 @@ pub(super) const IDENTITY_6500: u8 = 0x70;
 /// WHO_AM_I of the MPU-9250.
 pub(super) const IDENTITY_9250: u8 = 0x71;
 
+/// WHO_AM_I of the MPU-9255, which has the registers of the MPU-9250 (RM-MPU-9255 revision 1.0,
+/// 4.42).
+pub(super) const IDENTITY_9255: u8 = 0x73;
+
 /// PWR_MGMT_1: reset all registers; the bit clears itself.
 const DEVICE_RESET: u8 = 0x80;
 

@@ -8,10 +8,10 @@ use embassy_time::{Duration, Ticker};
 use firmware::config::TRIGGER_OVERDUE;
 use protocol::{Handlers, Output, Status};
 
-use crate::board::thermometer::Thermometer;
+use crate::board::thermometer::{Measured, Thermometer};
 use crate::board::{cycles, idle, outputs, stack, tim2, triggers};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
-use crate::tasks::{gnss, imu};
+use crate::tasks::{gnss, imu, usb};
 
 #[embassy_executor::task]
 pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
@@ -33,7 +33,7 @@ pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
     }
 }
 
-fn status(seq: u32, handlers: Handlers, die_decidegrees: Option<i16>) -> Status {
+fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
     let counters = tim2::counters();
     let mut dropped = state::with_outbox(|outbox| outbox.dropped());
     dropped.pulses = dropped.pulses.saturating_add(counters.lost_pulses);
@@ -55,7 +55,9 @@ fn status(seq: u32, handlers: Handlers, die_decidegrees: Option<i16>) -> Status 
         trigger: triggers::status(Output::Camera),
         trigger_latency: counters.latency,
         handlers,
-        die_decidegrees,
+        die_decidegrees: measured.decidegrees,
+        supply_mv: measured.supply_mv,
+        usb: usb::counters(),
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),

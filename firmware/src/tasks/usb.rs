@@ -5,7 +5,7 @@
 //! VBUS is sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
 //! and so survives an unplugged cable, which it must notice (RM0090 34.3.3).
 
-use core::sync::atomic::{AtomicU8, Ordering};
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{Config, Driver, InterruptHandler};
@@ -15,6 +15,7 @@ use embassy_usb::{Builder, Handler, UsbDevice};
 use firmware::boards::BOARD;
 use firmware::config::USB_PACKET;
 use heapless::String;
+use protocol::UsbCounters;
 use static_cell::StaticCell;
 
 use crate::board::cycles::USB_TIME;
@@ -151,6 +152,17 @@ fn update(condition: u8, on: bool) {
     }
 }
 
+static RESETS: AtomicU32 = AtomicU32::new(0);
+static SUSPENDS: AtomicU32 = AtomicU32::new(0);
+
+/// What happened on the bus since the board's reset.
+pub(crate) fn counters() -> UsbCounters {
+    UsbCounters {
+        resets: RESETS.load(Ordering::Relaxed),
+        suspends: SUSPENDS.load(Ordering::Relaxed),
+    }
+}
+
 struct LinkHandler;
 
 impl Handler for LinkHandler {
@@ -160,6 +172,7 @@ impl Handler for LinkHandler {
     }
 
     fn reset(&mut self) {
+        RESETS.fetch_add(1, Ordering::Relaxed);
         update(CONFIGURED, false);
         update(AWAKE, true);
     }
@@ -169,6 +182,7 @@ impl Handler for LinkHandler {
     }
 
     fn suspended(&mut self, suspended: bool) {
+        SUSPENDS.fetch_add(u32::from(suspended), Ordering::Relaxed);
         update(AWAKE, !suspended);
     }
 }

@@ -5,7 +5,8 @@
 //! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
 
 use protocol::{
-    AccelRange, GyroRange, ImuFlags, ImuModel, ImuSample, ImuSetup, LowPass, TICK_HZ, Ticks,
+    AccelRange, GyroRange, ImuFault, ImuFlags, ImuModel, ImuSample, ImuSetup, LowPass, TICK_HZ,
+    Ticks,
 };
 use serde::{Deserialize, Serialize};
 
@@ -111,8 +112,27 @@ pub fn describe(setup: &ImuSetup) -> String {
 pub fn last_fault(setup: &ImuSetup) -> String {
     setup.status.last_fault.map_or_else(
         || String::from("no fault is noted"),
-        |fault| format!("last fault: {fault:?}"),
+        |fault| match fault {
+            ImuFault::WrongIdentity { found } => format!(
+                "last fault: the sensor's identity (WHO_AM_I) is {found:#04x}{}; the board knows \
+                 0x68 (MPU-6050, MPU-9150), 0x70 (MPU-6500), 0x71 (MPU-9250), 0x73 (MPU-9255) and \
+                 0x47 (ICM-42688-P)",
+                relative(found)
+            ),
+            fault => format!("last fault: {fault:?}"),
+        },
     )
+}
+
+/// Sensors that are sold in place of those that the board knows, by WHO_AM_I.
+fn relative(identity: u8) -> &'static str {
+    match identity {
+        0x72 => ", as clones of the MPU-6050 have it, whose registers differ",
+        0x74 => ", which is an MPU-6515",
+        0x98 => ", which is an ICM-20689 or a clone of the MPU-6050 made of one",
+        0x00 | 0xff => ", which no sensor has: is it powered, and are SDA and SCL wired?",
+        _ => "",
+    }
 }
 
 /// One sample in SI units.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use proptest::prelude::*;
 use protocol::{
     CaptureChannel, Dropped, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, LinkCounters, Period,
-    Readback, Status, TrainState, TriggerStatus,
+    Readback, Status, TrainState, TriggerStatus, UsbCounters,
 };
 
 use super::finding::Severity;
@@ -72,6 +72,8 @@ fn status(at: Ticks) -> Status {
         trigger_latency: 5,
         handlers: protocol::Handlers::default(),
         die_decidegrees: Some(312),
+        supply_mv: Some(2_930),
+        usb: UsbCounters::default(),
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {

@@ -116,6 +116,7 @@ fn time_goes_on_while_the_cable_is_out() {
     let status = board.next_status();
     assert_eq!(status.connects, connects + 1);
     assert_eq!(status.epoch, hello.epoch);
+    assert!(status.usb.resets >= 2, "{:?}", status.usb);
     // Status messages went on, and those that nobody took are counted.
     let gaps: u32 = board
         .statuses
@@ -489,6 +490,8 @@ fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
         let told = f64::from(status.die_decidegrees.unwrap()) / 10.0;
         // A code is 0.3 °C; two of them and the rounding of the calibration.
         assert!((told - celsius).abs() < 0.8, "{told} for {celsius}");
+        let volts = f64::from(status.supply_mv.unwrap()) / 1e3;
+        assert!((volts - supply).abs() < 0.01, "{volts} for {supply}");
 
         let Handlers {
             trigger,

@@ -49,7 +49,6 @@ fn the_firmware_writes_no_other_plain_register() {
     bench.board.run(500);
     let written: Vec<_> = bench.board.rig.stored_writes().into_iter().collect();
     let expected = [
-        "DBGMCU_APB1_FZ",
         "DBGMCU_CR",
         "FLASH_ACR",
         "GPIOA_OSPEEDR",

@@ -1,5 +1,6 @@
 //! The link and the handlers under its load; the crystal.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use board::imu::Scale;
@@ -18,6 +19,9 @@ const MIN_THROUGHPUT: f64 = 300e3;
 
 /// How long the host does not read.
 const STALL: Duration = Duration::from_millis(1_500);
+
+/// What the flash's wait states (RM0090 table 10) and the USB transceiver are made for, mV.
+const SUPPLY_MV: RangeInclusive<u16> = 2_700..=3_600;
 
 /// The crystal's 30 ppm and a computer's 70.
 const MAX_CLOCK_PPM: f64 = 100.0;
@@ -138,7 +142,7 @@ impl Session<'_> {
         const REASON: &str =
             "the board does not run on its crystal, or the computer's clock is off";
         let scale = Scale::of(&self.board.imu()?);
-        let (mut temperature, mut die, mut best) = (None, None, Vec::new());
+        let (mut temperature, mut die, mut supply, mut best) = (None, None, None, Vec::new());
         let begun = self.board.now();
         while self.board.now().saturating_sub(begun) < length {
             // Of ten exchanges the quickest: it waited least in any queue.
@@ -147,6 +151,7 @@ impl Session<'_> {
                 let heard = self.hear(millis(50))?;
                 if let Some(status) = heard.statuses.last() {
                     die = status.die_decidegrees;
+                    supply = status.supply_mv;
                 }
                 if let (Some(scale), Some(sample)) = (&scale, heard.imu.last()) {
                     temperature = Some(scale.apply(sample).temperature);
@@ -158,6 +163,19 @@ impl Session<'_> {
                 }
             }
             best.extend(quickest);
+        }
+        if let Some(millivolts) = supply {
+            self.check(
+                "supply",
+                SUPPLY_MV.contains(&millivolts),
+                format!("{:.2} V", f64::from(millivolts) / 1e3),
+                format!(
+                    "{:.1} to {:.1} V",
+                    f64::from(*SUPPLY_MV.start()) / 1e3,
+                    f64::from(*SUPPLY_MV.end()) / 1e3
+                ),
+                "the chip's supply (VDD) is low: measure the 3V pin, and look for a short",
+            );
         }
         let half = best.len() / 2;
         let slopes: Vec<f64> = (best.iter().zip(best.iter().skip(half)))

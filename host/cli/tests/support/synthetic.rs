@@ -9,7 +9,7 @@ use board::imu::Sample;
 use protocol::{
     CaptureChannel, DeviceToHost, Dropped, Edge, ImuClock, ImuFlags, ImuSample, ImuState,
     ImuStatus, LinkCounters, MAX_FRAME, Output, Period, Pulse, Readback, Status, TICK_HZ, Ticks,
-    TrainState, TriggerStatus, encode,
+    TrainState, TriggerStatus, UsbCounters, encode,
 };
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
@@ -89,6 +89,8 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
         trigger_latency: 5,
         handlers: protocol::Handlers::default(),
         die_decidegrees: None,
+        supply_mv: None,
+        usb: UsbCounters::default(),
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {

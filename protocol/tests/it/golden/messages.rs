@@ -144,6 +144,11 @@ pub(super) fn status() -> Status {
         trigger_latency: 120,
         handlers: handlers(),
         die_decidegrees: Some(-123),
+        supply_mv: Some(2_930),
+        usb: UsbCounters {
+            resets: 2,
+            suspends: 1,
+        },
         strobe_overcaptures: 13,
         strobe_floods: 14,
         imu: imu_status(None),

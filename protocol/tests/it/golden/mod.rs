@@ -177,6 +177,11 @@ fn no_message_is_longer_than_a_frame() {
         usb: handler,
     };
     status.die_decidegrees = Some(i16::MIN);
+    status.supply_mv = Some(u16::MAX);
+    status.usb = UsbCounters {
+        resets: all,
+        suspends: all,
+    };
     status.strobe_overcaptures = all;
     status.strobe_floods = all;
     status.imu = ImuStatus {
