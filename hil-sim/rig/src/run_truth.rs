@@ -47,7 +47,7 @@ pub(crate) struct Noted {
 impl Noted {
     /// Takes what the models have noted, so that they keep little.
     pub(crate) fn take(&mut self, board: &Sim, parts: &RigParts) {
-        if board.now() < FIRST_WRAP && !self.was_reset {
+        if board.now() < FIRST_WRAP && !self.was_reset && board.failures().is_empty() {
             self.zero = zero_of(board);
         }
         if let Some(camera) = &parts.depth_camera {

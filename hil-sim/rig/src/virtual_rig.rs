@@ -163,6 +163,12 @@ impl VirtualRig {
         self.sim.press_reset();
     }
 
+    /// Switches the board's power off and on.
+    pub fn power_cycle(&mut self) {
+        self.noted.was_reset();
+        self.sim.power_cycle();
+    }
+
     /// Whether the board's serial port is there.
     #[must_use]
     pub fn is_plugged(&self) -> bool {

@@ -6,9 +6,8 @@
 //! reach the host is compared with the pin or the sensor's register that it is
 //! about. Messages may be missing; none may be wrong.
 //!
-//! When tick 0 of a run of the board was is read off the timer's register once,
-//! when the board says hello ([`BoardTruth::begin`]), and holds for all edges on
-//! all pins until the board is reset ([`BoardTruth::restart`]).
+//! When tick 0 of the board was is read off the timer's register once, when the board says
+//! hello ([`BoardTruth::begin`]), and holds for all edges on all pins.
 
 use std::collections::VecDeque;
 
@@ -16,21 +15,23 @@ use protocol::{
     Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks, TriggerStart,
 };
 
-use rig::imu::{SampleRecord, SimImu};
+use rig::imu::SampleRecord;
 use rig::wiring::{self, UNITS_PER_TICK};
-use stm32f4_sim::pin::Level;
-use stm32f4_sim::shared::{Shared, lock};
+use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// How long after its data-ready edge a sample is read at the latest.
 const TRANSFER: SimDuration = SimDuration::from_millis(2);
 
-/// A train as it was started: edge `k` is `floor(first + k · period)`.
+/// A train: its edge with this number is at `first`, and edge `number + k` at
+/// `floor(first + k · period)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Train {
-    /// Edge 0.
+    /// An edge.
     pub first: Ticks,
+    /// Its number among the board's pulses.
+    pub number: i64,
     /// Distance of edges.
     pub period: Period,
     /// Length of a pulse, in ticks.
@@ -54,9 +55,16 @@ impl Train {
     pub(crate) fn of(start: &TriggerStart, first: Ticks) -> Self {
         Self {
             first,
+            number: 0,
             period: start.period,
             width: start.width,
         }
+    }
+
+    fn edge(&self, number: u64) -> Ticks {
+        let number = i64::try_from(number).unwrap_or(i64::MAX);
+        self.period
+            .edge(self.first, number.saturating_sub(self.number))
     }
 }
 
@@ -90,8 +98,8 @@ pub(crate) struct BoardTruth {
     train: Option<Train>,
     /// A pulse that has not ended.
     rise: Option<SimTime>,
-    /// Pulses of this train at the pin that were compared with the arithmetic.
-    made: u64,
+    /// Number of the next pulse of this train at the pin.
+    next: u64,
     ready: VecDeque<SampleRecord>,
     strobe: VecDeque<(SimTime, Level)>,
     disturbances: Vec<SimTime>,
@@ -105,35 +113,30 @@ impl BoardTruth {
         Self::default()
     }
 
-    /// Makes the rig log what is looked at here.
-    pub(crate) fn watch(&self, rig: &mut Sim) {
-        rig.log_pin(wiring::TRIGGER);
-        rig.log_pin(wiring::STROBE);
+    /// The same where tick 0 is known.
+    pub(crate) fn at_zero(zero: SimTime) -> Self {
+        Self {
+            zero: Some(zero.units()),
+            ..Self::default()
+        }
     }
 
-    /// The train that was started, from its answer on.
-    pub(crate) fn started(&mut self, train: Train) {
+    /// The train from the pulse with this number on.
+    pub(crate) fn started(&mut self, train: Train, number: u64) {
         self.train = Some(train);
-        self.made = 0;
+        self.next = number;
+    }
+
+    /// Counts what is missing from here on.
+    pub(crate) fn count_missing_from_here(&mut self) {
+        self.compared.samples_missing = 0;
+        self.compared.captures_missing = 0;
     }
 
     /// What was compared so far.
     #[must_use]
     pub(crate) fn compared(&self) -> Compared {
         self.compared
-    }
-
-    /// When tick 0 of this run of the board was, once it is known.
-    #[must_use]
-    pub(crate) fn zero(&self) -> Option<SimTime> {
-        self.zero.map(SimTime::from_units)
-    }
-
-    /// The tick in which a point of virtual time lies, once tick 0 is known.
-    #[must_use]
-    pub(crate) fn tick_of(&self, at: SimTime) -> Option<Ticks> {
-        let since = at.units().checked_sub(self.zero?)?;
-        Some(Ticks(since / UNITS_PER_TICK))
     }
 
     /// The board has said hello, at its time `now`. To be called within 80 s
@@ -153,32 +156,6 @@ impl BoardTruth {
         self.disturbances.push(at);
     }
 
-    /// The board was reset at `at`. What its pins did before and nobody was told
-    /// of remains compared with the arithmetic; its messages are not awaited any
-    /// more, and tick 0 is open again.
-    ///
-    /// # Errors
-    ///
-    /// A pulse before the reset was wrong.
-    pub(crate) fn restart(
-        &mut self,
-        rig: &mut Sim,
-        sensor: &Shared<SimImu>,
-        at: SimTime,
-    ) -> Result<(), String> {
-        self.take_up_to(rig, sensor, at)?;
-        self.zero = None;
-        self.train = None;
-        self.rise = None;
-        self.made = 0;
-        let (samples, edges) = (self.ready.len(), self.strobe.len());
-        self.ready.retain(|record| record.at > at);
-        self.strobe.retain(|(edge, _)| *edge > at);
-        self.compared.samples_missing += (samples - self.ready.len()) as u64;
-        self.compared.captures_missing += (edges - self.strobe.len()) as u64;
-        Ok(())
-    }
-
     /// Takes the edges and samples that have happened, and compares the pulses.
     /// To be called before messages about them are compared, and at least once
     /// between a start and the next.
@@ -186,29 +163,21 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse is not where the arithmetic has it.
-    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<SimImu>) -> Result<(), String> {
-        self.take_up_to(rig, sensor, SimTime::NEVER)
-    }
-
-    /// A reset at `reset` cuts a pulse short and makes no edge wrong after it.
-    fn take_up_to(
+    pub(crate) fn take(
         &mut self,
-        rig: &mut Sim,
-        sensor: &Shared<SimImu>,
-        reset: SimTime,
+        edges: impl IntoIterator<Item = (Pin, Level, SimTime)>,
+        samples: impl IntoIterator<Item = SampleRecord>,
     ) -> Result<(), String> {
-        for (pin, level, at) in rig.take_edges() {
+        for (pin, level, at) in edges {
             match (pin, level) {
-                (wiring::TRIGGER, _) if at >= reset => {}
                 (wiring::TRIGGER, Level::High) => self.rise(at)?,
                 (wiring::TRIGGER, Level::Low) => self.fall(at)?,
                 (wiring::STROBE, level) => self.strobe.push_back((at, level)),
                 _ => {}
             }
         }
-        let records = lock(sensor).log_mut().take();
         self.ready
-            .extend(records.into_iter().filter(|record| record.edge));
+            .extend(samples.into_iter().filter(|sample| sample.edge));
         Ok(())
     }
 
@@ -216,18 +185,18 @@ impl BoardTruth {
         let (Some(zero), Some(train)) = (self.zero, self.train) else {
             return Err(format!("a pulse at {at} that nobody started"));
         };
-        let expected = train.period.edge(train.first, self.made as i64);
+        let expected = train.edge(self.next);
         let due = zero + expected.0 * UNITS_PER_TICK;
         if at.units() != due {
             let off = at.units() as i128 - i128::from(due);
             return Err(format!(
                 "pulse {} at {at} is {} ticks off the arithmetic",
-                self.made,
+                self.next,
                 off as f64 / UNITS_PER_TICK as f64
             ));
         }
         self.rise = Some(at);
-        self.made += 1;
+        self.next += 1;
         self.compared.pulses += 1;
         Ok(())
     }
@@ -264,15 +233,15 @@ impl BoardTruth {
         let Some(train) = self.train else {
             return Err(format!("a pulse without a train: {pulse:?}"));
         };
-        let expected = train.period.edge(train.first, pulse.number as i64);
+        let expected = train.edge(pulse.number);
         if pulse.at != expected {
             return Err(format!("{pulse:?} should be at {expected:?}"));
         }
         // Where the edge of this number was at the pin has been compared.
-        if pulse.number >= self.made {
+        if pulse.number >= self.next {
             return Err(format!(
-                "{pulse:?} has no edge at the pin, which made {}",
-                self.made
+                "{pulse:?} has no edge at the pin, whose next one is {}",
+                self.next
             ));
         }
         self.compared.reports += 1;

@@ -3,12 +3,13 @@
 
 pub mod beliefs;
 pub(crate) mod board_truth;
+pub mod campaign;
 pub mod demo;
-pub mod faults;
 pub(crate) mod frame_phase;
 pub mod long_run;
+pub mod process;
 pub mod programs;
-pub mod session;
 pub mod tracking;
+pub mod virtual_session;
 pub mod whole_chain;
 mod workers;

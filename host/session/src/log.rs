@@ -152,7 +152,8 @@ impl<'a> Log<'a> {
     }
 
     /// How the session ends with this result.
-    pub(crate) const fn outcome_of(&self, result: &Result<(), Stop>) -> SessionOutcome {
+    #[must_use]
+    pub const fn outcome_of(&self, result: &Result<(), Stop>) -> SessionOutcome {
         match result {
             Err(Stop::Failed(_)) => SessionOutcome::Failed,
             Err(Stop::Interrupted) => SessionOutcome::Interrupted,

@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use scenarios::faults::plan::Fault;
-use scenarios::faults::{Finding, Verdict, campaign};
+use scenarios::campaign::plan::Fault;
+use scenarios::campaign::{Finding, Verdict, campaign, folders};
 
 /// Options of `faults`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
     #[command(flatten)]
-    campaign: super::Campaign,
+    seeds: super::Seeds,
     /// Keep the recordings in this folder.
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
@@ -22,21 +25,20 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let temporary = tempfile::tempdir().context("no temporary folder")?;
-    let programs = args.campaign.programs()?;
-    let seeds = args.campaign.seeds.all();
+    let seeds = args.seeds.all();
     let folder = args.keep.as_deref().unwrap_or(temporary.path());
-    let results = campaign(&seeds, &programs, folder, &|seed, result| {
+    let results = campaign(&seeds, args.elf.as_deref(), folder, &|seed, result| {
         match result {
             Ok(verdict) => eprintln!(
-                "passed {} -> exit code {}, {:?}",
-                verdict.plan, verdict.exit_code, verdict.problems
+                "passed {} -> {:?}, {:?}",
+                verdict.plan, verdict.outcome, verdict.problems
             ),
             Err(finding) => eprintln!("FAILED {finding}"),
         }
         if args.keep.is_none() {
-            for name in [format!("seed-{seed}"), format!("seed-{seed}-killed")] {
+            for place in folders(seed, folder) {
                 // At the end it goes with the whole folder anyway.
-                let _ = std::fs::remove_dir_all(folder.join(name));
+                let _ = std::fs::remove_dir_all(place);
             }
         }
     });
@@ -49,7 +51,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         table(&passed, &failed);
     }
     let failed = failed.iter().map(|finding| finding.plan.seed);
-    args.campaign.seeds.fail_for("faults", failed)
+    args.seeds.fail_for("faults", failed)
 }
 
 fn table(passed: &[Verdict], failed: &[Finding]) {
@@ -76,38 +78,25 @@ fn table(passed: &[Verdict], failed: &[Finding]) {
         );
     }
     let sum = |pick: fn(&Verdict) -> u64| passed.iter().map(pick).sum::<u64>();
-    let mut codes: BTreeMap<u8, u32> = BTreeMap::new();
+    let mut outcomes: BTreeMap<String, u32> = BTreeMap::new();
     for verdict in passed {
-        *codes.entry(verdict.exit_code).or_default() += 1;
+        *outcomes
+            .entry(format!("{:?}", verdict.outcome))
+            .or_default() += 1;
     }
     println!(
-        "{} runs passed, {} failed; {:.0} virtual s; exit codes {codes:?}",
+        "{} runs passed, {} failed; {:.0} virtual s; outcomes {outcomes:?}",
         passed.len(),
         failed.len(),
         passed.iter().map(|v| v.virtual_s).sum::<f64>()
     );
     println!(
-        "{} pulses at the pin or on the grid, 0 ticks from the arithmetic; {} messages about edges and samples, \
-         all right; {} samples hit in their transfer; {} damaged frames, all told",
+        "{} pulses at the pin, 0 ticks from the grid; {} messages about edges and samples, \
+         all right; {} samples hit in their transfer; {} damaged frames, all counted",
         sum(|v| v.pulses),
         sum(|v| v.delivered),
         sum(|v| v.disturbed),
         sum(|v| v.damaged_frames.into())
     );
-    let joints: Vec<(f64, f64)> = passed
-        .iter()
-        .filter_map(|verdict| Some((verdict.joint_error_us?, verdict.joint_sigma_us?)))
-        .collect();
-    if !joints.is_empty() {
-        let most = |of: fn(&(f64, f64)) -> f64| joints.iter().map(of).fold(0.0, f64::max);
-        println!(
-            "{} runs of the board after a reset, placed by the host's clock: at most {:.0} µs off, \
-             1-sigma stated {:.0} µs at most; at most {:.1} sigma off",
-            joints.len(),
-            most(|joint| joint.0.abs()),
-            most(|joint| joint.1),
-            most(|joint| joint.0.abs() / joint.1)
-        );
-    }
     println!("Simulated. The columns of losses are the most in runs with that fault alone.");
 }

@@ -16,9 +16,6 @@ pub(crate) use rig::serve::speed;
 use scenarios::programs::Programs;
 use serde::Serialize;
 
-/// Virtual time against real time in a campaign with the real program.
-const SPEED: f64 = 8.0;
-
 /// Which program is under test.
 #[derive(clap::Args)]
 pub(crate) struct Program {
@@ -55,21 +52,6 @@ impl Sessions {
             elf: self.elf.clone(),
             speed,
         })
-    }
-}
-
-/// A campaign of sessions with the real program.
-#[derive(clap::Args)]
-pub(crate) struct Campaign {
-    #[command(flatten)]
-    sessions: Sessions,
-    #[command(flatten)]
-    pub(crate) seeds: Seeds,
-}
-
-impl Campaign {
-    pub(crate) fn programs(&self) -> Result<Programs> {
-        self.sessions.programs(SPEED)
     }
 }
 

@@ -112,14 +112,15 @@ impl Bench {
             .i2c_target(sensor.clone())
             .model(camera.clone())
             .build()?;
-        let truth = BoardTruth::new();
-        truth.watch(&mut rig);
+        for pin in [wiring::TRIGGER, wiring::STROBE] {
+            rig.log_pin(pin);
+        }
         Ok(Self {
             rig,
             conversation: Conversation::new(1),
             sensor,
             camera,
-            truth,
+            truth: BoardTruth::new(),
             fields: Fields::default(),
             statuses: 0,
             status: None,
@@ -152,7 +153,7 @@ impl Bench {
         }
         let (output, start) = (Output::Camera, TRAIN);
         let status = self.ask(StartTrigger { output, start })?;
-        self.truth.started(Train::of(&start, status.next_edge));
+        self.truth.started(Train::of(&start, status.next_edge), 0);
         // From here on nothing may be lost.
         self.conversation.start_counting();
         self.first_status = None;
@@ -210,8 +211,9 @@ impl Bench {
         let now = Duration::from_nanos(self.rig.now().as_nanos());
         self.conversation.tick(now);
         // What a message is about has happened before it was sent.
+        let samples = lock(&self.sensor).log_mut().take();
         self.truth
-            .take(&mut self.rig, &self.sensor)
+            .take(self.rig.take_edges(), samples)
             .map_err(|wrong| self.wrong(wrong))?;
         while let Some(event) = self.conversation.next_event() {
             match event {

@@ -39,5 +39,6 @@ mod support;
 mod synthetic;
 mod turn;
 mod vendor_k4a;
+mod virtual_session;
 mod whole_chain;
 mod whole_rig;

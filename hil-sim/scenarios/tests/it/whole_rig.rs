@@ -152,7 +152,7 @@ impl WholeRig {
 }
 
 /// A session that runs, with what it says as it says it.
-pub(crate) struct Session(scenarios::session::Session);
+pub(crate) struct Session(scenarios::process::Session);
 
 impl Session {
     pub(crate) fn start(command: &mut Command) -> Self {
@@ -167,7 +167,7 @@ impl Session {
     }
 
     fn spawn(command: &mut Command) -> Self {
-        Self(scenarios::session::Session::start(command).unwrap())
+        Self(scenarios::process::Session::start(command).unwrap())
     }
 
     /// The process's number.

@@ -1,0 +1,84 @@
+//! The recorder of the depth camera, as the maker's: what the camera delivers from its
+//! start until it is stopped becomes `depth.mkv`.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use ::session::devices::{DepthRecorder, RecorderEnd, RecorderError};
+use recording::profile::Depth;
+use rig::depth_camera::FrameRecord;
+use rig::k4a_mkv::{self, K4aSettings};
+
+use super::SharedRig;
+
+/// The recorder.
+pub(super) struct VirtualRecorder {
+    rig: SharedRig,
+    /// Where it writes, and the first frame that is its own.
+    recording: Option<(PathBuf, usize)>,
+    frames: Vec<FrameRecord>,
+    end: Option<RecorderEnd>,
+}
+
+impl VirtualRecorder {
+    pub(super) const fn new(rig: SharedRig) -> Self {
+        Self {
+            rig,
+            recording: None,
+            frames: Vec::new(),
+            end: None,
+        }
+    }
+
+    /// The frames that it has written.
+    pub(super) fn into_frames(self) -> Vec<FrameRecord> {
+        self.frames
+    }
+
+    fn write(&mut self) -> std::io::Result<()> {
+        let Some((path, first)) = self.recording.take() else {
+            return Ok(());
+        };
+        let frames = self.rig.with(|rig| rig.depth_frames()[first..].to_vec());
+        self.frames = frames;
+        write_frames(&path, &self.frames)
+    }
+}
+
+/// Writes small images that name their frame.
+pub(crate) fn write_frames(path: &Path, frames: &[FrameRecord]) -> std::io::Result<()> {
+    let file = BufWriter::new(File::create(path)?);
+    k4a_mkv::write_frames(file, K4aSettings::small(), frames, |number, pixels| {
+        for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
+            *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
+        }
+    })?;
+    Ok(())
+}
+
+impl DepthRecorder for VirtualRecorder {
+    fn start(&mut self, _: &Depth, folder: &Path) -> Result<bool, RecorderError> {
+        let first = self.rig.with(|rig| rig.depth_frames().len());
+        self.recording = Some((folder.join("depth.mkv"), first));
+        self.end = None;
+        Ok(true)
+    }
+
+    fn poll(&mut self) -> Option<RecorderEnd> {
+        self.end.take()
+    }
+
+    fn ask_to_stop(&mut self) {
+        let written = self.write();
+        self.end = Some(RecorderEnd {
+            program: String::from("the simulated recorder"),
+            is_as_asked: written.is_ok(),
+            status: written.map_or_else(|error| error.to_string(), |()| String::from("0")),
+        });
+    }
+
+    fn kill(&mut self) {
+        self.recording = None;
+    }
+}
