@@ -310,11 +310,6 @@ impl Chunk {
         self.0.len() - whole.sum::<usize>()
     }
 
-    /// The bytes of the records one behind the other.
-    pub(crate) fn bytes(&self) -> &[u8] {
-        &self.0
-    }
-
     /// The memory, for the next chunk: asking the system for it anew costs as much as
     /// unpacking.
     #[must_use]

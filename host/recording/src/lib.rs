@@ -17,9 +17,9 @@
 //! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
-//! - [`reader`]: reads it, whole or broken off.
-//! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
-//! - [`scan`]: walks its records over any damage.
+//! - [`scan`]: the records of the file over any damage; [`chunks`] unpacks them.
+//! - [`walk`]: topics, messages and damage, from the records.
+//! - [`reader`]: the messages as Rust values.
 //! - [`foreign`]: the messages of any program's ROS 2 bag (MCAP, sqlite3), with topic and type.
 //! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
@@ -42,6 +42,7 @@ pub mod rosbag2;
 pub mod scan;
 pub mod session_file;
 pub mod topic;
+pub mod walk;
 pub mod writer;
 
 use std::path::{Path, PathBuf};

@@ -1,20 +1,13 @@
-//! Reads `recording.mcap`, whole or broken off.
-//!
-//! Records are read front to back with bounded memory (one chunk). A file whose
-//! writer was killed ends in the middle of a record: the whole chunks before are given
-//! out, then [`Reader::broken_off`] says that the end is missing.
+//! The messages of a recording as Rust values, front to back, over any damage.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::collections::VecDeque;
+use std::path::Path;
 
-use mcap::McapError;
-use mcap::records::{Record, op};
 use protocol::Ticks;
 
-use super::chunks::{self, BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, split_record};
+use super::RecordingError;
 pub use super::topic::Item;
-use super::topic::Topic;
-use super::{RecordingError, mcap_of};
+use super::walk::{Damage, Event, Walk};
 
 /// A message with its time.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,15 +20,13 @@ pub struct Entry {
     pub item: Item,
 }
 
-/// A recording that is being read. It is an iterator of [`Entry`]; topics that this
-/// version does not know are left out.
+/// A recording that is being read. It is an iterator of [`Entry`], with an error for each
+/// message that is not of its topic's type; topics that this version does not know are left
+/// out.
 pub struct Reader {
-    chunks: Chunks,
-    path: PathBuf,
-    topics: BTreeMap<u16, Topic>,
-    /// The chunk whose records are being given out, and where the next of them begins.
-    chunk: Option<(Chunk, usize)>,
-    broken_off: bool,
+    walk: Walk,
+    entries: VecDeque<Result<Entry, RecordingError>>,
+    damage: Vec<Damage>,
     ended: bool,
 }
 
@@ -55,114 +46,65 @@ impl Reader {
     ///
     /// The file cannot be read.
     pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
-        let path = mcap_of(folder_or_file);
         Ok(Self {
-            chunks: Chunks::open(&path, OWN_RATIO).map_err(RecordingError::io("read", &path))?,
-            path,
-            topics: BTreeMap::new(),
-            chunk: None,
-            broken_off: false,
+            walk: Walk::open(folder_or_file)?,
+            entries: VecDeque::new(),
+            damage: Vec::new(),
             ended: false,
         })
     }
 
-    /// Whether the file ends in the middle, or is damaged from some byte on: its writer
-    /// did not come to its end. Known once the last entry was given out.
+    /// What could not be read so far, the end of a file that was not closed included.
+    #[must_use]
+    pub fn damage(&self) -> &[Damage] {
+        &self.damage
+    }
+
+    /// Whether something could not be read so far.
     #[must_use]
     pub const fn broken_off(&self) -> bool {
-        self.broken_off
+        !self.damage.is_empty()
     }
 
-    fn step(&mut self) -> Result<Option<Entry>, RecordingError> {
-        loop {
-            if let Some(entry) = self.step_in_chunk()? {
-                return Ok(Some(entry));
-            }
-            let packed = match self.chunks.next_packed() {
-                Ok(Some(packed)) => packed,
-                Ok(None) => return Ok(None),
-                Err(ChunksError::CutOff) => {
-                    self.broken_off = true;
-                    return Ok(None);
-                }
-                Err(ChunksError::Mcap(source)) => return Err(self.failed(source)),
-                Err(ChunksError::Read(source)) => {
-                    return Err(RecordingError::io("read", &self.path)(source));
-                }
-            };
-            match packed.unpack(Vec::new()) {
-                Ok(chunk) => self.chunk = Some((chunk, 0)),
-                Err(BadChunk::Checksum) => {
-                    self.broken_off = true;
-                    return Ok(None);
-                }
-                Err(source) => {
-                    return Err(RecordingError::Chunk {
-                        path: self.path.clone(),
+    fn next_part(&mut self) -> Result<bool, RecordingError> {
+        let (entries, damage) = (&mut self.entries, &mut self.damage);
+        self.walk.next_part(&mut |event| {
+            match event {
+                Event::Message(message) => entries.extend(message.item().map(|item| {
+                    let item = item.map_err(|source| RecordingError::Message {
+                        topic: message.channel.described.topic.clone(),
                         source,
-                    });
-                }
-            }
-        }
-    }
-
-    /// The next message of the chunk at hand; `None` if there is none left in it.
-    fn step_in_chunk(&mut self) -> Result<Option<Entry>, RecordingError> {
-        while let Some((chunk, at)) = &mut self.chunk {
-            let rest = chunk.bytes().get(*at..).unwrap_or_default();
-            if rest.is_empty() {
-                self.chunk = None;
-                break;
-            }
-            let Some((opcode, body, after)) = split_record(rest) else {
-                return Err(self.failed(McapError::UnexpectedEoc));
-            };
-            *at = chunk.bytes().len() - after.len();
-            if !matches!(opcode, op::CHANNEL | op::MESSAGE) {
-                continue;
-            }
-            match chunks::parse(opcode, body) {
-                Some(Record::Channel(channel)) => {
-                    if let Some(topic) = Topic::of(&channel.topic) {
-                        self.topics.insert(channel.id, topic);
-                    }
-                }
-                Some(Record::Message { header, data }) => {
-                    let Some(topic) = self.topics.get(&header.channel_id) else {
-                        continue;
-                    };
-                    let item = topic
-                        .read(&data)
-                        .map_err(|source| RecordingError::Message {
-                            topic: topic.name().to_owned(),
-                            source,
-                        })?;
-                    return Ok(Some(Entry {
-                        at: ticks_of_nanos(header.log_time),
-                        sequence: header.sequence,
+                    })?;
+                    Ok(Entry {
+                        at: message.at(),
+                        sequence: message.header.sequence,
                         item,
-                    }));
-                }
-                _ => return Err(self.failed(McapError::UnexpectedEoc)),
+                    })
+                })),
+                Event::Damage(found) if damage.len() < MAX_DAMAGE => damage.push(found),
+                _ => {}
             }
-        }
-        Ok(None)
-    }
-
-    fn failed(&self, source: McapError) -> RecordingError {
-        RecordingError::mcap(&self.path)(source)
+            Ok(())
+        })
     }
 }
+
+/// The most places of damage that are kept.
+const MAX_DAMAGE: usize = 1_000;
 
 impl Iterator for Reader {
     type Item = Result<Entry, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.ended {
-            return None;
+        while self.entries.is_empty() && !self.ended {
+            match self.next_part() {
+                Ok(more) => self.ended = !more,
+                Err(error) => {
+                    self.ended = true;
+                    return Some(Err(error));
+                }
+            }
         }
-        let result = self.step();
-        self.ended = !matches!(result, Ok(Some(_)));
-        result.transpose()
+        self.entries.pop_front()
     }
 }

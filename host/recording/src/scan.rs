@@ -42,10 +42,9 @@ pub enum Piece {
         /// Where it begins.
         at: u64,
         /// What is wrong with it.
-        what: String,
-        /// Board time in nanoseconds of its first and last message, as its head
-        /// says.
-        times: (u64, u64),
+        why: BadChunk,
+        /// Board time in nanoseconds of its first message, as its head says.
+        from: u64,
     },
     /// A record outside of chunks: its opcode and body.
     Record(u8, Vec<u8>),
@@ -71,6 +70,8 @@ pub struct Scan {
     length: u64,
     position: u64,
     budget: Budget,
+    /// For the next chunk.
+    memory: Vec<u8>,
     /// Up to here it is known where the heads of chunks are: none, but for `head`.
     searched: u64,
     head: Option<u64>,
@@ -97,6 +98,7 @@ impl Scan {
             length,
             position: 0,
             budget: Budget::new(OWN_RATIO),
+            memory: Vec::new(),
             searched: 0,
             head: None,
             hasher: Some(crc32fast::Hasher::new()),
@@ -111,6 +113,18 @@ impl Scan {
     #[must_use]
     pub const fn length(&self) -> u64 {
         self.length
+    }
+
+    /// Bytes read so far.
+    #[must_use]
+    pub const fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Takes the memory of a chunk for the next one: asking the system for it again costs as
+    /// much as unpacking.
+    pub fn reuse(&mut self, chunk: Chunk) {
+        self.memory = chunk.into_memory();
     }
 
     /// The checksum of all bytes before the record that closes the data; once
@@ -204,8 +218,16 @@ impl Scan {
                     return self.search(at, at + 1).map(Some);
                 };
                 let fits = self.budget.takes_chunk(&header, self.position);
-                let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), Vec::new()));
-                return Ok(Some(piece_of(at, &header, chunk)));
+                let memory = std::mem::take(&mut self.memory);
+                let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), memory));
+                return Ok(Some(match chunk {
+                    Ok(chunk) => Piece::Chunk(chunk),
+                    Err(why) => Piece::BadChunk {
+                        at,
+                        why,
+                        from: header.message_start_time,
+                    },
+                }));
             }
             op::DATA_END => self.hasher = self.data_crc.map(|_| crc32fast::Hasher::new()),
             op::FOOTER => {
@@ -328,17 +350,6 @@ fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
     let name = header.compression.len();
     let packed = body.get(40 + name..)?;
     (name <= MAX_NAME && packed.len() as u64 == header.compressed_size).then_some((header, packed))
-}
-
-fn piece_of(at: u64, header: &ChunkHeader, chunk: Result<Chunk, BadChunk>) -> Piece {
-    match chunk {
-        Ok(chunk) => Piece::Chunk(chunk),
-        Err(bad) => Piece::BadChunk {
-            at,
-            what: bad.to_string(),
-            times: (header.message_start_time, header.message_end_time),
-        },
-    }
 }
 
 #[cfg(test)]

@@ -12,19 +12,18 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use mcap::Attachment;
-use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
+use mcap::records::{Record, SchemaHeader, op};
 use mcap::write::NoSeek;
 use protocol::Ticks;
 use serde::Serialize;
 
-use crate::verify::file::{Sink, walk};
-use crate::verify::{FileReport, Findings, Report, session_of, verify};
+use crate::verify::{Findings, Report, session_of, verify, walk};
 use recording::chunks::parse;
 use recording::finding::Finding;
-use recording::reader::ticks_of_nanos;
 use recording::rosbag2::{self, METADATA_FILE};
 use recording::scan::Scan;
 use recording::session_file::{SessionFile, SessionOutcome};
+use recording::walk::{Channel, Event, FileReport, Message};
 use recording::writer::{attach, options};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic, mcap_of};
 
@@ -68,8 +67,7 @@ pub fn repair(
         out.to_owned()
     };
     let mut copy = Copy::create(&to)?;
-    let mut findings = Findings::default();
-    let before = match walk(&from, &mut findings, &mut copy, stop) {
+    let before = match walk(&from, stop, &mut |event| copy.take(event)) {
         Ok(report) => report,
         Err(error) => {
             drop(copy);
@@ -81,21 +79,9 @@ pub fn repair(
             return Err(error);
         }
     };
+    let lost = copy.lost;
     let session = repaired_session(&from, &before, copy.last);
     copy.finish(session.as_ref(), is_folder.then_some(out))?;
-    let lost = before.bad_chunks > 0
-        || before.skipped_bytes > 0
-        || findings.all().iter().any(|finding| {
-            matches!(
-                finding.kind,
-                "record_damaged"
-                    | "unknown_topic"
-                    | "message_outside_chunk"
-                    | "chunk_cut_off"
-                    | "topic_name"
-            )
-        })
-        || (before.cut_off_at.is_some() && !before.data_complete);
     let mut copied = Vec::new();
     if is_folder {
         copy_files(recording, out, Path::new(""), &mut copied)?;
@@ -121,6 +107,8 @@ struct Copy {
     channels: BTreeSet<u16>,
     attached: Vec<Attachment<'static>>,
     last: Ticks,
+    /// Something of the file was left out.
+    lost: bool,
 }
 
 impl Copy {
@@ -140,6 +128,7 @@ impl Copy {
             channels: BTreeSet::new(),
             attached: Vec::new(),
             last: Ticks::ZERO,
+            lost: false,
         })
     }
 
@@ -172,66 +161,71 @@ impl Copy {
     }
 }
 
-impl Sink for Copy {
-    fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), RecordingError> {
-        if self.schemas.insert(header.id) {
-            // A definition that contradicts another is damage of its own; the
-            // messages are kept without it.
-            if let Err(error) =
-                self.mcap
-                    .add_schema_with_id(header.id, &header.name, &header.encoding, data)
-            {
-                tracing::warn!("a type is left out: {error}");
-                self.schemas.remove(&header.id);
+impl Copy {
+    fn take(&mut self, event: Event<'_>) -> Result<(), RecordingError> {
+        match event {
+            Event::Schema(header, data) => self.schema(header, data),
+            Event::Channel(channel) => self.channel(channel),
+            Event::Message(message) => return self.message(&message),
+            Event::EndOfChunk => {
+                let flushed = self.mcap.flush();
+                return flushed.map_err(RecordingError::mcap(&self.path));
             }
+            Event::Attachment(body) => self.attachment(body),
+            Event::Damage(damage) => self.lost |= damage.is_loss(),
         }
         Ok(())
     }
 
-    fn channel(&mut self, channel: &Channel) -> Result<(), RecordingError> {
-        if self.channels.insert(channel.id) {
-            let schema = if self.schemas.contains(&channel.schema_id) {
-                channel.schema_id
-            } else {
-                0
-            };
-            if let Err(error) = self.mcap.add_channel_with_id(
-                channel.id,
-                schema,
-                &channel.topic,
-                &channel.message_encoding,
-                &channel.metadata,
-            ) {
-                tracing::warn!("a topic is left out: {error}");
-                self.channels.remove(&channel.id);
-            }
+    fn schema(&mut self, header: &SchemaHeader, data: &[u8]) {
+        if !self.schemas.insert(header.id) {
+            return;
         }
-        Ok(())
+        // A definition that contradicts another is damage of its own; the messages are kept
+        // without it.
+        let (name, encoding) = (&header.name, &header.encoding);
+        let added = self
+            .mcap
+            .add_schema_with_id(header.id, name, encoding, data);
+        if let Err(error) = added {
+            tracing::warn!("a type is left out: {error}");
+            self.schemas.remove(&header.id);
+        }
     }
 
-    fn message(
-        &mut self,
-        name: &str,
-        header: &MessageHeader,
-        data: &[u8],
-        _findings: &mut Findings,
-    ) -> Result<(), RecordingError> {
-        if !self.channels.contains(&header.channel_id) {
+    fn channel(&mut self, channel: &Channel) {
+        let channel = &channel.described;
+        if !self.channels.insert(channel.id) {
+            return;
+        }
+        let schema = Some(channel.schema_id).filter(|id| self.schemas.contains(id));
+        let added = self.mcap.add_channel_with_id(
+            channel.id,
+            schema.unwrap_or(0),
+            &channel.topic,
+            &channel.message_encoding,
+            &channel.metadata,
+        );
+        if let Err(error) = added {
+            tracing::warn!("a topic is left out: {error}");
+            self.channels.remove(&channel.id);
+        }
+    }
+
+    fn message(&mut self, message: &Message<'_>) -> Result<(), RecordingError> {
+        if !self.channels.contains(&message.header.channel_id) {
             return Ok(());
         }
         if matches!(
-            Topic::of(name),
+            message.channel.known,
             Some(Topic::Imu | Topic::Pulse | Topic::Status)
         ) {
-            self.last = self.last.max(ticks_of_nanos(header.log_time));
+            self.last = self.last.max(message.at());
         }
-        self.mcap
-            .write_to_known_channel(header, data)
-            .map_err(RecordingError::mcap(&self.path))
-    }
-
-    fn end_of_chunk(&mut self) -> Result<(), RecordingError> {
-        self.mcap.flush().map_err(RecordingError::mcap(&self.path))
+        let written = self
+            .mcap
+            .write_to_known_channel(&message.header, message.data);
+        written.map_err(RecordingError::mcap(&self.path))
     }
 
     fn attachment(&mut self, body: &[u8]) {

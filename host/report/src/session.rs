@@ -55,7 +55,7 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     if curves.broken_off {
         page.note(
             Severity::Check,
-            "The recording is not closed or is damaged; the plots end where it breaks. \
+            "The recording is not closed or is damaged; the plots lack what cannot be read. \
              The command verify says more.",
         );
     }

@@ -1,7 +1,7 @@
 //! Is a recording whole, and do its parts agree with each other?
 //!
-//! - `file`: bytes. Checksums of every chunk, of the data and of the index; where
-//!   the file breaks and where it can be taken up again.
+//! - [`recording::walk`]: bytes. Checksums of every chunk, of the data and of the index;
+//!   where the file breaks and where it can be taken up again.
 //! - `content`: messages. Each frame of the link is decoded again and compared
 //!   with the message that was made of it; the numbers that the board gave are
 //!   followed and held against the board's own counters; pulses must be on their
@@ -16,7 +16,6 @@
 //! read; `smartdepthsync extract` does that.
 
 mod content;
-pub(crate) mod file;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -26,6 +25,7 @@ use protocol::Ticks;
 use serde::Serialize;
 
 use recording::session_file::{SessionFile, SessionOutcome};
+use recording::walk::{Damage, Event, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 
 /// Version of the form of [`Report`].
@@ -95,10 +95,13 @@ impl Findings {
         }
     }
 
-    /// All of them.
-    #[must_use]
-    pub(crate) fn all(&self) -> &[Finding] {
-        &self.0
+    /// Adds damage of the file.
+    fn add_damage(&mut self, damage: &Damage) {
+        let grade = match damage {
+            Damage::CutOff { .. } | Damage::TopicsAssumed => Grade::Warning,
+            _ => Grade::Error,
+        };
+        self.add(grade, damage.kind(), damage.at(), || damage.to_string());
     }
 
     fn verdict(&self) -> Verdict {
@@ -120,27 +123,6 @@ pub enum Verdict {
     Incomplete,
     /// Bytes are damaged, or parts contradict each other.
     Damaged,
-}
-
-/// The file as bytes.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct FileReport {
-    /// Length.
-    pub bytes: u64,
-    /// Chunks whose checksum is right.
-    pub chunks: u64,
-    /// Chunks that cannot be used.
-    pub bad_chunks: u64,
-    /// Bytes that are no records.
-    pub skipped_bytes: u64,
-    /// Whole records end at this byte: the writer did not come to its end.
-    pub cut_off_at: Option<u64>,
-    /// The record that closes the data is there: only the index may be missing.
-    pub data_complete: bool,
-    /// The end that a writer makes is there.
-    pub closed: bool,
-    /// Messages that can be read.
-    pub messages: u64,
 }
 
 /// A numbered stream of the board.
@@ -235,11 +217,29 @@ pub fn verify(recording: &Path, stop: &dyn Fn() -> bool) -> Result<Report, Recor
     let mut findings = Findings::default();
     let session = session_of(&path, &mut findings);
     let mut content = content::Content::new(session.as_ref());
-    let file = file::walk(&path, &mut findings, &mut content, stop)?;
+    let file = walk(&path, stop, &mut |event| {
+        content.take(event, &mut findings);
+        Ok(())
+    })?;
     if let Some(session) = &session {
         check_session(session, &path, &file, &mut findings);
     }
     Ok(content.finish(recording, file, session.as_ref(), findings))
+}
+
+/// Gives everything in a file to `each`, until `stop` says so.
+pub(crate) fn walk(
+    path: &Path,
+    stop: &dyn Fn() -> bool,
+    each: &mut dyn FnMut(Event<'_>) -> Result<(), RecordingError>,
+) -> Result<FileReport, RecordingError> {
+    let mut walk = Walk::open(path)?;
+    while walk.next_part(each)? {
+        if stop() {
+            return Err(RecordingError::Stopped);
+        }
+    }
+    Ok(walk.report().clone())
 }
 
 fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {

@@ -99,7 +99,7 @@ fn what_a_small_file_unpacks_to_is_bounded() {
         (vec!["verify", utf8(&folder)], 4),
         (vec!["extract", utf8(&folder)], 4),
         (vec!["repair", utf8(&folder), utf8(&out)], 4),
-        // Of what the session file says; the plots end where the recording does.
+        // Of what the session file says; the plots lack what cannot be read.
         (vec!["report", utf8(&folder)], 0),
     ] {
         let output = limited(&args);

@@ -99,14 +99,9 @@ pub enum BoardError {
         /// Why.
         error: super::bag::reader::BagError,
     },
-    /// The file is no MCAP file.
-    #[error("{path} is no MCAP recording: {what}")]
-    NotMcap {
-        /// Which.
-        path: PathBuf,
-        /// What the reader said.
-        what: String,
-    },
+    /// Our own recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] recording::RecordingError),
     /// A topic with another type than the published system's.
     #[error("topic {topic} has type {found}; expected {expected}")]
     OtherType {

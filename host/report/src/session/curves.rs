@@ -46,8 +46,7 @@ impl Curves {
     ///
     /// # Errors
     ///
-    /// It cannot be opened, or `stop` says so. A recording that breaks somewhere gives
-    /// what stands before.
+    /// It cannot be opened, or `stop` says so. A recording that is damaged gives what is left.
     pub(super) fn read(
         recording: &Path,
         session: &SessionFile,
@@ -63,11 +62,10 @@ impl Curves {
             if stop() {
                 return Err(RecordingError::Stopped);
             }
-            let Ok(entry) = entry else {
-                curves.broken_off = true;
-                break;
-            };
-            curves.take(entry.at, &entry.item, session);
+            match entry {
+                Ok(entry) => curves.take(entry.at, &entry.item, session),
+                Err(_) => curves.broken_off = true,
+            }
         }
         curves.broken_off |= reader.broken_off();
         Ok(curves)

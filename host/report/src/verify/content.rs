@@ -10,20 +10,19 @@ mod topics;
 use std::collections::VecDeque;
 use std::path::Path;
 
-use mcap::records::MessageHeader;
 use protocol::{DeviceToHost, PROTOCOL_VERSION, Status, Ticks, decode_frame, hello_version};
 
 use counters::Counters;
 use pulses::Pulses;
 use topics::Topics;
 
-use super::file::Sink;
-use super::{FORM, FileReport, Findings, Grade, Report, StreamReport};
+use super::{FORM, Findings, Grade, Report, StreamReport};
 use board::Stream;
 use recording::messages::{BoardRun, Header, LinkFrame};
 use recording::reader::ticks_of_nanos;
 use recording::session_file::{self, SessionFile};
-use recording::{Item, RecordingError, Topic};
+use recording::walk::{Event, FileReport, Message};
+use recording::{Item, Topic};
 
 /// How many streams the board numbers.
 const STREAMS: usize = Stream::ALL.len();
@@ -456,30 +455,37 @@ fn stamped(at: u64, header: &Header, findings: &mut Findings) {
     }
 }
 
-impl Sink for Content {
-    fn message(
-        &mut self,
-        name: &str,
-        header: &MessageHeader,
-        data: &[u8],
-        findings: &mut Findings,
-    ) -> Result<(), RecordingError> {
-        let topic = Topic::of(name);
-        match topic.map(|topic| topic.read(data)) {
-            Some(Ok(item)) => self.item(&item, header.log_time, findings),
+impl Content {
+    /// Takes what was read of the file.
+    pub(crate) fn take(&mut self, event: Event<'_>, findings: &mut Findings) {
+        match event {
+            Event::Message(message) => self.message(&message, findings),
+            Event::Damage(damage) => {
+                findings.add_damage(&damage);
+                if damage.is_gap() {
+                    self.gap();
+                }
+            }
+            Event::Schema(..) | Event::Channel(_) | Event::EndOfChunk | Event::Attachment(_) => {}
+        }
+    }
+
+    fn message(&mut self, message: &Message<'_>, findings: &mut Findings) {
+        let (topic, name) = (message.channel.known, &message.channel.described.topic);
+        match message.item() {
+            Some(Ok(item)) => self.item(&item, message.header.log_time, findings),
             Some(Err(error)) => {
-                let at = ticks_of_nanos(header.log_time);
-                findings.add(Grade::Error, "message_damaged", Some(at), || {
+                findings.add(Grade::Error, "message_damaged", Some(message.at()), || {
                     format!("a message of {name} cannot be read: {error}")
                 });
             }
             None => {}
         }
-        self.topics.place(name, topic, header, findings);
+        self.topics.place(name, topic, &message.header, findings);
         self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log));
-        Ok(())
     }
 
+    /// Something is missing in the file here.
     fn gap(&mut self) {
         self.after_gap = true;
         self.gaps += 1;
