@@ -294,14 +294,28 @@ impl From<RecordingError> for Failure {
             full if full.is_disk_full() => {
                 "free some space; what was recorded before is kept and can be read"
             }
-            RecordingError::Mcap { .. } | RecordingError::Chunk { .. } => {
+            RecordingError::Mcap { .. } => {
                 "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
                  what is wrong with one, `smartdepthsync repair` saves what can be read"
             }
             RecordingError::Io { source, .. } => file_step(source.kind()),
+            RecordingError::NoRecording { .. } => bag_step(&error),
+            RecordingError::ForeignBag { .. } => {
+                return Self::new(ExitStatus::Usage, error.to_string()).next_step(bag_step(&error));
+            }
             _ => "check the folder and its rights",
         };
         Self::new(ExitStatus::Storage, error.to_string()).next_step(step)
+    }
+}
+
+/// What to do about a recording or a bag that is none, or of a form that is not read.
+pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
+    match error {
+        RecordingError::ForeignBag { .. } => {
+            "`python3 -m pip install rosbags` for the command, and give the folder that it makes"
+        }
+        _ => "give the folder that `record` made, its recording.mcap, or the folder of a ROS 2 bag",
     }
 }
 
@@ -326,15 +340,11 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
              app's x,y,z,nanoseconds",
         ),
         GyroFileError::Several(_) => (ExitStatus::Usage, "choose one with FILE@/TOPIC"),
-        GyroFileError::SeveralFiles(_) => (
+        GyroFileError::SeveralFiles(_) => (ExitStatus::Usage, "give one of them"),
+        GyroFileError::Recording(error) => (ExitStatus::Usage, bag_step(error)),
+        GyroFileError::Kinect(_) => (
             ExitStatus::Usage,
-            "give one of them; of a ROS 2 bag in several parts the folder, with its metadata.yaml (`ros2 bag \
-             reindex` makes that anew)",
-        ),
-        GyroFileError::Bag(_) | GyroFileError::Kinect(_) => (
-            ExitStatus::Usage,
-            "give a whole recording: of ROS 1 a bag of version 2.0, of an Azure Kinect an mkv with depth \
-             and IMU",
+            "give a whole recording: of an Azure Kinect an mkv with depth and IMU",
         ),
         GyroFileError::None { .. } => (
             ExitStatus::Usage,

@@ -4,19 +4,17 @@ use std::path::{Path, PathBuf};
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
-use recording::{MCAP_FILE, SESSION_FILE};
+use recording::bag::mcap_in;
+use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
 
 /// The folder that recordings are made in unless another is given.
 pub(crate) const FOLDER: &str = "recordings";
 
-/// What a recording is.
-const EXPECTED: &str = "expected a folder with recording.mcap, or a ROS 1 bag (.bag)";
-
 /// The option of every command that reads a recording.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RecordingArg {
-    /// The recording: its folder, its recording.mcap, or (for `extract`) a ROS 1 bag; the
-    /// newest in `recordings` unless given
+    /// The recording: its folder, or its recording.mcap; the newest in `recordings` unless
+    /// given
     #[arg(value_name = "RECORDING")]
     recording: Option<PathBuf>,
 }
@@ -41,41 +39,39 @@ impl RecordingArg {
 /// Refuses what is there and is no recording of any form; what is not there or damaged is
 /// told where it is read.
 fn check(path: &Path) -> Result<(), Failure> {
-    let Ok(kind) = path.metadata() else {
+    if !path.exists() || path.join(SESSION_FILE).exists() {
         return Ok(());
+    }
+    let is_named_so = path.extension().is_some_and(|ending| ending == "mcap");
+    let found = match mcap_in(path) {
+        Ok(file) if file == path && !is_named_so => Err(RecordingError::NoRecording { path: file }),
+        found => found,
     };
-    let shown = path.display();
-    if kind.is_dir() {
-        let has = |name| path.join(name).exists();
-        if has(MCAP_FILE) || has(SESSION_FILE) || has_bag(path) {
-            return Ok(());
+    match found {
+        Ok(_) => Ok(()),
+        Err(error @ RecordingError::NoRecording { .. }) => {
+            let below = match path.is_dir() {
+                true => inside(path),
+                false => Vec::new(),
+            };
+            let shown = path.display();
+            let (found, next) = match below.first() {
+                Some(one) => (
+                    match below.len() {
+                        1 => format!("{shown} is no recording: it holds a recording"),
+                        count => format!("{shown} is no recording: it holds {count} recordings"),
+                    },
+                    format!("give one of them, such as {}", one.display()),
+                ),
+                None => (
+                    error.to_string(),
+                    String::from("give the folder that `record` made, or its recording.mcap"),
+                ),
+            };
+            Err(Failure::new(ExitStatus::Usage, found).next_step(next))
         }
-        let below = inside(path);
-        let (found, next) = match below.first() {
-            Some(one) => (
-                match below.len() {
-                    1 => String::from("it holds a recording"),
-                    count => format!("it holds {count} recordings"),
-                },
-                format!("give one of them, such as {}", one.display()),
-            ),
-            None => (
-                format!("{EXPECTED}, found none of them in it"),
-                String::from("give the folder that `record` made, its recording.mcap, or a bag"),
-            ),
-        };
-        let message = format!("{shown} is no recording: {found}");
-        return Err(Failure::new(ExitStatus::Usage, message).next_step(next));
+        Err(error) => Err(error.into()),
     }
-    let is_one = [".mcap", ".bag", ".bag.active"]
-        .iter()
-        .any(|ending| path.to_string_lossy().ends_with(ending));
-    if kind.is_file() && !is_one {
-        let message = format!("{shown} is no recording: {EXPECTED}, found another kind of file");
-        return Err(Failure::new(ExitStatus::Usage, message)
-            .next_step("give the folder that `record` made, its recording.mcap, or a bag"));
-    }
-    Ok(())
 }
 
 /// The folder of a recording; a file in it stands for it.
@@ -84,13 +80,6 @@ pub(crate) fn folder_of(recording: &Path) -> &Path {
         Some(name) if name == MCAP_FILE => files::folder_of(recording),
         _ => recording,
     }
-}
-
-fn has_bag(folder: &Path) -> bool {
-    entries(folder).any(|path| {
-        let name = path.to_string_lossy();
-        name.ends_with(".bag") || name.ends_with(".bag.active")
-    })
 }
 
 fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {

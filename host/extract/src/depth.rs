@@ -1,5 +1,4 @@
-//! Depth recordings: the camera's own files (MKV), the images in the board's bag, and bags
-//! of the camera's ROS 2 driver.
+//! Depth recordings: the camera's own files (MKV), and bags of the camera's ROS 2 driver.
 //!
 //! A recording is gone over twice: once for the times of its frames
 //! ([`DepthInput::index`], no pixels are read), and once for the images
@@ -10,11 +9,10 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, Images};
-use super::ros2_depth::{Ros2Bag, Ros2Error};
+use super::ros2_depth::{DriverImage, Ros2Bag, Ros2Error};
 use super::time::{DeviceNanos, SECOND};
 use formats::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
-use recording::foreign;
+use recording::bag::mcap_in;
 use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.
@@ -25,8 +23,6 @@ const MAX_FAULTS: usize = 50;
 pub(crate) enum DepthInput {
     /// A file of the camera's recorder.
     Mkv(PathBuf),
-    /// `/azure/depth/image_raw` of the board's bag.
-    Bag(PathBuf),
     /// A bag of the camera's ROS 2 driver.
     Ros2(Ros2Bag),
 }
@@ -42,9 +38,6 @@ pub enum DepthError {
         /// Why.
         error: K4aError,
     },
-    /// The bag.
-    #[error(transparent)]
-    Board(#[from] BoardError),
     /// The bag of the camera's driver.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
@@ -118,9 +111,9 @@ impl DepthInput {
     /// The files that are read.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         match self {
-            Self::Mkv(path) | Self::Bag(path) => vec![path.clone()],
+            Self::Mkv(path) => vec![path.clone()],
             // A folder that cannot be read is met again when it is opened.
-            Self::Ros2(bag) => foreign::parts(&bag.path).unwrap_or_default(),
+            Self::Ros2(bag) => Vec::from_iter(mcap_in(&bag.path).ok()),
         }
     }
 
@@ -143,7 +136,6 @@ impl DepthInput {
     pub(crate) fn index(&self, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
         match self {
             Self::Mkv(path) => index_mkv(path, progress),
-            Self::Bag(path) => index_bag(path, progress),
             Self::Ros2(bag) => index_ros2(bag, progress),
         }
     }
@@ -165,17 +157,8 @@ impl DepthInput {
                     Err(error) => vec![Err(error)],
                 }))
             }
-            Self::Bag(path) => {
-                let mut stream = BoardInput::Bag(path.clone()).open(Images::Pixels)?;
-                let events = std::iter::from_fn(move || stream.next_event().transpose());
-                Box::new(numbered(events.filter_map(|event| match event {
-                    Ok(BoardEvent::Image(image)) => Some(Ok(image)),
-                    Ok(_) => None,
-                    Err(error) => Some(Err(error.into())),
-                })))
-            }
             Self::Ros2(bag) => {
-                let mut images = bag.open(Images::Pixels)?;
+                let mut images = bag.open(true)?;
                 let images = std::iter::from_fn(move || images.next_image().transpose());
                 Box::new(numbered(images.map(|image| Ok(image?))))
             }
@@ -192,7 +175,7 @@ impl DepthInput {
     ) -> Result<impl Iterator<Item = Result<GyroSample, DepthError>> + use<>, DepthError> {
         let opened = match self {
             Self::Mkv(path) => Some((Self::recording(path)?, path.clone())),
-            Self::Bag(_) | Self::Ros2(_) => None,
+            Self::Ros2(_) => None,
         };
         let mut last = i64::MIN;
         let batches = batches(opened, Content::Times);
@@ -301,20 +284,8 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     Ok(index)
 }
 
-fn index_bag(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
-    let mut stream = BoardInput::Bag(path.to_owned()).open(Images::Stamps)?;
-    let mut index = DepthIndex::default();
-    while let Some(event) = stream.next_event()? {
-        if let BoardEvent::Image(image) = event {
-            index.add(&image);
-            progress(stream.position());
-        }
-    }
-    Ok(index)
-}
-
 fn index_ros2(bag: &Ros2Bag, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
-    let mut images = bag.open(Images::Stamps)?;
+    let mut images = bag.open(false)?;
     let mut index = DepthIndex::default();
     while let Some(image) = images.next_image()? {
         index.add(&image);
@@ -326,7 +297,7 @@ fn index_ros2(bag: &Ros2Bag, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex
 
 impl DepthIndex {
     /// A frame of a bag; the first says how large they are.
-    fn add(&mut self, image: &BagImage) {
+    fn add(&mut self, image: &DriverImage) {
         if self.frames.is_empty() {
             self.size = (image.width, image.height);
         }
@@ -342,7 +313,7 @@ type CameraImages = Box<dyn Iterator<Item = Result<CameraImage, DepthError>> + S
 
 /// The images of a bag.
 fn numbered(
-    images: impl Iterator<Item = Result<BagImage, DepthError>>,
+    images: impl Iterator<Item = Result<DriverImage, DepthError>>,
 ) -> impl Iterator<Item = Result<CameraImage, DepthError>> {
     images.enumerate().map(|(index, image)| {
         Ok(CameraImage::Depth(DepthImage {

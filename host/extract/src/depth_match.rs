@@ -6,7 +6,9 @@
 //! unless told not to), which gives the offset of the clocks far better than half
 //! a period; the recorded offset of the published system.
 
-use super::board_data::BoardInput;
+use std::path::Path;
+
+use super::board_data::Reference;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Ambiguity, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
@@ -68,7 +70,7 @@ impl Matched {
 
 /// What frames and pulses are matched by.
 pub(crate) struct Matching<'a> {
-    pub(crate) board: &'a BoardInput,
+    pub(crate) board: &'a Path,
     pub(crate) input: &'a DepthInput,
     pub(crate) index: &'a DepthIndex,
     pub(crate) survey: &'a Survey,
@@ -234,8 +236,8 @@ fn not_matched(error: MatchError) -> ExtractError {
 
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.
 fn recorded_offset(survey: &Survey) -> Option<i64> {
-    let is_it = |topic: &str| topic.ends_with("depth_to_mcu_offset");
-    let pair = survey.times.iter().find(|pair| is_it(&pair.topic))?;
+    let mut pairs = survey.times.iter();
+    let pair = pairs.find(|pair| pair.of == Reference::DepthOffset)?;
     pair.stamp.0.checked_sub(pair.other)
 }
 

@@ -3,7 +3,6 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::board_data::BoardError;
 use crate::image_tables::ImagesError;
 use crate::inputs::InputsError;
 use crate::workplace::WorkplaceError;
@@ -19,7 +18,7 @@ pub enum ExtractError {
     Workplace(#[from] WorkplaceError),
     /// The board's recording.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Board(#[from] recording::RecordingError),
     /// A file cannot be written.
     #[error("writing below {path}: {error}")]
     Write {

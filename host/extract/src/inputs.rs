@@ -4,17 +4,16 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board_data::BoardInput;
 use super::depth::DepthInput;
 use super::geometry::{CameraFacts, View};
 use super::gyro_clock::prior;
 use super::ros2_depth::Ros2Bag;
 use phone::video_files::{self, FilesError, VideoFiles};
 use protocol::ImuSensor;
-use recording::MCAP_FILE;
+use recording::RecordingError;
+use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
-use recording::foreign::is_bag;
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
@@ -130,8 +129,8 @@ pub(crate) struct RigFacts {
 pub(crate) struct Inputs {
     /// Name of the recording.
     pub(crate) name: String,
-    /// The board's recording.
-    pub(crate) board: BoardInput,
+    /// The board's recording, an MCAP file.
+    pub(crate) board: PathBuf,
     /// The phone; of several the one that the trigger was aligned to.
     pub(crate) phone: PhoneInput,
     /// Further phones.
@@ -165,16 +164,9 @@ pub enum InputsError {
         /// Why.
         error: io::Error,
     },
-    /// It is no recording.
-    #[error(
-        "{path} is no recording: expected a folder with recording.mcap, or a ROS 1 bag (.bag), found {found}"
-    )]
-    NotARecording {
-        /// Which.
-        path: PathBuf,
-        /// What is there.
-        found: String,
-    },
+    /// It is no recording, or a bag that is not read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// The phone's files.
     #[error(transparent)]
     Phone(#[from] FilesError),
@@ -196,7 +188,7 @@ pub enum InputsError {
     },
     /// The file given as depth recording is of another kind.
     #[error(
-        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or a file .mcap or .db3)"
+        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or its file .mcap)"
     )]
     NotDepth {
         /// Which.
@@ -210,9 +202,6 @@ fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {
         error,
     }
 }
-
-/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
-const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
 /// Finds everything. `phones` are places of phones by name, `phone` that of the phone
 /// that the trigger was aligned to.
@@ -229,43 +218,16 @@ pub(crate) fn find(
     let folder = fs::metadata(recording)
         .map_err(unreadable(recording))?
         .is_dir();
-    let board = if folder {
-        find_board(recording)?
-    } else {
-        board_file(recording).ok_or_else(|| InputsError::NotARecording {
-            path: recording.to_owned(),
-            found: "another kind of file".into(),
-        })?
-    };
+    let board = mcap_in(recording)?;
     let mut remarks = Vec::new();
-    let mut session = None;
-    let session_folder = match &board {
-        BoardInput::Mcap(path) => path.parent(),
-        BoardInput::Bag(_) => None,
-    };
-    let rig = if let Some(folder) = session_folder {
-        match SessionFile::load(folder) {
-            Ok(loaded) => {
-                let facts = facts_of(&loaded);
-                session = Some(loaded);
-                facts
-            }
-            Err(error) => {
-                remarks.push(format!("the session's constants are not known: {error}"));
-                RigFacts::default()
-            }
-        }
-    } else {
-        remarks.push(
-            "a bag of the published system says nothing about its settings: the IMU's low-pass delay is \
-             taken as 1.9 ms, its register setting; exposure and readout of the phone are given by options"
-                .into(),
-        );
-        RigFacts {
-            board_imu_delay_ns: Some(PUBLISHED_DELAY_NS),
-            ..RigFacts::default()
+    let session = match SessionFile::load(files::folder_of(&board)) {
+        Ok(session) => Some(session),
+        Err(error) => {
+            remarks.push(format!("the session's constants are not known: {error}"));
+            None
         }
     };
+    let rig = session.as_ref().map_or_else(RigFacts::default, facts_of);
     let own = folder.then_some(recording);
     let (phone, others) = match &session {
         Some(session) => find_phones(session, own, rig, phone, phones)?,
@@ -411,27 +373,6 @@ fn find_phone(
     }))
 }
 
-fn ends_with(path: &Path, endings: &[&str]) -> bool {
-    let name = path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_ascii_lowercase();
-    endings.iter().any(|ending| name.ends_with(ending))
-}
-
-const BAG: [&str; 2] = [".bag", ".bag.active"];
-
-fn board_file(path: &Path) -> Option<BoardInput> {
-    if ends_with(path, &[".mcap"]) {
-        Some(BoardInput::Mcap(path.to_owned()))
-    } else if ends_with(path, &BAG) {
-        Some(BoardInput::Bag(path.to_owned()))
-    } else {
-        None
-    }
-}
-
 /// What a session says, in whole nanoseconds. Values out of reason are left out.
 fn facts_of(session: &SessionFile) -> RigFacts {
     let profile = &session.profile;
@@ -469,20 +410,6 @@ fn nanos(us: f64) -> Option<i64> {
     within.then(|| (us * 1000.0).round() as i64)
 }
 
-/// The ROS 1 bags in a folder, in order.
-fn bags_in(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
-    let fail = unreadable(folder);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(folder).map_err(&fail)? {
-        let path = entry.map_err(&fail)?.path();
-        if path.is_file() && ends_with(&path, &BAG) {
-            paths.push(path);
-        }
-    }
-    paths.sort();
-    Ok(paths)
-}
-
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let names = paths.iter().filter_map(|path| path.file_name());
     names
@@ -490,29 +417,12 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
         .collect()
 }
 
-fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
-    let own = folder.join(MCAP_FILE);
-    if own.is_file() {
-        return Ok(BoardInput::Mcap(own));
-    }
-    match bags_in(folder)?.as_slice() {
-        [bag] => Ok(BoardInput::Bag(bag.clone())),
-        [] => Err(InputsError::NotARecording {
-            path: folder.to_owned(),
-            found: "neither".into(),
-        }),
-        several => Err(InputsError::NotARecording {
-            path: folder.to_owned(),
-            found: format!("several bags ({}): name one", names(several).join(", ")),
-        }),
-    }
-}
-
 fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsError> {
     fs::metadata(path).map_err(unreadable(path))?;
     if is_mkv(path) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else if is_bag(path) {
+        mcap_in(path)?;
         Ok(DepthInput::Ros2(Ros2Bag {
             path: path.to_owned(),
             topic: topic.map(str::to_owned),

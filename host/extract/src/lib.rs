@@ -2,8 +2,8 @@
 //! time, in the formats that people load.
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
-//! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, [`bag`]s of the published
-//!   system), `phone_rows` (the phone's CSV files), `depth` (Matroska, ROS 2 bags).
+//! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, bags of the published system),
+//!   `phone_rows` (the phone's CSV files), `depth` (Matroska, ROS 2 bags).
 //! - Time: `time` (integers only), `gyro_clock` and `phone_clock` (the phone's clock
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
 //!   pulses), `frames` (timestamps and images), `pairs`, `grid` (frames against the trigger).
@@ -15,7 +15,6 @@
 //! file can make the program panic. Missing and damaged parts are named in the
 //! report, and the rest is extracted.
 
-pub mod bag;
 mod board_data;
 mod depth;
 mod depth_clock;

@@ -2,7 +2,9 @@
 //! recording; else from what the session found; else from the recorded offset of
 //! the published system.
 
-use super::board_data::BoardInput;
+use std::path::Path;
+
+use super::board_data::Reference;
 use super::error::ExtractError;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
@@ -58,7 +60,7 @@ fn prior(input: &PhoneInput, survey: &Survey) -> Option<Prior> {
 ///
 /// There is none, it was stopped, or the board's recording cannot be read.
 pub(crate) fn find(
-    board: &BoardInput,
+    board: &Path,
     input: &PhoneInput,
     survey: &Survey,
     constants: &Constants,
@@ -121,8 +123,8 @@ fn missing<T>(what: &str) -> Result<T, ExtractError> {
 
 /// The published system's `/mcu_s10_ts`: the last pair of times.
 fn recorded_offset(survey: &Survey) -> Option<Prior> {
-    let is_it = |topic: &str| topic.ends_with("mcu_s10_ts");
-    let pair = survey.times.iter().rev().find(|pair| is_it(&pair.topic))?;
+    let mut pairs = survey.times.iter().rev();
+    let pair = pairs.find(|pair| pair.of == Reference::Phone)?;
     let offset = pair.other.checked_sub(pair.stamp.0)?;
     Some(Prior::Offset(offset as f64 * 1e-9, RECORDED_MARGIN))
 }
@@ -327,11 +329,11 @@ mod tests {
             ..Survey::default()
         };
         survey.imu.last_ns = 600 * SECOND;
-        let board = BoardInput::Mcap(PathBuf::from("none"));
+        let board = Path::new("none");
         let clock = |survey: &Survey| {
             let phone = input("left", "", known(102.0));
             let silent = crate::progress::Silent;
-            find(&board, &phone, survey, &Constants::default(), &silent).unwrap()
+            find(board, &phone, survey, &Constants::default(), &silent).unwrap()
         };
         let error_us = |clock: &PhoneClock| {
             let phone = PhoneNanos(((590.0 + offset(590.0)) * 1e9).round() as i64);
@@ -365,7 +367,7 @@ mod tests {
         let right = Some(String::from("right"));
         let mut survey = Survey {
             times: vec![TimePair {
-                topic: "/mcu_s10_ts".into(),
+                of: Reference::Phone,
                 seq: 0,
                 stamp: BoardNanos(0),
                 other: 7 * SECOND,

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
+use super::board_data::{BoardEvent, BoardStream};
 use super::depth::{DepthError, DepthInput};
 use super::error::ExtractError;
 use super::phone_rows::PhoneRows;
@@ -22,7 +22,7 @@ const LOOK: u64 = 8192;
 pub(crate) enum StreamError {
     /// The board's recording.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Board(#[from] recording::RecordingError),
     /// The depth recording.
     #[error(transparent)]
     Depth(#[from] DepthError),
@@ -63,14 +63,13 @@ pub(crate) struct OtherGyro<'a> {
 ///
 /// Stopped, the recording cannot be read, or those of `each`.
 pub(crate) fn each_event(
-    input: &BoardInput,
-    images: Images,
+    board: &Path,
     what: &str,
     progress: &dyn Progress,
     mut each: impl FnMut(BoardEvent) -> Result<(), ExtractError>,
 ) -> Result<Vec<String>, ExtractError> {
-    let mut stream = input.open(images)?;
-    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+    let mut stream = BoardStream::open(board)?;
+    let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     progress.begin(what, length);
     let mut count = 0_u64;
     while let Some(event) = stream.next_event()? {
@@ -93,11 +92,11 @@ pub(crate) fn each_event(
 ///
 /// The recording cannot be opened.
 fn board<'a>(
-    input: &BoardInput,
+    board: &Path,
     span: Span,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let mut stream = input.open(Images::Skip)?;
+    let mut stream = BoardStream::open(board)?;
     let mut count = 0_u64;
     let mut last = span.from.0.saturating_sub(1);
     Ok(Box::new(std::iter::from_fn(move || {
@@ -130,18 +129,25 @@ fn board<'a>(
 ///
 /// There is no relation, it was stopped, or the board's recording cannot be read.
 pub(crate) fn related<'a>(
-    input: &'a BoardInput,
+    board: &'a Path,
     span: Span,
     other: &OtherGyro<'a>,
     progress: &'a dyn Progress,
 ) -> Result<RecordingClock, ExtractError> {
     let way = |at: BoardNanos| at.0.saturating_sub(span.from.0).unsigned_abs();
     progress.begin(other.what, way(span.to));
-    let board = || board(input, span, progress);
+    let open_board = || self::board(board, span, progress);
     let (prior, options) = (other.prior, &other.options);
-    let related = estimate_course(&board, other.open, prior, options, other.every, &|at| {
-        progress.at(way(BoardNanos(at)));
-    });
+    let related = estimate_course(
+        &open_board,
+        other.open,
+        prior,
+        options,
+        other.every,
+        &|at| {
+            progress.at(way(BoardNanos(at)));
+        },
+    );
     progress.end();
     related.map_err(|error| match error {
         RecordingError::Read(StreamError::Cancelled) => ExtractError::Cancelled,

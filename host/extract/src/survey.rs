@@ -1,9 +1,10 @@
 //! The first pass over the board's recording: everything but the samples.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::Arc;
 
-use super::board_data::{BoardEvent, BoardInput, Images, TimePair};
+use super::board_data::{BoardEvent, Reference, TimePair};
 use super::depth_clock::PulseTime;
 use super::error::ExtractError;
 use super::progress::Progress;
@@ -42,8 +43,8 @@ pub(crate) struct Survey {
     pub(crate) imu: ImuSpan,
     /// Exchanges with the clocks of the board and of the phone that was followed.
     pub(crate) exchanges: Vec<(Asked, Exchange)>,
-    /// Depth images in the recording itself (bags).
-    pub(crate) images: u64,
+    /// The recording is a bag of the published system.
+    pub(crate) published: bool,
     /// What could not be read, in words.
     pub(crate) damage: Vec<String>,
 }
@@ -118,7 +119,8 @@ struct Keeper {
     out: Survey,
     /// Pulses and pairs that are still taken.
     room: u64,
-    topics: BTreeSet<Arc<str>>,
+    /// Names of the sensors on auxiliary outputs.
+    outputs: BTreeSet<Arc<str>>,
     left_out: BTreeMap<&'static str, u64>,
 }
 
@@ -127,7 +129,7 @@ impl Keeper {
         Self {
             out: Survey::default(),
             room: EVENTS.max(length / BYTES_AN_EVENT),
-            topics: BTreeSet::new(),
+            outputs: BTreeSet::new(),
             left_out: BTreeMap::new(),
         }
     }
@@ -136,7 +138,7 @@ impl Keeper {
         let out = &mut self.out;
         match event {
             BoardEvent::Imu(row) => out.imu.add(row.at.0),
-            BoardEvent::Image(_) => out.images += 1,
+            BoardEvent::Published => out.published = true,
             BoardEvent::Pulse(_) | BoardEvent::Times(_) | BoardEvent::Exchange(..)
                 if self.room == 0 =>
             {
@@ -152,12 +154,12 @@ impl Keeper {
                 self.room -= 1;
                 out.pulses.push(pulse);
             }
-            BoardEvent::Times(pair) => match self.known(&pair.topic) {
-                Some(topic) => {
+            BoardEvent::Times(pair) => match self.known(&pair.of) {
+                Some(of) => {
                     self.room -= 1;
-                    self.out.times.push(TimePair { topic, ..pair });
+                    self.out.times.push(TimePair { of, ..pair });
                 }
-                None => self.leave_out("pairs of times have a topic beyond the 100 that are read"),
+                None => self.leave_out("pulses are of an output beyond the 100 that are read"),
             },
             BoardEvent::Mark(at) if out.marks.len() < MARKS => out.marks.push(at),
             BoardEvent::Mark(_) => self.leave_out("marks are beyond the 1000 that are read"),
@@ -173,15 +175,18 @@ impl Keeper {
         }
     }
 
-    /// The one copy of a topic's name that all pairs share.
-    fn known(&mut self, topic: &Arc<str>) -> Option<Arc<str>> {
-        if let Some(known) = self.topics.get(topic) {
-            return Some(Arc::clone(known));
+    /// The same, with the one copy of an output's name that all its pairs share.
+    fn known(&mut self, of: &Reference) -> Option<Reference> {
+        let Reference::Output(name) = of else {
+            return Some(of.clone());
+        };
+        if let Some(known) = self.outputs.get(name) {
+            return Some(Reference::Output(Arc::clone(known)));
         }
-        let has_room = self.topics.len() < NAMES && topic.len() <= NAME_LENGTH;
+        let has_room = self.outputs.len() < NAMES && name.len() <= NAME_LENGTH;
         has_room.then(|| {
-            self.topics.insert(Arc::clone(topic));
-            Arc::clone(topic)
+            self.outputs.insert(Arc::clone(name));
+            of.clone()
         })
     }
 
@@ -195,11 +200,11 @@ impl Keeper {
 /// # Errors
 ///
 /// Stopped, or the recording cannot be read.
-pub(crate) fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Survey, ExtractError> {
-    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+pub(crate) fn survey(board: &Path, progress: &dyn Progress) -> Result<Survey, ExtractError> {
+    let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     let mut keeper = Keeper::new(length);
     let what = "reading the board's recording";
-    let mut damage = each_event(input, Images::Stamps, what, progress, |event| {
+    let mut damage = each_event(board, what, progress, |event| {
         keeper.take(event);
         Ok(())
     })?;

@@ -3,8 +3,7 @@
 //! | file | what is read |
 //! |---|---|
 //! | CSV | [`phone::gyro_csv`]: a header in any of many forms (EuRoC's `imu.csv` and Sensor Logger's `Gyroscope.csv` among them), or the phone app's |
-//! | MCAP and sqlite3 (ours, ROS 2 bags) | messages of type `sensor_msgs/msg/Imu` in CDR |
-//! | ROS 1 bag | messages of type `sensor_msgs/Imu` |
+//! | MCAP (ours, ROS 2 bags) | messages of type `sensor_msgs/msg/Imu` in CDR |
 //! | Matroska of the Azure Kinect | its IMU track |
 //! | MP4 of GoPro cameras | the gyroscope's stream, and times and exposures of the frames |
 //! | videos and logs of other makers | what the Python package `telemetry-parser` finds |
@@ -23,7 +22,8 @@ use std::path::{Path, PathBuf};
 
 use formats::k4a::{Content, K4aError, Recording as Kinect};
 use phone::gyro_csv::{self, CsvError};
-use recording::foreign;
+use recording::RecordingError;
+use recording::bag::{foreign, is_bag};
 use twist_sync::GyroTrack;
 
 pub use telemetry::TelemetryError;
@@ -96,9 +96,9 @@ pub enum GyroFileError {
     /// CSV that is not as expected.
     #[error(transparent)]
     Csv(CsvError),
-    /// No ROS 1 bag.
+    /// No recording of ours and no bag that is read.
     #[error(transparent)]
-    Bag(#[from] extract::bag::reader::BagError),
+    Recording(#[from] RecordingError),
     /// No recording of an Azure Kinect.
     #[error(transparent)]
     Kinect(#[from] K4aError),
@@ -167,7 +167,7 @@ pub fn read(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileE
 ///
 /// Those of [`read`], and [`GyroFileError::OtherMaker`].
 pub fn read_alone(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    if path.is_dir() && !foreign::is_bag(path) {
+    if path.is_dir() && !is_bag(path) {
         return read_alone(&only_recording(path)?, topic);
     }
     let mut read = read_any(path, topic)?;
@@ -190,10 +190,12 @@ fn read_any(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileE
     if path.is_file() {
         files::open(path)?.take(16).read_to_end(&mut first)?;
     }
-    if path.is_dir() || foreign::is_part(&first) {
-        ros::bag2(path, topic)
+    if path.is_dir() || first.starts_with(mcap::MAGIC) {
+        ros::bag(path, topic)
     } else if first.starts_with(b"#ROSBAG V") {
-        ros::bag1(path, topic)
+        Err(foreign(path, "a ROS 1 bag").into())
+    } else if first.starts_with(b"SQLite format 3\0") {
+        Err(foreign(path, "a ROS 2 bag in sqlite3").into())
     } else if first.starts_with(&[0x1a, 0x45, 0xdf, 0xa3]) {
         kinect(path)
     } else if first.get(4..8) == Some(b"ftyp") {
@@ -229,7 +231,7 @@ fn only_recording(folder: &Path) -> Result<PathBuf, GyroFileError> {
         };
         paths.iter().filter(is_one).cloned().collect::<Vec<_>>()
     };
-    let mut found = with(&["mcap", "db3", "bag", "mkv"]);
+    let mut found = with(&["mcap", "mkv"]);
     // A phone's video lies beside many a recording.
     if found.is_empty() {
         found = with(&["mp4"]);
@@ -239,9 +241,7 @@ fn only_recording(folder: &Path) -> Result<PathBuf, GyroFileError> {
         [only] => Ok(only.clone()),
         [] => Err(GyroFileError::None {
             form: "a folder",
-            found: String::from(
-                "expected one file .mcap, .db3, .bag, .mkv or .mp4, or Gyroscope.csv",
-            ),
+            found: String::from("expected one file .mcap, .mkv or .mp4, or Gyroscope.csv"),
         }),
         several => {
             let names = several.iter().map(|path| path.display().to_string());

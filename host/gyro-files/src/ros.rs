@@ -1,14 +1,12 @@
-//! IMU messages of ROS bags.
+//! IMU messages of recordings and ROS 2 bags.
 
 use std::collections::BTreeMap;
-use std::io::BufReader;
 use std::path::Path;
 
-use extract::bag::messages::Imu as BagImu;
-use extract::bag::reader::{Bag, BagError};
 use formats::faults::Faults;
-use recording::foreign::{Messages, Next};
+use recording::RecordingError;
 use recording::messages::{Imu, RosMessage, from_cdr};
+use recording::walk::{Event, Walk};
 
 use crate::{GyroFileError, GyroRecording};
 
@@ -85,57 +83,27 @@ impl Topics {
 }
 
 /// A bag of ROS 2, or a recording of ours.
-pub(crate) fn bag2(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    let mut messages = Messages::open(path)?;
+pub(crate) fn bag(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
+    let mut walk = Walk::open(path)?;
     let mut out = Topics::new();
-    loop {
-        let next = messages.next_chunk(|message| {
-            if message.kind != Imu::TYPE {
-                return;
-            }
-            match from_cdr::<Imu>(message.data) {
-                Ok(imu) => out.add(
-                    message.topic,
-                    imu.header.stamp.nanos(),
-                    imu.angular_velocity,
-                ),
-                Err(_) => out.broken += 1,
-            }
-        });
-        match next {
-            Next::Given => {}
-            Next::Damaged(why) => out.damage.add(why),
-            Next::End => break,
-        }
-    }
-    out.others = messages.topics().map(str::to_owned).collect();
-    out.chosen("ROS 2 bag", topic)
-}
-
-pub(crate) fn bag1(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    let mut bag = Bag::open(BufReader::with_capacity(1 << 20, files::open(path)?))?;
-    let mut out = Topics::new();
-    let mut others = std::collections::BTreeSet::new();
-    loop {
-        let more = bag.next_chunk::<BagError>(|message| {
-            if message.connection.kind != BagImu::KIND {
-                if !others.contains(&*message.connection.topic) {
-                    others.insert(message.connection.topic.to_string());
+    while walk.next_part::<RecordingError>(&mut |event| {
+        match event {
+            Event::Message(message) if message.channel.kind == Imu::TYPE => {
+                match from_cdr::<Imu>(message.data) {
+                    Ok(imu) => out.add(
+                        &message.channel.described.topic,
+                        imu.header.stamp.nanos(),
+                        imu.angular_velocity,
+                    ),
+                    Err(_) => out.broken += 1,
                 }
-            } else if let Ok(imu) = BagImu::parse(message.data) {
-                out.add(&message.connection.topic, imu.header.stamp, imu.gyro);
-            } else {
-                out.broken += 1;
             }
-            Ok(())
-        })?;
-        if !more {
-            break;
+            Event::Damage(damage) if damage.is_loss() => out.damage.add(damage.to_string()),
+            _ => {}
         }
-    }
-    out.others = others.into_iter().collect();
-    for damage in bag.damage() {
-        out.damage.add(damage.clone());
-    }
-    out.chosen("ROS 1 bag", topic)
+        Ok(())
+    })? {}
+    let topics = walk.topics().map(|channel| channel.described.topic.clone());
+    out.others = topics.collect();
+    out.chosen("ROS 2 bag", topic)
 }

@@ -4,7 +4,7 @@
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use super::{RecordingError, foreign};
+use super::{RecordingError, bag};
 
 /// How many names are tried.
 const TRIES: u32 = 1_000;
@@ -51,7 +51,7 @@ pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
     for entry in std::fs::read_dir(folder)? {
         let path = entry?.path();
         let is_depth = match path.is_dir() {
-            true => foreign::is_bag(&path),
+            true => bag::is_bag(&path),
             false => is_mkv(&path) && path.is_file(),
         };
         if is_depth {
@@ -60,6 +60,19 @@ pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
     }
     found.sort();
     Ok(found)
+}
+
+/// Bytes of a depth recording: of the file, or of all files in a bag's folder.
+///
+/// # Errors
+///
+/// It cannot be read.
+pub fn bytes_of(path: &Path) -> io::Result<u64> {
+    if !path.is_dir() {
+        return Ok(path.metadata()?.len());
+    }
+    let lengths = std::fs::read_dir(path)?.map(|entry| Ok(entry?.metadata()?.len()));
+    lengths.sum()
 }
 
 /// The name for now: local date and time, `2026-01-31_14-03-27`.

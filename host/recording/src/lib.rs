@@ -20,18 +20,18 @@
 //! - [`scan`]: the records of the file over any damage; [`chunks`] unpacks them.
 //! - [`walk`]: topics, messages and damage, from the records.
 //! - [`reader`]: the messages as Rust values.
-//! - [`foreign`]: the messages of any program's ROS 2 bag (MCAP, sqlite3), with topic and type.
+//! - [`bag`]: the one file of a recording or of another program's bag.
 //! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
 //!
 //! The format is described in `docs/formats.md`.
 
+pub mod bag;
 pub mod camera;
 pub mod chunks;
 mod diagnostics;
 pub mod finding;
 pub mod folder;
-pub mod foreign;
 pub mod grid;
 pub mod kalibr;
 pub mod messages;
@@ -88,14 +88,6 @@ pub enum RecordingError {
         /// What is wrong.
         source: mcap::McapError,
     },
-    /// A chunk of the MCAP file cannot be used.
-    #[error("{path}: a chunk cannot be used: {source}", path = .path.display())]
-    Chunk {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        source: chunks::BadChunk,
-    },
     /// A message is not what its topic says.
     #[error("{topic}: {source}")]
     Message {
@@ -103,6 +95,27 @@ pub enum RecordingError {
         topic: String,
         /// What is wrong.
         source: messages::CdrError,
+    },
+    /// A bag of a form that is not read.
+    #[error(
+        "{path} is {form}, which is not read: `{command}` makes one that is (Python package rosbags)",
+        path = .path.display(),
+        command = bag::conversion(.path)
+    )]
+    ForeignBag {
+        /// The bag.
+        path: PathBuf,
+        /// What it is.
+        form: &'static str,
+    },
+    /// There is no recording and no bag.
+    #[error(
+        "{path} is no recording: expected a folder with {MCAP_FILE}, or an MCAP file, found neither",
+        path = .path.display()
+    )]
+    NoRecording {
+        /// What was given.
+        path: PathBuf,
     },
     /// Whoever asked for the reading wants it to end.
     #[error("stopped before the end of the recording")]

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD, OWN_RATIO};
+use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD};
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -97,7 +97,7 @@ impl Scan {
             file: BufReader::with_capacity(1 << 20, file),
             length,
             position: 0,
-            budget: Budget::new(OWN_RATIO),
+            budget: Budget::default(),
             memory: Vec::new(),
             searched: 0,
             head: None,
@@ -217,7 +217,7 @@ impl Scan {
                 let Some((header, packed)) = chunk_of(body) else {
                     return self.search(at, at + 1).map(Some);
                 };
-                let fits = self.budget.takes_chunk(&header, self.position);
+                let fits = self.budget.take(&header, self.position);
                 let memory = std::mem::take(&mut self.memory);
                 let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), memory));
                 return Ok(Some(match chunk {

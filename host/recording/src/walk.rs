@@ -34,10 +34,13 @@ use super::messages::CdrError;
 use super::reader::ticks_of_nanos;
 use super::scan::{Piece, Scan};
 use super::topic::{Item, Topic};
-use super::{RecordingError, mcap_of, writer};
+use super::{RecordingError, bag, writer};
 
 /// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
 const NAME: usize = 1_000;
+
+/// A compression of other programs, that no damage makes of one of ours.
+const ZSTD: &str = "zstd";
 
 /// Something in the file.
 pub enum Event<'a> {
@@ -285,6 +288,8 @@ impl fmt::Display for Damage {
 pub struct Walk {
     scan: Scan,
     path: PathBuf,
+    /// What it was opened by: the file, or its folder.
+    given: PathBuf,
     topics: Topics,
     /// The file begins as MCAP files do; else its first bytes are skipped.
     has_magic: bool,
@@ -309,13 +314,13 @@ struct Topics {
 type Each<'e, E> = &'e mut dyn FnMut(Event<'_>) -> Result<(), E>;
 
 impl Walk {
-    /// Begins at the front of the recording in a folder, or of an MCAP file.
+    /// Begins at the front of the recording or bag in a folder, or of an MCAP file.
     ///
     /// # Errors
     ///
-    /// The file cannot be opened.
+    /// There is none ([`bag::mcap_in`]), or the file cannot be opened.
     pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
-        let path = mcap_of(folder_or_file);
+        let path = bag::mcap_in(folder_or_file)?;
         let scan = Scan::open(&path).map_err(RecordingError::io("read", &path))?;
         Ok(Self {
             report: FileReport {
@@ -324,6 +329,7 @@ impl Walk {
             },
             scan,
             path,
+            given: folder_or_file.to_owned(),
             topics: Topics::default(),
             has_magic: true,
             ended: false,
@@ -343,6 +349,12 @@ impl Walk {
         let piece = self.scan.next_piece();
         let piece = piece.map_err(RecordingError::io("read", &self.path))?;
         match piece {
+            Some(Piece::BadChunk {
+                why: BadChunk::Compression(name),
+                ..
+            }) if name == ZSTD => {
+                return Err(bag::foreign(&self.given, "packed with Zstandard").into());
+            }
             Some(piece) => self.piece(piece, each)?,
             None => {
                 self.ended = true;
@@ -357,12 +369,6 @@ impl Walk {
     #[must_use]
     pub const fn report(&self) -> &FileReport {
         &self.report
-    }
-
-    /// The path of the file.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Bytes read so far.

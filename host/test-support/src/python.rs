@@ -81,3 +81,17 @@ pub fn run_script_with(python: &Path, script: &Path, arguments: &[&Path]) -> Str
     );
     String::from_utf8(output.stdout).unwrap()
 }
+
+/// Runs the command for `rosbags-convert` that a message names between backticks.
+pub fn run_conversion(message: &str) {
+    let command = message.split('`').nth(1).unwrap();
+    let mut words = command.split_whitespace();
+    assert_eq!(words.next(), Some("rosbags-convert"), "{message}");
+    let program = python().with_file_name("rosbags-convert");
+    let output: Output = Command::new(program).args(words).output().unwrap();
+    assert!(
+        output.status.success(),
+        "{command}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}

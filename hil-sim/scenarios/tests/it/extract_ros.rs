@@ -6,9 +6,11 @@ use crate::extract_vendor::Case;
 use crate::synthetic::Synthetic;
 use crate::turn;
 use extract::inputs::Options;
+use extract::layout::Format;
 use test_support::python;
 
-/// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives.
+/// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives. One of
+/// another form is refused with the command that makes one of it that is read.
 #[test]
 fn depth_of_a_driver_s_bag_finds_its_pulses() {
     let _turn = turn::beside_others();
@@ -26,13 +28,20 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
         .collect();
     std::fs::write(case.path("stamps.txt"), stamps).unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/make_depth_bag.py");
-    for storage in ["mcap", "sqlite3"] {
-        let bag = case.path(storage);
-        python::run_script(
-            &script,
-            &[&case.path("stamps.txt"), &bag, Path::new(storage)],
-        );
-        let out = format!("of_{storage}");
+    for form in ["mcap", "zstd", "sqlite3"] {
+        let mut bag = case.path(form);
+        python::run_script(&script, &[&case.path("stamps.txt"), &bag, Path::new(form)]);
+        let out = format!("of_{form}");
+        if form != "mcap" {
+            let refused = format!("refused_{form}");
+            let refused = case.try_extract(Format::Euroc, Some(&bag), &refused, Options::default());
+            let refusal = match refused {
+                Err(error) => error.to_string(),
+                Ok(report) => report.losses[0].what.clone(),
+            };
+            python::run_conversion(&refusal);
+            bag.set_file_name(format!("{form}-mcap"));
+        }
 
         // The same pulses for the same frames; only the start of the file may be undecided.
         let report = case.extract(Some(&bag), &out, Options::default());
@@ -66,9 +75,7 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
         depth_topic: Some(String::from("/camera/color/depth")),
         ..Options::default()
     };
-    let losses = case
-        .extract(Some(&case.path("sqlite3")), "none", topic)
-        .losses;
+    let losses = case.extract(Some(&case.path("mcap")), "none", topic).losses;
     assert!(
         losses
             .iter()

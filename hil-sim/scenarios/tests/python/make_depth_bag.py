@@ -1,7 +1,8 @@
-"""Writes a ROS 2 bag (MCAP with chunks packed with Zstandard, or sqlite3) with depth images as a camera's driver publishes them, by
-`rosbags`: stamps of the camera's clock in the headers, times of arrival that say nothing.
+"""Writes a ROS 2 bag (MCAP, MCAP with chunks packed with Zstandard, or sqlite3) with depth
+images as a camera's driver publishes them, by `rosbags`: stamps of the camera's clock in the
+headers, times of arrival that say nothing.
 
-usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER mcap|sqlite3
+usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER mcap|zstd|sqlite3
 
 STAMPS_FILE has a stamp in ns a line. Pixel n of frame f is (1000 + 7 f + n) mm.
 """
@@ -32,9 +33,10 @@ def image(stamp, frame, encoding, pixels):
         step=pixels.strides[0], data=np.ascontiguousarray(pixels).view(np.uint8).ravel()), KIND)
 
 
-storage = StoragePlugin[sys.argv[3].upper()]
+form = sys.argv[3]
+storage = StoragePlugin.SQLITE3 if form == "sqlite3" else StoragePlugin.MCAP
 writer = Writer(Path(sys.argv[2]), version=9, storage_plugin=storage)
-if storage == StoragePlugin.MCAP:
+if form == "zstd":
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 with writer:
     depth = writer.add_connection("/camera/depth/image_raw", KIND, typestore=store)

@@ -5,6 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use indicatif::ProgressBar;
 
+use crate::advice::bag_step;
 use crate::context::Context;
 use crate::decimal::parse_us_nanos;
 use crate::outcome::{ExitStatus, Failure, file_step};
@@ -76,7 +77,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "[NAME=]PATH")]
     phone: Vec<String>,
     /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
-    /// or one of its .mcap or .db3 files); the one in the recording's folder unless given
+    /// or its .mcap file); the one in the recording's folder unless given
     #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
     /// The topic of the depth images in a bag, if it has several
@@ -202,7 +203,7 @@ fn default_out(recording: &Path, format: Format) -> Result<PathBuf, Failure> {
             ExitStatus::Storage,
             format!("reading {}: {error}", recording.display()),
         )
-        .next_step("give the folder of a recording, or a bag")
+        .next_step("give the folder of a recording")
     })?;
     // A file in a recording's folder stands for the folder.
     let base = recordings::folder_of(&full);
@@ -214,10 +215,7 @@ fn default_out(recording: &Path, format: Format) -> Result<PathBuf, Failure> {
         })?
         .to_string_lossy()
         .into_owned();
-    let stem = [".bag.active", ".bag", ".mcap"]
-        .iter()
-        .find_map(|ending| name.strip_suffix(ending))
-        .unwrap_or(&name);
+    let stem = name.strip_suffix(".mcap").unwrap_or(&name);
     Ok(base.with_file_name(format!("{stem}-{}", format.name())))
 }
 
@@ -233,10 +231,9 @@ impl From<ExtractError> for Failure {
             ExtractError::Inputs(InputsError::Phone(_)) => {
                 (ExitStatus::Usage, "name the video itself with --phone")
             }
-            ExtractError::Inputs(InputsError::NotARecording { .. }) => (
-                ExitStatus::Usage,
-                "give the folder that `record` made, its recording.mcap, or a bag",
-            ),
+            ExtractError::Inputs(InputsError::Recording(error)) => {
+                (ExitStatus::Usage, bag_step(error))
+            }
             ExtractError::Inputs(InputsError::UnknownPhone { .. }) => (
                 ExitStatus::Usage,
                 "give --phone NAME=PATH as the phone is called in the profile",
@@ -318,7 +315,7 @@ mod tests {
         std::fs::create_dir(&recording).unwrap();
         let out = default_out(&recording, Format::Tum).unwrap();
         assert_eq!(out, recording.with_file_name("walk-tum"));
-        let bag = recording.with_file_name("old.bag");
+        let bag = recording.with_file_name("old.mcap");
         std::fs::write(&bag, "").unwrap();
         assert_eq!(
             default_out(&bag, Format::Euroc).unwrap(),

@@ -26,9 +26,9 @@ const LOOKS: u32 = 60;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Recordings with gyroscopes that were fixed to each other: CSV (ours, the app's,
-    /// EuRoC, Sensor Logger), MCAP or its folder (ours), a ROS 2 bag (MCAP, sqlite3), a ROS 1
-    /// bag, an Azure Kinect's mkv, a GoPro's mp4; other cameras' videos by the Python package
-    /// telemetry-parser. FILE@/TOPIC names one of several topics
+    /// EuRoC, Sensor Logger), MCAP or its folder (ours, ROS 2 bags), an Azure Kinect's mkv, a
+    /// GoPro's mp4; other cameras' videos by the Python package telemetry-parser. FILE@/TOPIC
+    /// names one of several topics
     #[arg(value_name = "FILE", num_args = 2.., required = true)]
     pub(crate) recordings: Vec<PathBuf>,
     /// Write the timestamps of all others in the time of the first one's clock, as CSV into

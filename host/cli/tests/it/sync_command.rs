@@ -274,9 +274,13 @@ fn what_is_wrong_with_a_file_is_said() {
             "no IMU on topic /none; there are /imu/data",
             "IMU",
         ),
-        ("c.db3", "file is not a database", "a whole recording"),
+        (
+            "c.db3",
+            "--src c.db3 --dst c-mcap --dst-storage mcap",
+            "pip install",
+        ),
         ("d.mp4", "no index of tracks", "a whole recording"),
-        ("e.mcap", "cannot be read", "a whole recording"),
+        ("e.mcap", "the file was not closed", "a whole recording"),
         ("h.zip", "a zip archive is not read", "unpack"),
     ] {
         let output = sync(folder.path(), &["a.csv", file]);

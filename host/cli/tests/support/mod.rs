@@ -4,7 +4,6 @@
 pub(crate) mod gopro;
 pub(crate) mod ros2_imu;
 mod session;
-pub(crate) mod sqlite_bag;
 pub(crate) mod synthetic;
 
 use std::fmt::Write as _;

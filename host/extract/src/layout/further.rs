@@ -8,23 +8,15 @@ use std::io;
 use std::path::Path;
 
 use super::SequenceTables;
-use crate::board_data::{LIDAR_TOPIC, OUTPUT_TOPICS};
+use crate::board_data::Reference;
 use crate::tables::write_rows;
-
-/// The sensor's name.
-pub(super) fn called_after<'a>(topic: &'a str, lidar: Option<&'a str>) -> Option<&'a str> {
-    if topic == LIDAR_TOPIC {
-        return Some(lidar.unwrap_or("gnss"));
-    }
-    topic.strip_prefix(OUTPUT_TOPICS)
-}
 
 /// Writes them below `folder`; nothing if there are none.
 pub(super) fn write(folder: &Path, tables: &SequenceTables<'_>) -> io::Result<()> {
-    for (topic, name) in &tables.names {
+    for (of, name) in &tables.names {
         let path = folder.join("outputs").join(format!("{name}.csv"));
-        let pairs = tables.times.iter().filter(|pair| &*pair.topic == *topic);
-        if *topic == LIDAR_TOPIC {
+        let pairs = tables.times.iter().filter(|pair| pair.of == **of);
+        if **of == Reference::Lidar {
             let rows = pairs.map(|pair| (pair.stamp, pair.other));
             write_rows(&path, "#timestamp [ns],utc [ns]\n", rows)?;
         } else {

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use protocol::ImuSensor;
 
 use self::noise::Noise;
-use super::board_data::{ImuRow, TimePair};
+use super::board_data::{ImuRow, Reference, TimePair};
 use super::geometry::{Cameras, View};
 use super::time::{BoardNanos, in_name};
 
@@ -181,10 +181,10 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) camera: Vec<ImageRow>,
     /// Pairs as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
-    /// Pairs of times on the recording's topics.
+    /// Pairs of times.
     pub(crate) times: Vec<&'a TimePair>,
-    /// Names for the files of the topics that have a place of their own.
-    pub(crate) names: BTreeMap<&'a str, String>,
+    /// Names for the files of those that have one of their own.
+    pub(crate) names: BTreeMap<&'a Reference, String>,
     /// Whether the next run writes images that this one could not.
     pub(crate) unfinished: bool,
 }
@@ -222,10 +222,10 @@ pub(crate) trait Layout: Sync {
     /// The phone's IMU; `None` if the format has no place for it.
     fn phone_imu(&self) -> Option<ImuTable>;
 
-    /// What the file or folder of a topic's pairs of times is called after; `None` if the
-    /// format has no place for them. `lidar` is what the lidar is called, if that is known.
-    fn called_after<'a>(&self, topic: &'a str, lidar: Option<&'a str>) -> Option<&'a str> {
-        further::called_after(topic, lidar)
+    /// What the file or folder of pairs of times is called after; `None` if the format has no
+    /// place for them. `lidar` is what the lidar is called, if that is known.
+    fn called_after(&self, of: &Reference, lidar: Option<&str>) -> Option<String> {
+        of.sensor(lidar).map(str::to_owned)
     }
 
     /// Writes what stands beside the data of a sequence.
@@ -263,20 +263,20 @@ fn imu_row(row: &mut String, sample: &ImuRow) {
     row.push('\n');
 }
 
-/// A name for the file of each of these topics: harmless, and no two the same. Also the
-/// topics whose names had to be made longer for that, with what they became.
+/// A name for the file of each of these pairs of times: harmless, and no two the same. Also
+/// the names that had to be made longer for that, with what they became.
 pub(crate) fn file_names<'a>(
     layout: &dyn Layout,
-    topics: &BTreeSet<&'a str>,
-    lidar: Option<&'a str>,
-) -> (BTreeMap<&'a str, String>, Vec<(&'a str, String)>) {
+    references: &BTreeSet<&'a Reference>,
+    lidar: Option<&str>,
+) -> (BTreeMap<&'a Reference, String>, Vec<(String, String)>) {
     let mut taken = BTreeSet::new();
     let (mut names, mut longer) = (BTreeMap::new(), Vec::new());
-    for &topic in topics {
-        let Some(after) = layout.called_after(topic, lidar) else {
+    for &of in references {
+        let Some(after) = layout.called_after(of, lidar) else {
             continue;
         };
-        let plain = harmless(after);
+        let plain = harmless(&after);
         let mut name = plain.clone();
         while !taken.insert(name.clone()) {
             name.push('_');
@@ -284,7 +284,7 @@ pub(crate) fn file_names<'a>(
         if name != plain {
             longer.push((after, name.clone()));
         }
-        names.insert(topic, name);
+        names.insert(of, name);
     }
     (names, longer)
 }

@@ -18,7 +18,7 @@ use std::io;
 use std::path::Path;
 
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
-use crate::board_data::ImuRow;
+use crate::board_data::{ImuRow, Reference};
 use crate::tables::write_rows;
 
 pub(super) struct Topics;
@@ -58,8 +58,15 @@ impl Layout for Topics {
         })
     }
 
-    fn called_after<'a>(&self, topic: &'a str, _lidar: Option<&'a str>) -> Option<&'a str> {
-        Some(topic)
+    fn called_after(&self, of: &Reference, _lidar: Option<&str>) -> Option<String> {
+        Some(match of {
+            Reference::Cameras => String::from("/mcu_cameras_ts"),
+            Reference::DepthOffset => String::from("/depth_to_mcu_offset"),
+            Reference::Lidar => String::from("/mcu_lidar_ts"),
+            Reference::Phone => String::from("/mcu_s10_ts"),
+            Reference::Sequences => String::from("/sequences_ts"),
+            Reference::Output(name) => format!("/output/{name}"),
+        })
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
@@ -67,8 +74,8 @@ impl Layout for Topics {
         transformation(folder, &tables.depth)?;
         transformation(folder, &tables.infrared)?;
         transformation(folder, &tables.camera)?;
-        for (topic, name) in &tables.names {
-            let pairs = tables.times.iter().filter(|pair| &*pair.topic == *topic);
+        for (of, name) in &tables.names {
+            let pairs = tables.times.iter().filter(|pair| pair.of == **of);
             let rows = pairs.map(|pair| (pair.seq, pair.stamp, pair.other));
             write_rows(&folder.join(name).join("time_ref.csv"), "", rows)?;
         }

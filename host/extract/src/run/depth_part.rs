@@ -2,7 +2,6 @@
 
 use super::geometry_part::DepthView;
 use super::{Extraction, rate_of};
-use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
@@ -10,6 +9,7 @@ use crate::error::ExtractError;
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
 use crate::layout::{Facts, ImageKind, calibration_path, number};
 use crate::report::{Constants, DepthReport};
+use crate::ros2_depth::Ros2Bag;
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, CameraFrame, DepthFrame};
@@ -31,10 +31,14 @@ impl Extraction<'_> {
         survey: &Survey,
         constants: &mut Constants,
     ) -> Result<Option<Depth>, ExtractError> {
-        let input = match (&self.inputs.depth, &self.inputs.board) {
-            (Some(input), _) => input.clone(),
-            (None, BoardInput::Bag(path)) if survey.images > 0 => DepthInput::Bag(path.clone()),
-            _ => {
+        let input = match &self.inputs.depth {
+            Some(input) => input.clone(),
+            // The published system has all in one bag.
+            None if survey.published => DepthInput::Ros2(Ros2Bag {
+                path: self.inputs.board.clone(),
+                topic: self.job.options.depth_topic.clone(),
+            }),
+            None => {
                 self.lose(
                     "depth",
                     "there is no depth recording; give the file with --depth",

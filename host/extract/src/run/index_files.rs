@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::Extraction;
-use crate::board_data::TimePair;
+use crate::board_data::{Reference, TimePair};
 use crate::error::ExtractError;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
 use crate::layout::{Facts, ImageKind, ImageRow, SequenceTables, file_names};
@@ -34,9 +34,9 @@ impl Extraction<'_> {
         facts: &Facts,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
         let layout = self.layout();
-        let topics = written.times.iter().map(|pair| &*pair.topic).collect();
-        let lidar = self.inputs.lidar.clone();
-        let (names, longer) = file_names(layout, &topics, lidar.as_deref());
+        let references = written.times.iter().map(|pair| &pair.of).collect();
+        let lidar = self.inputs.lidar.as_deref();
+        let (names, longer) = file_names(layout, &references, lidar);
         for (name, file) in longer {
             self.remarks.push(format!(
                 "another name is the same as {name:?} in the names of files: its times are in {file}"
@@ -46,9 +46,9 @@ impl Extraction<'_> {
         let mut drawn_from = 0;
         for sequence in 0..sequences.count() {
             let mut tables = self.tables_of(sequence, sequences, written);
-            let here = |topic: &str| tables.times.iter().any(|pair| &*pair.topic == topic);
-            let here = names.iter().filter(|(topic, _)| here(topic));
-            tables.names = here.map(|(&topic, name)| (topic, name.clone())).collect();
+            let here = |of: &Reference| tables.times.iter().any(|pair| pair.of == *of);
+            let here = names.iter().filter(|(of, _)| here(of));
+            tables.names = here.map(|(&of, name)| (of, name.clone())).collect();
             let folder = sequences.folder(sequence);
             let data = self.place.out.join(below).join(&folder);
             // Before the format may do away with the images, and of the sequence that has most.

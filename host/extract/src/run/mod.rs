@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use index_files::Written;
 use phone_part::Phone;
 
-use super::board_data::{BoardEvent, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
+use super::board_data::BoardEvent;
 use super::depth::DepthInput;
 use super::error::ExtractError;
 use super::frames::FrameTiming;
@@ -52,13 +52,16 @@ const LISTED_GAPS: usize = 1_000;
 /// The most pairs whose difference is drawn over time.
 const DRAWN_PAIRS: usize = 1_000;
 
+/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
+const PUBLISHED_DELAY_NS: i64 = 1_900_000;
+
 /// Version of the report's form.
 const REPORT_VERSION: u32 = 3;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// The recording: a folder, or a bag.
+    /// The recording: a folder, or an MCAP file.
     pub recording: PathBuf,
     /// The phone's files, if they lie elsewhere.
     pub phone: Option<PathBuf>,
@@ -95,6 +98,7 @@ struct Extraction<'a> {
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
     let mut run = Extraction::open(job, progress)?;
     let survey = survey(&run.inputs.board, progress)?;
+    run.note_published(&survey);
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
     let mut constants = run.constants(&input);
@@ -183,7 +187,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
 
 fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
     let depth = inputs.depth.as_ref().map(DepthInput::files);
-    let mut paths: Vec<&Path> = vec![inputs.board.path()];
+    let mut paths: Vec<&Path> = vec![&inputs.board];
     let phones = std::iter::once(&inputs.phone).chain(&inputs.others);
     for phone in phones.filter_map(|phone| phone.files.as_ref()) {
         let files = [&phone.video, &phone.frames, &phone.gyro, &phone.accel];
@@ -276,6 +280,19 @@ impl Extraction<'_> {
                 "pairs",
                 "a LeRobot dataset is made of pairs of phone and depth images, and there are none",
             );
+        }
+    }
+
+    /// Takes what is known of the published system's settings, which its bags do not say.
+    fn note_published(&mut self, survey: &Survey) {
+        let rig = &mut self.inputs.phone.rig;
+        if survey.published && rig.board_imu_delay_ns.is_none() {
+            rig.board_imu_delay_ns = Some(PUBLISHED_DELAY_NS);
+            self.remarks.push(String::from(
+                "a bag of the published system says nothing about its settings: the IMU's low-pass \
+                 delay is taken as 1.9 ms, its register setting; exposure and readout of the phone are \
+                 given by options",
+            ));
         }
     }
 
@@ -406,16 +423,10 @@ impl Extraction<'_> {
         let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
         let board = &self.inputs.board;
         let what = "writing the board's IMU";
-        each_event(
-            board,
-            Images::Skip,
-            what,
-            self.progress,
-            |event| match event {
-                BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
-                _ => Ok(()),
-            },
-        )?;
+        each_event(board, what, self.progress, |event| match event {
+            BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
+            _ => Ok(()),
+        })?;
         writer.finish().map_err(|error| self.failed(error))?;
         Ok(())
     }
@@ -445,11 +456,7 @@ fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Ve
 fn sensors(survey: &Survey, lidar: Option<&str>) -> Vec<SensorReport> {
     let mut pulses = BTreeMap::<&str, usize>::new();
     for pair in &survey.times {
-        let name = match &*pair.topic {
-            LIDAR_TOPIC => Some(lidar.unwrap_or("gnss")),
-            topic => topic.strip_prefix(OUTPUT_TOPICS),
-        };
-        if let Some(name) = name {
+        if let Some(name) = pair.of.sensor(lidar) {
             *pulses.entry(name).or_default() += 1;
         }
     }

@@ -13,8 +13,6 @@ use std::time::Duration;
 
 use board::Conversation;
 use evaluate::source::read_timestamps;
-use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
-use extract::bag::reader::{Bag, BagError};
 use formats::k4a::{Content, Recording};
 use phone::ImuRequest;
 use phone::answer::{AnswerDecoder, AnswerEvent};
@@ -27,24 +25,6 @@ use recording::reader::Reader;
 use report::repair::repair;
 use report::verify::verify;
 use video::{parse_presentation_times, parse_probe};
-
-/// Any bytes as a ROS 1 bag: no panic.
-pub fn bag(data: &[u8]) {
-    // With and without the first line, which a fuzzer would have to guess.
-    let with_magic = [b"#ROSBAG V2.0\n", data].concat();
-    for bytes in [data, &with_magic] {
-        let Ok(mut bag) = Bag::open(bytes) else {
-            continue;
-        };
-        while let Ok(true) = bag.next_chunk(|message| {
-            let _ = Imu::parse(message.data);
-            let _ = Temperature::parse(message.data);
-            let _ = TimeReference::parse(message.data);
-            let _ = Image::parse(message.data);
-            Ok::<(), BagError>(())
-        }) {}
-    }
-}
 
 /// Any bytes as a depth recording: no panic, no unbounded memory.
 pub fn depth_recording(data: &[u8]) {

@@ -10,8 +10,7 @@ use std::path::{Path, PathBuf};
 use phone::adb::get_files_command;
 use phone::video_files;
 use recording::finding::{Finding, Severity};
-use recording::folder::depth_recordings;
-use recording::foreign;
+use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
@@ -313,10 +312,7 @@ fn depth_file(folder: &Path) -> Option<(String, u64)> {
     let recordings = depth_recordings(folder).ok()?.into_iter();
     let named = recordings.filter_map(|path| {
         let name = path.file_name()?.to_str()?.to_owned();
-        let files = foreign::parts(&path).ok()?.into_iter();
-        let bytes: u64 = files
-            .filter_map(|file| Some(file.metadata().ok()?.len()))
-            .sum();
+        let bytes = bytes_of(&path).ok()?;
         (bytes > 0).then_some((name, bytes))
     });
     named.max_by_key(|&(_, bytes)| bytes)

@@ -1,0 +1,389 @@
+//! What the board recorded as one stream of events in board time: from our own
+//! `recording.mcap` (see `docs/formats.md`), or from a bag of the published system that
+//! `rosbags-convert` has made an MCAP file of.
+//!
+//! | topic of the published system | type | becomes |
+//! |---|---|---|
+//! | `/mcu_imu`, `/mcu_imu_temp` | Imu, Temperature | [`BoardEvent::Imu`], joined by their stamp |
+//! | `/mcu_cameras_ts` | TimeReference | [`BoardEvent::Pulse`] and [`BoardEvent::Times`] |
+//! | `/mcu_lidar_ts`, `/mcu_s10_ts`, `/depth_to_mcu_offset` | TimeReference | [`BoardEvent::Times`] |
+//! | `/sequences_ts` | TimeReference | [`BoardEvent::Mark`] and [`BoardEvent::Times`] |
+//!
+//! It has no trains and no numbers of pulses: the pulses are one train, numbered as they
+//! stand in the bag. Topics below a name space (`/mcu/mcu_imu`) count too.
+//!
+//! A stream is read front to back and can be opened again ([`BoardStream::open`]): the
+//! extraction goes over it more than once instead of keeping it in memory. What is damaged
+//! is left out and named; a file that was not closed is read to its last whole chunk.
+
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::Arc;
+
+use recording::messages::{self, Imu, RosMessage, Temperature, TimeReference, from_cdr};
+use recording::walk::{Event, Message, Walk};
+use recording::{Item, RecordingError, Topic};
+use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+use twist_sync::tracker::{Asked, Exchange};
+
+use super::depth_clock::PulseTime;
+use super::time::BoardNanos;
+use formats::faults::Faults;
+
+/// How many samples wait for their temperature.
+const WAITING: usize = 64;
+
+/// How many faults are kept with their text.
+const MAX_FAULTS: usize = 50;
+
+/// Topics whose messages become nothing, and so are not even decoded.
+const PASSED_OVER: [Topic; 7] = [
+    Topic::Strobe,
+    Topic::Capture,
+    Topic::Status,
+    Topic::Link,
+    Topic::HostTime,
+    Topic::Period,
+    Topic::Log,
+];
+
+/// One sample of the board's IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ImuRow {
+    /// The data-ready edge; the filter's delay is not subtracted.
+    pub(crate) at: BoardNanos,
+    /// rad/s.
+    pub(crate) gyro: [f64; 3],
+    /// m/s².
+    pub(crate) accel: [f64; 3],
+    /// °C.
+    pub(crate) temperature: Option<f64>,
+}
+
+/// What a pair of times is of.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Reference {
+    /// The trigger, and the phone.
+    Cameras,
+    /// The depth camera's clock, as the published system measures it.
+    DepthOffset,
+    /// A pulse per second, and the UTC that a lidar was told.
+    Lidar,
+    /// The relation of phone and board.
+    Phone,
+    /// A pulse of an auxiliary output; the sensor's name.
+    Output(Arc<str>),
+    /// A mark.
+    Sequences,
+}
+
+impl Reference {
+    /// The sensor's name, if a sensor gets these pulses; `lidar` is that of the lidar.
+    pub(crate) fn sensor<'a>(&'a self, lidar: Option<&'a str>) -> Option<&'a str> {
+        match self {
+            Self::Lidar => Some(lidar.unwrap_or("gnss")),
+            Self::Output(name) => Some(name),
+            Self::Cameras | Self::DepthOffset | Self::Phone | Self::Sequences => None,
+        }
+    }
+}
+
+/// A pair of times of one instant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct TimePair {
+    /// What it is of.
+    pub(crate) of: Reference,
+    /// Counted by the publisher.
+    pub(crate) seq: u32,
+    /// Board time.
+    pub(crate) stamp: BoardNanos,
+    /// The other time, in ns.
+    pub(crate) other: i64,
+}
+
+/// Something that the board recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum BoardEvent {
+    /// A sample of the IMU.
+    Imu(ImuRow),
+    /// A trigger pulse.
+    Pulse(PulseTime),
+    /// The beginning of a sequence.
+    Mark(BoardNanos),
+    /// A pair of times.
+    Times(TimePair),
+    /// A relation of phone and board that the session found: of the phone that the
+    /// trigger was aligned to, or of another one by its name.
+    Clock(Option<String>, ClockModel),
+    /// A clock was asked for its time: the phone's or, as a, the board's.
+    Exchange(Asked, Exchange),
+    /// The file is of the published system; given once.
+    Published,
+}
+
+/// Events one after the other.
+pub(crate) struct BoardStream {
+    walk: Walk,
+    sorter: Sorter,
+}
+
+struct Sorter {
+    events: VecDeque<BoardEvent>,
+    /// Samples whose temperature has not come yet.
+    waiting: VecDeque<ImuRow>,
+    /// Messages of the published system: of each [`Reference`] but outputs, how many.
+    published: Option<[u32; 5]>,
+    faults: Faults,
+}
+
+impl BoardStream {
+    /// Begins at the front of an MCAP file.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened.
+    pub(crate) fn open(path: &Path) -> Result<Self, RecordingError> {
+        Ok(Self {
+            walk: Walk::open(path)?,
+            sorter: Sorter {
+                events: VecDeque::new(),
+                waiting: VecDeque::new(),
+                published: None,
+                faults: Faults::new(MAX_FAULTS),
+            },
+        })
+    }
+
+    /// The next event; `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails. Damage is no error: see [`BoardStream::damage`].
+    pub(crate) fn next_event(&mut self) -> Result<Option<BoardEvent>, RecordingError> {
+        loop {
+            if let Some(event) = self.sorter.events.pop_front() {
+                return Ok(Some(event));
+            }
+            let sorter = &mut self.sorter;
+            let more = self.walk.next_part::<RecordingError>(&mut |event| {
+                match event {
+                    Event::Message(message) => sorter.message(&message),
+                    Event::Damage(damage) if damage.is_loss() => {
+                        sorter.faults.add(damage.to_string());
+                    }
+                    _ => {}
+                }
+                Ok(())
+            })?;
+            if !more {
+                sorter.release(0);
+                if sorter.events.is_empty() {
+                    return Ok(None);
+                }
+            }
+        }
+    }
+
+    /// What could not be read so far, in words.
+    pub(crate) fn damage(&self) -> Vec<String> {
+        self.sorter.faults.words("damaged parts")
+    }
+
+    /// Bytes read so far.
+    pub(crate) const fn position(&self) -> u64 {
+        self.walk.position()
+    }
+}
+
+impl Sorter {
+    fn message(&mut self, message: &Message<'_>) {
+        let seq = message.header.sequence;
+        let read = match message.channel.known {
+            Some(topic) if PASSED_OVER.contains(&topic) => Ok(()),
+            Some(topic) => match topic.read(message.data) {
+                Ok(item) => {
+                    self.item(item, seq);
+                    Ok(())
+                }
+                Err(error) => Err(error.to_string()),
+            },
+            None => self.published(message),
+        };
+        if let Err(why) = read {
+            let topic = &message.channel.described.topic;
+            self.faults
+                .add(format!("a message of {topic} is left out: {why}"));
+        }
+    }
+
+    /// A message of one of our topics.
+    fn item(&mut self, item: Item, seq: u32) {
+        match item {
+            Item::Imu(imu) => self.sample(&imu),
+            Item::Temperature(value) => self.temperature(&value),
+            Item::Trigger(times) => self.times(Reference::Cameras, seq, &times),
+            Item::Pulse(pulse) => self.events.push_back(BoardEvent::Pulse(PulseTime {
+                train: pulse.train,
+                number: pulse.number,
+                at: stamp(&pulse.header),
+            })),
+            Item::Marker(times) => {
+                let mark = BoardEvent::Mark(stamp(&times.header));
+                self.events.push_back(mark);
+                self.times(Reference::Sequences, seq, &times);
+            }
+            Item::Output(pulse) => {
+                let at = stamp(&pulse.header);
+                self.pair(
+                    Reference::Output(pulse.header.frame_id.into()),
+                    seq,
+                    at,
+                    at.0,
+                );
+            }
+            Item::Gnss(times) => self.times(Reference::Lidar, seq, &times),
+            Item::Exchange(exchange) => self.events.push_back(exchange_of(&exchange)),
+            Item::Clock(model) => {
+                let relation = relation(&model);
+                let at = stamp(&model.header);
+                let phone = relation.to_phone(BoardSeconds(at.0 as f64 * 1e-9));
+                self.pair(Reference::Phone, seq, at, phone.nanos().0);
+                self.events.push_back(BoardEvent::Clock(None, relation));
+            }
+            Item::PhoneClock(model) => {
+                let relation = relation(&model);
+                let name = Some(model.header.frame_id);
+                self.events.push_back(BoardEvent::Clock(name, relation));
+            }
+            Item::Strobe(_)
+            | Item::Capture(_)
+            | Item::Status(_)
+            | Item::Link(_)
+            | Item::HostTime(_)
+            | Item::Period(_)
+            | Item::Run(_)
+            | Item::Log(_) => {}
+        }
+    }
+
+    /// A message of the published system, or one of another topic, which is passed over.
+    fn published(&mut self, message: &Message<'_>) -> Result<(), String> {
+        let topic = &message.channel.described.topic;
+        let (of, place) = match topic.rsplit('/').next().unwrap_or(topic) {
+            "mcu_imu" => {
+                self.sample(&read(message)?);
+                return Ok(());
+            }
+            "mcu_imu_temp" => {
+                self.temperature(&read(message)?);
+                return Ok(());
+            }
+            "mcu_cameras_ts" => (Reference::Cameras, 0),
+            "mcu_lidar_ts" => (Reference::Lidar, 1),
+            "mcu_s10_ts" => (Reference::Phone, 2),
+            "depth_to_mcu_offset" => (Reference::DepthOffset, 3),
+            "sequences_ts" => (Reference::Sequences, 4),
+            _ => return Ok(()),
+        };
+        let times: TimeReference = read(message)?;
+        if self.published.is_none() {
+            self.events.push_back(BoardEvent::Published);
+        }
+        let next = &mut self.published.get_or_insert_default()[place];
+        let seq = *next;
+        *next = seq.wrapping_add(1);
+        let at = stamp(&times.header);
+        match of {
+            Reference::Cameras => self.events.push_back(BoardEvent::Pulse(PulseTime {
+                train: 0,
+                number: seq.into(),
+                at,
+            })),
+            Reference::Sequences => self.events.push_back(BoardEvent::Mark(at)),
+            _ => {}
+        }
+        self.times(of, seq, &times);
+        Ok(())
+    }
+
+    fn sample(&mut self, imu: &Imu) {
+        self.waiting.push_back(ImuRow {
+            at: stamp(&imu.header),
+            gyro: imu.angular_velocity,
+            accel: imu.linear_acceleration,
+            temperature: None,
+        });
+        self.release(WAITING);
+    }
+
+    fn temperature(&mut self, value: &Temperature) {
+        let at = stamp(&value.header);
+        if let Some(row) = self.waiting.iter_mut().find(|row| row.at == at) {
+            row.temperature = Some(value.temperature);
+        }
+        let complete = self
+            .waiting
+            .iter()
+            .take_while(|row| row.temperature.is_some());
+        let rows = self.waiting.drain(..complete.count());
+        self.events.extend(rows.map(BoardEvent::Imu));
+    }
+
+    /// Lets samples go on without a temperature, down to `keep` that wait.
+    fn release(&mut self, keep: usize) {
+        let go = self.waiting.len().saturating_sub(keep);
+        let rows = self.waiting.drain(..go);
+        self.events.extend(rows.map(BoardEvent::Imu));
+    }
+
+    fn times(&mut self, of: Reference, seq: u32, times: &TimeReference) {
+        self.pair(of, seq, stamp(&times.header), times.time_ref.nanos());
+    }
+
+    fn pair(&mut self, of: Reference, seq: u32, stamp: BoardNanos, other: i64) {
+        self.events.push_back(BoardEvent::Times(TimePair {
+            of,
+            seq,
+            stamp,
+            other,
+        }));
+    }
+}
+
+/// A message of a topic that is not one of ours, whose type the file states.
+fn read<M: RosMessage>(message: &Message<'_>) -> Result<M, String> {
+    let kind = &message.channel.kind;
+    if kind != M::TYPE {
+        return Err(format!("it is a {kind}, expected {}", M::TYPE));
+    }
+    from_cdr(message.data).map_err(|error| error.to_string())
+}
+
+fn stamp(header: &messages::Header) -> BoardNanos {
+    BoardNanos(header.stamp.nanos())
+}
+
+fn relation(model: &messages::ClockModel) -> ClockModel {
+    let [a, b, c, d] = model.covariance;
+    ClockModel {
+        reference: BoardSeconds(model.reference_s),
+        offset: model.offset_s,
+        skew: model.skew,
+        covariance: [[a, b], [c, d]],
+        wander: Wander(model.wander),
+    }
+}
+
+fn exchange_of(exchange: &messages::ClockExchange) -> BoardEvent {
+    let asked = match exchange.header.frame_id == "board" {
+        true => Asked::A,
+        false => Asked::B,
+    };
+    let seconds = |nanos| PhoneNanos(nanos).seconds().0;
+    let exchange = Exchange {
+        sent: seconds(exchange.sent_ns),
+        received: seconds(exchange.received_ns),
+        stamp: seconds(exchange.clock_ns),
+    };
+    BoardEvent::Exchange(asked, exchange)
+}

@@ -1,0 +1,155 @@
+//! The file of a recording or of a bag: MCAP, and one file.
+//!
+//! Bags of other forms (ROS 1, sqlite3, several parts, packed ones) are made such a file by
+//! `rosbags-convert` of the Python package `rosbags`; what is given instead is refused with
+//! the command that does it.
+
+use std::ffi::OsStr;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::rosbag2::METADATA_FILE;
+use super::{MCAP_FILE, RecordingError};
+
+/// What the file of a bag ends with, and what it is.
+const FORMS: [(&str, &str); 6] = [
+    (".mcap", MCAP),
+    (".bag", "a ROS 1 bag"),
+    (".bag.active", "a ROS 1 bag that was not closed"),
+    (".db3", "a ROS 2 bag in sqlite3"),
+    (".mcap.zstd", "a packed ROS 2 bag"),
+    (".db3.zstd", "a packed ROS 2 bag"),
+];
+
+const MCAP: &str = "an MCAP file";
+
+/// What a file is by its name, if it is a bag.
+fn form_of(path: &Path) -> Option<&'static str> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let forms = FORMS.iter().rev();
+    let mut found = forms.filter(|(ending, _)| name.ends_with(ending));
+    found.next().map(|&(_, form)| form)
+}
+
+/// Whether a path may be a bag of a depth camera's driver: a folder as `ros2 bag record`
+/// leaves it, which is no recording of ours, or a file of one.
+#[must_use]
+pub fn is_bag(path: &Path) -> bool {
+    match path.is_dir() {
+        true => path.join(METADATA_FILE).is_file() && !path.join(MCAP_FILE).is_file(),
+        false => form_of(path).is_some(),
+    }
+}
+
+/// The MCAP file of a recording, of a bag's folder, or the file itself.
+///
+/// # Errors
+///
+/// [`RecordingError::ForeignBag`] for a bag of another form, [`RecordingError::NoRecording`]
+/// for anything else; or the folder cannot be read.
+pub fn mcap_in(path: &Path) -> Result<PathBuf, RecordingError> {
+    if !path.is_dir() {
+        return match form_of(path) {
+            Some(form) if form != MCAP => Err(foreign(path, form)),
+            // Whatever it is called, its first bytes say what it is.
+            _ => Ok(path.to_owned()),
+        };
+    }
+    let own = path.join(MCAP_FILE);
+    if own.is_file() {
+        return Ok(own);
+    }
+    let files = bags_in(path).map_err(RecordingError::io("read", path))?;
+    match files.as_slice() {
+        [] => Err(RecordingError::NoRecording {
+            path: path.to_owned(),
+        }),
+        [one] if one.extension() == Some(OsStr::new("bag")) => mcap_in(one),
+        [one] => match mcap_in(one) {
+            // `rosbags-convert` takes the folder, with the types in its metadata.
+            Err(RecordingError::ForeignBag { form, .. }) => Err(foreign(path, form)),
+            found => found,
+        },
+        _ => Err(foreign(path, "a bag in several parts")),
+    }
+}
+
+/// The files of bags in a folder, by name.
+fn bags_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_file() && form_of(&path).is_some() {
+            found.push(path);
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The refusal of a bag of another form.
+#[must_use]
+pub fn foreign(path: &Path, form: &'static str) -> RecordingError {
+    RecordingError::ForeignBag {
+        path: path.to_owned(),
+        form,
+    }
+}
+
+/// The command that makes a bag that is read of one that is not.
+#[must_use]
+pub fn conversion(path: &Path) -> String {
+    let mut to = path.with_extension("").into_os_string();
+    to.push("-mcap");
+    let [from, to] = [path.as_os_str(), &to].map(|path| {
+        let text = path.to_string_lossy();
+        let is_plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
+        match text.chars().all(is_plain) {
+            true => text.into_owned(),
+            false => format!("'{}'", text.replace('\'', r"'\''")),
+        }
+    });
+    format!("rosbags-convert --src {from} --dst {to} --dst-storage mcap")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_mcap_file_is_read_and_others_are_refused_with_the_command() {
+        let parent = tempfile::tempdir().unwrap();
+        for (files, expected) in [
+            (
+                &["recording.mcap", "a.mcap", "b.db3"][..],
+                Ok("recording.mcap"),
+            ),
+            (&["a.mcap", "metadata.yaml"], Ok("a.mcap")),
+            (&["a_0.mcap", "a_1.mcap"], Err("several parts")),
+            (&["a.db3"], Err("sqlite3")),
+            (&["a.mcap.zstd"], Err("packed")),
+            (&["a.bag"], Err("a.bag is a ROS 1 bag")),
+            (&["a.csv"], Err("expected a folder with recording.mcap")),
+        ] {
+            let folder = parent.path().join(files.concat());
+            std::fs::create_dir(&folder).unwrap();
+            for file in files {
+                std::fs::write(folder.join(file), "").unwrap();
+            }
+            match (mcap_in(&folder), expected) {
+                (Ok(found), Ok(expected)) => assert_eq!(found, folder.join(expected)),
+                (Err(error), Err(expected)) => {
+                    let said = error.to_string();
+                    assert!(said.contains(expected), "{said}");
+                    let is_bag = matches!(error, RecordingError::ForeignBag { .. });
+                    assert_eq!(is_bag, said.contains("rosbags-convert --src"), "{said}");
+                }
+                (found, _) => panic!("{files:?}: {found:?}"),
+            }
+        }
+        assert_eq!(
+            conversion(Path::new("a b/it's.bag")),
+            r"rosbags-convert --src 'a b/it'\''s.bag' --dst 'a b/it'\''s-mcap' --dst-storage mcap"
+        );
+    }
+}
