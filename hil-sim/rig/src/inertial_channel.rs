@@ -25,12 +25,11 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Rotation3, Vector3};
-use serde::{Deserialize, Serialize};
 
 use crate::random::Random;
 
 /// Bandwidth and delay of a low-pass, as a data sheet states them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LowPass {
     /// Frequency at which the response is -3 dB (a factor of `sqrt(1/2)`), in Hz.
     pub bandwidth_hz: f64,
@@ -53,7 +52,7 @@ const SIGMA_TIMES_BANDWIDTH: f64 = 0.132_970_264;
 
 /// Imperfections of a sensor's three axes, in the sensor's unit of measure
 /// (rad/s for a gyroscope, m/s² for an accelerometer).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelConfig {
     /// Turns a vector given in the rig's axes into the sensor's axes.
     pub rotation: Rotation3<f64>,

@@ -16,7 +16,6 @@ use std::collections::VecDeque;
 
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
-use serde::{Deserialize, Serialize};
 
 use crate::wiring;
 use stm32f4_sim::model::{PinIo, PinModel};
@@ -24,7 +23,7 @@ use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// How it is wired and set.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarConfig {
     /// Rate of the serial line, Bd.
     pub baud: u32,
@@ -57,7 +56,7 @@ impl Default for LidarConfig {
 }
 
 /// A pulse and what was told about it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LidarSecond {
     /// The leading edge.
     pub pulse: SimTime,
@@ -72,7 +71,7 @@ pub struct LidarSecond {
 }
 
 /// What went wrong on the inputs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LidarFaults {
     /// Bytes without a stop bit.
     pub framing: u64,

@@ -78,7 +78,7 @@ impl TrueTime {
 }
 
 /// What an oscillator does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OscillatorConfig {
     /// What the clock reads at power-on of the rig, in its nanoseconds.
     pub offset_ns: i64,
@@ -89,12 +89,11 @@ pub struct OscillatorConfig {
     /// (not in ppm). 0 is a constant rate.
     pub wander: f64,
     /// How the frequency moves as the rig warms up.
-    #[serde(default)]
     pub warming: Warming,
 }
 
 /// How a frequency moves after power-on, as its crystal warms up: exponentially.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warming {
     /// Change of the fractional frequency in the first ten minutes, in parts per million.
     pub ppm: f64,

@@ -1,12 +1,11 @@
 //! Everything around the board: which parts there are, and how they behave.
 //!
-//! A [`RigConfig`] is plain data. [`RigConfig::build`] draws and loads what it
+//! A [`RigConfig`] is plain data. [`RigConfig::build`] draws what it
 //! stands for, and [`RigParts::wire`] wires it to the board.
 
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
-use serde::{Deserialize, Serialize};
 
 use crate::depth_camera::{DepthCamera, DepthCameraConfig};
 use crate::flash_log::FlashLog;
@@ -19,12 +18,11 @@ use stm32f4_sim::shared::Shared;
 use stm32f4_sim::sim::SimBuilder;
 
 /// What is around the board.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RigConfig {
     /// Everything random comes from this.
     pub seed: Seed,
     /// The board.
-    #[serde(default)]
     pub board: BoardKind,
     /// How the rig moves.
     pub motion: MotionSpec,
@@ -92,13 +90,13 @@ impl RigConfig {
         self
     }
 
-    /// Draws and loads everything.
+    /// Draws everything.
     ///
     /// # Errors
-    /// A motion file cannot be used, or a part has settings that it cannot have.
+    /// A part has settings that it cannot have.
     pub fn build(self) -> Result<RigParts> {
         let seed = self.seed;
-        let motion = self.motion.build(seed.stream(Stream::Motion))?;
+        let motion = self.motion.build(seed.stream(Stream::Motion));
         let board = BoardTime::new(self.board_clock, seed.stream(Stream::BoardClock));
         let imu = self
             .imu
@@ -176,10 +174,6 @@ mod tests {
     #[test]
     fn bad_parts_are_refused() {
         let mut config = RigConfig::published(Seed(1));
-        config.motion = "no-such-file.csv".parse().unwrap();
-        let error = config.clone().build().unwrap_err().to_string();
-        assert!(error.contains("no-such-file.csv"), "{error}");
-        config.motion = MotionSpec::default();
         if let Some(camera) = &mut config.depth_camera {
             camera.fps = 24;
         }

@@ -54,7 +54,7 @@ impl Noted {
             self.depth.extend(lock(camera).take_frames());
         }
         if let Some(imu) = &parts.imu {
-            self.imu.extend(lock(imu).log_mut().take());
+            self.imu.extend(lock(imu).take_log());
         }
     }
 

@@ -45,7 +45,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::owner_profile::{owner_profile, owner_profile_of};
+use crate::owner_profile::owner_profile_of;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings};
 use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
@@ -232,8 +232,7 @@ impl RunningRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self) -> Result<String> {
-        let phone = self.phone().context("the rig has no phone")?;
-        owner_profile(&self.parts.config, &phone.handset())
+        self.profile_of(&[])
     }
 
     /// The same with all phones, by these names; the trigger is aligned to the first.
@@ -243,8 +242,7 @@ impl RunningRig {
     /// As [`RunningRig::profile`].
     pub fn profile_of(&self, names: &[&str]) -> Result<String> {
         let phones = self.phones.iter().map(SimPhone::handset);
-        let phones: Vec<_> = names.iter().copied().zip(phones).collect();
-        owner_profile_of(&self.parts.config, &phones)
+        owner_profile_of(&self.parts.config, phones, names)
     }
 
     /// The parts and their clocks.

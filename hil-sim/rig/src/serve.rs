@@ -49,9 +49,8 @@ pub struct Args {
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// How the rig moves: rest, twist, walk, a sequence such as
-    /// rest:5,twist:12,walk (seconds), or a CSV file (time in s, rate x, y, z in
-    /// rad/s, optionally specific force x, y, z in m/s²).
+    /// How the rig moves: rest, twist, walk, or a sequence such as rest:5,twist:12,walk
+    /// (seconds).
     #[arg(long, value_name = "MOTION", default_value = "rest")]
     motion: MotionSpec,
     /// The board.

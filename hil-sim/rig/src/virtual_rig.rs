@@ -6,10 +6,10 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, anyhow};
+use anyhow::{Result, anyhow};
 
 use crate::depth_camera::FrameRecord;
-use crate::owner_profile::{owner_profile, owner_profile_of};
+use crate::owner_profile::owner_profile_of;
 use crate::phone::{AskedPhone, PhoneConfig, Surroundings};
 use crate::rig_config::{RigConfig, RigParts};
 use crate::run_truth::{Noted, RunTruth};
@@ -91,13 +91,8 @@ impl VirtualRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self, names: &[&str]) -> Result<String> {
-        if names.is_empty() {
-            let phone = self.phones.first().context("the rig has no phone")?;
-            return owner_profile(&self.parts.config, &phone.handset());
-        }
         let phones = self.phones.iter().map(AskedPhone::handset);
-        let phones: Vec<_> = names.iter().copied().zip(phones).collect();
-        owner_profile_of(&self.parts.config, &phones)
+        owner_profile_of(&self.parts.config, phones, names)
     }
 
     /// Virtual time.

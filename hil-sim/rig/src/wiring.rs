@@ -4,7 +4,6 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Part, Sim, SimBuilder, Timer};
@@ -59,7 +58,7 @@ const CRYSTAL_HZ: u64 = 8_000_000;
 const BLACK_PILL_CRYSTAL_HZ: u64 = 25_000_000;
 
 /// Which board it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum BoardKind {
     /// STM32F4DISCOVERY
     #[default]

@@ -1,7 +1,6 @@
 //! What a depth camera is like: plain data.
 
 use anyhow::{Result, bail, ensure};
-use serde::{Deserialize, Serialize};
 
 use crate::oscillator::OscillatorConfig;
 use crate::rolling_shutter::FlashTrain;
@@ -12,7 +11,7 @@ use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Depth modes with their flashes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthMode {
     /// Narrow field of view, unbinned: up to 30 fps.
     NfovUnbinned,
@@ -42,7 +41,7 @@ impl DepthMode {
 }
 
 /// What a depth camera is like.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthCameraConfig {
     /// Frames a second: 30, 15 or 5.
     pub fps: u32,

@@ -1,7 +1,6 @@
 //! Which sensor it is, and what it is like: plain data.
 
 use nalgebra::Rotation3;
-use serde::{Deserialize, Serialize};
 
 use super::icm42688p::IcmRegisters;
 use super::map::RegisterMap;
@@ -13,7 +12,7 @@ use crate::random::{Seed, Stream};
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 
 /// Which sensor it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum SensorModel {
     /// The published rig's.
     #[default]
@@ -56,10 +55,9 @@ impl SensorModel {
 }
 
 /// A sensor's imperfections and times.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimImuConfig {
     /// Which sensor it is.
-    #[serde(default)]
     pub model: SensorModel,
     /// Gyroscope, in rad/s.
     pub gyro: ChannelConfig,
@@ -73,11 +71,9 @@ pub struct SimImuConfig {
     /// Time constant of warming up, in seconds.
     pub warm_up_s: f64,
     /// Change of the gyroscope's bias with the die's temperature, rad/s per °C.
-    #[serde(default)]
     pub gyro_drift: [f64; 3],
     /// How data-ready goes wrong against a clock on CLKIN, of which it should be an exact
     /// division.
-    #[serde(default)]
     pub data_ready: DataReady,
     /// Noise of the thermometer, standard deviation of a sample in °C.
     pub temperature_noise_c: f64,
@@ -100,7 +96,7 @@ pub struct SimImuConfig {
 }
 
 /// How the samples' times go wrong against the clock on CLKIN.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DataReady {
     /// Rate of the samples against that clock, parts per million.
     pub rate_ppm: f64,

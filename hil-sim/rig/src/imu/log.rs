@@ -1,8 +1,4 @@
-//! The truth about what the sensor put into its registers, and when.
-
-use std::collections::VecDeque;
-
-use serde::{Deserialize, Serialize};
+//! What the sensor really put into its registers, and when.
 
 use stm32f4_sim::time::SimTime;
 
@@ -21,7 +17,7 @@ pub struct SampleRecord {
 }
 
 /// What a sample measured, as seven numbers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Values {
     /// Acceleration, in counts.
     pub accel: [i16; 3],
@@ -48,63 +44,4 @@ pub(super) fn bytes_of(words: [i16; 7]) -> [u8; 14] {
         pair.copy_from_slice(&word.to_be_bytes());
     }
     bytes
-}
-
-/// Samples that were logged, oldest first.
-///
-/// Without a limit all are kept until they are taken (48 bytes each, 86 MB an
-/// hour at 500 Hz); with one, the oldest are dropped and counted.
-#[derive(Clone, Debug, Default)]
-pub struct SampleLog {
-    records: VecDeque<SampleRecord>,
-    limit: Option<usize>,
-    dropped: u64,
-}
-
-impl SampleLog {
-    /// Keeps at most `limit` records; everything if `None`.
-    pub fn set_limit(&mut self, limit: Option<usize>) {
-        self.limit = limit;
-        self.trim();
-    }
-
-    pub(super) fn push(&mut self, record: SampleRecord) {
-        self.records.push_back(record);
-        self.trim();
-    }
-
-    fn trim(&mut self) {
-        while self.limit.is_some_and(|limit| self.records.len() > limit) {
-            self.records.pop_front();
-            self.dropped += 1;
-        }
-    }
-
-    /// What is kept.
-    pub fn iter(&self) -> impl Iterator<Item = &SampleRecord> {
-        self.records.iter()
-    }
-
-    /// Takes out what is kept.
-    pub fn take(&mut self) -> Vec<SampleRecord> {
-        self.records.drain(..).collect()
-    }
-
-    /// How many records are kept.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.records.len()
-    }
-
-    /// Whether none is kept.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
-    }
-
-    /// How many were dropped because of the limit.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
 }

@@ -61,7 +61,7 @@ use stm32f4_sim::time::SimTime;
 
 pub use config::{DataReady, SensorModel, SimImuConfig};
 pub use faults::Fault;
-pub use log::{SampleLog, SampleRecord, Values};
+pub use log::{SampleRecord, Values};
 use map::RegisterMap;
 use sampling::Sampling;
 
@@ -129,7 +129,7 @@ pub struct SimImu {
     data_ready_cut: bool,
     /// Clock on the CLKIN pin's wire.
     clock_in: Option<Rate>,
-    log: SampleLog,
+    log: Vec<SampleRecord>,
     unmodelled: BTreeSet<u8>,
 }
 
@@ -161,7 +161,7 @@ impl SimImu {
             clock_cut: false,
             data_ready_cut: false,
             clock_in: None,
-            log: SampleLog::default(),
+            log: Vec::new(),
             unmodelled: BTreeSet::new(),
         };
         // Some are awake from the beginning.
@@ -182,13 +182,13 @@ impl SimImu {
 
     /// What was put into the registers.
     #[must_use]
-    pub fn log(&self) -> &SampleLog {
+    pub fn log(&self) -> &[SampleRecord] {
         &self.log
     }
 
-    /// The same, to take records out or to limit them.
-    pub fn log_mut(&mut self) -> &mut SampleLog {
-        &mut self.log
+    /// The same, taken out.
+    pub fn take_log(&mut self) -> Vec<SampleRecord> {
+        std::mem::take(&mut self.log)
     }
 
     /// Registers that were given a value whose effect is not modelled.

@@ -19,7 +19,6 @@
 //! gives the same bits on every machine.
 
 use libm::{cos, sin};
-use serde::{Deserialize, Serialize};
 
 use super::{STANDARD_GRAVITY, Step};
 use crate::random::Random;
@@ -28,7 +27,7 @@ use crate::random::Random;
 pub const FADE: f64 = 0.7;
 
 /// What the rig is made to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gesture {
     /// Lies still and level.
     Rest,

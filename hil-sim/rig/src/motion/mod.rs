@@ -5,45 +5,32 @@
 //! times their clocks make them sample, look at the same signal. Times are
 //! `f64` seconds since power-on of the rig (60 ps resolution after three days).
 //!
-//! - *Synthetic* motion ([`gesture`]) is a sequence of gestures (rest, twist,
-//!   walk). Orientation is a closed formula, so the angular rate is its exact
-//!   derivative and gravity turns with it. It is band-limited: nothing above
-//!   12 Hz but the gentle ends of a gesture.
-//! - *Recorded* motion ([`recorded`]) is a table of rates (and forces) with a
-//!   cubic spline through it, for instance a real twist.
+//! It is a sequence of gestures ([`gesture`]): rest, twist, walk. Orientation is a closed
+//! formula, so the angular rate is its exact derivative and gravity turns with it. It is
+//! band-limited: nothing above 12 Hz but the gentle ends of a gesture.
 //!
 //! Axes: x forward, y left, z up when at rest. The rig is one rigid body and
 //! all IMUs sit at its origin: the centripetal acceleration between them is
 //! not modelled (only gyroscopes are compared by the synchronisation).
 
 pub mod gesture;
-pub mod recorded;
 mod view;
 
-use std::path::PathBuf;
 use std::sync::Arc;
-
-use serde::{Deserialize, Serialize};
 
 use crate::random::Random;
 use gesture::{Gesture, Performance};
-use recorded::Recording;
 pub use view::MotionView;
 
 /// Standard gravity, m/s².
 pub(crate) const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// A motion that was chosen, before it is drawn or loaded.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum MotionSpec {
-    /// Gestures one after the other.
-    Script(Vec<Step>),
-    /// A CSV file (see [`recorded`]).
-    File(PathBuf),
-}
+/// A motion that was chosen, before it is drawn: gestures one after the other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotionSpec(pub Vec<Step>);
 
-/// One gesture of a script.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// One gesture of a sequence.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
     /// What is done.
     pub gesture: Gesture,
@@ -55,21 +42,16 @@ impl MotionSpec {
     /// One gesture for ever.
     #[must_use]
     pub fn always(gesture: Gesture) -> Self {
-        Self::Script(vec![Step {
+        Self(vec![Step {
             gesture,
             seconds: None,
         }])
     }
 
-    /// Draws the motion's details from `random`, or loads its file.
-    ///
-    /// # Errors
-    /// The file cannot be read or is not a motion.
-    pub fn build(&self, random: Random) -> anyhow::Result<Arc<Motion>> {
-        Ok(Arc::new(match self {
-            Self::Script(steps) => Motion::Synthetic(Performance::new(steps, random)),
-            Self::File(path) => Motion::Recorded(Recording::load(path)?),
-        }))
+    /// Draws the motion's details from `random`.
+    #[must_use]
+    pub fn build(&self, random: Random) -> Arc<Motion> {
+        Arc::new(Motion::Performed(Performance::new(&self.0, random)))
     }
 }
 
@@ -82,16 +64,9 @@ impl Default for MotionSpec {
 impl core::str::FromStr for MotionSpec {
     type Err = String;
 
-    /// `rest`, `twist`, `walk`, a sequence such as `rest:5,twist:12,walk`
-    /// (seconds; the last one may go on for ever), or the name of a `.csv` file.
+    /// `rest`, `twist`, `walk`, or a sequence such as `rest:5,twist:12,walk`
+    /// (seconds; the last one may go on for ever).
     fn from_str(text: &str) -> Result<Self, String> {
-        let path = PathBuf::from(text);
-        if path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("csv"))
-        {
-            return Ok(Self::File(path));
-        }
         let parts: Vec<&str> = text.split(',').collect();
         let mut steps = Vec::new();
         for (i, part) in parts.iter().enumerate() {
@@ -105,8 +80,8 @@ impl core::str::FromStr for MotionSpec {
                 "walk" => Gesture::Walk,
                 other => {
                     return Err(format!(
-                        "'{other}' is not a motion: expected rest, twist, walk, a sequence \
-                         such as rest:5,twist:12,walk, or the name of a .csv file"
+                        "'{other}' is not a motion: expected rest, twist, walk, or a sequence \
+                         such as rest:5,twist:12,walk"
                     ));
                 }
             };
@@ -130,31 +105,7 @@ impl core::str::FromStr for MotionSpec {
             };
             steps.push(Step { gesture, seconds });
         }
-        Ok(Self::Script(steps))
-    }
-}
-
-impl core::fmt::Display for MotionSpec {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::File(path) => write!(f, "{}", path.display()),
-            Self::Script(steps) => {
-                for (i, step) in steps.iter().enumerate() {
-                    if i > 0 {
-                        f.write_str(",")?;
-                    }
-                    f.write_str(match step.gesture {
-                        Gesture::Rest => "rest",
-                        Gesture::Twist => "twist",
-                        Gesture::Walk => "walk",
-                    })?;
-                    if let Some(s) = step.seconds {
-                        write!(f, ":{s}")?;
-                    }
-                }
-                Ok(())
-            }
-        }
+        Ok(Self(steps))
     }
 }
 
@@ -162,24 +113,27 @@ impl core::fmt::Display for MotionSpec {
 #[derive(Clone, Debug)]
 pub enum Motion {
     /// From formulas.
-    Synthetic(Performance),
-    /// From a file.
-    Recorded(Recording),
+    Performed(Performance),
+    /// Sines about and then along the three axes, for tests of filters: the amplitude of
+    /// each in rad/s and m/s², and its frequency in Hz.
+    #[cfg(test)]
+    Sines([(f64, f64); 6]),
 }
 
 impl Motion {
     /// No motion at all.
     #[must_use]
     pub fn rest() -> Arc<Self> {
-        Arc::new(Self::Synthetic(Performance::rest()))
+        Arc::new(Self::Performed(Performance::rest()))
     }
 
     /// Angular rate about the rig's axes at true time `t`, in rad/s.
     #[must_use]
     pub fn angular_rate(&self, t: f64) -> [f64; 3] {
         match self {
-            Self::Synthetic(p) => p.angular_rate(t),
-            Self::Recorded(r) => r.angular_rate(t),
+            Self::Performed(p) => p.angular_rate(t),
+            #[cfg(test)]
+            Self::Sines([x, y, z, ..]) => [x, y, z].map(|sine| value(sine, t)),
         }
     }
 
@@ -189,10 +143,16 @@ impl Motion {
     #[must_use]
     pub fn specific_force(&self, t: f64) -> [f64; 3] {
         match self {
-            Self::Synthetic(p) => p.specific_force(t),
-            Self::Recorded(r) => r.specific_force(t),
+            Self::Performed(p) => p.specific_force(t),
+            #[cfg(test)]
+            Self::Sines([.., x, y, z]) => [x, y, z].map(|sine| value(sine, t)),
         }
     }
+}
+
+#[cfg(test)]
+fn value((amplitude, hz): &(f64, f64), t: f64) -> f64 {
+    amplitude * (core::f64::consts::TAU * hz * t).sin()
 }
 
 #[cfg(test)]
@@ -200,10 +160,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn specifications_go_both_ways() {
-        for text in ["rest", "twist", "walk", "rest:5,twist:12.5,walk", "a/b.csv"] {
-            assert_eq!(text.parse::<MotionSpec>().unwrap().to_string(), text);
-        }
+    fn a_sequence_is_read() {
+        let step = |gesture, seconds| Step { gesture, seconds };
+        let steps = vec![
+            step(Gesture::Rest, Some(5.0)),
+            step(Gesture::Twist, Some(12.5)),
+            step(Gesture::Walk, None),
+        ];
+        assert_eq!("rest:5,twist:12.5,walk".parse(), Ok(MotionSpec(steps)));
     }
 
     #[test]

@@ -49,6 +49,23 @@ pub(super) enum Reply {
     Forgotten,
 }
 
+impl Reply {
+    /// The answer as the app writes it, and the file that follows it with its length; nothing
+    /// where the connection ends without one.
+    pub(super) fn written(self, version: &str) -> Option<(String, Option<(PathBuf, u64)>)> {
+        match self {
+            Self::Success(body) => Some((format!("SUCCESS\n{version}\n{body}end\n"), None)),
+            Self::Error(text) => Some((format!("ERROR\n{version}\n{text}\nend\n"), None)),
+            Self::File { path, name } => {
+                let size = std::fs::metadata(&path).ok()?.len();
+                let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
+                Some((head, Some((path, size))))
+            }
+            Self::Crash | Self::Forgotten => None,
+        }
+    }
+}
+
 /// How far a request has come.
 pub(super) enum Progress {
     /// It is answered.

@@ -2,14 +2,12 @@
 
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
-
 use crate::inertial_channel::{ChannelConfig, LowPass};
 use crate::oscillator::OscillatorConfig;
 use crate::random::{Random, Seed, Stream, rotation};
 
 /// Everything about one phone. [`PhoneConfig::draw`] gives a specimen.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PhoneConfig {
     /// Seed of all that is random in it.
     pub seed: Seed,
@@ -38,7 +36,7 @@ pub struct PhoneConfig {
 /// One copy of the app: its settings, and what its phone takes time for. The lines that
 /// it follows are of the app's source: `ExtendedAppInterface.java` is EAI,
 /// `RemoteRpcRequestHandler.java` RRH.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AppConfig {
     /// From a stop to the closed capture session, milliseconds. Until then the app counts
     /// as recording, and the sensors run (`CameraController2.java`:5277, EAI:237). How
@@ -61,7 +59,7 @@ pub struct AppConfig {
 }
 
 /// How the app writes its files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StorageAccess {
     /// As files. A second one of a name ends in `_1` (`StorageUtils.java`:640).
     Files,
@@ -71,7 +69,7 @@ pub enum StorageAccess {
 }
 
 /// When a video is rendered and encoded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoMode {
     /// Never; `get_video` is answered as if its file could not be read.
     Never,
@@ -83,7 +81,7 @@ pub enum VideoMode {
 }
 
 /// One three-axis motion sensor.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SensorConfig {
     /// Samples per second of the phone's clock. Sensors have oscillators of
     /// their own: a nominal 500 Hz is rarely that.
@@ -97,25 +95,10 @@ pub struct SensorConfig {
     pub step: f64,
     /// White noise on the timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
-    /// What goes wrong in the stream.
-    pub faults: StreamFaults,
-}
-
-/// Faults that were seen in streams of real phones. The default is none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StreamFaults {
-    /// Every so many samples one repeats the values of its predecessor.
-    pub copy_every: Option<u32>,
-    /// Every so many samples one has a wrong timestamp.
-    pub late_every: Option<u32>,
-    /// By how much that timestamp is wrong, nanoseconds.
-    pub late_by_ns: i64,
-    /// Share of samples that are missing, 0 to 1.
-    pub drop: f64,
 }
 
 /// The rolling-shutter camera and its video.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CameraConfig {
     /// Distance of frames in nanoseconds of the phone's clock.
     pub frame_period_ns: f64,
@@ -130,16 +113,12 @@ pub struct CameraConfig {
     pub columns: usize,
     /// Longest exposure, nanoseconds: each recording has one between
     /// [`CameraConfig::exposure_ns`] and this, even in its logarithm, as the light is.
-    #[serde(default)]
     pub longest_exposure_ns: u64,
     /// By how much a frame is longer for a longer exposure, as a part of it.
-    #[serde(default)]
     pub period_of_exposure: f64,
     /// Share of the frames that get lost before the app, 0 to 1.
-    #[serde(default)]
     pub lost: f64,
     /// Share of the frames that the app gets twice, with one timestamp.
-    #[serde(default)]
     pub doubled: f64,
     /// White noise on the frame timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
@@ -162,8 +141,18 @@ pub struct CameraConfig {
     /// Constant rate factor of the encoder (x264; 23 is its default).
     pub rate_factor: u8,
     /// Whether a [`ball`](crate::ball) swings before the camera.
-    #[serde(default)]
     pub ball: bool,
+}
+
+/// A phone as its owner knows it.
+#[derive(Clone, Debug)]
+pub struct Handset<'a> {
+    /// Its name, where the rig has several.
+    pub name: Option<&'a str>,
+    /// Where it is reached.
+    pub address: String,
+    /// What it was made from.
+    pub config: &'a PhoneConfig,
 }
 
 impl PhoneConfig {
@@ -198,7 +187,6 @@ impl PhoneConfig {
             // 70 mdps: 2,000 deg/s full scale in 16 bits.
             step: 0.07_f64.to_radians(),
             timestamp_jitter_ns: 1_000.0,
-            faults: StreamFaults::default(),
         };
         let accelerometer = SensorConfig {
             channel: ChannelConfig {

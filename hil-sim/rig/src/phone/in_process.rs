@@ -11,9 +11,8 @@ use std::sync::Arc;
 use anyhow::Result;
 
 use super::app::{App, Progress, Reply, Request};
-use super::{PhoneConfig, Surroundings, VideoTruth, switch_on};
+use super::{Handset, PhoneConfig, Surroundings, VideoTruth, switch_on};
 use crate::oscillator::{Oscillator, TrueTime};
-use crate::owner_profile::Handset;
 
 /// The address in the profile of such a phone: nobody connects to it.
 const ADDRESS: &str = "192.0.2.1:6969";
@@ -109,33 +108,18 @@ impl AskedPhone {
     }
 
     fn answer(&mut self, id: RequestId, reply: Reply) {
-        let version = &self.app.config.version;
-        let answer = match reply {
-            Reply::Success(body) => {
-                Answer::Bytes(format!("SUCCESS\n{version}\n{body}end\n").into_bytes())
-            }
-            Reply::Error(text) => {
-                Answer::Bytes(format!("ERROR\n{version}\n{text}\nend\n").into_bytes())
-            }
-            Reply::File { path, name } => match std::fs::metadata(&path) {
-                Ok(file) => {
-                    let size = file.len();
-                    let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
-                    Answer::File {
-                        head: head.into_bytes(),
-                        path,
-                    }
-                }
-                Err(_) => Answer::Closed,
+        if reply == Reply::Crash {
+            self.app.open_anew();
+            self.leave_network();
+        }
+        let answer = match reply.written(&self.app.config.version) {
+            None => Answer::Closed,
+            Some((head, None)) => Answer::Bytes(head.into_bytes()),
+            Some((head, Some((path, _)))) => Answer::File {
+                head: head.into_bytes(),
+                path,
             },
-            Reply::Crash => {
-                self.app.open_anew();
-                self.leave_network();
-                Answer::Closed
-            }
-            Reply::Forgotten => Answer::Closed,
         };
-        // What a silent network swallows is never answered.
         if !self.is_silent {
             self.answers.push((id, answer));
         }
@@ -172,6 +156,12 @@ impl AskedPhone {
         self.app.press_record(true);
     }
 
+    /// Folder of its files.
+    #[must_use]
+    pub fn storage(&self) -> &std::path::Path {
+        self.app.storage()
+    }
+
     /// Whether it records a video.
     #[must_use]
     pub fn is_recording(&self) -> bool {
@@ -194,6 +184,7 @@ impl AskedPhone {
     #[must_use]
     pub fn handset(&self) -> Handset<'_> {
         Handset {
+            name: None,
             address: ADDRESS.to_owned(),
             config: &self.app.config,
         }

@@ -41,7 +41,6 @@ use crate::flash_log::FlashSource;
 use crate::link_delay::LinkRanges;
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
-use crate::owner_profile::Handset;
 use crate::random::{Random, Seed, Stream};
 use crate::true_clock::TrueClock;
 
@@ -53,7 +52,7 @@ pub use app::VideoTruth;
 pub use camera::FrameTimes;
 pub use clock_teller::ClockTeller;
 pub use config::{
-    AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, StreamFaults, VideoMode,
+    AppConfig, CameraConfig, Handset, PhoneConfig, SensorConfig, StorageAccess, VideoMode,
 };
 pub use in_process::{Answer, AskedPhone, RequestId};
 pub use server::LinkFault;
@@ -119,6 +118,7 @@ impl SimPhone {
     #[must_use]
     pub fn handset(&self) -> Handset<'_> {
         Handset {
+            name: None,
             address: self.address().to_string(),
             config: self.config(),
         }

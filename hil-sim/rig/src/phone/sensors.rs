@@ -136,17 +136,13 @@ impl Sensors {
                 let begin = (first.max(block * BLOCK) - block * BLOCK) as usize;
                 let stop = (end.min((block + 1) * BLOCK) - block * BLOCK) as usize;
                 let samples = self.block(kind, config, block, stop, &walk);
-                samples
-                    .into_iter()
-                    .skip(begin)
-                    .flatten()
-                    .collect::<Vec<_>>()
+                samples.get(begin..).unwrap_or_default().to_vec()
             })
             .collect::<Vec<_>>()
             .concat()
     }
 
-    /// The first `count` samples of a block; `None` is one that got lost.
+    /// The first `count` samples of a block.
     fn block(
         &self,
         kind: Kind,
@@ -154,7 +150,7 @@ impl Sensors {
         block: u64,
         count: usize,
         walk: &BiasWalk,
-    ) -> Vec<Option<Sample>> {
+    ) -> Vec<Sample> {
         let period_ns = 1e9 / config.rate_hz;
         let period_s = 1.0 / config.rate_hz;
         let zero = self.oscillator.config().offset_ns;
@@ -166,7 +162,6 @@ impl Sensors {
         let noise = substream(self.seed, kind.stream(), block);
         let mut channel = Channel::new(still, config.low_pass, period_s, noise);
         let (walk_from, walk_to) = walk.over(block);
-        let mut last = None;
         let mut out = Vec::with_capacity(count);
         for i in 0..count {
             let n = block * BLOCK + i as u64;
@@ -193,29 +188,16 @@ impl Sensors {
                 let steps = ((measured[axis] + walked) / config.step).round();
                 *value = (steps * config.step) as f32;
             }
-            let faults = &config.faults;
-            if is_turn(faults.copy_every, n) {
-                values = last.unwrap_or(values);
-            }
-            last = Some(values);
             let jitter = config.timestamp_jitter_ns * stamps.normal();
-            let lost = stamps.chance(faults.drop);
-            let mut stamp = time_ns.saturating_add(jitter.round() as i64);
-            if is_turn(faults.late_every, n) {
-                stamp = stamp.saturating_add(faults.late_by_ns);
-            }
-            out.push((!lost).then_some(Sample {
-                time_ns: stamp,
+            // Unused, and drawn all the same: a seed keeps its timestamps.
+            stamps.uniform(0.0, 1.0);
+            out.push(Sample {
+                time_ns: time_ns.saturating_add(jitter.round() as i64),
                 values,
-            }));
+            });
         }
         out
     }
-}
-
-/// Whether sample `n` is the last of every `every` samples.
-fn is_turn(every: Option<u32>, n: u64) -> bool {
-    every.is_some_and(|every| every > 0 && (n + 1).is_multiple_of(u64::from(every)))
 }
 
 /// The random walk of a bias, known at the borders of the blocks.
@@ -308,7 +290,7 @@ mod tests {
         edit(&mut config);
         let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
         let spec: MotionSpec = "walk".parse().unwrap();
-        let motion = spec.build(config.seed.stream(Stream::Motion)).unwrap();
+        let motion = spec.build(config.seed.stream(Stream::Motion));
         let zero = config.clock.offset_ns;
         (Sensors::new(&config, oscillator, motion), zero)
     }
@@ -367,37 +349,6 @@ mod tests {
                 assert!((steps - steps.round()).abs() < 1e-3);
             }
         }
-    }
-
-    #[test]
-    fn faults_are_as_configured() {
-        let clean = {
-            let (sensors, zero) = sensors(|_| ());
-            sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000)
-        };
-        let faulty = {
-            let (sensors, zero) = sensors(|c| {
-                c.gyroscope.faults.copy_every = Some(100);
-                c.gyroscope.faults.late_every = Some(50);
-                c.gyroscope.faults.late_by_ns = 1_000_000;
-            });
-            sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000)
-        };
-        assert_eq!(clean.len(), faulty.len());
-        for (n, (a, b)) in clean.iter().zip(&faulty).enumerate() {
-            let late = if n % 50 == 49 { 1_000_000 } else { 0 };
-            assert_eq!(b.time_ns - a.time_ns, late, "{n}");
-            let values = if n % 100 == 99 {
-                clean[n - 1].values
-            } else {
-                a.values
-            };
-            assert_eq!(b.values, values, "{n}");
-        }
-        let (sensors, zero) = sensors(|c| c.gyroscope.faults.drop = 0.1);
-        let thin = sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000);
-        let share = thin.len() as f64 / clean.len() as f64;
-        assert!((0.87..0.93).contains(&share), "{share}");
     }
 
     #[test]

@@ -298,26 +298,15 @@ impl<'a> Client<'a> {
 
     fn answer(&mut self, line: &str) -> Result<(), Gone> {
         let reply = self.app.handle(line).map_err(|_| Gone)?;
-        let version = self.app.config.version.clone();
         let fault = self.link.fault();
         if fault == Some(LinkFault::Silent) {
             return Ok(());
         }
-        let (head, file) = match &reply {
-            Reply::Success(body) => (format!("SUCCESS\n{version}\n{body}end\n"), None),
-            Reply::Error(text) => (format!("ERROR\n{version}\n{text}\nend\n"), None),
-            Reply::Crash => {
-                self.app.open_anew();
-                self.link.leave();
-                return Err(Gone);
-            }
-            Reply::Forgotten => return Err(Gone),
-            Reply::File { path, name } => {
-                let size = std::fs::metadata(path)?.len();
-                let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
-                (head, Some((path, size)))
-            }
-        };
+        if reply == Reply::Crash {
+            self.app.open_anew();
+            self.link.leave();
+        }
+        let (head, file) = reply.written(&self.app.config.version).ok_or(Gone)?;
         if fault == Some(LinkFault::Endless) {
             let body = head.strip_suffix("end\n").unwrap_or(&head);
             self.send(body.as_bytes())?;
@@ -330,7 +319,7 @@ impl<'a> Client<'a> {
             None => self.send_and_hold(head.as_bytes()),
             Some((path, size)) => {
                 self.send(head.as_bytes())?;
-                self.send_file(path, size, fault)
+                self.send_file(&path, size, fault)
             }
         }
     }

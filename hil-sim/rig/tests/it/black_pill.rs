@@ -1,8 +1,9 @@
 //! The firmware of the WeAct Black Pill on a simulated STM32F411CE: what the tests of the
 //! STM32F4DISCOVERY hold in length, in short.
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use crate::board_host::{Board, train};
 use crate::imu_bench::Bench;
+use crate::trigger::check_train;
 use protocol::*;
 use rig::imu::SensorModel;
 use rig::motion::Motion;
@@ -51,26 +52,11 @@ fn its_trigger_is_exact_and_its_light_is_a_fault() {
     let mut board = Board::boot(black_pill());
     board.rig.log_pin(Pin::PA5);
     let period = Period::from_picos(33_330_652_540).unwrap();
-    let start = TriggerStart {
-        period,
-        width: 576,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    let first = board.start(start).next_edge;
+    let first = board.start(train(period, 576)).next_edge;
     board.run(5_000);
-    board.stop();
-    board.run(100);
-    let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);
-    assert!(pins.len() > 148, "{}", pins.len());
-    assert_eq!(board.pulses.len(), pins.len());
-    let zero = pins[0].0.units() - first.0 * UNITS_PER_TICK;
-    for (k, (&(rise, fall), pulse)) in pins.iter().zip(&board.pulses).enumerate() {
-        let expected = period.edge(first, k as i64);
-        assert_eq!(pulse.at, expected, "pulse {k}");
-        assert_eq!(rise.units(), zero + expected.0 * UNITS_PER_TICK);
-        assert_eq!(fall.units() - rise.units(), 576 * UNITS_PER_TICK);
-    }
+    let pulses = check_train(&mut board, first, period, 576);
+    assert!(pulses > 148, "{pulses}");
+    assert_eq!(board.pulses.len(), pulses);
     // There is no IMU, so the LED on the board, which is lit by a low pin, is on.
     assert!(!board.rig.level(Pin::PC13).is_high());
     assert_eq!(board.next_status().imu.state, ImuState::Failed);
@@ -109,12 +95,7 @@ fn what_it_does_not_have_is_refused() {
     for output in Output::FURTHER {
         assert_eq!(board.ask(QueryTrigger(output)), Err(refused));
         assert_eq!(board.ask(StopTrigger(output)), Err(refused));
-        let start = TriggerStart {
-            period: Period::from_ticks(TICK_HZ / 30),
-            width: MIN_OUTPUT_WIDTH,
-            first_edge: None,
-            first_fraction: 0,
-        };
+        let start = train(Period::from_ticks(TICK_HZ / 30), MIN_OUTPUT_WIDTH);
         assert_eq!(board.ask(StartTrigger { output, start }), Err(refused));
     }
     let settings = GnssSettings {

@@ -1,6 +1,6 @@
 //! The real firmware on the simulated board: boot, time, link, failures.
 
-use crate::board_host::Board;
+use crate::board_host::{Board, train};
 
 use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
 use protocol::*;
@@ -479,12 +479,7 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
 fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
     for (celsius, supply) in [(-12.0, 3.3), (41.5, 2.9), (84.0, 2.5)] {
         let mut board = Board::boot(wiring::board().die(celsius, supply));
-        board.start(TriggerStart {
-            period: Period::from_ticks(TICK_HZ / 100),
-            width: MIN_PULSE_WIDTH,
-            first_edge: None,
-            first_fraction: 0,
-        });
+        board.start(train(Period::from_ticks(TICK_HZ / 100), MIN_PULSE_WIDTH));
         board.run(3_100);
         let status = board.statuses.last().unwrap();
         let told = f64::from(status.die_decidegrees.unwrap()) / 10.0;

@@ -58,13 +58,7 @@ impl Board {
     pub(crate) fn boot_with_train(builder: SimBuilder, width: u32) -> Self {
         let mut board = Self::boot(builder);
         board.rig.log_pin(Pin::PA5);
-        let start = TriggerStart {
-            period: Period::from_picos(33_330_652_540).unwrap(),
-            width,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        board.start(start);
+        board.start(train(Period::from_picos(33_330_652_540).unwrap(), width));
         board
     }
 
@@ -203,6 +197,16 @@ impl Board {
         let seen = self.statuses.len();
         self.wait(1_100, |board| board.statuses.len() > seen);
         self.statuses.last().unwrap().clone()
+    }
+}
+
+/// A train from now on.
+pub(crate) const fn train(period: Period, width: u32) -> TriggerStart {
+    TriggerStart {
+        period,
+        width,
+        first_edge: None,
+        first_fraction: 0,
     }
 }
 

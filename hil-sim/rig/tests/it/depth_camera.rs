@@ -1,22 +1,19 @@
 //! The depth camera on the trigger of the real firmware, on the simulated board:
-//! what the board reports against the camera's truth.
+//! what the board reports against the camera's ground truth.
 
-use std::io::Write;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, camera_align};
+use crate::board_host::{Board, UNITS_PER_TICK, train};
 use protocol::*;
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
 use rig::lidar::{Lidar, LidarConfig};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
-use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::sim::SimBuilder;
-use stm32f4_sim::time::{SimTime, UNITS_PER_NANO};
-use stm32f4_sim::vcd_trace::VcdTrace;
+use stm32f4_sim::time::SimTime;
 
 /// Rate error of the board's crystal and of the camera's clock, in ppm.
 const BOARD_PPM: f64 = 20.0;
@@ -173,168 +170,7 @@ fn the_boards_shortest_pulse_is_long_enough() {
         bench.board.pulses.len() as u64
     );
     bench.board.stop();
-    let eight_us = TriggerStart {
-        period: Period::from_ticks(1_600_000),
-        width: 8 * 48,
-        first_edge: None,
-        first_fraction: 0,
-    };
+    let eight_us = train(Period::from_ticks(1_600_000), 8 * 48);
     let refused = bench.board.try_start(eight_us);
     assert!(matches!(refused, Err(Refusal::WidthOutOfRange { .. })));
-}
-
-/// Device timestamps count 90 kHz of the camera's own clock.
-#[test]
-fn device_timestamps_are_of_the_cameras_own_clock() {
-    let mut bench = Bench::new(2, 576, wiring::board());
-    let frames = bench.run(10_000);
-    let first = frames.first().unwrap();
-    let last = frames.last().unwrap();
-    let board = (last.center - first.center).as_secs_f64();
-    let ticks = (last.device_ticks - first.device_ticks) as f64;
-    let expected = own(board) * 90_000.0;
-    assert!((ticks - expected).abs() <= 1.0, "{ticks} {expected}");
-    // It is not the board's clock that is counted.
-    assert!((ticks - board * 90_000.0).abs() > 200.0);
-}
-
-/// When the train stops the camera goes on by itself, and its flashes are still
-/// captured; when a train starts again it follows that.
-#[test]
-fn it_runs_freely_when_the_pulses_stop_and_follows_them_again() {
-    let mut bench = Bench::new(2, 576, wiring::board());
-    bench.run(1_000);
-    bench.board.stop();
-    bench.board.run(200);
-    lock(&bench.camera).take_frames();
-    bench.board.captures.clear();
-    bench.board.run(3_000);
-    let frames = lock(&bench.camera).take_frames();
-    assert!((89..=91).contains(&frames.len()), "{}", frames.len());
-    assert!(frames.iter().all(|frame| frame.source == Source::FreeRun));
-    for pair in frames.windows(2) {
-        let period = own((pair[1].center - pair[0].center).as_secs_f64());
-        assert!((period - 1.0 / 30.0).abs() < 1e-9, "{period}");
-    }
-    let captures = bench.board.captures.len();
-    assert!(captures.abs_diff(EDGES * frames.len()) <= EDGES);
-
-    let start = TriggerStart {
-        period: Period::from_picos(33_330_652_540).unwrap(),
-        width: 576,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    bench.board.start(start);
-    bench.board.run(1_000);
-    let frames = lock(&bench.camera).take_frames();
-    let followed = |frame: &FrameRecord| matches!(frame.source, Source::Pulse { .. });
-    assert!(frames[frames.len() - 20..].iter().all(followed));
-}
-
-/// An align at once, by a quarter of a period, spoils frames; one in steps
-/// within the camera's tolerance spoils none.
-#[test]
-fn a_jump_spoils_frames_and_small_steps_do_not() {
-    for (slew, spoils) in [(0, true), (7_200, false)] {
-        let mut bench = Bench::new(2, 576, wiring::board());
-        bench.run(1_000);
-        let period = Period::from_picos(33_330_652_540).unwrap();
-        let status = bench.board.trigger();
-        let to = TriggerAlign {
-            anchor: Ticks(status.next_edge.0 + u64::from(period.ticks()) / 4),
-            anchor_fraction: 0,
-            period,
-            slew,
-        };
-        bench.board.ask(camera_align(to)).unwrap();
-        bench.board.wait(10_000, |board| !board.arrived.is_empty());
-        let arrived = bench.board.arrived[0];
-        let frames = bench.run(1_000);
-        let bad: Vec<_> = frames.iter().filter(|frame| frame.bad).collect();
-        let disturbances = lock(&bench.camera).disturbances();
-        assert_eq!(disturbances > 0, spoils);
-        assert_eq!(!bad.is_empty(), spoils, "{} bad", bad.len());
-        for frame in bad {
-            let from_jump = bench.tick_of(frame.center) - arrived.at;
-            assert!(
-                (-0.04..0.2).contains(&from_jump.as_secs_f64()),
-                "{from_jump}"
-            );
-        }
-        assert!(frames[frames.len() - 20..].iter().all(|frame| !frame.bad));
-    }
-}
-
-/// What a trace writes into, shared with the test.
-#[derive(Clone, Default)]
-struct Buffer(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Buffer {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap().write(bytes)
-    }
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
-/// Trigger and strobe as a wave viewer gets them: the edges of the VCD file are
-/// those of the pin log, to the picosecond.
-#[test]
-fn a_vcd_trace_shows_the_edges_of_the_pins() {
-    let buffer = Buffer::default();
-    let pins = [(Pin::PA5, "trigger"), (Pin::PA2, "strobe")];
-    let trace = Arc::new(Mutex::new(VcdTrace::new(buffer.clone(), &pins).unwrap()));
-    let camera = camera(2);
-    let builder = wiring::board().model(camera).model(trace.clone());
-    let mut board = Board::boot(builder);
-    board.rig.log_pin(Pin::PA5);
-    board.rig.log_pin(Pin::PA2);
-    let start = TriggerStart {
-        period: Period::from_ticks(1_600_000),
-        width: 576,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    board.start(start);
-    board.run(1_000);
-    let edges = board.rig.take_edges();
-    lock(&trace).flush().unwrap();
-    drop(board);
-
-    let bytes = buffer.0.lock().unwrap().clone();
-    let mut parser = vcd::Parser::new(bytes.as_slice());
-    let header = parser.parse_header().unwrap();
-    assert_eq!(header.timescale, Some((1, vcd::TimescaleUnit::PS)));
-    let codes = pins.map(|(pin, name)| {
-        let wire = format!("{name}_{pin}");
-        header.find_var(&["board", wire.as_str()]).unwrap().code
-    });
-    let mut now = 0;
-    let mut dumping = false;
-    let mut seen = Vec::new();
-    for command in parser {
-        match command.unwrap() {
-            vcd::Command::Timestamp(at) => now = at,
-            vcd::Command::Begin(_) => dumping = true,
-            vcd::Command::End(_) => dumping = false,
-            vcd::Command::ChangeScalar(code, value) if !dumping => {
-                let wire = codes.iter().position(|&of_pin| of_pin == code).unwrap();
-                seen.push((pins[wire].0, value == vcd::Value::V1, now));
-            }
-            _ => {}
-        }
-    }
-    let expected: Vec<_> = edges
-        .iter()
-        .map(|&(pin, level, at)| {
-            let picos = u128::from(at.units()) * 1_000 / u128::from(UNITS_PER_NANO);
-            (pin, level.is_high(), picos as u64)
-        })
-        .collect();
-    assert!(expected.len() > 500, "{}", expected.len());
-    // The pin log began after the boot, in which the trigger's pin was set up.
-    let since = seen.len() - expected.len();
-    assert_eq!(seen[since..], expected);
 }

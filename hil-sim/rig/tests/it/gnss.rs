@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK};
+use crate::board_host::{Board, UNITS_PER_TICK, train};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use rig::wiring;
@@ -179,12 +179,7 @@ fn no_second_is_lost_under_full_load() {
     let mut bench = Bench::new(LidarConfig::default());
     bench.start(SETTINGS);
     for output in Output::FURTHER {
-        let start = TriggerStart {
-            period: Period::from_picos(1_500_000_000).unwrap(),
-            width: MIN_OUTPUT_WIDTH,
-            first_edge: None,
-            first_fraction: 0,
-        };
+        let start = train(Period::from_picos(1_500_000_000).unwrap(), MIN_OUTPUT_WIDTH);
         bench.board.ask(StartTrigger { output, start }).unwrap();
     }
     let bytes_per_second = u32::MAX;

@@ -82,7 +82,7 @@ fn ten_minutes_of_samples_are_exact() {
 /// How many samples, pulses and bus errors that were none there were.
 fn five_minutes_are_exact(seed: Seed) -> [u64; 3] {
     let walk = MotionSpec::always(Gesture::Walk);
-    let motion = walk.build(seed.stream(Stream::Motion)).unwrap();
+    let motion = walk.build(seed.stream(Stream::Motion));
     let mut bench = Bench::new(motion, &[]);
     // Until the host had opened the port.
     let dropped = bench.board.next_status().dropped;
@@ -301,7 +301,7 @@ fn without_external_clock_it_uses_its_own() {
 fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
     let seed = Seed(7);
     let twist: MotionSpec = "twist".parse().unwrap();
-    let motion = twist.build(seed.stream(Stream::Motion)).unwrap();
+    let motion = twist.build(seed.stream(Stream::Motion));
     for (model, found, takes_clock) in [
         (SensorModel::Mpu6050, ImuModel::Mpu6050, true),
         (SensorModel::Mpu6500, ImuModel::Mpu6500, false),

@@ -96,7 +96,7 @@ impl Bench {
     /// Checks all samples so far against what the sensor put into its registers,
     /// and forgets them. Samples may be missing, but none may be wrong.
     pub(crate) fn check_samples(&mut self) -> Vec<ImuSample> {
-        self.records.extend(lock(&self.sensor).log_mut().take());
+        self.records.extend(lock(&self.sensor).take_log());
         let samples = std::mem::take(&mut self.board.samples);
         for sample in &samples {
             let record = loop {

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK};
+use crate::board_host::{Board, UNITS_PER_TICK, train};
 use crate::trigger_rig::Strobe;
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
@@ -351,12 +351,7 @@ fn an_hour_of_all_trains_is_exact() {
 #[test]
 fn a_multiple_stays_on_every_sixth_pulse() {
     let mut bench = Bench::new();
-    let start = TriggerStart {
-        period: picos(CAMERA),
-        width: WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
+    let start = train(picos(CAMERA), WIDTH);
     let status = bench.board.start(start);
     bench.trains.push(Train::new(Pin::PA5, &status));
     bench.board.run(777);
@@ -393,12 +388,7 @@ fn a_multiple_stays_on_every_sixth_pulse() {
 fn every_align_of_an_output_arrives_on_its_grid() {
     let mut bench = Bench::new();
     let period = picos(50_000_123_457);
-    let start = TriggerStart {
-        period,
-        width: OUTPUT_WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
+    let start = train(period, OUTPUT_WIDTH);
     bench.start(Output::Three, start);
     bench.board.run(100);
     let mut random = 0x2545_F491_4F6C_DD1D_u64;
@@ -461,12 +451,7 @@ fn every_align_of_an_output_arrives_on_its_grid() {
 fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
     let mut bench = Bench::new();
     let output = Output::Four;
-    let good = TriggerStart {
-        period: picos(CAMERA),
-        width: OUTPUT_WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
+    let good = train(picos(CAMERA), OUTPUT_WIDTH);
     for width in [0, MIN_OUTPUT_WIDTH - 1, good.period.ticks()] {
         let start = TriggerStart { width, ..good };
         let refused = bench.board.ask(StartTrigger { output, start });

@@ -1,6 +1,6 @@
 //! The flashes light up the rows that were exposed at that moment, through the
-//! whole chain: true time, the phone's clock, the rolling shutter, H.264, the
-//! app's port, and a decoder.
+//! whole chain: true time, the phone's clock, the rolling shutter, H.264, and
+//! a decoder.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -8,7 +8,6 @@ use std::sync::Arc;
 use rig::flash_log::{FlashLog, TrueFlash};
 use rig::oscillator::TrueTime;
 use rig::rolling_shutter::FlashTrain;
-use rig::true_clock::TrueClock;
 
 use crate::phone_bench::Bench;
 
@@ -60,17 +59,14 @@ fn middle_of_band(rows: &[f64], from: usize, to: usize) -> f64 {
 
 #[test]
 fn flashes_light_up_the_rows_that_were_exposed() {
-    let clock = TrueClock::new();
     let log = FlashLog::default();
-    let bench = Bench::with(40, clock.clone(), Arc::new(log.clone()), |c| {
+    let mut bench = Bench::with(40, Arc::new(log.clone()), |c| {
         c.camera.exposure_ns = 200_000;
         c.camera.read_noise = 0.5;
         c.app.stop_ms = 0.0;
     });
-    let mut phone = bench.connect();
-    clock.publish(TrueTime::from_nanos(1_000_000_000));
-    phone.send("video_start\n");
-    bench.wait_for_waiter();
+    bench.pass(1.0);
+    let started = bench.phone.ask("video_start");
     // The depth camera's centre is 400 µs late, and drifts by 10 µs a frame.
     let video = bench.phone.videos()[0].clone();
     let train = FlashTrain::NFOV;
@@ -89,18 +85,13 @@ fn flashes_light_up_the_rows_that_were_exposed() {
             });
         }
     }
-    clock.publish(TrueTime::from_nanos(5_000_000_000));
-    assert_eq!(phone.answer()[0], "SUCCESS");
-    phone.ask("video_stop");
-    let head = phone.ask("get_video");
-    assert_eq!(head[0], "SUCCESS");
-    let bytes = phone.bytes(head[2].parse().unwrap());
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("video.mp4");
-    std::fs::write(&path, bytes).unwrap();
+    bench.pass(4.0);
+    assert_eq!(bench.take(started).unwrap()[0], "SUCCESS");
+    bench.ask("video_stop");
+    assert_eq!(bench.ask("get_video")[0], "SUCCESS");
 
-    let camera = &bench.phone.config().camera;
-    let frames = rows_of(&path, camera.rows, camera.columns);
+    let camera = bench.phone.handset().config.camera.clone();
+    let frames = rows_of(&bench.phone.videos()[0].path, camera.rows, camera.columns);
     let count = bench.phone.videos()[0].count.unwrap();
     assert_eq!(frames.len(), count);
     assert!(count > FLASHED + 1);

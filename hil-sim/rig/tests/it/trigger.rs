@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::board_host::{Board, Epoch, UNITS_PER_TICK, camera_align, pulses_of};
+use crate::board_host::{Board, Epoch, UNITS_PER_TICK, camera_align, pulses_of, train};
 use crate::trigger_rig::{Strobe, Wire};
 use protocol::*;
 use rig::wiring;
@@ -26,18 +26,12 @@ fn board() -> Board {
 }
 
 fn start(board: &mut Board, period: Period, width: u32) -> TriggerStatus {
-    let start = TriggerStart {
-        period,
-        width,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    board.start(start)
+    board.start(train(period, width))
 }
 
 /// Checks every pulse at the pin and every report against
 /// `floor(first + k · period)`, from pulse 0 on. Returns how many there were.
-fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> usize {
+pub(crate) fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> usize {
     board.stop();
     board.run(1_100);
     let edges = board.rig.take_edges();
@@ -80,37 +74,21 @@ fn exact(period: Period, width: u32, seconds: u64) -> usize {
     pulses
 }
 
-/// 100 s at the shortest period, the narrowest pulse: over a wrap of the counter.
+/// The shortest period with the narrowest pulse and the phone's frame period over wraps of the
+/// counter, the usual rates, and a width that leaves the handler the shortest gap.
 #[test]
-fn a_hundred_thousand_pulses_at_a_millisecond_are_exact() {
-    let pulses = exact(picos(1_000_000_000), MIN_PULSE_WIDTH, 101);
-    assert!(pulses > 100_000, "{pulses}");
-}
-
-/// The phone's frame period, over two wraps of the counter.
-#[test]
-fn the_phones_period_is_exact() {
-    let pulses = exact(picos(33_330_652_540), WIDTH, 200);
-    assert!(pulses > 6_000, "{pulses}");
-}
-
-#[test]
-fn thirty_frames_a_second_are_exact() {
-    let pulses = exact(picos(33_333_333_330), WIDTH, 100);
-    assert!(pulses >= 3_000, "{pulses}");
-}
-
-#[test]
-fn five_frames_a_second_are_exact() {
-    let pulses = exact(picos(200_000_000_000), WIDTH, 100);
-    assert!(pulses >= 500, "{pulses}");
-}
-
-/// A width of nearly the whole period leaves the handler the shortest gap.
-#[test]
-fn the_widest_pulse_is_exact() {
-    let period = picos(1_000_000_001);
-    exact(period, period.ticks() - MIN_PULSE_GAP, 5);
+fn every_pulse_of_a_train_is_exact() {
+    let nearly_whole = picos(1_000_000_001);
+    for (period, width, seconds, least) in [
+        (picos(1_000_000_000), MIN_PULSE_WIDTH, 101, 100_000),
+        (picos(33_330_652_540), WIDTH, 200, 6_000),
+        (picos(33_333_333_330), WIDTH, 100, 2_999),
+        (picos(200_000_000_000), WIDTH, 100, 499),
+        (nearly_whole, nearly_whole.ticks() - MIN_PULSE_GAP, 5, 0),
+    ] {
+        let pulses = exact(period, width, seconds);
+        assert!(pulses > least, "{period:?}: {pulses}");
+    }
 }
 
 /// USB as full as it gets, a flood of commands, a host that comes and goes, a
@@ -341,12 +319,7 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         Err(Refusal::TriggerStopped)
     );
     assert_eq!(board.try_period(period), Err(Refusal::TriggerStopped));
-    let good = TriggerStart {
-        period,
-        width: WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
+    let good = train(period, WIDTH);
     let starts = [
         (
             TriggerStart {

@@ -273,9 +273,9 @@ impl Rig {
         self.imu.run_until(of(at - 0.05));
         write(&mut self.imu, address::PWR_MGMT_1, CLOCKED)?;
         self.imu.run_until(of(at));
-        self.imu.model.log_mut().take();
+        self.imu.model.take_log();
         self.imu.run_until(of(at + TWIST_S + MARGIN_S));
-        let records = self.imu.model.log_mut().take();
+        let records = self.imu.model.take_log();
         write(&mut self.imu, address::PWR_MGMT_1, CLOCKED | ASLEEP)?;
         let lsb = f64::from(GyroRange::Dps500.lsb_per_dps_times_10()) / 10.0;
         let sample = |record: &rig::imu::SampleRecord| {

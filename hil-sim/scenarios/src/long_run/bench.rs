@@ -98,7 +98,7 @@ impl Bench {
     pub(super) fn new(options: &Options) -> Result<Self> {
         let seed = options.seed;
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion))?;
+        let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion));
         let sensor = SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
         let config = DepthCameraConfig {
             photodiode: options.strobe,
@@ -211,7 +211,7 @@ impl Bench {
         let now = Duration::from_nanos(self.rig.now().as_nanos());
         self.conversation.tick(now);
         // What a message is about has happened before it was sent.
-        let samples = lock(&self.sensor).log_mut().take();
+        let samples = lock(&self.sensor).take_log();
         self.truth
             .take(self.rig.take_edges(), samples)
             .map_err(|wrong| self.wrong(wrong))?;

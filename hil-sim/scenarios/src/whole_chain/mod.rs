@@ -105,7 +105,7 @@ impl Plan {
         let seed = Seed(self.seed);
         let step = |gesture, seconds| Step { gesture, seconds };
         let twisted = TWIST_S + f64::from(self.twists.saturating_sub(1)) * MORE_TWIST_S;
-        let motion = MotionSpec::Script(vec![
+        let motion = MotionSpec(vec![
             step(Gesture::Twist, Some(twisted)),
             step(Gesture::Walk, None),
         ]);
@@ -221,7 +221,7 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     let rig = RunningRig::start(config, board, Some((phone, 0)), programs.pace())?;
     let text = owner_profile(
         &known,
-        &rig.phone().context("the rig has no phone")?.handset(),
+        &[rig.phone().context("the rig has no phone")?.handset()],
     )?;
     let text = match &plan.profile {
         None => text + &cameras::profile_lines(plan.camera, programs, &run)?,

@@ -29,7 +29,7 @@ impl Bench {
         let clock = TrueClock::run_at(speed);
         let surroundings = Surroundings {
             clock: clock.clone(),
-            motion: spec.build(Seed(seed).stream(Stream::Motion)).unwrap(),
+            motion: spec.build(Seed(seed).stream(Stream::Motion)),
             light: Arc::new(Dark),
         };
         Self {

@@ -25,7 +25,7 @@ const LENGTH: u64 = 9;
 fn twist(seed: u64) -> (f64, f64) {
     let seed = Seed(seed);
     let spec: MotionSpec = "twist".parse().unwrap();
-    let motion = spec.build(seed.stream(Stream::Motion)).unwrap();
+    let motion = spec.build(seed.stream(Stream::Motion));
     let clock = TrueClock::new();
     let config = PhoneConfig::draw(seed);
     let phone_delay_s = config.gyroscope.low_pass.delay_s;

@@ -191,7 +191,7 @@ impl Rig {
             board: BoardTime::new(board, seed.stream(Stream::BoardClock)),
             phone,
             camera: Oscillator::new(camera, seed.stream(Stream::CameraClock)),
-            motion: spec.build(seed.stream(Stream::Motion)).unwrap(),
+            motion: spec.build(seed.stream(Stream::Motion)),
             dice,
         }
     }

@@ -6,7 +6,7 @@ use super::*;
 fn a_burst_read_never_mixes_two_samples() {
     let mut bench = running(SimImuConfig::ideal(), "twist");
     bench.run(SimDuration::from_secs(2));
-    bench.model.log_mut().take();
+    bench.model.take_log();
     let mut bursts = Vec::new();
     // 17 bytes of 22.5 µs: the reads drift through the sample period of 2 ms.
     for _ in 0..3000 {
@@ -144,7 +144,7 @@ fn standby_and_temperature_switches_hold_values() {
     );
     bench.write(ADDRESS, PWR_MGMT_1, &[0x0d, 0x24]).unwrap(); // TEMP_DIS, x axes
     let held = bench.model.log().iter().last().unwrap().values;
-    bench.model.log_mut().take();
+    bench.model.take_log();
     bench.run(SimDuration::from_secs(1));
     for r in bench.model.log().iter() {
         assert_eq!(r.values.temperature, held.temperature);

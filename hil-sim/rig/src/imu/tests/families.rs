@@ -34,7 +34,7 @@ fn the_later_mpus_ignore_a_clock_at_their_pin() {
         let mut bench = mpu(model, config);
         bench.write(ADDRESS, PWR_MGMT_1, &[5]).unwrap();
         bench.run(SimDuration::from_secs(10));
-        let samples: Vec<_> = bench.model.log_mut().take();
+        let samples: Vec<_> = bench.model.take_log();
         let (first, last) = (samples.first().unwrap().at, samples.last().unwrap().at);
         let rate = (samples.len() - 1) as f64 / (last - first).as_secs_f64();
         // 9,000 ppm of its own, against a board whose crystal is 17 ppm fast.
@@ -99,7 +99,7 @@ fn an_icm_42688_p_divides_the_edges_at_its_clock_pin() {
     let writes = [&SET_UP[..], &CLKIN, &[ON]].concat();
     let mut bench = icm(SimImuConfig::ideal(), &writes);
     clocked(&mut bench, 32_000, 31_250);
-    let samples: Vec<_> = bench.model.log_mut().take();
+    let samples: Vec<_> = bench.model.take_log();
     assert!((480..=490).contains(&samples.len()), "{}", samples.len());
     let times: Vec<_> = samples.iter().map(|sample| sample.at).collect();
     assert!(intervals(&times).iter().all(|i| *i == 96_000 * TICK));
@@ -114,7 +114,7 @@ fn an_icm_42688_p_divides_the_edges_at_its_clock_pin() {
 
     // At 40 kHz all is faster by 5/4 (12.5); at 25 kHz there is nothing.
     clocked(&mut bench, 4_000, 25_000);
-    let faster = bench.model.log_mut().take();
+    let faster = bench.model.take_log();
     let last: Vec<_> = faster
         .iter()
         .rev()
@@ -124,7 +124,7 @@ fn an_icm_42688_p_divides_the_edges_at_its_clock_pin() {
         .collect();
     assert!(intervals(&last).iter().all(|i| *i == 76_800 * TICK));
     clocked(&mut bench, 4_000, 40_000);
-    assert!(bench.model.log_mut().take().len() <= 1);
+    assert!(bench.model.take_log().len() <= 1);
 }
 
 #[test]
@@ -190,7 +190,7 @@ fn motion_comes_later_by_the_filters_delay() {
         sensor.pll_settling = SimDuration::from_millis(1);
         let seed = Seed(42);
         let spec: MotionSpec = "twist".parse().unwrap();
-        let motion = spec.build(seed.stream(Stream::Motion)).unwrap();
+        let motion = spec.build(seed.stream(Stream::Motion));
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let truth = Arc::clone(&motion);
         let mut bench = Bench::new(SimImu::new(sensor, motion, board, seed));

@@ -49,8 +49,7 @@ fn asleep(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
     let motion = motion
         .parse::<MotionSpec>()
         .unwrap()
-        .build(seed.stream(Stream::Motion))
-        .unwrap();
+        .build(seed.stream(Stream::Motion));
     let board = BoardTime::new(
         OscillatorConfig {
             rate_ppm: 17.0,
@@ -119,7 +118,7 @@ fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
     let after = (first - woke).as_nanos();
     assert!((30_000_000..31_100_000).contains(&after), "{after}");
     bench.write(ADDRESS, PWR_MGMT_1, &[0x45]).unwrap();
-    bench.model.log_mut().take();
+    bench.model.take_log();
     bench.run(SimDuration::from_millis(100));
     assert!(bench.model.log().is_empty());
 }
@@ -161,7 +160,7 @@ fn the_divider_and_the_reference_set_the_rate() {
             .write(ADDRESS, SMPLRT_DIV, &[divider, config])
             .unwrap();
         bench.run(SimDuration::from_millis(300));
-        bench.model.log_mut().take();
+        bench.model.take_log();
         bench.run(SimDuration::from_secs(3));
         let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
         let intervals = intervals(&times);
@@ -203,7 +202,7 @@ fn the_own_clock_has_its_rate_error_in_true_time() {
     let mut bench = running(config, "rest");
     bench.write(ADDRESS, PWR_MGMT_1, &[1]).unwrap();
     bench.run(SimDuration::from_secs(1));
-    bench.model.log_mut().take();
+    bench.model.take_log();
     bench.run(SimDuration::from_secs(100));
     let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
     let mean = (times[times.len() - 1] - times[0]).as_secs_f64() / (times.len() - 1) as f64;
@@ -219,13 +218,12 @@ fn values_are_those_of_an_independent_calculation() {
         bench.write(ADDRESS, register, &[value]).unwrap();
     }
     bench.run(SimDuration::from_millis(50));
-    bench.model.log_mut().take();
+    bench.model.take_log();
     bench.run(SimDuration::from_secs(5));
     let motion = "twist"
         .parse::<MotionSpec>()
         .unwrap()
-        .build(Seed(42).stream(Stream::Motion))
-        .unwrap();
+        .build(Seed(42).stream(Stream::Motion));
     // The low-pass as an integral over a fine grid of an untruncated Gaussian.
     let filtered = |f: &dyn Fn(f64) -> [f64; 3], hz: f64, delay: f64, t: f64, axis: usize| {
         let sigma = (2.0f64.ln()).sqrt() / (core::f64::consts::TAU * hz);
@@ -269,29 +267,19 @@ fn every_low_pass_has_the_tables_bandwidth_and_delay() {
         (6, 5.0, 18.6, 5.0, 19.0),
     ];
     let seed = Seed(1);
-    let directory = tempfile::tempdir().unwrap();
     for (setting, gyro_hz, gyro_ms, accel_hz, accel_ms) in table {
-        // A motion file with a sine at the gyroscope's bandwidth about x, at the
-        // accelerometer's bandwidth along x, and slow ones about and along y.
-        // Awkward multiples of the sample rate are met by fitting, not by FFT.
+        // A sine at the gyroscope's bandwidth about x, one at the accelerometer's along x,
+        // and slow ones about and along y. Awkward multiples of the sample rate are met by
+        // fitting, not by FFT.
         let slow = 0.2 * gyro_hz;
-        let path = directory.path().join("sines.csv");
-        let mut text = String::new();
-        let w = |hz: f64, t: f64| (core::f64::consts::TAU * hz * t).sin();
-        for k in 0..40_000 {
-            let t = f64::from(k) * 5e-5;
-            text += &format!(
-                "{t},{},{},0,{},{},0\n",
-                3.0 * w(gyro_hz, t),
-                3.0 * w(slow, t),
-                10.0 * w(accel_hz, t),
-                10.0 * w(slow, t)
-            );
-        }
-        std::fs::write(&path, text).unwrap();
-        let motion = MotionSpec::File(path)
-            .build(seed.stream(Stream::Motion))
-            .unwrap();
+        let motion = Arc::new(Motion::Sines([
+            (3.0, gyro_hz),
+            (3.0, slow),
+            (0.0, 0.0),
+            (10.0, accel_hz),
+            (10.0, slow),
+            (0.0, 0.0),
+        ]));
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let mut bench = Bench::new(SimImu::new(SimImuConfig::ideal(), motion, board, seed));
         bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
@@ -354,7 +342,7 @@ fn the_same_seed_gives_the_same_samples() {
     let samples = || {
         let mut bench = running(SimImuConfig::typical(Seed(9)), "walk");
         bench.run(SimDuration::from_secs(2));
-        bench.model.log_mut().take()
+        bench.model.take_log()
     };
     assert_eq!(samples(), samples());
 }
@@ -375,14 +363,4 @@ fn a_typical_sensor_is_as_noisy_as_its_data_sheet_says() {
     // Product specification, table 6.1: total RMS noise 0.06 °/s at DLPF 2.
     assert!((0.045..0.065).contains(&sd), "{sd}");
     assert!((sum / n).abs() < 2.5);
-}
-
-#[test]
-fn a_log_with_a_limit_drops_the_oldest_and_counts_them() {
-    let mut bench = running(SimImuConfig::ideal(), "rest");
-    bench.model.log_mut().set_limit(Some(10));
-    bench.run(SimDuration::from_secs(1));
-    let log = bench.model.log();
-    assert_eq!(log.len(), 10);
-    assert_eq!(log.iter().next().unwrap().number, log.dropped());
 }
