@@ -100,8 +100,6 @@ fn main() {
         ("faults kept", with(|o| o.handle_faults = false)),
         ("low-pass 15 Hz", with(|o| o.low_pass_hz = 15.0)),
         ("low-pass 40 Hz", with(|o| o.low_pass_hz = 40.0)),
-        ("cubic interpolation", with(|o| o.degree = 3)),
-        ("interpolation of degree 7", with(|o| o.degree = 7)),
     ] {
         variant(name, &mcu, &phone, &options);
     }

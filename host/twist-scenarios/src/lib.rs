@@ -190,7 +190,7 @@ fn second_order(
             nodes.push(x.into());
         }
     }
-    Uniform::new(from, 5.0 * step, nodes, 5)
+    Uniform::new(from, 5.0 * step, nodes)
 }
 
 /// The true course of clock b against clock a: a skew that walks at random.
@@ -555,7 +555,7 @@ fn moving_until(spec: &TwistSpec) -> f64 {
 /// seconds earlier.
 pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
     let recorded = track.w.clone();
-    if let Some(rates) = Uneven::new(&track.t, &recorded, 5) {
+    if let Some(rates) = Uneven::new(&track.t, &recorded) {
         for k in (3..track.t.len().saturating_sub(3)).filter(|&k| chosen(k)) {
             track.w[k] = rates.value(track.t[k] - by_s);
         }

@@ -46,7 +46,6 @@ fn track((t, w, nanos): Stream<'_>) -> PyResult<GyroTrack> {
 #[pyo3(from_item_all)]
 struct Settings {
     low_pass_hz: Option<f64>,
-    degree: Option<usize>,
     a_delay: f64,
     b_delay: f64,
     sigma_limit: Option<f64>,
@@ -58,11 +57,6 @@ struct Settings {
 
 impl Settings {
     fn over(&self, usual: Options) -> PyResult<Options> {
-        let degree = self.degree.unwrap_or(usual.degree);
-        if !matches!(degree, 3 | 5 | 7) {
-            let message = format!("degree is {degree}; expected 3, 5 or 7");
-            return Err(PyValueError::new_err(message));
-        }
         let low_pass_hz = self.low_pass_hz.unwrap_or(usual.low_pass_hz);
         if !(5.0..=100.0).contains(&low_pass_hz) {
             let message = format!("low_pass_hz is {low_pass_hz}; expected 5 to 100");
@@ -70,7 +64,6 @@ impl Settings {
         }
         Ok(Options {
             low_pass_hz,
-            degree,
             a_delay_s: self.a_delay,
             b_delay_s: self.b_delay,
             sigma_limit_s: self.sigma_limit.unwrap_or(usual.sigma_limit_s),

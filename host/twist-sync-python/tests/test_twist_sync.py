@@ -146,8 +146,8 @@ class Twists(unittest.TestCase):
         t_a, w_a, t_b, w_b = recordings(9, 3)
         with self.assertRaisesRegex(ValueError, r"w_b .*expected \(n,\) and \(n, 3\)"):
             twist_sync.estimate(t_a, w_a, t_b, w_b.T)
-        with self.assertRaisesRegex(ValueError, "expected 3, 5 or 7"):
-            twist_sync.estimate(t_a, w_a, t_b, w_b, degree=4)
+        with self.assertRaisesRegex(ValueError, "expected 5 to 100"):
+            twist_sync.estimate(t_a, w_a, t_b, w_b, low_pass_hz=4)
 
 
 class Recordings(unittest.TestCase):

@@ -62,7 +62,7 @@ pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Option
             w.push(a.w[k]);
         }
     }
-    let Some(rates) = Uneven::new(&t, &w, 3) else {
+    let Some(rates) = Uneven::new(&t, &w) else {
         return Vec::new();
     };
     let (first, last) = rates.domain();

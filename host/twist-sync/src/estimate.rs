@@ -20,7 +20,7 @@ use crate::interpolant::Vec3;
 use crate::lag;
 use crate::pair::{Pair, Settings};
 use crate::rigid::{self, Stretch};
-use crate::signal::{Signal, Smoothing};
+use crate::signal::Signal;
 use crate::stream::CheckedStream;
 use crate::swing;
 use crate::track::GyroTrack;
@@ -42,8 +42,6 @@ const SECOND_AXIS: f64 = 0.01;
 pub struct Options {
     /// −3 dB frequency of the zero-phase low-pass, Hz.
     pub low_pass_hz: f64,
-    /// Degree of the interpolation: 3, 5 or 7.
-    pub degree: usize,
     /// Delay of the low-pass of gyroscope a in seconds, subtracted from its timestamps.
     pub a_delay_s: f64,
     /// Delay of the low-pass of gyroscope b in seconds, subtracted from its timestamps.
@@ -64,7 +62,6 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             low_pass_hz: 25.0,
-            degree: 5,
             a_delay_s: 0.0,
             b_delay_s: 0.0,
             sigma_limit_s: 100e-6,
@@ -252,13 +249,9 @@ fn related(
     options: &Options,
     report: &mut Report,
 ) -> Option<(ClockRelation, Calibration)> {
-    let smoothing = Smoothing {
-        low_pass_hz: options.low_pass_hz,
-        degree: options.degree,
-    };
-    let mut signals = pair.signals(&smoothing);
+    let mut signals = pair.signals(options.low_pass_hz);
     report.judge(Gate::motion(rms(&signals.model).min(rms(&signals.data))))?;
-    let settings = Settings::new(smoothing, pair);
+    let settings = Settings::new(options.low_pass_hz, pair);
     let (start, unexplained) = lag::chosen(pair, &signals, options, &settings, report)?;
     let mut in_one_relation = 1.0;
     if !unexplained.is_empty() {
@@ -269,7 +262,7 @@ fn related(
         report.judge(Gate::one_body(one_body))?;
         let steps = 1.0 - rigid::kept_share(unexplained.iter().filter(is_step));
         in_one_relation = 1.0 - steps / one_body;
-        signals = pair.signals(&smoothing);
+        signals = pair.signals(options.low_pass_hz);
     }
     let fit = settings.fitted(&signals, start)?;
     let (mut fit, kept_share) = if options.handle_faults {

@@ -1,25 +1,19 @@
 //! Interpolation by local polynomials, three channels at once.
 //!
-//! Between two neighbours runs the polynomial of odd degree through them and the
-//! `(degree − 1) / 2` samples on either side (Lagrange); at the ends the nearest samples
-//! that there are. Interpolation, not smoothing: noise passes at full height, and the
-//! low-pass of [`crate::signal`] deals with it. Degree 5 at 500 Hz follows motion up to
-//! 10 Hz to better than one part in 10⁷.
+//! Between two neighbours runs the polynomial of degree 5 through them and the two samples
+//! on either side (Lagrange); at the ends the nearest samples that there are. Interpolation,
+//! not smoothing: noise passes at full height, and the low-pass of [`crate::signal`] deals
+//! with it. At 500 Hz it follows motion up to 10 Hz to better than one part in 10⁷.
 
 /// Three angular rates, x, y, z.
 pub type Vec3 = [f64; 3];
 
-/// Most samples of a polynomial: degree 7.
-const MOST: usize = 8;
-
-fn is_offered(degree: usize, samples: usize) -> bool {
-    matches!(degree, 1 | 3 | 5 | 7) && samples > degree
-}
+/// Samples of a polynomial.
+pub(crate) const POINTS: usize = 6;
 
 /// First of the samples whose polynomial runs between sample `left` and the next.
-fn window(left: usize, samples: usize, degree: usize) -> usize {
-    left.saturating_sub((degree - 1) / 2)
-        .min(samples - degree - 1)
+fn window(left: usize, samples: usize) -> usize {
+    left.saturating_sub(POINTS / 2 - 1).min(samples - POINTS)
 }
 
 /// Samples at uneven times.
@@ -27,16 +21,14 @@ fn window(left: usize, samples: usize, degree: usize) -> usize {
 pub struct Uneven<'a> {
     t: &'a [f64],
     y: &'a [Vec3],
-    degree: usize,
 }
 
 impl<'a> Uneven<'a> {
-    /// `None` if the times do not increase strictly, there are fewer than `degree + 1`
-    /// samples, or the degree is not 1, 3, 5 or 7.
-    pub fn new(t: &'a [f64], y: &'a [Vec3], degree: usize) -> Option<Self> {
+    /// `None` if the times do not increase strictly, or there are fewer than six samples.
+    pub fn new(t: &'a [f64], y: &'a [Vec3]) -> Option<Self> {
         let increases = |w: &[f64]| w[1].partial_cmp(&w[0]) == Some(std::cmp::Ordering::Greater);
         let sound = t.len() == y.len() && t.windows(2).all(increases);
-        (sound && is_offered(degree, t.len())).then_some(Self { t, y, degree })
+        (sound && t.len() >= POINTS).then_some(Self { t, y })
     }
 
     /// First and last time.
@@ -61,30 +53,15 @@ impl<'a> Uneven<'a> {
     }
 
     /// Values at rising times, of which the first is not before sample `left`.
-    fn swept(&self, left: usize, times: impl Iterator<Item = f64>, each: impl FnMut(Vec3)) {
-        // The compiler unrolls loops whose length it knows.
-        match self.degree {
-            1 => self.swept_by::<2>(left, times, each),
-            3 => self.swept_by::<4>(left, times, each),
-            5 => self.swept_by::<6>(left, times, each),
-            _ => self.swept_by::<8>(left, times, each),
-        }
-    }
-
-    fn swept_by<const N: usize>(
-        &self,
-        mut left: usize,
-        times: impl Iterator<Item = f64>,
-        mut each: impl FnMut(Vec3),
-    ) {
+    fn swept(&self, mut left: usize, times: impl Iterator<Item = f64>, mut each: impl FnMut(Vec3)) {
         let samples = self.t.len();
-        let first = window(left, samples, N - 1);
-        let mut newton = Newton::<N>::from(first);
+        let first = window(left, samples);
+        let mut newton = Newton::from(first);
         for t in times {
             while left + 1 < samples && self.t[left + 1] <= t {
                 left += 1;
             }
-            while newton.next < window(left, samples, N - 1) + N {
+            while newton.next < window(left, samples) + POINTS {
                 newton.take(first, self.t, self.y);
             }
             each(newton.value(self.t, t));
@@ -92,19 +69,19 @@ impl<'a> Uneven<'a> {
     }
 }
 
-/// The polynomial through the last `N` samples that were taken, in Newton's form: the
+/// The polynomial through the last samples that were taken, in Newton's form: the
 /// next sample costs one row of the divided differences.
-struct Newton<const N: usize> {
+struct Newton {
     next: usize,
-    /// Divided differences of the last 1, 2 .. `N` samples.
-    differences: [Vec3; N],
+    /// Divided differences of the last 1, 2 .. [`POINTS`] samples.
+    differences: [Vec3; POINTS],
 }
 
-impl<const N: usize> Newton<N> {
+impl Newton {
     const fn from(first: usize) -> Self {
         Self {
             next: first,
-            differences: [[0.0; 3]; N],
+            differences: [[0.0; 3]; POINTS],
         }
     }
 
@@ -113,21 +90,21 @@ impl<const N: usize> Newton<N> {
         let k = self.next;
         self.next += 1;
         let mut now = y[k];
-        for order in 1..=(k - first).min(N - 1) {
+        for order in 1..=(k - first).min(POINTS - 1) {
             let scale = 1.0 / (t[k] - t[k - order]);
             let before = std::mem::replace(&mut self.differences[order - 1], now);
             for axis in 0..3 {
                 now[axis] = (now[axis] - before[axis]) * scale;
             }
         }
-        self.differences[(k - first).min(N - 1)] = now;
+        self.differences[(k - first).min(POINTS - 1)] = now;
     }
 
     fn value(&self, times: &[f64], t: f64) -> Vec3 {
-        let times = &times[self.next - N..self.next];
-        let mut value = self.differences[N - 1];
-        for order in (0..N - 1).rev() {
-            let distance = t - times[N - 1 - order];
+        let times = &times[self.next - POINTS..self.next];
+        let mut value = self.differences[POINTS - 1];
+        for order in (0..POINTS - 1).rev() {
+            let distance = t - times[POINTS - 1 - order];
             for axis in 0..3 {
                 value[axis] = value[axis] * distance + self.differences[order][axis];
             }
@@ -139,7 +116,6 @@ impl<const N: usize> Newton<N> {
 /// A piecewise polynomial through equidistant samples.
 #[derive(Debug, Clone)]
 pub struct Uniform {
-    degree: usize,
     start: f64,
     step: f64,
     y: Vec<Vec3>,
@@ -149,18 +125,16 @@ pub struct Uniform {
 
 /// By rising power of the place in the interval, in steps: the coefficients of the
 /// samples' Lagrange polynomials.
-type Basis = [[f64; MOST]; MOST];
+type Basis = [[f64; POINTS]; POINTS];
 
 impl Uniform {
-    /// Through the samples `start + k · step`; `None` if they are fewer than
-    /// `degree + 1`, or the degree is not 1, 3, 5 or 7.
-    pub fn new(start: f64, step: f64, y: Vec<Vec3>, degree: usize) -> Option<Self> {
-        is_offered(degree, y.len()).then(|| Self {
-            degree,
+    /// Through the samples `start + k · step`; `None` if they are fewer than six.
+    pub fn new(start: f64, step: f64, y: Vec<Vec3>) -> Option<Self> {
+        (y.len() >= POINTS).then(|| Self {
             start,
             step,
             y,
-            bases: (0..degree).map(|place| basis(degree, place)).collect(),
+            bases: (0..POINTS - 1).map(basis).collect(),
         })
     }
 
@@ -174,31 +148,21 @@ impl Uniform {
 
     /// Value at `t`; outside of the samples the end polynomial is continued.
     pub fn value(&self, t: f64) -> Vec3 {
-        match self.degree {
-            1 => self.near::<2>(t).value(),
-            3 => self.near::<4>(t).value(),
-            5 => self.near::<6>(t).value(),
-            _ => self.near::<8>(t).value(),
-        }
+        self.near(t).value()
     }
 
     /// Value and first derivative at `t`.
     pub fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
-        let (value, rate) = match self.degree {
-            1 => self.near::<2>(t).value_and_rate(),
-            3 => self.near::<4>(t).value_and_rate(),
-            5 => self.near::<6>(t).value_and_rate(),
-            _ => self.near::<8>(t).value_and_rate(),
-        };
+        let (value, rate) = self.near(t).value_and_rate();
         (value, rate.map(|d| d / self.step))
     }
 
-    fn near<const N: usize>(&self, t: f64) -> Near<'_, N> {
+    fn near(&self, t: f64) -> Near<'_> {
         let place = (t - self.start) / self.step;
         let left = (place.max(0.0) as usize).min(self.y.len() - 2);
-        let from = window(left, self.y.len(), N - 1);
+        let from = window(left, self.y.len());
         Near {
-            y: &self.y[from..from + N],
+            y: &self.y[from..from + POINTS],
             basis: &self.bases[left - from],
             x: place - left as f64,
         }
@@ -206,18 +170,18 @@ impl Uniform {
 }
 
 /// The samples around a time.
-struct Near<'a, const N: usize> {
+struct Near<'a> {
     y: &'a [Vec3],
     basis: &'a Basis,
     /// Place in the interval, in steps.
     x: f64,
 }
 
-impl<const N: usize> Near<'_, N> {
+impl Near<'_> {
     fn value(&self) -> Vec3 {
-        let mut weights = [0.0; N];
-        for row in self.basis[..N].iter().rev() {
-            for j in 0..N {
+        let mut weights = [0.0; POINTS];
+        for row in self.basis.iter().rev() {
+            for j in 0..POINTS {
                 weights[j] = weights[j] * self.x + row[j];
             }
         }
@@ -225,9 +189,9 @@ impl<const N: usize> Near<'_, N> {
     }
 
     fn value_and_rate(&self) -> (Vec3, Vec3) {
-        let (mut weights, mut slopes) = ([0.0; N], [0.0; N]);
-        for row in self.basis[..N].iter().rev() {
-            for j in 0..N {
+        let (mut weights, mut slopes) = ([0.0; POINTS], [0.0; POINTS]);
+        for row in self.basis.iter().rev() {
+            for j in 0..POINTS {
                 slopes[j] = slopes[j] * self.x + weights[j];
                 weights[j] = weights[j] * self.x + row[j];
             }
@@ -235,7 +199,7 @@ impl<const N: usize> Near<'_, N> {
         (self.weighed(&weights), self.weighed(&slopes))
     }
 
-    fn weighed(&self, weights: &[f64; N]) -> Vec3 {
+    fn weighed(&self, weights: &[f64; POINTS]) -> Vec3 {
         let mut sum = [0.0; 3];
         for (weight, y) in weights.iter().zip(self.y) {
             for axis in 0..3 {
@@ -247,15 +211,15 @@ impl<const N: usize> Near<'_, N> {
 }
 
 /// The polynomials of a window about its sample `place`.
-fn basis(degree: usize, place: usize) -> Basis {
-    let mut basis = [[0.0; MOST]; MOST];
-    for j in 0..=degree {
-        let mut polynomial = [0.0; MOST];
+fn basis(place: usize) -> Basis {
+    let mut basis = [[0.0; POINTS]; POINTS];
+    for j in 0..POINTS {
+        let mut polynomial = [0.0; POINTS];
         polynomial[0] = 1.0;
-        for m in (0..=degree).filter(|&m| m != j) {
+        for m in (0..POINTS).filter(|&m| m != j) {
             // Times (x − (m − place)) / (j − m).
             let (root, scale) = (m as f64 - place as f64, j as f64 - m as f64);
-            for power in (0..MOST).rev() {
+            for power in (0..POINTS).rev() {
                 let below = power.checked_sub(1).map_or(0.0, |p| polynomial[p]);
                 polynomial[power] = (below - root * polynomial[power]) / scale;
             }
@@ -279,29 +243,24 @@ mod tests {
 
     #[test]
     fn reproduces_polynomials_of_its_degree() {
-        for degree in [1, 3, 5, 7] {
-            let f = |x: f64| (0..=degree).map(|p| (x - 0.1).powi(p as i32)).sum::<f64>();
-            let all = |x: f64| [f(x), -f(x), 2.0];
-            let t = uneven(40);
-            let y: Vec<Vec3> = t.iter().map(|&x| all(x)).collect();
-            let uneven = Uneven::new(&t, &y, degree).unwrap();
-            let even: Vec<Vec3> = (0..40).map(|k| all(0.01 * f64::from(k))).collect();
-            let uniform = Uniform::new(0.0, 0.01, even, degree).unwrap();
-            for k in 0..300 {
-                let x = t[0] + (t[39] - t[0]) * f64::from(k) / 299.0;
-                for v in [uneven.value(x), uniform.value(x)] {
-                    for (value, expected) in v.iter().zip(all(x)) {
-                        assert!((value - expected).abs() < 1e-9, "degree {degree} at {x}");
-                    }
+        let f = |x: f64| (0..=5).map(|p| (x - 0.1).powi(p)).sum::<f64>();
+        let all = |x: f64| [f(x), -f(x), 2.0];
+        let t = uneven(40);
+        let y: Vec<Vec3> = t.iter().map(|&x| all(x)).collect();
+        let uneven = Uneven::new(&t, &y).unwrap();
+        let even: Vec<Vec3> = (0..40).map(|k| all(0.01 * f64::from(k))).collect();
+        let uniform = Uniform::new(0.0, 0.01, even).unwrap();
+        for k in 0..300 {
+            let x = t[0] + (t[39] - t[0]) * f64::from(k) / 299.0;
+            for v in [uneven.value(x), uniform.value(x)] {
+                for (value, expected) in v.iter().zip(all(x)) {
+                    assert!((value - expected).abs() < 1e-9, "at {x}");
                 }
             }
-            let grid = uneven.on_grid(0.007, 50);
-            assert!(
-                grid.iter()
-                    .enumerate()
-                    .all(|(k, v)| { *v == uneven.value(t[0] + 0.007 * k as f64) })
-            );
         }
+        let grid = uneven.on_grid(0.007, 50);
+        let same = |(k, v): (usize, &Vec3)| *v == uneven.value(t[0] + 0.007 * k as f64);
+        assert!(grid.iter().enumerate().all(same));
     }
 
     #[test]
@@ -313,7 +272,7 @@ mod tests {
                 [x.sin(), x.cos(), 0.0]
             })
             .collect();
-        let s = Uniform::new(0.0, 0.002, y, 5).unwrap();
+        let s = Uniform::new(0.0, 0.002, y).unwrap();
         for k in 100..800 {
             let t = 0.001 * f64::from(k) + 0.0003;
             let (v, d) = s.value_and_rate(t);
@@ -327,13 +286,12 @@ mod tests {
     fn refuses_bad_input() {
         let y = vec![[0.0; 3]; 8];
         let t: Vec<f64> = (0..8).map(f64::from).collect();
-        assert!(Uneven::new(&t[..5], &y[..5], 5).is_none());
-        assert!(Uneven::new(&t, &y, 4).is_none());
-        assert!(Uniform::new(0.0, 1.0, y[..5].to_vec(), 5).is_none());
+        assert!(Uneven::new(&t[..5], &y[..5]).is_none());
+        assert!(Uniform::new(0.0, 1.0, y[..5].to_vec()).is_none());
         let mut back = t.clone();
         back[3] = back[4];
-        assert!(Uneven::new(&back, &y, 3).is_none());
+        assert!(Uneven::new(&back, &y).is_none());
         back[3] = f64::NAN;
-        assert!(Uneven::new(&back, &y, 3).is_none());
+        assert!(Uneven::new(&back, &y).is_none());
     }
 }

@@ -11,7 +11,7 @@ use crate::faults::{Fault, FaultKind, LeftOut, Why};
 use crate::fit::{self, Fit, FitOptions, Link};
 use crate::neighbours;
 use crate::rigid;
-use crate::signal::{Resampled, Signal, Smoothing};
+use crate::signal::{Resampled, Signal, kernel_sigma_s};
 use crate::stream::CheckedStream;
 
 /// Left out on either side of a displaced stretch: its ends are known to a block.
@@ -43,21 +43,21 @@ pub(crate) struct Signals {
 /// The settings of the fit, for the noise of a pair.
 #[derive(Clone, Copy)]
 pub(crate) struct Settings {
-    pub(crate) smoothing: Smoothing,
+    pub(crate) low_pass_hz: f64,
     /// Distance of the data's nodes, seconds.
     pub(crate) step_s: f64,
     pub(crate) fit: FitOptions,
 }
 
 impl Settings {
-    pub(crate) fn new(smoothing: Smoothing, pair: &Pair<'_>) -> Self {
-        let kernel_s = smoothing.kernel_sigma_s();
+    pub(crate) fn new(low_pass_hz: f64, pair: &Pair<'_>) -> Self {
+        let kernel_s = kernel_sigma_s(low_pass_hz);
         let step_s = 0.75 * kernel_s;
         // Length of white noise whose variance the filter leaves, per node.
         let kernel_length_s = 2.0 * std::f64::consts::PI.sqrt() * kernel_s;
         let in_band = |s: &CheckedStream<'_>| s.noise_variance() * s.step_s / kernel_length_s;
         Self {
-            smoothing,
+            low_pass_hz,
             step_s,
             fit: FitOptions {
                 iterations: 40,
@@ -154,11 +154,11 @@ impl<'a> Pair<'a> {
         [&a[..], b].concat()
     }
 
-    pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
-        let resampled = [&self.model, &self.data].map(|stream| stream.resampled(smoothing));
+    pub(crate) fn signals(&self, low_pass_hz: f64) -> Signals {
+        let resampled = [&self.model, &self.data].map(|stream| stream.resampled(low_pass_hz));
         let [model, data] = resampled
             .each_ref()
-            .map(|stream| stream.smoothed(smoothing.low_pass_hz));
+            .map(|stream| stream.smoothed(low_pass_hz));
         Signals {
             model,
             data,
@@ -179,14 +179,14 @@ impl<'a> Pair<'a> {
         for _ in 0..4 {
             let outliers = self.leave_out_outliers(&fit, &signals, settings);
             if outliers {
-                signals = self.signals(&settings.smoothing);
+                signals = self.signals(settings.low_pass_hz);
                 fit = settings.fitted(&signals, fit.link)?;
             }
             let stretches = crosscheck::stretches(&fit, STRETCH_BLOCK_S);
             let jumps = stretches.len() > 1;
             if jumps {
                 kept_share *= self.leave_out_stretches(&fit.link, &stretches);
-                signals = self.signals(&settings.smoothing);
+                signals = self.signals(settings.low_pass_hz);
                 fit = settings.fitted(&signals, fit.link)?;
             }
             if !outliers && !jumps {
@@ -198,7 +198,7 @@ impl<'a> Pair<'a> {
 
     /// Leaves out single samples of either stream; whether there were any.
     fn leave_out_outliers(&mut self, fit: &Fit, signals: &Signals, settings: &Settings) -> bool {
-        let wide_hz = settings.smoothing.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
+        let wide_hz = settings.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
         let [wide_model, wide_data] = signals.resampled.each_ref().map(|r| r.smoothed(wide_hz));
         let (model, data, link) = (&self.model, &self.data, fit.link);
         let of_data = crosscheck::outliers(

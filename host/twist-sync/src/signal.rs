@@ -14,7 +14,7 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
-use crate::interpolant::{Uneven, Uniform, Vec3};
+use crate::interpolant::{POINTS, Uneven, Uniform, Vec3};
 use crate::neighbours;
 
 /// Reach of the Gaussian kernel, in standard deviations. The
@@ -32,23 +32,8 @@ const GRID_LOW_PASS_HZ: f64 = 25.0;
 const BRIDGED_STEPS: f64 = 3.6;
 const BRIDGED_S: f64 = 0.01;
 
-/// Settings of the continuous representation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Smoothing {
-    /// Frequency at which the low-pass has fallen by 3 dB, in Hz.
-    pub(crate) low_pass_hz: f64,
-    /// Degree of the interpolation: 3, 5 or 7.
-    pub(crate) degree: usize,
-}
-
-impl Smoothing {
-    /// Standard deviation of the Gaussian kernel in seconds.
-    pub(crate) fn kernel_sigma_s(&self) -> f64 {
-        kernel_sigma_s(self.low_pass_hz)
-    }
-}
-
-fn kernel_sigma_s(low_pass_hz: f64) -> f64 {
+/// Standard deviation in seconds of the Gaussian kernel that has fallen by 3 dB at a frequency.
+pub(crate) fn kernel_sigma_s(low_pass_hz: f64) -> f64 {
     std::f64::consts::LN_2.sqrt() / (std::f64::consts::TAU * low_pass_hz)
 }
 
@@ -58,12 +43,11 @@ pub(crate) struct Resampled {
     /// Begin, and the rates from there on.
     pieces: Vec<(f64, Vec<Vec3>)>,
     grid: f64,
-    degree: usize,
 }
 
 impl Resampled {
     /// Of the samples with `usable[k]`, in increasing time, for filters as narrow as
-    /// `smoothing`.
+    /// one of `low_pass_hz`.
     ///
     /// `sample_step_s` is the typical distance between neighbours.
     pub(crate) fn new(
@@ -71,13 +55,12 @@ impl Resampled {
         w: &[Vec3],
         usable: &[bool],
         sample_step_s: f64,
-        smoothing: &Smoothing,
+        low_pass_hz: f64,
     ) -> Self {
-        let sigma = smoothing.kernel_sigma_s();
+        let sigma = kernel_sigma_s(low_pass_hz);
         // Steps so small that no gyroscope has them are a wrong unit of time.
         let coarsest = sigma.min(kernel_sigma_s(GRID_LOW_PASS_HZ)) / NODES;
         let grid = sample_step_s.clamp(coarsest / 20.0, coarsest);
-        let degree = smoothing.degree;
         let max_gap_s = (BRIDGED_STEPS * sample_step_s).max(BRIDGED_S);
         let kept = neighbours::kept(usable);
         let pieces = kept
@@ -85,21 +68,17 @@ impl Resampled {
             .filter_map(|piece| {
                 let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
                 let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
-                let raw = Uneven::new(&times, &rates, degree)?;
+                let raw = Uneven::new(&times, &rates)?;
                 let (from, to) = raw.domain();
                 Some((from, raw.on_grid(grid, ((to - from) / grid) as usize + 1)))
             })
             .collect();
-        Self {
-            pieces,
-            grid,
-            degree,
-        }
+        Self { pieces, grid }
     }
 
     /// Low-passed and continuous.
     ///
-    /// The kernel may be narrower than that of `smoothing`: at 1.4 steps of the grid, that of
+    /// The kernel may be narrower than that of `low_pass_hz`: at 1.4 steps of the grid, that of
     /// 45 Hz, its samples still are a Gaussian to 10⁻¹⁷.
     pub(crate) fn smoothed(&self, low_pass_hz: f64) -> Signal {
         let sigma = kernel_sigma_s(low_pass_hz) / self.grid;
@@ -109,10 +88,10 @@ impl Resampled {
             let start = from + (kernel.len() / 2) as f64 * self.grid;
             let step = self.grid * keep_every as f64;
             let nodes = filtered(rates, &kernel, keep_every);
-            if nodes.len() < 2 * self.degree {
+            if nodes.len() < 2 * (POINTS - 1) {
                 return None;
             }
-            Uniform::new(start, step, nodes, self.degree)
+            Uniform::new(start, step, nodes)
         };
         let pieces = self.pieces.iter().filter_map(smooth).collect();
         Signal { pieces }
@@ -196,17 +175,13 @@ mod tests {
 
     #[test]
     fn filter_has_no_delay_and_its_stated_width() {
-        let smoothing = Smoothing {
-            low_pass_hz: 25.0,
-            degree: 5,
-        };
         // 25 Hz sine: must come out in phase at 1/sqrt(2) of its height.
         let t: Vec<f64> = (0..2000)
             .map(|k| 0.002 * k as f64 + 1e-4 * (k as f64).sin())
             .collect();
         let f = std::f64::consts::TAU * 25.0;
         let w: Vec<Vec3> = t.iter().map(|&x| [(f * x).sin(), 0.0, 0.0]).collect();
-        let s = Resampled::new(&t, &w, &vec![true; t.len()], 0.002, &smoothing).smoothed(25.0);
+        let s = Resampled::new(&t, &w, &vec![true; t.len()], 0.002, 25.0).smoothed(25.0);
         let mut worst: f64 = 0.0;
         for k in 0..1000 {
             let x = 1.0 + 0.001 * k as f64;
@@ -218,15 +193,11 @@ mod tests {
 
     #[test]
     fn gaps_split_the_signal() {
-        let smoothing = Smoothing {
-            low_pass_hz: 25.0,
-            degree: 5,
-        };
         let t: Vec<f64> = (0..1000).map(|k| 0.002 * k as f64).collect();
         let w = vec![[1.0, 2.0, 3.0]; 1000];
         let mut usable = vec![true; 1000];
         usable[500..520].fill(false);
-        let s = Resampled::new(&t, &w, &usable, 0.002, &smoothing).smoothed(25.0);
+        let s = Resampled::new(&t, &w, &usable, 0.002, 25.0).smoothed(25.0);
         assert!(s.at(1.02).is_none());
         assert!(s.at(0.99).is_none(), "the kernel reaches into the gap");
         assert!(s.at(0.9).is_some() && s.at(1.2).is_some());

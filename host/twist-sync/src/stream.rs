@@ -5,7 +5,7 @@ use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::Vec3;
 use crate::neighbours::{self, Samples};
 use crate::samples;
-use crate::signal::{Resampled, Smoothing};
+use crate::signal::Resampled;
 use crate::timestamps;
 
 /// Rates above this are no rates, rad/s.
@@ -76,8 +76,8 @@ impl<'a> CheckedStream<'a> {
         Some(out)
     }
 
-    pub(crate) fn resampled(&self, smoothing: &Smoothing) -> Resampled {
-        Resampled::new(&self.t, self.w, &self.usable, self.step_s, smoothing)
+    pub(crate) fn resampled(&self, low_pass_hz: f64) -> Resampled {
+        Resampled::new(&self.t, self.w, &self.usable, self.step_s, low_pass_hz)
     }
 
     pub(crate) fn usable_count(&self) -> usize {

@@ -48,9 +48,6 @@ pub(crate) struct Args {
     /// −3 dB frequency of the zero-phase low-pass, Hz
     #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = low_pass)]
     pub(crate) low_pass_hz: f64,
-    /// Degree of the interpolation
-    #[arg(long, alias = "spline-degree", value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
-    pub(crate) degree: String,
     /// Do not look for faults of the streams, to see what they do to the result
     #[arg(long)]
     pub(crate) keep_faults: bool,
@@ -72,7 +69,6 @@ impl Args {
     fn options(&self) -> Options {
         Options {
             low_pass_hz: self.low_pass_hz,
-            degree: self.degree.parse().unwrap_or(5),
             a_delay_s: self.mcu_delay_us * 1e-6,
             b_delay_s: self.phone_delay_us * 1e-6,
             sigma_limit_s: self.max_sigma_us * 1e-6,

@@ -15,7 +15,6 @@ use twist_sync::{GyroTrack, Options, estimate_offset};
 struct Exported {
     version: &'static str,
     low_pass_hz: f64,
-    degree: usize,
     max_sigma_us: f64,
     faults_handled: bool,
     /// Of the exported files; its offset is that of their times.
@@ -44,7 +43,6 @@ pub(super) fn write(
     let exported = Exported {
         version: env!("CARGO_PKG_VERSION"),
         low_pass_hz: options.low_pass_hz,
-        degree: options.degree,
         max_sigma_us: options.sigma_limit_s * 1e6,
         faults_handled: options.handle_faults,
         result: Output::new(&result, options, inputs),
