@@ -5,7 +5,6 @@
 
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
-use stm32f4_sim::time::SimTime;
 
 use crate::wiring;
 
@@ -35,10 +34,6 @@ impl PinModel for Jumpers {
 
     fn watched_pins(&self) -> Vec<Pin> {
         [&[wiring::TRIGGER][..], &wiring::OUTPUTS].concat()
-    }
-
-    fn next_event(&self) -> Option<SimTime> {
-        None
     }
 
     fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {

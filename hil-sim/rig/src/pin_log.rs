@@ -43,8 +43,4 @@ impl PinModel for PinLog {
             self.edges.push((pin, io.now()));
         }
     }
-
-    fn next_event(&self) -> Option<SimTime> {
-        None
-    }
 }

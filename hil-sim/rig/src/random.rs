@@ -1,6 +1,6 @@
 //! The streams of random numbers of the rig's parts, all from one seed.
 
-pub use stm32f4_sim::random::{ALGORITHM, Random, Seed};
+pub use stm32f4_sim::random::{Random, Seed};
 
 /// What a stream of random numbers is for. The numbers are part of what a seed
 /// means: they are never given to something else. 19, 20, 28 and 29 are the

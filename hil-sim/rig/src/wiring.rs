@@ -78,7 +78,7 @@ pub fn board_of(kind: BoardKind, elf: Option<&Path>) -> SimBuilder {
             elf.push("-black-pill");
             board()
                 .elf(elf)
-                .part(Part::Stm32f411ce)
+                .chip(|chip| chip.part = Part::Stm32f411ce)
                 .crystal(Rate::hz(BLACK_PILL_CRYSTAL_HZ))
         }
     };

@@ -87,7 +87,9 @@ pub trait PinModel: Send {
     /// When the model wants to be called next; never, if it has nothing to do
     /// until an edge. Asked again after every call of the model, and after
     /// every I2C event if the model is also an I2C target.
-    fn next_event(&self) -> Option<SimTime>;
+    fn next_event(&self) -> Option<SimTime> {
+        None
+    }
 
     /// Called at the time that [`PinModel::next_event`] gave.
     fn advance(&mut self, io: &mut PinIo<'_>) {

@@ -14,9 +14,6 @@ use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-/// Name of the generator, for records of a run.
-pub const ALGORITHM: &str = "ChaCha8 (rand_chacha 0.10), one stream a model";
-
 /// The stream of the noise in the RAM at power-on.
 pub(crate) const RAM_STREAM: u64 = 19;
 /// The stream of the damage to bytes on the USB link.

@@ -126,10 +126,6 @@ impl<W: Write + Send> PinModel for VcdTrace<W> {
         let result = self.change(io.now(), pin, level);
         self.keep(result);
     }
-
-    fn next_event(&self) -> Option<SimTime> {
-        None
-    }
 }
 
 #[cfg(test)]

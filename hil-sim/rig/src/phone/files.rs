@@ -142,19 +142,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_right() {
-        for (unix, text) in [
-            (0, "19700101_000000"),
-            (WALL_CLOCK_AT_ZERO, "20210504_161730"),
-            (951_782_400, "20000229_000000"),
-            (1_709_251_199, "20240229_235959"),
-            (1_735_689_599, "20241231_235959"),
-        ] {
-            assert_eq!(date(unix), text);
-        }
-    }
-
-    #[test]
     fn names_are_the_app_s_and_never_taken_twice() {
         let storage = tempfile::tempdir().unwrap();
         let folder = storage.path().join("20210504_161730");

@@ -115,7 +115,10 @@ fn what_it_does_not_have_is_refused() {
 /// an STM32F411 has no memory.
 #[test]
 fn the_firmware_of_the_discovery_ends_on_this_chip() {
-    let mut rig = wiring::board().part(Part::Stm32f411ce).build().unwrap();
+    let mut rig = wiring::board()
+        .chip(|chip| chip.part = Part::Stm32f411ce)
+        .build()
+        .unwrap();
     let error = rig.run_for(SimDuration::from_secs(1)).unwrap_err();
     let SimError::Failed(_) = &error else {
         panic!("{error}");

@@ -8,7 +8,7 @@ use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::firmware::Firmware;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::sim::{FailureKind, ResetCause as BoardReset, SimError};
+use stm32f4_sim::sim::{Die, FailureKind, ResetCause as BoardReset, Revision, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
@@ -306,7 +306,9 @@ fn a_failure_ends_the_run_with_its_message_and_stack() {
 /// board goes on trying.
 #[test]
 fn without_its_crystal_the_board_says_so_and_tries_again() {
-    let builder = wiring::board().no_crystal().tolerate_failures();
+    let builder = wiring::board()
+        .chip(|chip| chip.crystal = None)
+        .tolerate_failures();
     let mut rig = builder.build().unwrap();
     rig.run_for(SimDuration::from_secs(1)).unwrap();
     assert!(rig.level(Pin::PD14).is_high(), "the red LED");
@@ -329,7 +331,7 @@ fn the_number_of_a_run_is_random_at_power_on() {
     let again = next_run(&mut board).epoch;
     assert_eq!(board.rig.random_number(), Some(again));
 
-    let board = Board::boot(wiring::board().broken_random_generator());
+    let board = Board::boot(wiring::board().chip(|chip| chip.broken_rng = true));
     assert_eq!(board.rig.random_number(), None);
     assert_eq!(board.hellos.len(), 1);
 }
@@ -337,7 +339,7 @@ fn the_number_of_a_run_is_random_at_power_on() {
 /// It keeps the flash's prefetch off there: the simulator ends the run otherwise.
 #[test]
 fn it_runs_on_the_first_revision_of_the_chip() {
-    let mut board = Board::boot(wiring::board().revision_a());
+    let mut board = Board::boot(wiring::board().chip(|chip| chip.revision = Revision::A));
     board.run(100);
     // PRFTEN of FLASH_ACR.
     let prefetch = |board: &Board| board.rig.stored_register(0x4002_3c00).unwrap() & (1 << 8) != 0;
@@ -478,7 +480,8 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
 #[test]
 fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
     for (celsius, supply) in [(-12.0, 3.3), (41.5, 2.9), (84.0, 2.5)] {
-        let mut board = Board::boot(wiring::board().die(celsius, supply));
+        let mut board =
+            Board::boot(wiring::board().chip(|chip| chip.die = Die { celsius, supply }));
         board.start(train(Period::from_ticks(TICK_HZ / 100), MIN_PULSE_WIDTH));
         board.run(3_100);
         let status = board.statuses.last().unwrap();

@@ -51,7 +51,8 @@ fn a_camera_without_a_gate_is_refused() {
         let seed = Seed(3);
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let camera = DepthCamera::new(config, board, seed).unwrap();
-        let built = wiring::board().die(25.0, supply).model(camera).build();
+        let board = wiring::board().chip(|chip| chip.die.supply = supply);
+        let built = board.model(camera).build();
         built.map(drop).map_err(|error| error.to_string())
     };
     assert_eq!(wired(wiring::GATE_HIGH, 2.9), Ok(()));

@@ -17,7 +17,7 @@ use stm32f4_sim::time::SimDuration;
 #[test]
 fn spurious_bus_errors_cost_no_sample() {
     let mut bench = Bench::on(
-        wiring::board().spurious_bus_errors(0.1),
+        wiring::board().chip(|chip| chip.bus_errors = 0.1),
         SensorModel::Mpu9150,
         Motion::rest(),
         &[],

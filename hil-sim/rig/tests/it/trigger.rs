@@ -450,7 +450,7 @@ fn a_faster_synchroniser_delays_captures_by_one_tick_less() {
 fn flashes_are_captured(ms: u64, synchroniser: u64) {
     let strobe = Strobe::flashes();
     let made = strobe.made.clone();
-    let builder = wiring::board().input_synchroniser(synchroniser);
+    let builder = wiring::board().chip(|chip| chip.synchroniser = synchroniser);
     let mut board = Board::boot(builder.model(strobe));
     board.rig.log_pin(Pin::PA5);
     start(&mut board, picos(33_333_333_330), WIDTH);

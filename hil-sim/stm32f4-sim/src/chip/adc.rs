@@ -40,10 +40,11 @@ const CAL_CELSIUS: [f64; 2] = [30.0, 110.0];
 
 /// What the ADC measures.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Die {
-    pub(crate) celsius: f64,
+pub struct Die {
+    /// Temperature of the die, in °C.
+    pub celsius: f64,
     /// Analogue supply, in V.
-    pub(crate) supply: f64,
+    pub supply: f64,
 }
 
 impl Default for Die {

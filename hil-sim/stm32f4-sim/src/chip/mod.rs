@@ -65,6 +65,9 @@ pub(crate) const TIM4: usize = 3;
 pub(crate) const TIM5: usize = 4;
 const TIMERS: usize = 5;
 
+/// Number of the specimen, in the system memory.
+const UNIQUE_ID: [u32; 3] = [0x0041_0028, 0x3231_470a, 0x3039_3137];
+
 /// Where an I2C bus is wired to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct I2cWires {
@@ -74,26 +77,28 @@ pub(crate) struct I2cWires {
 
 /// What the chip is soldered to, and what differs from one specimen to the next.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ChipConfig {
-    pub(crate) part: Part,
-    /// Frequency of the crystal, if there is one.
-    pub(crate) crystal: Option<Rate>,
-    pub(crate) unique_id: [u32; 3],
-    /// The wires of I2C1's bus.
+pub struct ChipConfig {
+    /// Which chip it is.
+    pub part: Part,
+    /// Frequency of the crystal; without one the external oscillator never starts.
+    pub crystal: Option<Rate>,
+    /// Wires of I2C1's bus.
     pub(crate) i2c: Option<I2cWires>,
-    /// How probable a bus error of the I2C is that is none, for each byte.
-    pub(crate) bus_errors: f64,
+    /// Probability of a bus error of the I2C that is none, for each byte (ES0182 2.10.1).
+    pub bus_errors: f64,
     /// Clocks that the synchroniser of a timer's input takes.
-    pub(crate) synchroniser: u64,
-    pub(crate) revision: Revision,
+    pub synchroniser: u64,
+    /// Revision of the chip.
+    pub revision: Revision,
     /// The random number generator reports a seed error.
-    pub(crate) broken_rng: bool,
-    pub(crate) die: Die,
+    pub broken_rng: bool,
+    /// Temperature and supply.
+    pub die: Die,
 }
 
 /// Revision of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Revision {
+pub enum Revision {
     /// The first: its flash accelerator cannot prefetch, and it gives the STM32F2's
     /// device ID (ES0182).
     A,
@@ -215,7 +220,7 @@ impl Soc {
             cells: Cells::default(),
             end: None,
             i2c_wires: config.i2c,
-            uid: config.unique_id,
+            uid: UNIQUE_ID,
             events: Events::new(),
             models: Vec::new(),
             watchers: [0; Pin::PORTS * 16],

@@ -62,7 +62,6 @@ impl SimBuilder {
             chip: ChipConfig {
                 part: Part::default(),
                 crystal: None,
-                unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
                 i2c: None,
                 bus_errors: BUS_ERRORS,
                 synchroniser: INPUT_SYNCHRONISER,
@@ -90,10 +89,10 @@ impl SimBuilder {
         self
     }
 
-    /// Another chip of the family.
+    /// Changes what the chip is like: its part, its revision, faults, what a manual leaves open.
     #[must_use]
-    pub fn part(mut self, part: Part) -> Self {
-        self.chip.part = part;
+    pub fn chip(mut self, change: impl FnOnce(&mut ChipConfig)) -> Self {
+        change(&mut self.chip);
         self
     }
 
@@ -137,58 +136,6 @@ impl SimBuilder {
     #[must_use]
     pub fn started_by_rom(mut self) -> Self {
         self.by_rom = true;
-        self
-    }
-
-    /// A chip of the first revision, A: its flash accelerator cannot prefetch.
-    #[must_use]
-    pub fn revision_a(mut self) -> Self {
-        self.chip.revision = Revision::A;
-        self
-    }
-
-    /// A chip whose random number generator reports a seed error.
-    #[must_use]
-    pub fn broken_random_generator(mut self) -> Self {
-        self.chip.broken_rng = true;
-        self
-    }
-
-    /// Temperature of the chip in °C and its supply in V (2.9 by default: a STM32F4DISCOVERY
-    /// feeds it 3.3 V through a diode): what its ADC finds, and what its outputs reach.
-    #[must_use]
-    pub fn die(mut self, celsius: f64, supply: f64) -> Self {
-        self.chip.die = Die { celsius, supply };
-        self
-    }
-
-    /// A board without a crystal: the high-speed oscillator never gets ready.
-    #[must_use]
-    pub fn no_crystal(mut self) -> Self {
-        self.chip.crystal = None;
-        self
-    }
-
-    /// How probable it is for each byte on the I2C bus that the chip reports a bus error
-    /// where there is none (ES0182 2.10.1).
-    #[must_use]
-    pub fn spurious_bus_errors(mut self, probability: f64) -> Self {
-        self.chip.bus_errors = probability;
-        self
-    }
-
-    /// Clocks of a timer from an edge at its input to the capture, without a filter
-    /// ([`INPUT_SYNCHRONISER`] by default).
-    #[must_use]
-    pub fn input_synchroniser(mut self, clocks: u64) -> Self {
-        self.chip.synchroniser = clocks;
-        self
-    }
-
-    /// The chip's unique 96-bit ID, as three words.
-    #[must_use]
-    pub fn unique_id(mut self, uid: [u32; 3]) -> Self {
-        self.chip.unique_id = uid;
         self
     }
 

@@ -19,9 +19,11 @@ pub use builder::{INPUT_SYNCHRONISER, SimBuilder};
 pub use failure::{Failure, FailureKind, SimError};
 
 use crate::backtrace;
+pub use crate::chip::adc::Die;
 pub use crate::chip::part::Part;
 pub use crate::chip::rcc::ResetCause;
 use crate::chip::{self, Soc};
+pub use crate::chip::{ChipConfig, Revision};
 use crate::clock::Rate;
 use crate::cpu::{Cpu, CpuStats, Event};
 use crate::firmware::Firmware;

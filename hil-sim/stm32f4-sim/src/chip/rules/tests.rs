@@ -43,7 +43,6 @@ fn chip_like(part: Part, revision: Revision) -> Soc {
         &ChipConfig {
             part,
             crystal: Some(Rate::hz(8_000_000)),
-            unique_id: [0; 3],
             i2c: Some(I2cWires {
                 scl: Pin::PB6,
                 sda: Pin::PB7,
