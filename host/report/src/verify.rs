@@ -2,127 +2,86 @@
 //!
 //! - [`recording::walk`]: bytes. Checksums of every chunk, of the data and of the index;
 //!   where the file breaks and where it can be taken up again.
-//! - `content`: messages. Each frame of the link is decoded again and compared
-//!   with the message that was made of it; the numbers that the board gave are
-//!   followed and held against the board's own counters; pulses must be on their
-//!   grid, times must go on.
+//! - `content`: messages. The numbers that the board gave are followed and held against the
+//!   board's own counters; pulses must be on their grid, times must go on.
 //! - [`crate::repair`]: what can be read, as a new recording.
 //!
-//! A finding says what kind it is (a stable word), how often, and when first. An
-//! error is a contradiction or damage; a warning is something that is missing and
-//! known to be; a note is worth knowing. The verdict is that of the worst.
+//! Bad is a contradiction or damage; check is something that is missing and known to be;
+//! good is worth knowing. The verdict is that of the worst.
 //!
 //! Limits: the phone's and the depth recorder's files are only looked for, not
 //! read; `smartdepthsync extract` does that.
 
 mod content;
+mod numbers;
+mod pulses;
+mod topics;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use protocol::Ticks;
-use serde::Serialize;
-
+use protocol::{PROTOCOL_VERSION, Ticks};
+use recording::finding::{Finding, Severity};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::walk::{Damage, Event, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
+use serde::Serialize;
 
 /// Version of the form of [`Report`].
-const FORM: u32 = 1;
-
-/// How bad a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Grade {
-    /// Worth knowing.
-    Note,
-    /// Something is missing, and known to be.
-    Warning,
-    /// Damage, or a contradiction.
-    Error,
-}
-
-/// Something that was found, once or often.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Finding {
-    /// A stable word.
-    pub kind: &'static str,
-    /// How bad.
-    pub grade: Grade,
-    /// How often.
-    pub count: u64,
-    /// Board time of the first, s, where it has one.
-    pub first_s: Option<f64>,
-    /// The first, in words.
-    pub text: String,
-}
+const FORM: u32 = 2;
 
 /// What was found, one entry a kind, in order of appearance.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Findings(Vec<Finding>);
 
 impl Findings {
-    /// Adds one of a kind; its text and time are kept if it is the first.
-    pub(crate) fn add(
+    /// Adds `count` of a kind; text and time are those of the first.
+    fn add(
         &mut self,
-        grade: Grade,
+        severity: Severity,
         kind: &'static str,
-        at: Option<Ticks>,
-        text: impl FnOnce() -> String,
-    ) {
-        self.add_many(grade, kind, at, 1, text);
-    }
-
-    /// As [`Findings::add`], for `count` of them.
-    pub(crate) fn add_many(
-        &mut self,
-        grade: Grade,
-        kind: &'static str,
-        at: Option<Ticks>,
-        count: u64,
+        (at, count): (Option<Ticks>, u64),
         text: impl FnOnce() -> String,
     ) {
         match self.0.iter_mut().find(|finding| finding.kind == kind) {
             Some(known) => known.count = known.count.saturating_add(count),
             None => self.0.push(Finding {
-                kind,
-                grade,
+                at,
                 count,
-                first_s: at.map(Ticks::as_secs_f64),
-                text: text(),
+                ..Finding::new(severity, kind, text())
             }),
         }
     }
 
-    /// Adds damage of the file.
-    fn add_damage(&mut self, damage: &Damage) {
-        let grade = match damage {
-            Damage::CutOff { .. } | Damage::TopicsAssumed => Grade::Warning,
-            _ => Grade::Error,
+    /// Adds damage or a contradiction.
+    fn bad(&mut self, kind: &'static str, at: Option<Ticks>, text: impl FnOnce() -> String) {
+        self.add(Severity::Bad, kind, (at, 1), text);
+    }
+
+    /// Adds something that is missing, and known to be.
+    fn check(&mut self, kind: &'static str, at: Option<Ticks>, text: impl FnOnce() -> String) {
+        self.add(Severity::Check, kind, (at, 1), text);
+    }
+
+    fn damage(&mut self, damage: &Damage) {
+        let severity = match damage {
+            Damage::CutOff { .. } | Damage::TopicsAssumed => Severity::Check,
+            _ => Severity::Bad,
         };
-        self.add(grade, damage.kind(), damage.at(), || damage.to_string());
+        let at = (damage.at(), 1);
+        self.add(severity, damage.kind(), at, || damage.to_string());
     }
 
-    fn verdict(&self) -> Verdict {
-        match self.0.iter().map(|finding| finding.grade).max() {
-            Some(Grade::Error) => Verdict::Damaged,
-            Some(Grade::Warning) => Verdict::Incomplete,
-            Some(Grade::Note) | None => Verdict::Whole,
-        }
+    /// Adds something worth knowing.
+    fn note(&mut self, kind: &'static str, text: impl FnOnce() -> String) {
+        self.add(Severity::Good, kind, (None, 1), text);
     }
-}
 
-/// The verdict over a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// Every byte and every number is right.
-    Whole,
-    /// What is there is right; something is missing, and it is known what.
-    Incomplete,
-    /// Bytes are damaged, or parts contradict each other.
-    Damaged,
+    fn worst(&self) -> Severity {
+        let severities = self.0.iter().map(|finding| finding.severity);
+        severities.max().unwrap_or(Severity::Good)
+    }
 }
 
 /// A numbered stream of the board.
@@ -163,14 +122,13 @@ pub struct Report {
     pub form: u32,
     /// The recording as it was named.
     pub recording: String,
-    /// The verdict.
-    pub verdict: Verdict,
+    /// Good: every byte and every number is right. Check: what is there is right, something
+    /// is missing. Bad: bytes are damaged, or parts contradict each other.
+    pub severity: Severity,
     /// Bytes.
     pub file: FileReport,
     /// First and last board time, s.
     pub board_time_s: Option<[f64; 2]>,
-    /// Runs of the board in the recording; more than one if it was reset.
-    pub board_runs: u64,
     /// Frames of the link that are no message.
     pub damaged_frames: u64,
     /// The board's streams, by name.
@@ -190,7 +148,7 @@ pub(crate) fn session_of(mcap: &Path, findings: &mut Findings) -> Option<Session
         return None;
     }
     if !folder.join(SESSION_FILE).exists() {
-        findings.add(Grade::Warning, "no_session_file", None, || {
+        findings.check("no_session_file", None, || {
             format!("there is no {SESSION_FILE} beside the recording: settings are not known")
         });
         return None;
@@ -198,9 +156,7 @@ pub(crate) fn session_of(mcap: &Path, findings: &mut Findings) -> Option<Session
     match SessionFile::load(folder) {
         Ok(session) => Some(session),
         Err(error) => {
-            findings.add(Grade::Error, "session_file_damaged", None, || {
-                error.to_string()
-            });
+            findings.bad("session_file_damaged", None, || error.to_string());
             None
         }
     }
@@ -242,42 +198,52 @@ pub(crate) fn walk(
     Ok(walk.report().clone())
 }
 
+/// Whether the board spoke the protocol of this program.
+fn reads_frames(session: &SessionFile) -> bool {
+    let board = session.board.as_ref();
+    board.is_none_or(|board| board.protocol == PROTOCOL_VERSION)
+}
+
 fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {
     match session.outcome {
-        None => findings.add(Grade::Warning, "not_finished", None, || {
+        None => findings.check("not_finished", None, || {
             String::from("the program was ended before it could close the session")
         }),
-        Some(SessionOutcome::Failed) => findings.add(Grade::Note, "failed", None, || {
-            session.problems.last().map_or_else(
-                || String::from("the session failed"),
-                |problem| format!("the session failed: {}", problem.text),
-            )
+        Some(SessionOutcome::Failed) => findings.note("failed", || {
+            let why = session.problems.last();
+            let why = why.map_or(String::new(), |problem| format!(": {}", problem.text));
+            format!("the session failed{why}")
         }),
-        Some(SessionOutcome::Interrupted) => findings.add(Grade::Note, "interrupted", None, || {
+        Some(SessionOutcome::Interrupted) => findings.note("interrupted", || {
             String::from("the session was stopped by its user")
         }),
         Some(SessionOutcome::Good | SessionOutcome::Loss) => {}
     }
     if let Some(problem) = session.problems.first() {
-        findings.add_many(
-            Grade::Note,
-            "problems_recorded",
-            problem.at,
-            session.problems.len() as u64,
-            || format!("the session itself noted: {}", problem.text),
-        );
+        let many = (problem.at, session.problems.len() as u64);
+        findings.add(Severity::Good, "problems_recorded", many, || {
+            format!("the session itself noted: {}", problem.text)
+        });
+    }
+    if !reads_frames(session) {
+        findings.check("frames_not_read", None, || {
+            format!(
+                "the board spoke another version of the protocol than {PROTOCOL_VERSION}, so its \
+                 numbers are not checked"
+            )
+        });
     }
     let folder = path.parent().unwrap_or(Path::new("."));
     for name in &session.files {
         if !folder.join(name).exists() {
-            findings.add(Grade::Warning, "file_missing", None, || {
+            findings.check("file_missing", None, || {
                 format!("{name}, which the session names, is not in its folder")
             });
         }
     }
     if file.closed && session.outcome.is_none() {
         // The other way round is a kill between the two; this is not.
-        findings.add(Grade::Note, "closed_without_outcome", None, || {
+        findings.note("closed_without_outcome", || {
             String::from("the recording is closed, but the session file has no outcome")
         });
     }
@@ -287,74 +253,70 @@ impl Report {
     /// For a terminal.
     #[must_use]
     pub fn text(&self) -> String {
-        let mut out = format!("recording    {}\n", self.recording);
-        let _ = writeln!(
-            out,
-            "verdict      {}",
-            match self.verdict {
-                Verdict::Whole => "whole: every byte and every number is right",
-                Verdict::Incomplete =>
-                    "incomplete: what is there is right, something is missing (see below)",
-                Verdict::Damaged =>
-                    "DAMAGED: parts cannot be read or contradict each other (see below)",
-            }
+        let mut out = String::new();
+        // Writing into a String cannot fail.
+        let mut line = |name: &str, text: &str| _ = writeln!(out, "{name:<12} {text}");
+        line("recording", &self.recording);
+        line(
+            "verdict",
+            match self.severity {
+                Severity::Good => "good: every byte and every number is right",
+                Severity::Check => "check: what is there is right, something is missing",
+                Severity::Bad => "BAD: parts cannot be read or contradict each other",
+            },
         );
         let file = &self.file;
-        let _ = writeln!(
-            out,
-            "file         {} bytes, {} chunks good, {} damaged, {} messages, {}",
-            file.bytes,
-            file.chunks,
-            file.bad_chunks,
-            file.messages,
-            if file.closed { "closed" } else { "not closed" }
+        let closed = if file.closed { "closed" } else { "not closed" };
+        line(
+            "file",
+            &format!(
+                "{} bytes, {} chunks good, {} damaged, {} messages, {closed}",
+                file.bytes, file.chunks, file.bad_chunks, file.messages
+            ),
         );
         if let Some([from, to]) = self.board_time_s {
-            let _ = writeln!(
-                out,
-                "board time   {from:.3} s to {to:.3} s, {} run{} of the board",
-                self.board_runs,
-                if self.board_runs == 1 { "" } else { "s" }
-            );
+            line("board time", &format!("{from:.3} s to {to:.3} s"));
         }
         for (name, stream) in &self.streams {
-            let _ = writeln!(
-                out,
-                "{name:<12} {} received, {} missing ({} dropped by the board)",
-                stream.received, stream.missing, stream.dropped_by_board
+            let StreamReport {
+                received,
+                missing,
+                dropped_by_board: dropped,
+            } = stream;
+            line(
+                name,
+                &format!("{received} received, {missing} missing ({dropped} dropped by the board)"),
             );
         }
         if let Some(grid) = &self.grid {
-            let _ = writeln!(
-                out,
-                "grid         {} pulses held against it, {} off{}",
-                grid.checked,
-                grid.off,
-                if grid.off > 0 {
-                    format!(", the furthest by {} ticks", grid.worst_ticks)
-                } else {
-                    String::new()
-                }
+            let GridReport {
+                checked,
+                off,
+                worst_ticks,
+            } = grid;
+            let most = match off {
+                0 => String::new(),
+                _ => format!(", the furthest by {worst_ticks} ticks"),
+            };
+            line(
+                "grid",
+                &format!("{checked} pulses held against it, {off} off{most}"),
             );
         }
         for finding in &self.findings {
-            let grade = match finding.grade {
-                Grade::Note => "note",
-                Grade::Warning => "warning",
-                Grade::Error => "ERROR",
-            };
-            let _ = write!(out, "{grade:<12} {}", finding.text);
+            let mut text = finding.text.clone();
             if finding.count > 1 {
-                let _ = write!(out, " (and {} more of this kind)", finding.count - 1);
+                let _ = write!(text, " (and {} more of this kind)", finding.count - 1);
             }
-            if let Some(at) = finding.first_s {
-                let _ = write!(out, " [from {at:.3} s]");
+            if finding.at.is_some() {
+                let _ = write!(text, " [from {} s]", finding.seconds());
             }
-            out.push('\n');
+            line(finding.severity.word(), &text);
         }
-        if self.verdict != Verdict::Whole && !(file.closed && file.bad_chunks == 0) {
-            out.push_str(
-                "next         `smartdepthsync repair RECORDING OUT` makes a whole file of what can be read\n",
+        if self.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
+            line(
+                "next",
+                "`smartdepthsync repair RECORDING OUT` makes a whole file of what can be read",
             );
         }
         out

@@ -3,7 +3,8 @@
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::RecordingArg;
-use report::verify::{Verdict, verify};
+use recording::finding::Severity;
+use report::verify::verify;
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
 /// grid, times that go on. Nothing is written.
@@ -27,8 +28,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         &context.interrupt.question(),
     )?;
     context.print(&report, || report.text())?;
-    Ok(match report.verdict {
-        Verdict::Whole => ExitStatus::Good,
-        Verdict::Incomplete | Verdict::Damaged => ExitStatus::Loss,
+    Ok(match report.severity {
+        Severity::Good => ExitStatus::Good,
+        Severity::Check | Severity::Bad => ExitStatus::Loss,
     })
 }

@@ -65,7 +65,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         &folder.join("report.html"),
         "record",
         &[
-            "Check",
+            "<b>check</b>",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
             "off the grid, ticks",
             "rad/s",

@@ -31,8 +31,6 @@ pub(crate) struct Wrong {
     pub(crate) board_knows: bool,
     /// This pulse comes this much late.
     pub(crate) pulse_late: Option<(u64, u64)>,
-    /// This message differs from its frame.
-    pub(crate) message_differs: bool,
     /// The IMU is silent here although no number is missing.
     pub(crate) silence: bool,
     /// The program is killed.
@@ -172,9 +170,8 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     gyro: [(number % 600) as i16, -5, 9],
                 };
                 maker.frame(&DeviceToHost::Imu(raw));
-                let shift = u64::from(wrong.message_differs && number == 700);
                 let sample = Sample {
-                    at: Ticks(at.0 + shift),
+                    at,
                     flags: raw.flags,
                     gyro: [f64::from(raw.gyro[0]) * 1e-3, 0.1, 0.2],
                     accel: [0.0, 0.0, 9.8],

@@ -1,0 +1,275 @@
+//! The numbers that the board gave its messages, by the frames of the link, against what the
+//! board itself counts.
+
+use std::collections::BTreeMap;
+
+use board::Stream;
+use protocol::{DeviceToHost, ImuFlags, ImuSample, Status, TICK_HZ, Ticks, decode_frame};
+use recording::finding::Severity;
+
+use super::{Findings, StreamReport};
+
+/// How many messages may be under way between a status and the streams that it
+/// counts: the queues of the board hold at most a few.
+const UNDER_WAY: u32 = 8;
+
+#[derive(Default)]
+struct Numbered {
+    expected: Option<u32>,
+    report: StreamReport,
+}
+
+/// Samples as the board counts and as it numbers them.
+#[derive(Clone, Copy)]
+struct Samples {
+    read: u32,
+    next: u32,
+}
+
+/// The checks while they run.
+#[derive(Default)]
+pub(super) struct Numbers {
+    streams: [Numbered; Stream::ALL.len()],
+    /// Nominal ticks from sample to sample.
+    imu_interval: Option<u64>,
+    last_imu: Option<(Ticks, u32)>,
+    epoch: Option<u32>,
+    /// The first and the last status.
+    statuses: Option<(Status, Status)>,
+    /// At the first and the last status that came behind a sample.
+    samples: Option<(Samples, Samples)>,
+    /// A frame could be read.
+    in_step: bool,
+    damaged_frames: u64,
+}
+
+impl Numbers {
+    pub(super) fn new(imu_interval: Option<u64>) -> Self {
+        Self {
+            imu_interval,
+            ..Self::default()
+        }
+    }
+
+    /// Takes a frame; gives the status that it holds. In the part of a file behind a gap, no
+    /// silence is missed.
+    pub(super) fn frame(
+        &mut self,
+        data: &[u8],
+        at: Ticks,
+        after_gap: bool,
+        findings: &mut Findings,
+    ) -> Option<Status> {
+        let message = match decode_frame(data) {
+            Ok(message) => message,
+            Err(error) => {
+                // The stream may be joined in the middle of a frame.
+                if self.in_step {
+                    self.damaged_frames += 1;
+                    findings.check("frame_damaged", Some(at), || {
+                        format!("a frame of the link was damaged when it came: {error}")
+                    });
+                }
+                return None;
+            }
+        };
+        self.in_step = true;
+        match &message {
+            DeviceToHost::Hello(hello) => self.life(hello.epoch, at, findings),
+            DeviceToHost::Status(status) => self.life(status.epoch, at, findings),
+            DeviceToHost::Imu(sample) => self.sample(sample, after_gap, findings),
+            _ => {}
+        }
+        if let Some((of, number, at)) = Stream::of(&message) {
+            self.number(of, number, at, findings);
+        }
+        let DeviceToHost::Status(status) = message else {
+            return None;
+        };
+        self.status(&status);
+        Some(status)
+    }
+
+    fn status(&mut self, status: &Status) {
+        let imu = self.streams.get(Stream::Imu as usize);
+        if let Some(next) = imu.and_then(|imu| imu.expected) {
+            let read = status.imu.samples;
+            let now = Samples { read, next };
+            self.samples = Some((self.samples.map_or(now, |(first, _)| first), now));
+        }
+        let first = self.statuses.take().map(|(first, _)| first);
+        self.statuses = Some((first.unwrap_or_else(|| status.clone()), status.clone()));
+    }
+
+    /// Something is missing in the file here.
+    pub(super) fn forget(&mut self) {
+        self.last_imu = None;
+        self.samples = None;
+    }
+
+    /// The board has this epoch. A recording is of one life of the board.
+    fn life(&mut self, epoch: u32, at: Ticks, findings: &mut Findings) {
+        if self
+            .epoch
+            .replace(epoch)
+            .is_some_and(|known| known != epoch)
+        {
+            findings.check("board_reset", Some(at), || {
+                String::from("the board was reset within the recording")
+            });
+            for stream in &mut self.streams {
+                stream.expected = None;
+            }
+            self.statuses = None;
+            self.forget();
+        }
+    }
+
+    fn number(&mut self, of: Stream, number: u32, at: Ticks, findings: &mut Findings) {
+        let Some(stream) = self.streams.get_mut(of as usize) else {
+            return;
+        };
+        let gap = number.wrapping_sub(stream.expected.unwrap_or(number));
+        if gap > u32::MAX / 2 {
+            findings.bad("number_backwards", Some(at), || {
+                format!("the board's numbers of {of} go back to {number}")
+            });
+        } else {
+            stream.report.missing += u64::from(gap);
+        }
+        stream.expected = Some(number.wrapping_add(1));
+        stream.report.received += 1;
+    }
+
+    /// Silence between samples must have a reason.
+    fn sample(&mut self, sample: &ImuSample, after_gap: bool, findings: &mut Findings) {
+        let (at, number) = (sample.at, sample.seq);
+        let last = self.last_imu.replace((at, number));
+        let (Some((last, before)), Some(interval)) = (last, self.imu_interval) else {
+            return;
+        };
+        let steps = u64::from(number.wrapping_sub(before));
+        let silence = at.0.saturating_sub(last.0);
+        if silence <= interval.saturating_mul(steps) + interval / 2 || after_gap {
+            return;
+        }
+        let ms = silence as f64 * 1e3 / f64::from(TICK_HZ);
+        let has_reason =
+            sample.flags.has(ImuFlags::AFTER_LOSS) || sample.flags.has(ImuFlags::FIRST);
+        if has_reason {
+            findings.check("imu_gap", Some(at), || {
+                format!("{ms:.1} ms without IMU samples, as the board itself says")
+            });
+        } else {
+            findings.bad("imu_gap_unexplained", Some(at), || {
+                format!("{ms:.1} ms without IMU samples, and the board does not say why")
+            });
+        }
+    }
+
+    pub(super) const fn damaged_frames(&self) -> u64 {
+        self.damaged_frames
+    }
+
+    /// Messages that are missing in all streams.
+    pub(super) fn missing(&self) -> u64 {
+        let streams = self.streams.iter();
+        streams.map(|stream| stream.report.missing).sum()
+    }
+
+    /// What came of it, by the streams' names.
+    pub(super) fn finish(
+        mut self,
+        has_gaps: bool,
+        findings: &mut Findings,
+    ) -> BTreeMap<&'static str, StreamReport> {
+        if let Some((first, last)) = self.samples.filter(|_| !has_gaps) {
+            let read = last.read.wrapping_sub(first.read);
+            let numbered = last.next.wrapping_sub(first.next);
+            if read.abs_diff(numbered) > UNDER_WAY {
+                findings.bad("imu_count", None, || {
+                    format!(
+                        "the board read {read} IMU samples between its first and last status, but \
+                         their numbers grew by {numbered}"
+                    )
+                });
+            }
+        }
+        self.share_drops();
+        for (stream, of) in self.streams.iter().zip(Stream::ALL) {
+            let StreamReport {
+                missing,
+                dropped_by_board: dropped,
+                ..
+            } = stream.report;
+            if missing > 0 {
+                let lost = missing - dropped;
+                findings.add(Severity::Check, "messages_missing", (None, missing), || {
+                    format!(
+                        "{missing} messages of {of} are missing by the board's numbers: {dropped} \
+                         the board dropped itself, {lost} were lost on the link or with a damaged \
+                         part"
+                    )
+                });
+            }
+        }
+        let reports = Stream::ALL.iter().zip(&self.streams);
+        reports
+            .filter(|(of, _)| **of != Stream::Filler)
+            .map(|(of, stream)| (of.name(), stream.report))
+            .collect()
+    }
+
+    /// Of what is missing, what the board dropped itself. Pulses per second are counted with
+    /// the auxiliary outputs.
+    fn share_drops(&mut self) {
+        let Some((first, last)) = &self.statuses else {
+            return;
+        };
+        let mut left_of_outputs = 0;
+        for (stream, of) in self.streams.iter_mut().zip(Stream::ALL) {
+            let counted = |status: &Status| of.dropped(&status.dropped).unwrap_or_default();
+            let dropped = match of {
+                Stream::Pps => left_of_outputs,
+                _ => u64::from(counted(last).wrapping_sub(counted(first))),
+            };
+            let report = &mut stream.report;
+            report.dropped_by_board = dropped.min(report.missing);
+            if of == Stream::Outputs {
+                left_of_outputs = dropped - report.dropped_by_board;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A board that counted 1,385 samples before a host came.
+    #[test]
+    fn a_status_before_the_first_sample_counts_no_samples() {
+        let findings = |last_number| {
+            let mut findings = Findings::default();
+            let mut numbers = Numbers::default();
+            let mut hear = |samples, next| {
+                if let (Some(next), Some(imu)) =
+                    (next, numbers.streams.get_mut(Stream::Imu as usize))
+                {
+                    imu.expected = Some(next);
+                }
+                // All counters 0, the first of each enum.
+                let mut status: Status = postcard::from_bytes(&[0; 256]).unwrap();
+                status.imu.samples = samples;
+                numbers.status(&status);
+            };
+            hear(1_385, None);
+            hear(1_885, Some(1_885));
+            hear(8_385, Some(last_number));
+            numbers.finish(false, &mut findings);
+            findings.0.len()
+        };
+        assert_eq!(findings(8_385), 0);
+        assert_eq!(findings(8_400), 1);
+    }
+}
