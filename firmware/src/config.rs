@@ -164,6 +164,10 @@ pub const CHECK_IN_MS: u64 = 500;
 /// nominal 32 (data sheet, table 36), so 2.7 to 7.5 s; it is fed once a second.
 pub const WATCHDOG_US: u32 = 4_000_000;
 
+/// Seconds in which the host sends and the board's core sends nothing, until the board leaves the
+/// bus and comes back. Status alone goes out every second.
+pub const TRANSMIT_SILENT_S: u32 = 5;
+
 /// From the answer to a self test to the failure, in ms: the answer has left.
 pub const SELF_TEST_DELAY_MS: u64 = 50;
 

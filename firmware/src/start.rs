@@ -89,6 +89,7 @@ fn main() -> ! {
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
         spawn(spawner, tasks::usb::watch_terminal(usb.control));
+        spawn(spawner, tasks::usb::watch_transmit());
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
         spawn(spawner, tasks::imu::run(imu_bus, imu_clock));

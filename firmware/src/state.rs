@@ -36,6 +36,9 @@ pub(crate) static TO_SEND: AtomicWaker = AtomicWaker::new();
 /// Woken when something was sent: there may be room for answers again.
 pub(crate) static ROOM: AtomicWaker = AtomicWaker::new();
 
+/// Woken when a host has come or gone.
+pub(crate) static LINK_CHANGED: AtomicWaker = AtomicWaker::new();
+
 /// What came in from the host.
 pub(crate) static RECEIVED: CriticalSectionMutex<Cell<LinkCounters>> =
     CriticalSectionMutex::new(Cell::new(LinkCounters {
@@ -83,6 +86,7 @@ pub(crate) fn set_linked(linked: bool, now: Ticks) {
         }
     });
     ROOM.wake();
+    LINK_CHANGED.wake();
 }
 
 /// Who the board is, now.

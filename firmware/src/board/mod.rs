@@ -35,6 +35,7 @@ pub(crate) mod leds;
 mod missing_outputs;
 #[cfg(feature = "discovery")]
 pub(crate) mod nmea_port;
+pub(crate) mod otg;
 pub(crate) mod outputs;
 #[cfg(feature = "discovery")]
 pub(crate) mod rng;

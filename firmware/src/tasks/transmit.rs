@@ -3,7 +3,8 @@
 //! One task alone waits for the host; everyone else only leaves messages in the
 //! outbox. Frames are encoded while the last packet is on the wire.
 
-use core::future::poll_fn;
+use core::future::{Future as _, poll_fn};
+use core::pin::pin;
 use core::sync::atomic::Ordering;
 use core::task::Poll;
 
@@ -15,8 +16,8 @@ use firmware::filler::Pacer;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
 use crate::board::tim2;
-use crate::state::{ALIVE, CONNECTS, FILLER_RATE, ROOM, TO_SEND, with_outbox};
-use crate::tasks::usb::UsbDriver;
+use crate::state::{ALIVE, CONNECTS, FILLER_RATE, LINK_CHANGED, ROOM, TO_SEND, with_outbox};
+use crate::tasks::usb::{self, UsbDriver};
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
@@ -133,17 +134,26 @@ impl Transmit {
         }
     }
 
+    /// False if the host is gone.
     async fn write_packet(&self, sender: &mut Sender<'static, UsbDriver>, packet: &[u8]) -> bool {
         loop {
             ALIVE.check_in(Task::Transmit);
-            let same_host = with_outbox(|outbox| outbox.is_linked())
-                && CONNECTS.load(Ordering::Relaxed) == self.connect;
-            if !same_host {
-                return false;
-            }
-            match with_timeout(CHECK_IN, sender.write_packet(packet)).await {
-                Ok(Ok(())) => return true,
-                Ok(Err(_)) => {
+            let mut write = pin!(sender.write_packet(packet));
+            let write = poll_fn(|context| {
+                LINK_CHANGED.register(context.waker());
+                // A packet for one host is not to reach the next.
+                match self.is_same_host() {
+                    true => write.as_mut().poll(context).map(Some),
+                    false => Poll::Ready(None),
+                }
+            });
+            match with_timeout(CHECK_IN, write).await {
+                Ok(Some(Ok(()))) => {
+                    usb::packet_sent();
+                    return true;
+                }
+                Ok(None) => return false,
+                Ok(Some(Err(_))) => {
                     // The bus was reset or lost; the link follows.
                     Timer::after_millis(1).await;
                     return false;
@@ -152,6 +162,10 @@ impl Transmit {
                 Err(_) => {}
             }
         }
+    }
+
+    fn is_same_host(&self) -> bool {
+        with_outbox(|outbox| outbox.is_linked()) && CONNECTS.load(Ordering::Relaxed) == self.connect
     }
 }
 

@@ -5,23 +5,26 @@
 //! VBUS is sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
 //! and so survives an unplugged cable, which it must notice (RM0090 34.3.3).
 
+use core::cell::Cell;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{Config, Driver, InterruptHandler};
 use embassy_stm32::{Peri, bind_interrupts, interrupt};
+use embassy_time::Timer;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Handler, UsbDevice};
 use firmware::boards::BOARD;
-use firmware::config::USB_PACKET;
+use firmware::config::{TRANSMIT_SILENT_S, USB_PACKET};
 use heapless::String;
 use protocol::UsbCounters;
 use static_cell::StaticCell;
 
 use crate::board::cycles::USB_TIME;
 use crate::board::leds::{self, Led};
+use crate::board::otg::{self, OtgDriver};
 use crate::board::tim2;
-use crate::state;
+use crate::state::{self, RECEIVED};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => Timed;
@@ -46,7 +49,7 @@ unsafe impl
 {
 }
 
-pub(crate) type UsbDriver = Driver<'static, USB_OTG_FS>;
+pub(crate) type UsbDriver = OtgDriver;
 
 pub(crate) struct Usb {
     pub(crate) device: UsbDevice<'static, UsbDriver>,
@@ -86,7 +89,7 @@ pub(crate) fn build(
 
     let mut otg = Config::default();
     otg.vbus_detection = BOARD.senses_vbus;
-    let driver = Driver::new_fs(usb, Irqs, dp, dm, &mut buffers.out, otg);
+    let driver = OtgDriver(Driver::new_fs(usb, Irqs, dp, dm, &mut buffers.out, otg));
 
     let mut config = embassy_usb::Config::new(protocol::usb::VENDOR_ID, protocol::usb::PRODUCT_ID);
     config.manufacturer = Some(protocol::usb::MANUFACTURER);
@@ -116,6 +119,44 @@ pub(crate) fn build(
 #[embassy_executor::task]
 pub(crate) async fn run(mut device: UsbDevice<'static, UsbDriver>) {
     device.run().await;
+}
+
+/// Packets that the core took to send.
+static SENT: AtomicU32 = AtomicU32::new(0);
+
+/// Notes that a packet went into the core.
+pub(crate) fn packet_sent() {
+    SENT.fetch_add(1, Ordering::Relaxed);
+}
+
+/// Leaves the bus and comes back if nothing is sent although the host talks to the board: the
+/// core's transmitter has stopped for a reason that is not known.
+#[embassy_executor::task]
+pub(crate) async fn watch_transmit() {
+    let progress = || {
+        (
+            SENT.load(Ordering::Relaxed),
+            RECEIVED.lock(Cell::get).frames,
+        )
+    };
+    let (mut sent, mut received) = progress();
+    let mut silent = 0;
+    loop {
+        Timer::after_secs(1).await;
+        let now = progress();
+        let is_linked = LINK.load(Ordering::Relaxed) == LINKED;
+        if !is_linked || now.0 != sent {
+            silent = 0;
+        } else if now.1 != received {
+            silent += 1;
+        }
+        (sent, received) = now;
+        if silent >= TRANSMIT_SILENT_S {
+            defmt::error!("the USB core does not send: leaving the bus");
+            silent = 0;
+            otg::reconnect().await;
+        }
+    }
 }
 
 /// Follows DTR.

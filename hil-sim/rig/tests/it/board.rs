@@ -128,6 +128,71 @@ fn time_goes_on_while_the_cable_is_out() {
     assert!(board.rig.failures().is_empty());
 }
 
+/// Bus resets, suspends and pulled cables at any moment of a stream of full packets: the board
+/// comes back each time, and nothing is lost that is not counted.
+#[test]
+fn the_link_comes_back_after_any_interruption_in_a_packet() {
+    let mut board = Board::boot(wiring::board());
+    let mut random = Seed(7).stream(Stream::Test);
+    for n in 0..30_u64 {
+        let bytes_per_second = 900_000;
+        assert_eq!(board.ask(SendFiller { bytes_per_second }), Ok(()));
+        let connects = board.next_status().connects;
+        // A full packet takes 52 µs.
+        board
+            .rig
+            .run_for(SimDuration::from_micros(random.below(2_000) as u64))
+            .unwrap();
+        match n % 3 {
+            0 => board.rig.usb_reset_bus(),
+            1 => board
+                .rig
+                .usb_suspend(SimDuration::from_millis(4 + random.below(30) as u64)),
+            _ => {
+                board.rig.usb_unplug();
+                board
+                    .rig
+                    .run_for(SimDuration::from_micros(random.below(9_000) as u64))
+                    .unwrap();
+                board.rig.usb_plug();
+            }
+        }
+        board.break_link();
+        board.wait(3_000, |b| {
+            b.statuses.last().is_some_and(|s| s.connects > connects)
+        });
+    }
+    let statuses = &board.statuses;
+    let gaps: u32 = statuses
+        .windows(2)
+        .map(|pair| pair[1].seq - pair[0].seq - 1)
+        .sum();
+    // A status that was on its way when the link ended is lost with it.
+    assert!(
+        gaps <= statuses.last().unwrap().dropped.status + 30,
+        "{gaps}"
+    );
+    assert!(board.rig.failures().is_empty());
+}
+
+/// Whatever stops the core's transmitter, the board leaves the bus and comes back.
+#[test]
+fn a_transmitter_that_stops_is_started_again() {
+    let mut board = Board::boot(wiring::board());
+    let connects = board.next_status().connects;
+    board.rig.usb_wedge_transmit();
+    for id in 0..12 {
+        let mut frame = [0; MAX_FRAME];
+        let ping = HostToDevice {
+            id,
+            command: Ping { host_time: 0 }.into(),
+        };
+        board.rig.usb_write(encode(&ping, &mut frame).unwrap());
+        board.run(1_000);
+    }
+    assert_eq!(board.next_status().connects, connects + 1);
+}
+
 #[test]
 fn a_host_that_stops_reading_costs_only_counted_messages() {
     let mut board = Board::boot(wiring::board());

@@ -73,6 +73,20 @@ impl Board {
         let bytes = self.rig.usb_read();
         let mut rest = bytes.as_slice();
         while let Some(message) = self.decoder.next(&mut rest) {
+            if message.is_err() {
+                eprintln!(
+                    "bad at {} log {:?} {:?}",
+                    self.rig.now(),
+                    self.rig.usb_log().iter().rev().take(4).collect::<Vec<_>>(),
+                    self.rig
+                        .log()
+                        .iter()
+                        .rev()
+                        .take(6)
+                        .map(|l| l.to_string())
+                        .collect::<Vec<_>>()
+                );
+            }
             match message.unwrap() {
                 DeviceToHost::Hello(hello) => self.hellos.push(hello),
                 DeviceToHost::Answer(answer) => self.answers.push(answer),
@@ -120,14 +134,18 @@ impl Board {
         );
     }
 
+    /// Takes what came before the link broke. Half a frame may have been on the wire.
+    pub(crate) fn break_link(&mut self) {
+        self.take();
+        self.decoder.reset();
+    }
+
     /// Pulls the USB cable for so many virtual milliseconds, and opens the port
     /// again.
     pub(crate) fn unplug_and_plug(&mut self, ms: u64) {
         self.rig.usb_unplug();
-        self.take();
+        self.break_link();
         self.run(ms);
-        // Half a frame may have been on the wire.
-        self.decoder.reset();
         self.rig.usb_plug();
         let ready = self
             .rig

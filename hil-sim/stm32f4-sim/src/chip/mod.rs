@@ -35,7 +35,7 @@ use crate::cpu::access::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
 use crate::random::{BUS_ERROR_STREAM, RNG_STREAM, Random, Seed};
-use crate::time::SimTime;
+use crate::time::{SimDuration, SimTime};
 use crate::usb::UsbHost;
 
 use adc::{Adc, Die};
@@ -477,6 +477,16 @@ impl Soc {
 
     pub(crate) fn unplug(&mut self) {
         self.usb.unplug(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn reset_bus(&mut self) {
+        self.usb.reset_bus(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn suspend_bus(&mut self, length: SimDuration) {
+        self.usb.suspend(self.now, length, &mut self.otg);
         self.after_usb();
     }
 

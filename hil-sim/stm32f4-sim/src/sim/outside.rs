@@ -71,6 +71,21 @@ impl Sim {
         self.with_chip(Soc::plug);
     }
 
+    /// The host resets the bus in whatever is going on, and enumerates the device again.
+    pub fn usb_reset_bus(&mut self) {
+        self.with_chip(Soc::reset_bus);
+    }
+
+    /// The host stops all traffic for so long, as in a computer's sleep, and resets the bus then.
+    pub fn usb_suspend(&mut self, length: SimDuration) {
+        self.with_chip(|s| s.suspend_bus(length));
+    }
+
+    /// The core's transmitter answers no token any more, until the next bus reset.
+    pub fn usb_wedge_transmit(&mut self) {
+        self.with_chip(|s| s.otg.wedge());
+    }
+
     /// Opens or closes the port at the host (DTR and RTS).
     pub fn usb_open(&mut self, open: bool) {
         self.with_chip(|s| s.usb_configure(|u| u.set_open(open)));

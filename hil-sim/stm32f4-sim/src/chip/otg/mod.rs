@@ -109,6 +109,7 @@ pub(crate) struct Otg {
     tx: [VecDeque<u32>; ENDPOINTS],
     vbus: bool,
     suspended: bool,
+    wedged: bool,
     frame: u32,
     /// Something changed that the host waits for.
     pub(crate) changed: bool,
@@ -141,6 +142,7 @@ impl Otg {
             tx: [const { VecDeque::new() }; ENDPOINTS],
             vbus: false,
             suspended: false,
+            wedged: false,
             frame: 0,
             changed: true,
         }
@@ -201,21 +203,27 @@ impl Otg {
         for ep in &mut self.outep {
             ep.ctl = (ep.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
         }
+        // A transmit is not stopped by a reset: the driver has to (embassy #6687).
         for (n, ep) in self.inep.iter_mut().enumerate() {
-            ep.ctl = (ep.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
-            if n > 0 {
+            if n == 0 {
+                ep.ctl = (ep.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
+            } else {
                 ep.ctl &= !(EPCTL_USBAEP | EPCTL_STALL);
             }
         }
+        self.tx[0].clear();
+        self.wedged = false;
         for ep in &mut self.outep[1..] {
             ep.ctl &= !(EPCTL_USBAEP | EPCTL_STALL);
-        }
-        for tx in &mut self.tx {
-            tx.clear();
         }
         self.rx_status.clear();
         self.rx_data.clear();
         self.rx_words = 0;
+    }
+
+    /// The transmitter answers no token any more, until the next bus reset.
+    pub(crate) fn wedge(&mut self) {
+        self.wedged = true;
     }
 
     /// End of the bus reset: the speed is known.
@@ -342,6 +350,7 @@ impl Otg {
             return Some(Handshake::Stall);
         }
         let active = ep == 0 || e.ctl & EPCTL_USBAEP != 0;
+        let active = active && !(self.wedged && ep > 0);
         if !active || e.ctl & EPCTL_EPENA == 0 || e.ctl & EPCTL_NAKSTS != 0 {
             return None;
         }

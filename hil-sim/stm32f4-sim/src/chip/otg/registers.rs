@@ -255,7 +255,9 @@ impl Otg {
         if value & EPCTL_CNAK != 0 {
             ctl &= !EPCTL_NAKSTS;
         }
-        if value & EPCTL_EPDIS != 0 && e.ctl & EPCTL_EPENA != 0 {
+        // Only while NAK is in effect already (RM0090 34.17.6, "IN endpoint disable").
+        let can_disable = e.ctl & EPCTL_EPENA != 0 && e.ctl & EPCTL_NAKSTS != 0;
+        if value & EPCTL_EPDIS != 0 && can_disable {
             ctl &= !EPCTL_EPENA;
             e.int |= DIEPINT_EPDISD;
         } else if value & EPCTL_EPENA != 0 {

@@ -302,6 +302,33 @@ impl UsbHost {
         self.step(now, otg);
     }
 
+    /// Resets the bus in whatever is going on, and enumerates the device again.
+    pub(crate) fn reset_bus(&mut self, now: SimTime, otg: &mut Otg) {
+        if matches!(self.phase, Phase::Unplugged | Phase::NoDevice) {
+            return;
+        }
+        self.note(now, "bus reset");
+        self.drop_device();
+        self.attempts = 0;
+        self.reset(now, Step::Descriptor8, otg);
+        self.step(now, otg);
+    }
+
+    /// Stops all traffic, as before a computer's sleep, and resets the bus after `length`.
+    pub(crate) fn suspend(&mut self, now: SimTime, length: SimDuration, otg: &mut Otg) {
+        if matches!(self.phase, Phase::Unplugged | Phase::NoDevice) {
+            return;
+        }
+        self.note(now, "bus suspended");
+        self.drop_device();
+        self.attempts = 0;
+        self.phase = Phase::Debounce {
+            until: now + length,
+        };
+        self.quiet_since = Some(now);
+        self.step(now, otg);
+    }
+
     fn drop_device(&mut self) {
         self.ready = false;
         self.control = None;
