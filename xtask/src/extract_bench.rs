@@ -28,15 +28,8 @@ struct Measured {
 /// `cargo xtask bench extract`.
 pub(crate) fn run(depth_minutes: u32) -> Result<()> {
     let python = tools::ensure_python()?;
-    process::cargo([
-        "build",
-        "--release",
-        "--workspace",
-        "--example",
-        "synthetic_recording",
-        "--bin",
-        "smartdepthsync",
-    ])?;
+    let build = "build --release --workspace --example synthetic_recording --bin smartdepthsync";
+    process::cargo(build.split(' '))?;
     let place = process::fresh_folder("extract-bench")?;
     let result = board(&place, &python).and_then(|()| depth(&place, depth_minutes));
     // The recordings are large.

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use crate::{firmware, process, tools};
 
 /// Size of the terminal of the live view.
-const TERMINAL: (u16, u16) = (80, 24);
+const TERMINAL: (&str, &str) = ("80", "24");
 
 /// How long the live view may take to show a recording.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -40,7 +40,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
         &["--motion", "twist", "--phone", "0", "--profile", &written],
     )?;
     let terminal = Terminal(place.join("tmux"));
-    let (width, height) = (TERMINAL.0.to_string(), TERMINAL.1.to_string());
+    let (width, height) = TERMINAL;
     let program = process::program("smartdepthsync").display().to_string();
     let out = place.join("recordings").display().to_string();
     let record = [
@@ -59,9 +59,9 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
         "new-session",
         "-d",
         "-x",
-        &width,
+        width,
         "-y",
-        &height,
+        height,
     ];
     terminal.run(&[&session[..], &[&program], &record[..]].concat())?;
     let begun = Instant::now();
@@ -81,7 +81,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
         process::command(python)
             .arg(process::root().join("xtask/figures/terminal.py"))
             .arg(&capture)
-            .arg(&width)
+            .arg(width)
             .arg(figure),
     )?;
     println!("{}", figure.display());
@@ -104,14 +104,8 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     let shot = place.join("report.png");
     let mut browser = process::command("chromium");
     browser
-        .args([
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--hide-scrollbars",
-            "--log-level=3",
-        ])
-        .args(["--window-size=900,1905", "--virtual-time-budget=4000"])
+        .args("--headless=new --no-sandbox --disable-gpu --hide-scrollbars".split(' '))
+        .args("--log-level=3 --window-size=900,1905 --virtual-time-budget=4000".split(' '))
         .arg(format!(
             "--user-data-dir={}",
             place.join("browser").display()

@@ -7,7 +7,6 @@
 
 mod dependencies;
 mod docs;
-mod evaluate_bench;
 mod extract_bench;
 mod figures;
 mod firmware;
@@ -86,8 +85,6 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// The speed of `smartdepthsync evaluate`.
-    Evaluate,
     /// The clock estimate: error, honesty and time on simulated twists, beside the published
     /// Python package.
     Sync {
@@ -112,7 +109,6 @@ fn run(command: Command) -> Result<()> {
         Command::HilSim { args } => hil_sim(&args),
         Command::Check { no_book } => check(no_book),
         Command::Readers => readers(),
-        Command::Bench(Bench::Evaluate) => evaluate_bench::run(),
         Command::Bench(Bench::Sync { trials }) => sync_bench::run(trials),
         Command::Bench(Bench::Extract { depth_minutes }) => extract_bench::run(depth_minutes),
         Command::Package => package(),
@@ -173,21 +169,11 @@ fn readers() -> Result<()> {
 }
 
 fn check(no_book: bool) -> Result<()> {
-    tools::ensure_component("rustfmt", "fmt")?;
-    tools::ensure_component("clippy", "clippy")?;
     process::cargo(["fmt", "--all", "--check"])?;
-    process::cargo([
-        "clippy",
-        "--release",
-        "--workspace",
-        "--all-targets",
-        "--",
-        "-D",
-        "warnings",
-    ])?;
+    process::cargo("clippy --release --workspace --all-targets -- -D warnings".split(' '))?;
     firmware::clippy()?;
     // As a lean crate of its own, from what would be published.
-    process::cargo(["package", "-p", "twist-sync", "--allow-dirty", "--quiet"])?;
+    process::cargo("package -p twist-sync --allow-dirty --quiet".split(' '))?;
     wheel::build_and_test()?;
     dependencies::check()?;
     if no_book {
@@ -200,7 +186,7 @@ fn check(no_book: bool) -> Result<()> {
 fn package() -> Result<()> {
     let elves = [firmware::build_black_pill()?, firmware::build()?];
     firmware::build_agent()?;
-    process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
+    process::cargo("build --release -p smartdepthsync".split(' '))?;
     package::build(&elves)
 }
 

@@ -3,6 +3,7 @@
 //! own and tried there.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -59,11 +60,7 @@ pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
     let man = tree.join("usr/share/man/man1");
     process::run(process::command(&program).arg("man").arg(&man))?;
     for page in fs::read_dir(&man)? {
-        process::run(
-            process::command("gzip")
-                .args(["-9", "-n"])
-                .arg(page?.path()),
-        )?;
+        process::run(process::command("gzip").arg("-9n").arg(page?.path()))?;
     }
     for name in ["LICENSE-MIT", "LICENSE-APACHE", "NOTICE", "CHANGELOG.md"] {
         install(
@@ -244,13 +241,7 @@ fn try_it(package: &Path, root: &Path, elves: &[PathBuf]) -> Result<()> {
 fn install(from: &Path, to: &Path, mode: u32) -> Result<()> {
     let bytes = fs::read(from).with_context(|| format!("cannot read {}", from.display()))?;
     write(to, &bytes)?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        fs::set_permissions(to, fs::Permissions::from_mode(mode))?;
-    }
-    #[cfg(not(unix))]
-    let _ = mode;
+    fs::set_permissions(to, fs::Permissions::from_mode(mode))?;
     Ok(())
 }
 

@@ -152,15 +152,7 @@ pub(crate) fn program(name: &str) -> PathBuf {
 /// Builds the host tool and the simulator, with the features of the whole workspace: so have
 /// the tests, and no crate of the host is compiled twice.
 pub(crate) fn build_programs() -> Result<()> {
-    cargo([
-        "build",
-        "--release",
-        "--workspace",
-        "--bin",
-        "smartdepthsync",
-        "--bin",
-        "hil-sim",
-    ])
+    cargo("build --release --workspace --bin smartdepthsync --bin hil-sim".split(' '))
 }
 
 /// Runs the simulator that cargo has built in the release profile.
@@ -169,4 +161,10 @@ pub(crate) fn hil_sim<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
         .args(args)
         .env(ELF_VARIABLE, elf)
         .envs(NO_ADB))
+}
+
+/// Runs the example `sync_bench` of the estimator's scenarios.
+pub(crate) fn sync_example(args: &[&str]) -> Result<()> {
+    let run = "run --release -q -p twist-scenarios --example sync_bench --".split(' ');
+    cargo(run.chain(args.iter().copied()))
 }

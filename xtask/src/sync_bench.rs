@@ -2,26 +2,11 @@
 
 use anyhow::Result;
 
-use crate::{process, wheel};
+use crate::process::{self, sync_example as example};
+use crate::wheel;
 
 /// Trials that the Python package is given: it is measured, not studied.
 const MOST_FILES: u32 = 100;
-
-/// Runs the example `sync_bench` of the estimator's scenarios.
-pub(crate) fn example(args: &[&str]) -> Result<()> {
-    let mut all = vec![
-        "run",
-        "--release",
-        "-q",
-        "-p",
-        "twist-scenarios",
-        "--example",
-        "sync_bench",
-        "--",
-    ];
-    all.extend_from_slice(args);
-    process::cargo(all)
-}
 
 /// `cargo xtask bench sync`: all scenarios, twists over an hour, then the package
 /// beside ours.

@@ -22,24 +22,6 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("adb", "adb")
 }
 
-/// Makes sure that cargo has a subcommand that is a component of the toolchain.
-pub(crate) fn ensure_component(component: &str, subcommand: &str) -> Result<()> {
-    let has = || process::answers(process::cargo_program(), &[subcommand, "--version"]);
-    if has() {
-        return Ok(());
-    }
-    println!("`cargo {subcommand}` is missing: trying rustup component add");
-    let added = Command::new("rustup")
-        .current_dir(process::root())
-        .args(["component", "add", component])
-        .status()
-        .is_ok_and(|status| status.success());
-    if added && has() {
-        return Ok(());
-    }
-    bail!("`cargo {subcommand}` is missing: run `rustup component add {component}`")
-}
-
 /// Makes sure that `program` is on the path, from a Debian package if need be.
 pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
     let version = match program {
@@ -160,14 +142,8 @@ pub(crate) fn ensure_cargo_tool(name: &str, version: &str, options: &[&str]) -> 
         println!("building {name} {version} into {}", folder.display());
         process::run(
             process::command(process::cargo_program())
-                .args([
-                    "install",
-                    "--quiet",
-                    "--locked",
-                    "--version",
-                    version,
-                    "--root",
-                ])
+                .args(["install", "--quiet", "--locked", "--version", version])
+                .arg("--root")
                 .arg(&folder)
                 .args(options)
                 .arg(name),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
-use crate::{process, sync_bench, tools};
+use crate::{process, tools};
 
 /// Twists of each scenario whose results must be those of the crate.
 const TRIALS: &str = "2";
@@ -14,13 +14,9 @@ fn build(python: &Path) -> Result<PathBuf> {
     let folder = process::fresh_folder("wheels")?;
     process::run(
         process::command(python)
-            .args(["-m", "maturin", "build", "--release", "--quiet"])
-            .args([
-                "--manifest-path",
-                "host/twist-sync-python/Cargo.toml",
-                "--out",
-            ])
+            .args("-m maturin build --release --quiet --out".split(' '))
             .arg(&folder)
+            .args(["--manifest-path", "host/twist-sync-python/Cargo.toml"])
             .env("VIRTUAL_ENV", process::target_dir().join("venv")),
     )?;
     let entry = std::fs::read_dir(&folder)?.next();
@@ -45,16 +41,10 @@ pub(crate) fn build_and_test() -> Result<()> {
     process::build_programs()?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
-    sync_bench::example(&["--export", &twists_text, "--trials", TRIALS])?;
+    process::sync_example(&["--export", &twists_text, "--trials", TRIALS])?;
     process::run(
         process::command(&python)
-            .args([
-                "-m",
-                "unittest",
-                "discover",
-                "-s",
-                "host/twist-sync-python/tests",
-            ])
+            .args("-m unittest discover -s host/twist-sync-python/tests".split(' '))
             .env("SMARTDEPTHSYNC", process::program("smartdepthsync"))
             .env("SYNC_BENCH", &twists),
     )
