@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use protocol::{Baud, GnssReport, GnssSettings, StartGnss, Ticks};
+use protocol::{Baud, GnssReport, GnssSettings, Sentences, StartGnss, TICK_HZ, Ticks};
 
 use crate::{Board, Result};
 
@@ -11,9 +11,30 @@ use crate::{Board, Result};
 /// 215 ms: what each lidar wants whose figures are in `docs/outputs.md`.
 pub const NMEA_DELAY_MS: u16 = 100;
 
+/// Length of the pulse per second, ticks: 20 ms.
+const PPS_WIDTH: u32 = TICK_HZ / 50;
+
 /// How far a running epoch may be from this computer's clock to be kept, s: the
 /// nearest second may be the one before or after.
 const SAME_EPOCH_S: u64 = 1;
+
+/// Settings for a lidar that begins with Unix time `utc_at_zero` at tick 0: the line's rate,
+/// whether it is high when idle, and whether `$GPZDA` follows `$GPRMC`.
+#[must_use]
+pub const fn settings(utc_at_zero: i64, baud: Baud, idle_high: bool, zda: bool) -> GnssSettings {
+    GnssSettings {
+        utc_at_zero,
+        baud,
+        line_inverted: !idle_high,
+        sentences: match zda {
+            true => Sentences::RmcZda,
+            false => Sentences::Rmc,
+        },
+        delay_ms: NMEA_DELAY_MS,
+        pulse_width: PPS_WIDTH,
+        pulse_inverted: false,
+    }
+}
 
 /// The rate of a serial line from its number in Bd.
 ///

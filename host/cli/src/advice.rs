@@ -176,14 +176,16 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
             "nothing records now: run it again. (A video was begun on the phone itself, or by a start that failed)"
         }
         PhoneError::Adb(error) => return adb_step(error),
-        PhoneError::SensorMissing { .. } => TICK_SENSORS,
+        PhoneError::NoGyroscope => {
+            "tick it in the app: IMU settings, Enabled sensors. (Up to v1.48.2.9 each request rewrites these ticks; later versions go by them)"
+        }
         PhoneError::TooShort { .. } => {
             "keep the app in the foreground and the screen on until it has answered, then try again"
         }
         PhoneError::Hangs { .. } => {
             "force the app to stop in the phone's settings (Apps, OpenCamera Sensors), and open it again. Its video is whole: it lies on the phone. Storage without the storage access framework avoids this"
         }
-        PhoneError::Timeout { .. } | PhoneError::SendTimeout { .. } => {
+        PhoneError::Timeout { .. } => {
             "bring the app to the foreground and close other clients: it serves one at a time. On a slow network, see whether it answers at all: `smartdepthsync phone imu --timeout 60 --phone HOST`"
         }
         PhoneError::TooSlow { .. } => "move the phone closer to the access point, or use a cable",
@@ -196,7 +198,7 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         PhoneError::VideoTooShort { .. } | PhoneError::VideoTooLong { .. } => {
             "nothing was saved; try again once the app has finished the file"
         }
-        PhoneError::VideoTooLarge { .. } => "raise --max-bytes if the video is really that long",
+        PhoneError::VideoTooLarge { .. } => "copy it from the phone by MTP or a cable",
         PhoneError::UnsupportedVersion { .. } => {
             "install one of these versions of OpenCamera Sensors"
         }
@@ -218,9 +220,6 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
     })
 }
 
-/// What to do about a sensor without a file.
-pub(crate) const TICK_SENSORS: &str = "tick it in the app: IMU settings, Enabled sensors. (Up to v1.48.2.9 each request rewrites these ticks; later versions go by them)";
-
 fn adb_step(error: &AdbError) -> Option<&'static str> {
     Some(match error {
         AdbError::NoProgram => "install adb (Debian: `apt install adb`), or copy the files by MTP",
@@ -230,7 +229,7 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
         AdbError::SeveralDevices { .. } => {
             "leave one phone connected, or follow none: `record --no-track`"
         }
-        AdbError::NoAgent { .. } | AdbError::OtherAgent { .. } => {
+        AdbError::NoAgent { .. } => {
             "build everything together (`cargo xtask build`), or record with `--no-track`"
         }
         AdbError::NotFound { .. } => {
@@ -252,7 +251,7 @@ const fn app_refusal_step(refusal: AppRefusal) -> &'static str {
             "try again: a video that was running was stopped. If it fails again, switch on `Enable video with IMU recording` in the app's IMU settings, which needs Camera2, and a video mode of more than 6 frames a second"
         }
         AppRefusal::NoVideo => "record a video first: the app has none since it was started",
-        AppRefusal::NoSensor => "ask for other sensors: this phone lacks one of them",
+        AppRefusal::NoSensor => "take another phone: this one lacks a sensor",
         AppRefusal::UnknownRequest => {
             "the app does not know this form of the request: install v.0.1 or v.0.1.1"
         }

@@ -20,7 +20,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::commands;
-use crate::context::{Context, Global, Interrupt, LogFormat, Said, write_stdout};
+use crate::context::{Context, Global, Interrupt, Said, write_stdout};
 use crate::log::Lines;
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
@@ -45,7 +45,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// List the serial ports, and which look like the board
-    Ports(commands::ports::Args),
+    Ports,
     /// Show who the board is: ID, firmware, uptime, last reset
     Info(commands::info::Args),
     /// Measure whether a new board does what it must, with a report to send
@@ -95,7 +95,7 @@ impl Command {
             Self::Offset(args) => commands::offset::run(args, context),
             Self::Sync(args) => commands::sync::run(args, context),
             Self::Evaluate(args) => commands::evaluate::run(args, context),
-            Self::Ports(args) => commands::ports::run(args, context),
+            Self::Ports => commands::ports::run(context),
             Self::Phone(args) => commands::phone::run(args, context),
             Self::Record(args) => commands::record::run(args, context),
             Self::Monitor(args) => commands::monitor::run(args, context),
@@ -136,7 +136,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
             };
         }
     };
-    start_log(&cli.global);
+    start_log(cli.global.verbose);
     let interrupt = Interrupt::default();
     if let Err(error) = interrupt.install() {
         tracing::warn!("Ctrl-C ends the program at once: {error}");
@@ -186,8 +186,8 @@ fn outlive_largest_file() {
     }
 }
 
-fn start_log(global: &Global) {
-    let level = match global.verbose {
+fn start_log(verbose: u8) {
+    let level = match verbose {
         0 => LevelFilter::WARN,
         1 => LevelFilter::INFO,
         2 => LevelFilter::DEBUG,
@@ -196,9 +196,9 @@ fn start_log(global: &Global) {
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(|| Lines)
         .with_ansi(io::stderr().is_terminal());
-    let log = tracing_subscriber::registry().with(level);
-    match global.log_format {
-        LogFormat::Text => log.with(lines.without_time().with_target(false)).init(),
-        LogFormat::Json => log.with(lines.json()).init(),
-    }
+    let lines = lines.without_time().with_target(false);
+    tracing_subscriber::registry()
+        .with(level)
+        .with(lines)
+        .init();
 }

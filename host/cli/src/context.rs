@@ -9,13 +9,13 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
+use crate::fields;
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
 
@@ -31,18 +31,6 @@ pub struct Global {
     /// Log more on standard error: -v info, -vv debug, -vvv trace
     #[arg(short, long, global = true, help_heading = GLOBAL, action = clap::ArgAction::Count)]
     pub verbose: u8,
-    /// Form of the log
-    #[arg(long, global = true, help_heading = GLOBAL, value_enum, default_value_t = LogFormat::Text)]
-    pub log_format: LogFormat,
-}
-
-/// Form of the log on standard error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum LogFormat {
-    /// Lines for people.
-    Text,
-    /// One JSON object a line.
-    Json,
 }
 
 /// What every subcommand is given.
@@ -113,6 +101,20 @@ impl Context {
     ) -> Result<(), Failure> {
         self.print_json(value)?;
         self.print_text(text)
+    }
+
+    /// Prints the fields of a result: as one JSON object with `--json`, else one a line.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn show<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
+        let json = serde_json::to_string_pretty(value)?;
+        match self.global.json {
+            true => write_stdout(&json, Shown::Json)?,
+            false => write_stdout(&fields::text(&json), Shown::ForPeople)?,
+        }
+        Ok(())
     }
 
     /// Prints a result with `--json`.

@@ -11,6 +11,7 @@
 //! - `checks`: the checks of a rig and the verdict over a recording, in words.
 //! - `rig_profile`, `recordings`: which profile and which recording a command is about.
 //! - `decimal`: numbers of the command line as exact times.
+//! - `fields`: the object of `--json` for people.
 #![forbid(unsafe_code)]
 
 mod advice;
@@ -20,6 +21,7 @@ pub mod cli;
 mod commands;
 pub mod context;
 mod decimal;
+mod fields;
 mod log;
 mod new_profile;
 mod options;

@@ -3,12 +3,8 @@
 use toml_edit::{Array, DocumentMut, Item, value};
 
 use crate::outcome::{ExitStatus, Failure};
-use recording::camera::{Basis, Mode, Model, Recording};
+use recording::camera::{Basis, Mode, Model};
 use recording::profile::{DEFAULT, Profile};
-
-/// The Azure Kinect maker's recorder; the K4A wrapper for Femto cameras has one of the same
-/// name and options.
-const K4A_RECORDER: &str = "k4arecorder";
 
 /// Exposure of a camera whose exposure is set, where nobody says it, µs.
 const USUAL_EXPOSURE_US: f64 = 8_000.0;
@@ -122,46 +118,21 @@ pub(crate) fn text(camera: &Camera, set: &[(&[&str], Item)]) -> Result<String, F
     Ok(text)
 }
 
-/// The program that records such a camera, by itself.
-pub(crate) const fn usual_recorder(model: &Model) -> &'static str {
-    match model.recording {
-        Recording::Mkv => K4A_RECORDER,
-        Recording::Ros2Bag => "ros2",
-    }
-}
-
-/// Program and arguments; the usual recorder by itself gets those that it needs.
+/// Program and arguments; the camera's own recorder by itself gets those that it needs.
 pub(crate) fn recorder_command(text: &str, model: &Model, mode: &Mode) -> Array {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let by_itself = |name: &str| match words.as_slice() {
-        [program] => program.rsplit('/').next() == Some(name),
-        _ => false,
-    };
-    let arguments: &[&str] = match model.recording {
-        _ if words == ["none"] => return Array::new(),
-        Recording::Mkv if by_itself(K4A_RECORDER) => &[
-            "--external-sync",
-            "sub",
-            "-c",
-            "OFF",
-            "-d",
-            &mode.name,
-            "-r",
-            "{fps}",
-            "{folder}/depth.mkv",
-        ],
-        Recording::Ros2Bag if by_itself("ros2") => &[
-            "bag",
-            "record",
-            "--storage",
-            "mcap",
-            "--output",
-            "{folder}/depth",
-            "/camera/depth/image_raw",
-        ],
-        _ => &[],
-    };
-    words.iter().chain(arguments).copied().collect()
+    let own = model.recorder.first();
+    match words.as_slice() {
+        ["none"] => Array::new(),
+        [program] if own.is_some_and(|own| program.rsplit('/').next() == Some(own)) => {
+            let arguments = model.recorder.iter().skip(1);
+            let arguments = arguments.map(|word| word.replace("{mode}", &mode.name));
+            std::iter::once((*program).to_owned())
+                .chain(arguments)
+                .collect()
+        }
+        _ => words.into_iter().collect(),
+    }
 }
 
 /// How the middle of exposure of a camera is known, in a line.
@@ -191,7 +162,7 @@ mod tests {
         for model in Model::all() {
             for mode in model.modes() {
                 let camera = Camera::new(model, Some(mode));
-                let recorder = recorder_command(usual_recorder(model), model, mode);
+                let recorder = recorder_command(&model.recorder[0], model, mode);
                 let key: &[&str] = &["depth", "recorder", "command"];
                 let text = text(&camera, &[(key, value(recorder))]).unwrap();
                 let profile = Profile::parse(&text, None).unwrap();

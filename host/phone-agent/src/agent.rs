@@ -44,7 +44,7 @@ fn serve(host: &File, patience_s: u32, battery: &mut Battery) -> bool {
                 _ => return true,
             }
         }
-        let Ok(nonce) = read_question(&question) else {
+        let Some(nonce) = read_question(&question) else {
             return true;
         };
         let answer = Answer {

@@ -61,15 +61,6 @@ pub enum AdbError {
         /// As the phone says.
         processors: String,
     },
-    /// Another version of the agent answers.
-    #[error(
-        "the agent on the phone speaks version {found}, expected {}",
-        phone_agent::VERSION
-    )]
-    OtherAgent {
-        /// Its version.
-        found: u32,
-    },
     /// No phone has the video.
     #[error("no file of frame timestamps in {FOLDER} of {} has the phase {}", devices.join(", "), phase.0)]
     NotFound {
@@ -168,7 +159,7 @@ pub fn fetch(
     stop: &StopSignal,
 ) -> Result<Vec<PathBuf>, AdbError> {
     let adb = Adb::find(stop)?;
-    let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
+    let devices = adb.devices()?;
     for device in &devices {
         let files = adb.files_of(device, phase, with_video)?;
         if !files.is_empty() {
@@ -187,7 +178,7 @@ pub fn fetch(
 /// There is no program or no phone, or it does not answer.
 pub fn wifi_address(stop: &StopSignal) -> Result<Option<String>, AdbError> {
     let adb = Adb::find(stop)?;
-    let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
+    let devices = adb.devices()?;
     let [device] = devices.as_slice() else {
         return Ok(None);
     };
@@ -237,10 +228,14 @@ impl Adb {
         &self.stop
     }
 
+    /// The phones that are ready.
+    fn devices(&self) -> Result<Vec<String>, AdbError> {
+        ready(&self.run(&["devices"], Some(PATIENCE))?)
+    }
+
     /// The one phone that is ready.
     pub(crate) fn only_device(&self) -> Result<String, AdbError> {
-        let devices = ready(&self.run(&["devices"], Some(PATIENCE))?)?;
-        match <[String; 1]>::try_from(devices) {
+        match <[String; 1]>::try_from(self.devices()?) {
             Ok([device]) => Ok(device),
             Err(devices) => Err(AdbError::SeveralDevices { devices }),
         }

@@ -23,7 +23,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use phone_agent::{ANSWER, Answer, PATIENCE_S, Wrong, question};
+use phone_agent::{ANSWER, Answer, PATIENCE_S, question};
 
 use crate::adb::{Adb, AdbError};
 use crate::client::StopSignal;
@@ -253,18 +253,11 @@ fn first_answer(
     let begun = Instant::now();
     loop {
         let tried = connect(port).and_then(|mut stream| {
-            let answered = exchange(&mut stream, 0, now, stop)?;
-            Ok((stream, answered))
+            exchange(&mut stream, 0, now, stop)?;
+            Ok(stream)
         });
         match tried {
-            Ok((stream, Ok(_))) => return Ok(stream),
-            Ok((_, Err(Wrong::Version(found)))) => return Err(AdbError::OtherAgent { found }),
-            Ok((_, Err(Wrong::Magic))) => {
-                return Err(AdbError::Failed {
-                    command: format!("forward tcp:{port}"),
-                    reason: String::from("something else than our program answers"),
-                });
-            }
+            Ok(stream) => return Ok(stream),
             Err(_) if stop.is_set() => return Err(AdbError::Cancelled),
             Err(error) if begun.elapsed() > START => {
                 return Err(AdbError::Failed {
@@ -277,29 +270,26 @@ fn first_answer(
     }
 }
 
-/// Asks once.
+/// Asks once. What is no answer of our program is [`ErrorKind::InvalidData`].
 fn exchange(
     stream: &mut TcpStream,
     nonce: u64,
     now: fn() -> Duration,
     stop: &StopSignal,
-) -> std::io::Result<Result<PhoneExchange, Wrong>> {
+) -> std::io::Result<PhoneExchange> {
     let sent = now();
     stream.write_all(&question(nonce))?;
     loop {
         let bytes = read_answer(stream, stop)?;
         let received = now();
-        match Answer::read(&bytes) {
-            Err(wrong) => return Ok(Err(wrong)),
-            // One to an earlier question, which was given up.
-            Ok(answer) if answer.nonce != nonce => {}
-            Ok(answer) => {
-                return Ok(Ok(PhoneExchange {
-                    sent,
-                    received,
-                    answer,
-                }));
-            }
+        let answer = Answer::read(&bytes).ok_or(ErrorKind::InvalidData)?;
+        // One to an earlier question was given up.
+        if answer.nonce == nonce {
+            return Ok(PhoneExchange {
+                sent,
+                received,
+                answer,
+            });
         }
     }
 }
@@ -348,13 +338,13 @@ fn ask(
             continue;
         };
         match exchange(stream, nonce, now, stop) {
-            Ok(Ok(exchange)) => {
+            Ok(exchange) => {
                 if sender.send(exchange).is_err() {
                     return;
                 }
             }
             // A connection that was cut or late, or one to a program that has ended.
-            Ok(Err(_)) | Err(_) => match first_answer(running.port, now, stop) {
+            Err(_) => match first_answer(running.port, now, stop) {
                 Ok(fresh) => *stream = fresh,
                 Err(_) => open = None,
             },

@@ -1,15 +1,14 @@
-//! The app's answers as a sans-IO state machine: bytes in, events out.
+//! The app's answers: lines out of bytes, and what lines mean. Without any I/O.
 //!
 //! Every answer is lines of text: `SUCCESS` or `ERROR`, the server's version,
 //! the body, the line `end`. The number of body lines differs between versions
 //! of the app, so a reader goes on to `end` and never counts. After the `end`
-//! of `get_video` raw bytes follow; the decoder therefore stops exactly behind
-//! that line and says how much of its input it took.
+//! of `get_video` raw bytes follow; [`Lines`] therefore stops exactly behind
+//! each line and leaves the rest of its input.
 //!
 //! Memory is bounded whatever comes: one line is held at a time, no longer than
-//! [`MAX_LINE`], and the body's bytes are counted against a limit. Nothing here
-//! panics on any input; a decoder that has returned an error keeps returning
-//! it, since it no longer knows where it is.
+//! [`MAX_LINE`], and the answer's bytes are counted against a limit. Nothing here
+//! panics on any input.
 
 use std::fmt;
 
@@ -52,20 +51,13 @@ impl fmt::Display for ServerVersion {
     }
 }
 
-/// One step of an answer.
+/// The end of an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum AnswerEvent<'a> {
-    /// One line of a success' body, without its end.
-    Line(&'a str),
-    /// The answer is complete and was a success; the version of the server.
-    End(ServerVersion),
-    /// The answer is complete and was an error.
-    Refused {
-        /// Version of the server.
-        version: ServerVersion,
-        /// The app's words; the first line if there were several.
-        text: String,
-    },
+pub struct Answer {
+    /// Version of the server.
+    pub version: ServerVersion,
+    /// The app's words if it was an error; the first line if there were several.
+    pub refused: Option<String>,
 }
 
 /// Why an answer is not one of the protocol.
@@ -125,44 +117,60 @@ impl MalformedAnswer {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum State {
-    Status,
-    Version {
-        success: bool,
-    },
-    Body {
-        version: ServerVersion,
-    },
-    ErrorText {
-        version: ServerVersion,
-        text: Option<String>,
-    },
-    Done,
-    Failed(MalformedAnswer),
+/// Reads one answer. `next` gives its lines, and `body` takes those of a success' body, each
+/// with its number in the answer.
+///
+/// # Errors
+///
+/// Those of `next`; or, as `wrong` gives it, a line is not what belongs there.
+pub fn read<E>(
+    mut next: impl FnMut() -> Result<String, E>,
+    mut body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
+    wrong: impl Fn(MalformedAnswer) -> E,
+) -> Result<Answer, E> {
+    let is_success = match next()?.as_str() {
+        "SUCCESS" => true,
+        "ERROR" => false,
+        other => return Err(wrong(MalformedAnswer::line(1, "SUCCESS or ERROR", other))),
+    };
+    let line = next()?;
+    let version = ServerVersion::from_line(&line).ok_or_else(|| {
+        let found = shorten(&line);
+        wrong(MalformedAnswer::UnknownVersion { found })
+    })?;
+    // The word of an error may be the end word itself.
+    let refused = match is_success {
+        true => None,
+        false => Some(shorten(&next()?)),
+    };
+    for number in 3.. {
+        let line = next()?;
+        if line == "end" {
+            break;
+        }
+        if is_success {
+            body(number, &line).map_err(&wrong)?;
+        }
+    }
+    Ok(Answer { version, refused })
 }
 
-/// Reads one answer from bytes that come in any split.
+/// The lines of one answer, from bytes that come in any split.
 #[derive(Debug)]
-pub struct AnswerDecoder {
-    state: State,
+pub struct Lines {
     line: Vec<u8>,
-    /// `line` holds a whole line that was given out; it is dropped at the next step.
-    given: bool,
-    lines: u64,
+    count: u64,
     bytes: u64,
     limit: u64,
 }
 
-impl AnswerDecoder {
-    /// A decoder for one answer of at most `limit` bytes of text.
+impl Lines {
+    /// Of an answer of at most `limit` bytes of text.
     #[must_use]
-    pub fn new(limit: u64) -> Self {
+    pub const fn new(limit: u64) -> Self {
         Self {
-            state: State::Status,
-            line: Vec::with_capacity(128),
-            given: false,
-            lines: 0,
+            line: Vec::new(),
+            count: 0,
             bytes: 0,
             limit,
         }
@@ -170,122 +178,40 @@ impl AnswerDecoder {
 
     /// Bytes of the answer taken so far.
     #[must_use]
-    pub fn bytes(&self) -> u64 {
+    pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Number of the line that was read last, from 1.
-    pub(crate) fn line_number(&self) -> u64 {
-        self.lines
-    }
-
-    /// Takes bytes from the front of `input` up to the next event.
+    /// Takes bytes from the front of `input` up to the end of a line. `None`: all of `input`
+    /// was taken and more is needed.
     ///
-    /// `None` says that all of `input` was taken and more is needed. Behind
-    /// [`AnswerEvent::End`] nothing more is taken: what is left in `input`
-    /// belongs to whoever reads next.
-    pub fn next(&mut self, input: &mut &[u8]) -> Result<Option<AnswerEvent<'_>>, MalformedAnswer> {
-        loop {
-            match &self.state {
-                State::Failed(e) => return Err(e.clone()),
-                State::Done => return Ok(None),
-                _ => {}
-            }
-            if self.given {
-                self.line.clear();
-                self.given = false;
-            }
-            match self.take_line(input) {
-                Ok(true) => {}
-                Ok(false) => return Ok(None),
-                Err(e) => return self.fail(e),
-            }
-            self.given = true;
-            self.lines = self.lines.saturating_add(1);
-            // Borrowed anew in each arm, so that the state may change beside it.
-            let Ok(line) = std::str::from_utf8(&self.line) else {
-                let line = self.lines;
-                return self.fail(MalformedAnswer::NotText { line });
-            };
-            match &mut self.state {
-                State::Status => {
-                    let success = match line {
-                        "SUCCESS" => true,
-                        "ERROR" => false,
-                        other => {
-                            let expected = "SUCCESS or ERROR";
-                            let wrong = MalformedAnswer::line(self.lines, expected, other);
-                            return self.fail(wrong);
-                        }
-                    };
-                    self.state = State::Version { success };
-                }
-                State::Version { success } => {
-                    let Some(version) = ServerVersion::from_line(line) else {
-                        let found = shorten(line);
-                        return self.fail(MalformedAnswer::UnknownVersion { found });
-                    };
-                    self.state = match *success {
-                        true => State::Body { version },
-                        false => State::ErrorText {
-                            version,
-                            text: None,
-                        },
-                    };
-                }
-                State::Body { version } if line == "end" => {
-                    let version = *version;
-                    self.state = State::Done;
-                    return Ok(Some(AnswerEvent::End(version)));
-                }
-                // The line is borrowed again here: a borrow that is returned
-                // from one arm of a loop would last through all of it.
-                State::Body { .. } => {
-                    return Ok(Some(AnswerEvent::Line(
-                        std::str::from_utf8(&self.line).unwrap_or_default(),
-                    )));
-                }
-                State::ErrorText { version, text } => {
-                    if line == "end" && text.is_some() {
-                        let version = *version;
-                        let text = text.take().unwrap_or_default();
-                        self.state = State::Done;
-                        return Ok(Some(AnswerEvent::Refused { version, text }));
-                    }
-                    if text.is_none() {
-                        *text = Some(shorten(line));
-                    }
-                }
-                State::Done | State::Failed(_) => return Ok(None),
-            }
-        }
-    }
-
-    /// Moves bytes into `line`; true once a whole line is there.
-    fn take_line(&mut self, input: &mut &[u8]) -> Result<bool, MalformedAnswer> {
+    /// # Errors
+    ///
+    /// The line or the answer is too long, or no text.
+    pub fn next(&mut self, input: &mut &[u8]) -> Result<Option<String>, MalformedAnswer> {
+        let line = self.count.saturating_add(1);
         let end = input.iter().position(|&b| b == b'\n');
-        let taken = end.unwrap_or(input.len());
-        let (head, rest) = input.split_at(taken);
-        let line = self.lines.saturating_add(1);
+        let (head, rest) = input.split_at(end.unwrap_or(input.len()));
         if self.line.len() + head.len() > MAX_LINE {
             return Err(MalformedAnswer::LineTooLong { line });
         }
         self.line.extend_from_slice(head);
-        let count = taken as u64 + u64::from(end.is_some());
-        self.bytes = self.bytes.saturating_add(count);
+        let taken = head.len() as u64 + u64::from(end.is_some());
+        self.bytes = self.bytes.saturating_add(taken);
         if self.bytes > self.limit {
             return Err(MalformedAnswer::TooLarge { limit: self.limit });
         }
-        *input = rest.get(usize::from(end.is_some())..).unwrap_or_default();
-        if end.is_some() && self.line.last() == Some(&b'\r') {
-            self.line.pop();
+        *input = rest.get(1..).unwrap_or_default();
+        if end.is_none() {
+            return Ok(None);
         }
-        Ok(end.is_some())
-    }
-
-    fn fail<T>(&mut self, error: MalformedAnswer) -> Result<T, MalformedAnswer> {
-        self.state = State::Failed(error.clone());
-        Err(error)
+        self.count = line;
+        let text = String::from_utf8(std::mem::take(&mut self.line));
+        let mut text = text.map_err(|_| MalformedAnswer::NotText { line })?;
+        if text.ends_with('\r') {
+            text.pop();
+        }
+        Ok(Some(text))
     }
 }
 
@@ -305,90 +231,99 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// All events of `bytes`, given in pieces of the sizes in `cuts`.
-    fn events(bytes: &[u8], cuts: &[usize], limit: u64) -> (Vec<String>, usize) {
-        let mut decoder = AnswerDecoder::new(limit);
-        let mut out = Vec::new();
-        let mut at = 0;
+    /// The end of the answer in `bytes`, which come in pieces of the sizes in `cuts`, its
+    /// body, and how many of the bytes were taken. `None` if it has no end.
+    type Outcome = (Option<Result<Answer, MalformedAnswer>>, Vec<String>, usize);
+
+    fn outcome(bytes: &[u8], cuts: &[usize], limit: u64) -> Outcome {
+        let mut lines = Lines::new(limit);
         let mut cuts = cuts.iter().copied().cycle();
-        while at < bytes.len() {
-            let n = cuts.next().unwrap_or(1).clamp(1, bytes.len() - at);
-            let mut input = &bytes[at..at + n];
-            loop {
-                match decoder.next(&mut input) {
-                    Ok(Some(event)) => {
-                        let done =
-                            matches!(event, AnswerEvent::End(_) | AnswerEvent::Refused { .. });
-                        out.push(format!("{event:?}"));
-                        if done {
-                            return (out, at + n - input.len());
-                        }
+        let (mut rest, mut piece) = (bytes, &bytes[..0]);
+        let mut body = Vec::new();
+        let answer = read(
+            || {
+                while !piece.is_empty() || !rest.is_empty() {
+                    if piece.is_empty() {
+                        let size = cuts.next().unwrap_or(1).clamp(1, rest.len());
+                        (piece, rest) = rest.split_at(size);
                     }
-                    Ok(None) => break,
-                    Err(e) => {
-                        out.push(format!("{e:?}"));
-                        return (out, at + n - input.len());
+                    if let Some(line) = lines.next(&mut piece).map_err(Some)? {
+                        return Ok(line);
                     }
                 }
-            }
-            at += n;
-        }
-        (out, at)
+                Err(None)
+            },
+            |_, line| {
+                body.push(line.to_owned());
+                Ok(())
+            },
+            Some,
+        );
+        let answer = match answer {
+            Ok(answer) => Some(Ok(answer)),
+            Err(error) => error.map(Err),
+        };
+        (answer, body, bytes.len() - rest.len() - piece.len())
     }
 
     #[test]
     fn stops_exactly_behind_the_end_line() {
         let text = b"SUCCESS\nv.0.1.1\n17\nname.mp4\nend\nend\nSUCCESS\n";
-        let (seen, taken) = events(text, &[7], 1000);
-        assert_eq!(seen, ["Line(\"17\")", "Line(\"name.mp4\")", "End(V0_1_1)"]);
+        let (answer, body, taken) = outcome(text, &[7], 1000);
+        let version = ServerVersion::V0_1_1;
+        let refused = None;
+        assert_eq!(answer, Some(Ok(Answer { version, refused })));
+        assert_eq!(body, ["17", "name.mp4"]);
         assert_eq!(&text[taken..], b"end\nSUCCESS\n");
     }
 
     #[test]
     fn reads_an_error() {
-        let (seen, _) = events(b"ERROR\nv.0.1\nInvalid request\nend\n", &[3], 1000);
-        assert_eq!(
-            seen,
-            ["Refused { version: V0_1, text: \"Invalid request\" }"]
-        );
-        // The word of the error may be the end word itself.
-        let (seen, _) = events(b"ERROR\nv.0.1\nend\nend\n", &[100], 1000);
-        assert_eq!(seen, ["Refused { version: V0_1, text: \"end\" }"]);
+        let version = ServerVersion::V0_1;
+        for (text, word) in [
+            (
+                &b"ERROR\nv.0.1\nInvalid request\nend\n"[..],
+                "Invalid request",
+            ),
+            // The word of the error may be the end word itself.
+            (b"ERROR\nv.0.1\nend\nend\n", "end"),
+        ] {
+            let refused = Some(word.to_owned());
+            let answer = Answer { version, refused };
+            assert_eq!(outcome(text, &[3], 1000).0, Some(Ok(answer)));
+        }
     }
 
     #[test]
     fn says_what_is_wrong() {
-        let (seen, _) = events(b"HTTP/1.1 400 Bad Request\r\n", &[100], 1000);
-        assert!(seen[0].contains("SUCCESS or ERROR"), "{seen:?}");
-        let (seen, _) = events(b"SUCCESS\nv.0.1.2\n", &[100], 1000);
-        assert!(seen[0].contains("v.0.1.2"), "{seen:?}");
-        let (seen, _) = events(b"SUCCESS\nv.0.1\n\xff\xfe\n", &[100], 1000);
-        assert!(seen[0].contains("NotText"), "{seen:?}");
         let long = [b"SUCCESS\nv.0.1\n".to_vec(), vec![b'x'; 2000]].concat();
-        let (seen, _) = events(&long, &[100], 100_000);
-        assert!(seen[0].contains("LineTooLong"), "{seen:?}");
         let endless = [b"SUCCESS\nv.0.1\n".to_vec(), b"1\n".repeat(2000)].concat();
-        let (seen, _) = events(&endless, &[100], 1000);
-        assert!(seen.last().unwrap().contains("TooLarge"), "{seen:?}");
-    }
-
-    #[test]
-    fn an_error_lasts() {
-        let mut decoder = AnswerDecoder::new(1000);
-        let mut input: &[u8] = b"nonsense\nSUCCESS\n";
-        let first = decoder.next(&mut input).unwrap_err();
-        assert_eq!(decoder.next(&mut input).unwrap_err(), first);
+        for (text, limit, word) in [
+            (
+                &b"HTTP/1.1 400 Bad Request\r\n"[..],
+                1000,
+                "SUCCESS or ERROR",
+            ),
+            (b"SUCCESS\nv.0.1.2\n", 1000, "v.0.1.2"),
+            (b"SUCCESS\nv.0.1\n\xff\xfe\n", 1000, "NotText"),
+            (&long, 100_000, "LineTooLong"),
+            (&endless, 1000, "TooLarge"),
+        ] {
+            let error = outcome(text, &[100], limit).0.unwrap().unwrap_err();
+            assert!(format!("{error:?}").contains(word), "{error:?}");
+        }
+        assert_eq!(outcome(b"SUCCESS\nv.0.1\n", &[100], 1000).0, None);
     }
 
     proptest! {
         #[test]
-        fn any_split_gives_the_same_events(
+        fn any_split_gives_the_same_answer(
             body in proptest::collection::vec("[ -~]{0,40}", 0..20),
             cuts in proptest::collection::vec(1usize..50, 1..10),
         ) {
             let text = format!("SUCCESS\nv.0.1\n{}\nend\nrest", body.join("\n"));
-            let whole = events(text.as_bytes(), &[usize::MAX], 10_000);
-            let split = events(text.as_bytes(), &cuts, 10_000);
+            let whole = outcome(text.as_bytes(), &[usize::MAX], 10_000);
+            let split = outcome(text.as_bytes(), &cuts, 10_000);
             prop_assert_eq!(whole, split);
         }
 
@@ -400,14 +335,10 @@ mod tests {
         ) {
             let heads: [&[u8]; 4] = [b"", b"SUCCESS\n", b"SUCCESS\nv.0.1\n", b"ERROR\nv.0.1\n"];
             let all = [heads[head], &bytes].concat();
-            let whole = events(&all, &[usize::MAX], 2000);
-            let split = events(&all, &cuts, 2000);
+            let whole = outcome(&all, &[usize::MAX], 2000).0;
+            let split = outcome(&all, &cuts, 2000).0;
             // Which of two limits is met first may depend on the split; that one is met may not.
-            prop_assert_eq!(whole.0.len(), split.0.len());
-            let mut decoder = AnswerDecoder::new(2000);
-            let mut input = all.as_slice();
-            while let Ok(Some(_)) = decoder.next(&mut input) {}
-            prop_assert!(decoder.line.capacity() <= 2 * MAX_LINE);
+            prop_assert_eq!(whole.map(|it| it.is_ok()), split.map(|it| it.is_ok()));
         }
     }
 }

@@ -1,16 +1,17 @@
 //! The blocking client.
 
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::DEFAULT_PORT;
 use super::answer::{MalformedAnswer, ServerVersion};
 use super::connection::Connection;
-use super::download::{SavedVideo, VideoTarget, check_free, receive};
+use super::download::{SavedVideo, check_free, receive};
 use super::error::{PROBE, PhoneError};
-use super::requests::{ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
-use super::samples::Sensor;
+use super::requests::{ImuBody, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
+use super::samples::PhoneSample;
 use timebase::PhoneNanos;
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
@@ -26,6 +27,9 @@ const UNREACHABLE: Duration = Duration::from_secs(5);
 /// How long one try to stop a video lasts: an answer may be lost, and the next one not.
 const KNOCK: Duration = Duration::from_secs(3);
 
+/// Largest video that is accepted, bytes.
+const MAX_VIDEO: u64 = 64 << 30;
+
 /// Pause between two tries of what may soon succeed.
 const PAUSE: Duration = Duration::from_millis(250);
 
@@ -34,15 +38,10 @@ const PAUSE: Duration = Duration::from_millis(250);
 const SHORTEST_IMU: ImuRequest = ImuRequest {
     duration: Duration::from_millis(1),
     accelerometer: true,
-    gyroscope: true,
-    magnetometer: false,
 };
 
-/// What has some samples in it.
-const SHORT_IMU: ImuRequest = ImuRequest {
-    duration: Duration::from_millis(300),
-    ..SHORTEST_IMU
-};
+/// A recording of this length has some samples in it.
+const SHORT_IMU: Duration = Duration::from_millis(300);
 
 /// Deadlines and limits of a client.
 #[derive(Debug, Clone)]
@@ -58,8 +57,6 @@ pub struct Settings {
     pub busy: Duration,
     /// How long the app may take to be free for `get_video`, and then to begin it.
     pub video_ready: Duration,
-    /// Largest video that is accepted, in bytes.
-    pub max_video: u64,
     /// Ends a request under way, with [`PhoneError::Cancelled`], within about
     /// 100 ms of turning true.
     pub stop: StopSignal,
@@ -100,7 +97,6 @@ impl Default for Settings {
             margin: Duration::from_secs(15),
             busy: Duration::from_secs(6),
             video_ready: Duration::from_secs(120),
-            max_video: 64 << 30,
             stop: StopSignal::default(),
         }
     }
@@ -200,29 +196,39 @@ impl PhoneClient {
         Ok(body)
     }
 
-    /// Records motion sensors for the duration of the request, which this call
-    /// lasts as well. The app refuses it while it records a video; it is tried again for
+    /// Records the gyroscope for this duration, which this call lasts as well. The app refuses it while it records a video; it is tried again for
     /// [`Settings::busy`].
     ///
     /// # Errors
     ///
-    /// The link, the app's refusal, or a recording that is far too short.
-    pub fn imu(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {
-        let until = Instant::now() + self.settings.busy;
-        let recording = loop {
-            match self.imu_once(request) {
-                Err(error) if error.is_busy() && Instant::now() < until => self.pause("imu")?,
-                other => break other?,
-            }
-        };
-        recording.check_length(request)?;
-        Ok(recording)
+    /// The link, the app's refusal, no file, or a recording that is far too short.
+    pub fn gyroscope(&mut self, duration: Duration) -> Result<Vec<PhoneSample>, PhoneError> {
+        let request = ImuRequest::gyroscope(duration);
+        let samples = self.imu_within(request, self.settings.busy)?;
+        let samples = samples.ok_or(PhoneError::NoGyroscope)?;
+        request.check_length(&samples)?;
+        Ok(samples)
     }
 
-    fn imu_once(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {
+    /// Asks again for `patience` while the sensors are busy.
+    fn imu_within(
+        &mut self,
+        request: ImuRequest,
+        patience: Duration,
+    ) -> Result<Option<Vec<PhoneSample>>, PhoneError> {
+        let until = Instant::now() + patience;
+        loop {
+            match self.imu_once(request) {
+                Err(error) if error.is_busy() && Instant::now() < until => self.pause("imu")?,
+                other => return other,
+            }
+        }
+    }
+
+    fn imu_once(&mut self, request: ImuRequest) -> Result<Option<Vec<PhoneSample>>, PhoneError> {
         let line = request.line()?;
         let first = request.duration.saturating_add(self.settings.margin);
-        let mut body = ImuBody::new(request);
+        let mut body = ImuBody::default();
         self.exchange(
             "imu",
             &line,
@@ -239,14 +245,11 @@ impl PhoneClient {
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::imu`], but for that.
+    /// As [`PhoneClient::gyroscope`], but for that.
     pub fn is_recording(&mut self) -> Result<bool, PhoneError> {
-        match self.imu_once(SHORTEST_IMU) {
-            Ok(_) => Ok(false),
+        match self.wait_until_free(Duration::ZERO) {
             Err(error) if error.is_busy() => Ok(true),
-            // The app looks whether it is busy before it looks for sensors.
-            Err(PhoneError::Refused { .. }) => Ok(false),
-            Err(error) => Err(error),
+            other => other.map(|()| false),
         }
     }
 
@@ -254,17 +257,15 @@ impl PhoneClient {
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::imu`]; the app's own refusal if that lasts longer than
+    /// As [`PhoneClient::gyroscope`]; the app's own refusal if that lasts longer than
     /// `patience`.
     pub fn wait_until_free(&mut self, patience: Duration) -> Result<(), PhoneError> {
-        let until = Instant::now() + patience;
-        loop {
-            match self.imu_once(SHORTEST_IMU) {
-                Err(error) if error.is_busy() && Instant::now() < until => self.pause("imu")?,
-                Err(error) if error.is_busy() => return Err(error),
-                Ok(_) | Err(PhoneError::Refused { .. }) => return Ok(()),
-                Err(error) => return Err(error),
+        match self.imu_within(SHORTEST_IMU, patience) {
+            // The app looks whether it is busy before it looks for sensors.
+            Err(error) if error.is_busy() || !matches!(error, PhoneError::Refused { .. }) => {
+                Err(error)
             }
+            _ => Ok(()),
         }
     }
 
@@ -274,11 +275,14 @@ impl PhoneClient {
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::imu`].
+    /// As [`PhoneClient::gyroscope`].
     pub fn clock(&mut self) -> Result<Option<PhoneNanos>, PhoneError> {
-        let recording = self.imu(SHORT_IMU)?;
-        let samples = recording.samples(Sensor::Gyroscope).unwrap_or_default();
-        Ok(samples.last().map(|sample| sample.time))
+        let request = ImuRequest {
+            duration: SHORT_IMU,
+            ..SHORTEST_IMU
+        };
+        let samples = self.imu_within(request, self.settings.busy)?;
+        Ok(samples.and_then(|samples| Some(samples.last()?.time)))
     }
 
     fn pause(&self, request: &'static str) -> Result<(), PhoneError> {
@@ -376,10 +380,10 @@ impl PhoneClient {
         Ok(())
     }
 
-    /// Downloads the last video to `target`; `progress` gets bytes received and
-    /// bytes in all.
+    /// Downloads the last video into the folder `out`, or as the file `out`; `progress` gets
+    /// bytes received and bytes in all.
     ///
-    /// The target appears only when it is whole. The app is asked only once its sensors
+    /// The file appears only when it is whole. The app is asked only once its sensors
     /// are free: with its storage access framework it hangs for good if it is asked while
     /// a video is recorded or closed. Without any video since it was opened, the app ends
     /// at this request: make one first.
@@ -389,16 +393,16 @@ impl PhoneClient {
     /// The link, the app's refusal, the disk, or the app hangs.
     pub fn get_video(
         &mut self,
-        target: &VideoTarget,
+        out: &Path,
         overwrite: bool,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<SavedVideo, PhoneError> {
-        if let VideoTarget::File(path) = target {
-            check_free(path, overwrite)?;
+        if !out.is_dir() {
+            check_free(out, overwrite)?;
         }
         self.wait_until_free(self.settings.video_ready)?;
         let header = self.video_header()?;
-        self.in_step(|connection| receive(connection, header, target, overwrite, progress))
+        self.in_step(|connection| receive(connection, header, out, overwrite, progress))
     }
 
     fn video_header(&mut self) -> Result<VideoHeader, PhoneError> {
@@ -413,10 +417,9 @@ impl PhoneClient {
             }
         }
         let header = VideoHeader::parse(&asked?).map_err(|source| self.damaged(REQUEST, source))?;
-        let limit = self.settings.max_video;
-        if header.size > limit {
+        if header.size > MAX_VIDEO {
             self.connection = None;
-            let size = header.size;
+            let (size, limit) = (header.size, MAX_VIDEO);
             return Err(PhoneError::VideoTooLarge { size, limit });
         }
         Ok(header)

@@ -4,7 +4,7 @@ use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
-use super::answer::{AnswerDecoder, AnswerEvent, MalformedAnswer, ServerVersion};
+use super::answer::{self, Lines, MalformedAnswer, ServerVersion};
 use super::client::{Settings, StopSignal};
 use super::error::PhoneError;
 
@@ -86,7 +86,7 @@ impl Connection {
             .write_all(line.as_bytes())
             .map_err(|source| match source.kind() {
                 ErrorKind::WouldBlock | ErrorKind::TimedOut => {
-                    PhoneError::SendTimeout { request, waited }
+                    PhoneError::Timeout { request, waited }
                 }
                 _ => PhoneError::Connection { request, source },
             })
@@ -99,49 +99,45 @@ impl Connection {
         request: &'static str,
         limit: u64,
         first: Duration,
-        mut body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
+        body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
     ) -> Result<ServerVersion, PhoneError> {
-        let malformed = |source| match source {
+        let wrong = |source| match source {
             MalformedAnswer::UnknownVersion { found } => PhoneError::UnsupportedVersion { found },
             source => PhoneError::Malformed { request, source },
         };
         let begun = Instant::now();
         let mut deadline = begun + first;
         let mut renewed_at = 0;
-        let mut decoder = AnswerDecoder::new(limit);
-        loop {
-            let mut input = self.reader.buffer();
-            let unread = input.len();
-            let finished = loop {
-                let number = decoder.line_number().saturating_add(1);
-                match decoder.next(&mut input).map_err(malformed)? {
-                    None => break None,
-                    Some(AnswerEvent::Line(line)) => body(number, line).map_err(malformed)?,
-                    Some(AnswerEvent::End(version)) => break Some(Ok(version)),
-                    Some(AnswerEvent::Refused { version, text }) => {
-                        break Some(Err(PhoneError::Refused {
-                            request,
-                            text,
-                            version,
-                        }));
-                    }
+        let mut lines = Lines::new(limit);
+        let next = || {
+            loop {
+                let mut input = self.reader.buffer();
+                let unread = input.len();
+                let line = lines.next(&mut input).map_err(wrong)?;
+                let used = unread - input.len();
+                self.reader.consume(used);
+                if let Some(line) = line {
+                    return Ok(line);
                 }
-            };
-            let used = unread - input.len();
-            self.reader.consume(used);
-            if let Some(result) = finished {
-                return result;
+                if lines.bytes() >= renewed_at + CRAWL_FLOOR {
+                    renewed_at = lines.bytes();
+                    deadline = deadline.max(Instant::now() + self.margin);
+                }
+                let received = lines.bytes();
+                if self.fill(request, deadline, deadline - begun)? == 0 {
+                    return Err(PhoneError::Closed { request, received });
+                }
             }
-            if decoder.bytes() >= renewed_at + CRAWL_FLOOR {
-                renewed_at = decoder.bytes();
-                deadline = deadline.max(Instant::now() + self.margin);
-            }
-            if self.fill(request, deadline, deadline - begun)? == 0 {
-                return Err(PhoneError::Closed {
-                    request,
-                    received: decoder.bytes(),
-                });
-            }
+        };
+        let answer = answer::read(next, body, wrong)?;
+        let version = answer.version;
+        match answer.refused {
+            None => Ok(version),
+            Some(text) => Err(PhoneError::Refused {
+                request,
+                text,
+                version,
+            }),
         }
     }
 

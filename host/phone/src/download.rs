@@ -16,26 +16,6 @@ use super::requests::VideoHeader;
 /// How long bytes behind the announced end of a video are looked out for.
 const GRACE: Duration = Duration::from_millis(100);
 
-/// Where a video is saved.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum VideoTarget {
-    /// In this folder, under a name made from the phone's.
-    Folder(PathBuf),
-    /// As this file.
-    File(PathBuf),
-}
-
-impl VideoTarget {
-    /// The file that a video of the given name becomes.
-    #[must_use]
-    pub fn path(&self, phone_name: &str) -> PathBuf {
-        match self {
-            Self::Folder(folder) => folder.join(safe_file_name(phone_name)),
-            Self::File(path) => path.clone(),
-        }
-    }
-}
-
 /// A video that was downloaded whole.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedVideo {
@@ -57,16 +37,20 @@ pub(super) fn check_free(path: &Path, overwrite: bool) -> Result<(), PhoneError>
     Ok(())
 }
 
-/// Takes the bytes of the video that `header` announced.
+/// Takes the bytes of the video that `header` announced, into a folder under a name made
+/// from the phone's, or into the file `out`.
 pub(super) fn receive(
     connection: &mut Connection,
     header: VideoHeader,
-    target: &VideoTarget,
+    out: &Path,
     overwrite: bool,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SavedVideo, PhoneError> {
     const REQUEST: &str = "get_video";
-    let path = target.path(&header.file_name);
+    let path = match out.is_dir() {
+        true => out.join(safe_file_name(&header.file_name)),
+        false => out.to_owned(),
+    };
     check_free(&path, overwrite)?;
     // Within it, at least CRAWL_FLOOR bytes must come.
     let window = connection.margin.saturating_mul(2);

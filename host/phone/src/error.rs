@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use super::adb::AdbError;
 use super::answer::{MalformedAnswer, ServerVersion};
-use super::samples::Sensor;
 
 /// The request that has no effect on the app: an empty line.
 pub(super) const PROBE: &str = "an empty request";
@@ -29,17 +28,9 @@ pub enum PhoneError {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The phone did not answer in time, or stopped answering.
-    #[error("the phone did not finish its answer to {request} within {waited:?}")]
+    /// The phone did not take a request or answer it in time, or stopped answering.
+    #[error("the phone did not take {request} and finish its answer within {waited:?}")]
     Timeout {
-        /// The request that was under way.
-        request: &'static str,
-        /// How long it was waited for.
-        waited: Duration,
-    },
-    /// The phone took no more bytes of a request.
-    #[error("the phone did not take the request {request} within {waited:?}")]
-    SendTimeout {
         /// The request that was under way.
         request: &'static str,
         /// How long it was waited for.
@@ -147,20 +138,15 @@ pub enum PhoneError {
         /// Why it could not be stopped.
         why: Box<PhoneError>,
     },
-    /// The phone sent no file of a sensor that was asked for.
-    #[error("the phone sent no file of its {sensor}")]
-    SensorMissing {
-        /// Which one.
-        sensor: Sensor,
-    },
-    /// A sensor was recorded for far less than was asked for.
+    /// The phone sent no file of its gyroscope.
+    #[error("the phone sent no file of its gyroscope")]
+    NoGyroscope,
+    /// The gyroscope was recorded for far less than was asked for.
     #[error(
-        "the phone recorded its {sensor} for {:.1} s of the {:.1} s that were asked for",
+        "the phone recorded its gyroscope for {:.1} s of the {:.1} s that were asked for",
         got.as_secs_f64(), asked.as_secs_f64()
     )]
     TooShort {
-        /// Which one.
-        sensor: Sensor,
         /// How long it was to be recorded.
         asked: Duration,
         /// From its first sample to its last.
@@ -244,7 +230,6 @@ impl PhoneError {
     pub fn is_before_request(&self) -> bool {
         match self {
             Self::Timeout { request, .. }
-            | Self::SendTimeout { request, .. }
             | Self::Closed { request, .. }
             | Self::Connection { request, .. }
             | Self::Malformed { request, .. }

@@ -36,10 +36,10 @@ pub mod video_files;
 
 pub use answer::ServerVersion;
 pub use client::{PhoneClient, Settings, StopSignal};
-pub use download::{SavedVideo, VideoTarget};
+pub use download::SavedVideo;
 pub use error::PhoneError;
-pub use requests::{ImuRecording, ImuRequest, SensorRecording, VideoStart};
-pub use samples::{PhoneSample, Sensor, save_samples};
+pub use requests::{ImuRequest, VideoStart};
+pub use samples::{PhoneSample, save_samples};
 
 /// TCP port of the app.
 pub(crate) const DEFAULT_PORT: u16 = 6969;

@@ -8,32 +8,28 @@ use std::time::Duration;
 
 use super::answer::MalformedAnswer;
 use super::error::PhoneError;
-use super::samples::{PhoneSample, SAMPLE_LINE, Sensor, parse_sample};
+use super::samples::{PhoneSample, SAMPLE_LINE, parse_sample, without_number};
 use timebase::PhoneNanos;
 
 /// Longest IMU recording that may be asked for. The app keeps the whole answer
 /// in memory before it sends a byte of it.
 pub const MAX_IMU_DURATION: Duration = Duration::from_secs(3600);
 
-/// Bytes of answer that a second of IMU recording may bring: three sensors at
+/// Bytes of answer that a second of IMU recording may bring: two sensors at
 /// 1 kHz with lines of 100 bytes, and twice that for safety.
-const IMU_BYTES_PER_SECOND: u64 = 600_000;
+const IMU_BYTES_PER_SECOND: u64 = 400_000;
 
 /// Bytes of answer that are accepted beside an IMU recording's samples, and in
 /// all for the other requests.
 pub(super) const SMALL_ANSWER: u64 = 64 * 1024;
 
-/// A request to record the phone's motion sensors for a while.
+/// A request to record the phone's gyroscope for a while.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImuRequest {
     /// How long to record; whole milliseconds, up to [`MAX_IMU_DURATION`].
     pub duration: Duration,
-    /// Record the accelerometer.
+    /// Ask for the accelerometer too; its samples are passed over.
     pub accelerometer: bool,
-    /// Record the gyroscope.
-    pub gyroscope: bool,
-    /// Record the magnetometer.
-    pub magnetometer: bool,
 }
 
 impl ImuRequest {
@@ -43,18 +39,6 @@ impl ImuRequest {
         Self {
             duration,
             accelerometer: false,
-            gyroscope: true,
-            magnetometer: false,
-        }
-    }
-
-    /// Whether `sensor` is asked for.
-    #[must_use]
-    pub const fn wants(&self, sensor: Sensor) -> bool {
-        match sensor {
-            Sensor::Accelerometer => self.accelerometer,
-            Sensor::Gyroscope => self.gyroscope,
-            Sensor::Magnetometer => self.magnetometer,
         }
     }
 
@@ -62,7 +46,7 @@ impl ImuRequest {
     ///
     /// # Errors
     ///
-    /// The duration is out of range, or no sensor is asked for.
+    /// The duration is out of range.
     pub fn line(&self) -> Result<String, PhoneError> {
         let ms = self.duration.as_millis();
         if ms == 0 || self.duration > MAX_IMU_DURATION {
@@ -72,160 +56,83 @@ impl ImuRequest {
                 self.duration
             )));
         }
-        if !Sensor::ALL.into_iter().any(|s| self.wants(s)) {
-            return Err(PhoneError::Argument(
-                "an IMU recording needs at least one sensor".to_owned(),
-            ));
-        }
+        let accel = u8::from(self.accelerometer);
         Ok(format!(
-            "imu?duration={ms}&accel={}&gyro={}&magnetic={}\n",
-            u8::from(self.accelerometer),
-            u8::from(self.gyroscope),
-            u8::from(self.magnetometer),
+            "imu?duration={ms}&accel={accel}&gyro=1&magnetic=0\n"
         ))
     }
 
     /// Most bytes that the answer may have.
-    pub(super) fn answer_limit(&self) -> u64 {
+    pub(crate) fn answer_limit(&self) -> u64 {
         let seconds = self.duration.as_secs().saturating_add(1);
         seconds
             .saturating_mul(IMU_BYTES_PER_SECOND)
             .saturating_add(SMALL_ANSWER)
     }
-}
-
-/// A recording of one sensor.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SensorRecording {
-    /// Which sensor.
-    pub sensor: Sensor,
-    /// The file's name on the phone. Off the network: for display only.
-    pub file_name: String,
-    /// The samples in the order in which they came.
-    pub samples: Vec<PhoneSample>,
-}
-
-/// The answer to an IMU request.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct ImuRecording {
-    /// One recording a requested sensor, as the app sent them.
-    pub recordings: Vec<SensorRecording>,
-    /// Requested sensors of which it sent no file: they are not ticked in its settings.
-    pub missing: Vec<Sensor>,
-}
-
-impl ImuRecording {
-    /// The file's samples of `sensor`.
-    ///
-    /// # Errors
-    ///
-    /// The phone sent no file of it.
-    pub fn take(mut self, sensor: Sensor) -> Result<Vec<PhoneSample>, PhoneError> {
-        let found = self.recordings.iter().position(|r| r.sensor == sensor);
-        let found = found.ok_or(PhoneError::SensorMissing { sensor })?;
-        Ok(self.recordings.swap_remove(found).samples)
-    }
 
     /// Refuses a recording that is far shorter than the request: less than four fifths of
-    /// it, and of what is missing half a second is a sensor's own to begin. Of a request
-    /// of under a second nothing is said, nor of the magnetometer: a phone may lack one,
-    /// and its file is empty then.
-    pub(super) fn check_length(&self, request: ImuRequest) -> Result<(), PhoneError> {
-        let asked = request.duration;
-        if asked < Duration::from_secs(1) {
-            return Ok(());
-        }
+    /// it, and of what is missing half a second is a sensor's own to begin. Requests of
+    /// under a second are not judged.
+    pub(crate) fn check_length(&self, samples: &[PhoneSample]) -> Result<(), PhoneError> {
+        let asked = self.duration;
         let least = (asked * 4 / 5).saturating_sub(Duration::from_millis(500));
-        for SensorRecording {
-            sensor, samples, ..
-        } in &self.recordings
-        {
-            let got = match samples.as_slice() {
-                [first, .., last] => last.time.0.saturating_sub(first.time.0).max(0),
-                _ => 0,
-            };
-            let got = Duration::from_nanos(got.unsigned_abs());
-            if *sensor != Sensor::Magnetometer && got < least {
-                let sensor = *sensor;
-                return Err(PhoneError::TooShort { sensor, asked, got });
-            }
+        let got = match samples {
+            [first, .., last] => last.time.0.saturating_sub(first.time.0).max(0),
+            _ => 0,
+        };
+        let got = Duration::from_nanos(got.unsigned_abs());
+        match asked >= Duration::from_secs(1) && got < least {
+            true => Err(PhoneError::TooShort { asked, got }),
+            false => Ok(()),
         }
-        Ok(())
-    }
-
-    /// The samples of `sensor`, if it was recorded.
-    #[must_use]
-    pub fn samples(&self, sensor: Sensor) -> Option<&[PhoneSample]> {
-        self.recordings
-            .iter()
-            .find(|r| r.sensor == sensor)
-            .map(|r| r.samples.as_slice())
     }
 }
 
-/// Reads the body of an answer to an IMU request.
-#[derive(Debug)]
+/// Reads the body of an answer to an IMU request: of each sensor the name of its file, its
+/// samples, and `sensor_end`.
+#[derive(Debug, Default)]
 pub struct ImuBody {
-    request: ImuRequest,
-    done: Vec<SensorRecording>,
-    current: Option<SensorRecording>,
+    gyroscope: Option<Vec<PhoneSample>>,
+    /// Whether the file that has begun is the gyroscope's.
+    is_gyroscope: Option<bool>,
 }
 
 impl ImuBody {
-    /// A parser for the answer to `request`.
-    #[must_use]
-    pub fn new(request: ImuRequest) -> Self {
-        Self {
-            request,
-            done: Vec::new(),
-            current: None,
-        }
-    }
-
     /// Takes one line; `number` is its number in the answer.
     pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
         let wrong = |expected| MalformedAnswer::line(number, expected, line);
-        if let Some(recording) = &mut self.current {
-            if line == "sensor_end" {
-                self.done.extend(self.current.take());
-                return Ok(());
+        let Some(is_gyroscope) = self.is_gyroscope else {
+            let name = line.strip_suffix(".csv").map(without_number);
+            let is = |sensor| name.is_some_and(|name| name.ends_with(sensor));
+            if is("gyro") && self.gyroscope.replace(Vec::new()).is_some() {
+                return Err(wrong("each sensor's file once"));
             }
-            let sample = parse_sample(line).ok_or_else(|| wrong(SAMPLE_LINE))?;
-            recording.samples.push(sample);
+            if !is("gyro") && !is("accel") {
+                return Err(wrong("a file name that ends in accel.csv or gyro.csv"));
+            }
+            self.is_gyroscope = Some(is("gyro"));
+            return Ok(());
+        };
+        if line == "sensor_end" {
+            self.is_gyroscope = None;
             return Ok(());
         }
-        let sensor = Sensor::of_file(line)
-            .ok_or_else(|| wrong("a file name that ends in accel.csv, gyro.csv or magnetic.csv"))?;
-        if !self.request.wants(sensor) {
-            return Err(wrong("the file of a requested sensor"));
+        let sample = parse_sample(line).ok_or_else(|| wrong(SAMPLE_LINE))?;
+        if is_gyroscope {
+            self.gyroscope.get_or_insert_default().push(sample);
         }
-        if self.done.iter().any(|r| r.sensor == sensor) {
-            return Err(wrong("each sensor's file once"));
-        }
-        self.current = Some(SensorRecording {
-            sensor,
-            file_name: line.to_owned(),
-            samples: Vec::new(),
-        });
         Ok(())
     }
 
-    /// The recording, once the answer has ended.
-    pub fn finish(self) -> Result<ImuRecording, MalformedAnswer> {
-        if self.current.is_some() {
-            return Err(MalformedAnswer::Missing {
+    /// The samples of the gyroscope, once the answer has ended; `None` if it had no file of it:
+    /// it is not ticked in the app's settings.
+    pub fn finish(self) -> Result<Option<Vec<PhoneSample>>, MalformedAnswer> {
+        match self.is_gyroscope {
+            None => Ok(self.gyroscope),
+            Some(_) => Err(MalformedAnswer::Missing {
                 expected: "the line sensor_end",
-            });
+            }),
         }
-        let came = |sensor: &Sensor| self.done.iter().any(|r| r.sensor == *sensor);
-        let missing = Sensor::ALL
-            .into_iter()
-            .filter(|sensor| self.request.wants(*sensor) && !came(sensor))
-            .collect();
-        Ok(ImuRecording {
-            recordings: self.done,
-            missing,
-        })
     }
 }
 
@@ -316,80 +223,52 @@ impl VideoHeader {
 mod tests {
     use super::*;
 
-    fn imu(lines: &[&str], request: ImuRequest) -> Result<ImuRecording, MalformedAnswer> {
-        let mut body = ImuBody::new(request);
+    fn imu(lines: &[&str]) -> Result<Option<Vec<PhoneSample>>, MalformedAnswer> {
+        let mut body = ImuBody::default();
         for (i, line) in lines.iter().enumerate() {
             body.line(i as u64 + 3, line)?;
         }
         body.finish()
     }
 
-    const BOTH: ImuRequest = ImuRequest {
-        duration: Duration::from_secs(1),
-        accelerometer: true,
-        gyroscope: true,
-        magnetometer: false,
-    };
+    const fn asked(duration: Duration) -> ImuRequest {
+        ImuRequest {
+            duration,
+            accelerometer: true,
+        }
+    }
 
     #[test]
     fn the_request_is_one_line() {
         assert_eq!(
-            BOTH.line().unwrap(),
+            asked(Duration::from_secs(1)).line().unwrap(),
             "imu?duration=1000&accel=1&gyro=1&magnetic=0\n"
         );
         for duration in [Duration::ZERO, Duration::from_secs(3601)] {
-            assert!(ImuRequest::gyroscope(duration).line().is_err());
+            assert!(asked(duration).line().is_err());
         }
-        let none = ImuRequest {
-            gyroscope: false,
-            ..ImuRequest::gyroscope(Duration::from_secs(1))
-        };
-        assert!(none.line().is_err());
     }
 
     #[test]
-    fn reads_the_sensors() {
-        let answer = imu(
-            &[
-                "xaccel.csv",
-                "1,2,3,4",
-                "sensor_end",
-                "xgyro.csv",
-                "sensor_end",
-            ],
-            BOTH,
-        )
-        .unwrap();
-        assert_eq!(answer.samples(Sensor::Accelerometer).unwrap().len(), 1);
-        assert_eq!(answer.samples(Sensor::Gyroscope).unwrap().len(), 0);
-        assert!(answer.samples(Sensor::Magnetometer).is_none());
-    }
-
-    #[test]
-    fn a_missing_file_is_named_and_the_others_are_kept() {
-        let answer = imu(&["xgyro.csv", "1,2,3,4", "sensor_end"], BOTH).unwrap();
-        assert_eq!(answer.missing, [Sensor::Accelerometer]);
-        assert_eq!(answer.samples(Sensor::Gyroscope).unwrap().len(), 1);
-        let error = answer.clone().take(Sensor::Accelerometer).unwrap_err();
-        assert!(error.to_string().contains("accelerometer"), "{error}");
-        assert_eq!(answer.take(Sensor::Gyroscope).unwrap().len(), 1);
-        let nothing = imu(&[], BOTH).unwrap();
-        assert_eq!(nothing.missing, [Sensor::Accelerometer, Sensor::Gyroscope]);
+    fn reads_the_gyroscope_and_passes_over_the_accelerometer() {
+        let accel = ["xaccel.csv", "1,2,3,4", "sensor_end"];
+        assert_eq!(imu(&accel).unwrap(), None);
+        // The second and third recordings within one second have other names.
+        for name in ["VID_20210504_161730gyro.csv", "xgyro_1.csv", "gyro (1).csv"] {
+            let gyro = [name, "1,2,3,4", "1,2,3,5", "sensor_end"];
+            let samples = imu(&[&accel[..], &gyro].concat()).unwrap().unwrap();
+            assert_eq!(samples.len(), 2, "{name}");
+        }
+        assert_eq!(imu(&["xgyro.csv", "sensor_end"]).unwrap(), Some(Vec::new()));
     }
 
     #[test]
     fn a_recording_that_broke_off_is_too_short() {
-        let asked = ImuRequest {
-            duration: Duration::from_secs(4),
-            magnetometer: true,
-            accelerometer: false,
-            ..BOTH
-        };
         let recorded = |end_ns: i64| {
             let last = format!("1,2,3,{end_ns}");
             let lines = ["xgyro.csv", "1,2,3,5", &last, "sensor_end"];
-            let lines = [&lines[..], &["xmagnetic.csv", "sensor_end"]].concat();
-            imu(&lines, asked).unwrap().check_length(asked)
+            let samples = imu(&lines).unwrap().unwrap();
+            asked(Duration::from_secs(4)).check_length(&samples)
         };
         assert!(recorded(3_990_000_000).is_ok());
         let error = recorded(900_000_000).unwrap_err().to_string();
@@ -402,10 +281,11 @@ mod tests {
             (&["xgyro.csv", "1,2,3"][..], "x,y,z,timestamp_ns"),
             (&["xgyro.csv", "1,2,3,4"], "sensor_end"),
             (&["xgyro.csv", "sensor_end", "ygyro.csv"], "once"),
-            (&["xmagnetic.csv"], "requested sensor"),
             (&["1,2,3,4"], "a file name"),
+            (&["gyro_161730.csv"], "a file name"),
+            (&["gyro.txt"], "a file name"),
         ] {
-            let e = imu(lines, BOTH).unwrap_err().to_string();
+            let e = imu(lines).unwrap_err().to_string();
             assert!(e.contains(expected), "{lines:?}: {e}");
         }
     }

@@ -1,8 +1,7 @@
 //! The CSV lines of the phone's sensors as typed samples.
 //!
-//! A line is `x,y,z,timestamp_ns`: rad/s (gyroscope), m/s² (accelerometer) or
-//! µT (magnetometer) in Android's device axes, and nanoseconds of the phone's
-//! boot clock. Values are kept as they came: order, repeats and jumps of the
+//! A line is `x,y,z,timestamp_ns`: rad/s (gyroscope) or m/s² (accelerometer) in Android's
+//! device axes, and nanoseconds of the phone's boot clock. Values are kept as they came: order, repeats and jumps of the
 //! timestamps are the estimator's business, which names such faults. What is
 //! not a finite number or not a timestamp is refused with its line.
 
@@ -12,51 +11,6 @@ use std::path::Path;
 use timebase::PhoneNanos;
 
 use super::error::PhoneError;
-
-/// A motion sensor of the phone.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Sensor {
-    /// Acceleration with gravity, m/s².
-    Accelerometer,
-    /// Rate of rotation, rad/s.
-    Gyroscope,
-    /// Magnetic field, µT.
-    Magnetometer,
-}
-
-impl Sensor {
-    /// All sensors, in the order in which the app sends them.
-    pub const ALL: [Self; 3] = [Self::Accelerometer, Self::Gyroscope, Self::Magnetometer];
-
-    /// How the name of the sensor's file ends.
-    #[must_use]
-    pub const fn file_suffix(self) -> &'static str {
-        match self {
-            Self::Accelerometer => "accel.csv",
-            Self::Gyroscope => "gyro.csv",
-            Self::Magnetometer => "magnetic.csv",
-        }
-    }
-
-    /// The unit of the sensor's values.
-    #[must_use]
-    pub const fn unit(self) -> &'static str {
-        match self {
-            Self::Accelerometer => "m/s^2",
-            Self::Gyroscope => "rad/s",
-            Self::Magnetometer => "uT",
-        }
-    }
-
-    /// The sensor whose file is named `name`.
-    pub(crate) fn of_file(name: &str) -> Option<Self> {
-        let name = without_number(name.strip_suffix(".csv")?);
-        let of = |sensor: &Self| sensor.file_suffix().strip_suffix(".csv");
-        Self::ALL
-            .into_iter()
-            .find(|sensor| of(sensor).is_some_and(|suffix| name.ends_with(suffix)))
-    }
-}
 
 /// A file's name without its extension and without the number that the app puts behind
 /// a name that is taken: `gyro_1` or, through the storage access framework, `gyro (1)`.
@@ -71,16 +25,6 @@ pub(crate) fn without_number(name: &str) -> &str {
 
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
-}
-
-impl std::fmt::Display for Sensor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Accelerometer => "accelerometer",
-            Self::Gyroscope => "gyroscope",
-            Self::Magnetometer => "magnetometer",
-        })
-    }
 }
 
 /// One sample of a three-axis sensor of the phone.
@@ -168,31 +112,6 @@ mod tests {
             "1;2;3;4",
         ] {
             assert_eq!(parse_sample(line), None, "{line}");
-        }
-    }
-
-    #[test]
-    fn sensors_are_known_by_their_files() {
-        assert_eq!(
-            Sensor::of_file("VID_20210504_161730gyro.csv"),
-            Some(Sensor::Gyroscope)
-        );
-        // A second recording within one second.
-        for name in [
-            "VID_20210504_161730gyro_1.csv",
-            "xgyro (1).csv",
-            "gyro_12.csv",
-        ] {
-            assert_eq!(Sensor::of_file(name), Some(Sensor::Gyroscope), "{name}");
-        }
-        for name in [
-            "gyro.txt",
-            "gyro_x.csv",
-            "gyro (1.csv",
-            "gyro_161730.csv",
-            ".csv",
-        ] {
-            assert_eq!(Sensor::of_file(name), None, "{name}");
         }
     }
 

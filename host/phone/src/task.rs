@@ -13,8 +13,8 @@ use std::time::Duration;
 
 use crate::adb;
 use crate::{
-    ImuRequest, PhoneClient, PhoneError, PhoneSample, SavedVideo, Sensor, ServerVersion, Settings,
-    StopSignal, VideoStart, VideoTarget,
+    PhoneClient, PhoneError, PhoneSample, SavedVideo, ServerVersion, Settings, StopSignal,
+    VideoStart,
 };
 use timebase::PhoneNanos;
 
@@ -115,10 +115,7 @@ impl PhoneTask {
     /// Records the gyroscope.
     #[must_use]
     pub fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
-        self.ask(move |phone| {
-            let recording = phone.connect()?.imu(ImuRequest::gyroscope(length))?;
-            recording.take(Sensor::Gyroscope)
-        })
+        self.ask(move |phone| phone.connect()?.gyroscope(length))
     }
 
     /// Starts a video, at this time of the phone's clock if it is known.
@@ -148,13 +145,12 @@ impl PhoneTask {
     /// Downloads the last video into a folder.
     #[must_use]
     pub fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
-        self.ask(|phone| {
+        self.ask(move |phone| {
             let mut progress = |done, whole| {
                 phone.done.store(done, Ordering::Relaxed);
                 phone.whole.store(whole, Ordering::Relaxed);
             };
-            let target = VideoTarget::Folder(folder);
-            phone.connect()?.get_video(&target, false, &mut progress)
+            phone.connect()?.get_video(&folder, false, &mut progress)
         })
     }
 

@@ -40,15 +40,6 @@ pub struct VideoFiles {
 }
 
 impl VideoFiles {
-    /// What is missing, each in a word or two.
-    #[must_use]
-    pub fn missing_kinds(&self) -> Vec<&'static str> {
-        let missing = self.missing().into_iter();
-        missing
-            .map(|what| what.split(" (").next().unwrap_or(what))
-            .collect()
-    }
-
     /// What is missing, in words.
     #[must_use]
     pub fn missing(&self) -> Vec<&'static str> {

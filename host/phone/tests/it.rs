@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use phone::answer::MalformedAnswer;
-use phone::{ImuRequest, PhoneClient, PhoneError, Settings, VideoTarget};
+use phone::{PhoneClient, PhoneError, Settings};
 
 const HEAD: &str = "SUCCESS\nv.0.1.1\n";
 const DONE: &[u8] = b"SUCCESS\nv.0.1.1\nend\n";
@@ -69,16 +69,15 @@ fn client(address: &str, margin: Duration) -> PhoneClient {
 }
 
 fn imu(address: &str, margin: Duration) -> PhoneError {
-    let request = ImuRequest::gyroscope(Duration::from_millis(100));
-    client(address, margin).imu(request).unwrap_err()
+    let duration = Duration::from_millis(100);
+    client(address, margin).gyroscope(duration).unwrap_err()
 }
 
 /// The error of a download, which leaves no file behind.
 fn download(address: &str, margin: Duration) -> PhoneError {
     let folder = tempfile::tempdir().unwrap();
-    let target = VideoTarget::Folder(folder.path().to_owned());
     let mut client = client(address, margin);
-    let result = client.get_video(&target, false, &mut |_, _| {});
+    let result = client.get_video(folder.path(), false, &mut |_, _| {});
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     result.unwrap_err()
 }
@@ -214,8 +213,7 @@ fn names_from_the_phone_stay_in_the_folder() {
         let folder = outer.path().join("a/b");
         std::fs::create_dir_all(&folder).unwrap();
         let address = answers(video(10, name, 10), Then::Stay);
-        let target = VideoTarget::Folder(folder.clone());
-        let saved = client(&address, PATIENCE).get_video(&target, false, &mut |_, _| {});
+        let saved = client(&address, PATIENCE).get_video(&folder, false, &mut |_, _| {});
         assert_eq!(
             saved.unwrap().path.parent(),
             Some(folder.as_path()),

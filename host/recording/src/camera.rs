@@ -45,8 +45,9 @@ pub struct Model {
     pub rates: Vec<u32>,
     /// Its own frame rate, by the pulses that it is given.
     pub own_rate: String,
-    /// File that its recorder leaves.
-    pub recording: Recording,
+    /// The program that records it, and its arguments; `{mode}`, and as in a profile `{fps}`
+    /// and `{folder}`, are filled in.
+    pub recorder: Vec<String>,
     /// The mode that it has unless another is chosen.
     pub default_mode: Mode,
     /// Its other depth modes.
@@ -71,16 +72,6 @@ pub struct Pulse {
     pub shortest_us: f64,
     /// Circuit between a pin of 3 V and the camera's input, in words.
     pub through: String,
-}
-
-/// File that a camera's recorder leaves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Recording {
-    /// The Azure Kinect recorder's Matroska file.
-    Mkv,
-    /// A ROS 2 bag with depth images.
-    Ros2Bag,
 }
 
 /// A depth mode.
@@ -375,6 +366,7 @@ mod tests {
             let model: Model = toml::from_str(file).unwrap();
             assert_eq!(Model::find(&model.id), Some(&model));
             assert!(!model.traps.is_empty(), "{}", model.id);
+            assert!(model.recorder.len() > 4, "{}", model.id);
             assert!(
                 model.pulse.width_us > model.pulse.shortest_us,
                 "{}",

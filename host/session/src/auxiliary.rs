@@ -5,12 +5,9 @@
 //! of the train's period, a fixed delay after a pulse of it; place and period are
 //! exact to 2⁻³² ticks, so it stays on that pulse for ever.
 
-use board::gnss::{self, NMEA_DELAY_MS, parse_baud};
+use board::gnss::{self, parse_baud};
 use board::{Board, BoardError};
-use protocol::{
-    GnssSettings, Output, Period, Refusal, Sentences, TICK_HZ, Ticks, TrainState, TriggerStart,
-    TriggerStatus,
-};
+use protocol::{Output, Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus};
 use recording::profile::{Lidar, TriggerOutput};
 
 use crate::error::{SessionError, Stop};
@@ -25,9 +22,6 @@ const ATTEMPTS: u32 = 6;
 
 /// Fraction bits of places and periods.
 const FRACTION_BITS: u32 = 32;
-
-/// Length of the pulse per second, ticks: 20 ms.
-const PPS_WIDTH: u32 = TICK_HZ / 50;
 
 /// Starts what the profile names.
 ///
@@ -122,19 +116,7 @@ fn start_lidar(session: &mut Session<'_>, lidar: &Lidar) -> Result<(), Stop> {
     let utc_at_zero = session
         .call(|board| gnss::utc_at_zero_by(board, clock.time_of_day()()))?
         .ok_or(SessionError::ClockBefore1970)?;
-    let settings = GnssSettings {
-        utc_at_zero,
-        baud,
-        line_inverted: !lidar.idle_high,
-        sentences: if lidar.zda {
-            Sentences::RmcZda
-        } else {
-            Sentences::Rmc
-        },
-        delay_ms: NMEA_DELAY_MS,
-        pulse_width: PPS_WIDTH,
-        pulse_inverted: false,
-    };
+    let settings = gnss::settings(utc_at_zero, baud, lidar.idle_high, lidar.zda);
     let running = session.call(|board| gnss::start(board, settings))?.settings;
     session.log.report(SessionEvent::LidarStarted {
         name: lidar.name.clone(),

@@ -1,5 +1,5 @@
-//! Helpers of the tests of several crates: pages of the book, the objects of `--json`,
-//! reports in a browser, Python, and processes that are interrupted.
+//! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
+//! and processes that are interrupted.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -10,7 +10,6 @@
 pub mod browser;
 pub mod documents;
 pub mod interrupts;
-pub mod objects;
 pub mod python;
 
 use std::path::{Path, PathBuf};

@@ -96,7 +96,7 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
     loop {
         let mut question = [0; QUESTION];
         stream.read_exact(&mut question)?;
-        let Ok(nonce) = read_question(&question) else {
+        let Some(nonce) = read_question(&question) else {
             return Ok(());
         };
         let asked = clock.now();

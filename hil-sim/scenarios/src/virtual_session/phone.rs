@@ -7,12 +7,12 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use ::phone::adb::AdbError;
-use ::phone::answer::{AnswerDecoder, AnswerEvent, MalformedAnswer};
+use ::phone::answer::{self, Lines, MalformedAnswer};
 use ::phone::error::Refusal;
 use ::phone::file_name::safe_file_name;
 use ::phone::requests::{ImuBody, VideoHeader};
 use ::phone::task::Pending;
-use ::phone::{ImuRequest, PhoneError, PhoneSample, SavedVideo, Sensor, ServerVersion, VideoStart};
+use ::phone::{ImuRequest, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use ::session::devices::Phone;
 use rig::phone::{Answer, RequestId};
 use timebase::PhoneNanos;
@@ -42,8 +42,6 @@ const MOST: u64 = 1 << 30;
 const SHORTEST_IMU: ImuRequest = ImuRequest {
     duration: Duration::from_millis(1),
     accelerometer: true,
-    gyroscope: true,
-    magnetometer: false,
 };
 
 /// A phone of the rig.
@@ -209,46 +207,46 @@ fn read(request: &'static str, answer: Answer) -> Result<Reply, PhoneError> {
         }
     };
     let malformed = |source| PhoneError::Malformed { request, source };
-    let mut decoder = AnswerDecoder::new(MOST);
+    let expected = "its end";
+    let mut lines = Lines::new(MOST);
     let mut rest = bytes.as_slice();
+    let next = || {
+        let line = lines.next(&mut rest).map_err(malformed)?;
+        line.ok_or_else(|| malformed(MalformedAnswer::Missing { expected }))
+    };
     let mut body = Vec::new();
-    loop {
-        match decoder.next(&mut rest).map_err(malformed)? {
-            Some(AnswerEvent::Line(line)) => body.push(line.to_owned()),
-            Some(AnswerEvent::End(version)) => {
-                return Ok(Reply {
-                    version,
-                    body,
-                    file,
-                });
-            }
-            Some(AnswerEvent::Refused { version, text }) => {
-                return Err(PhoneError::Refused {
-                    request,
-                    text,
-                    version,
-                });
-            }
-            None => {
-                let expected = "its end";
-                return Err(malformed(MalformedAnswer::Missing { expected }));
-            }
-        }
+    let take = |_, line: &str| {
+        body.push(line.to_owned());
+        Ok(())
+    };
+    let answer = answer::read(next, take, malformed)?;
+    let version = answer.version;
+    match answer.refused {
+        None => Ok(Reply {
+            version,
+            body,
+            file,
+        }),
+        Some(text) => Err(PhoneError::Refused {
+            request,
+            text,
+            version,
+        }),
     }
 }
 
 /// The gyroscope's samples in an answer.
-fn gyroscope(request: ImuRequest, reply: &Reply) -> Result<Vec<PhoneSample>, PhoneError> {
+fn gyroscope(reply: &Reply) -> Result<Vec<PhoneSample>, PhoneError> {
     let malformed = |source| PhoneError::Malformed {
         request: "imu",
         source,
     };
-    let mut body = ImuBody::new(request);
+    let mut body = ImuBody::default();
     for (number, line) in (1..).zip(&reply.body) {
         body.line(number, line).map_err(malformed)?;
     }
-    let recording = body.finish().map_err(malformed)?;
-    recording.take(Sensor::Gyroscope)
+    let samples = body.finish().map_err(malformed)?;
+    samples.ok_or(PhoneError::NoGyroscope)
 }
 
 /// Saves the video of an answer.
@@ -288,7 +286,7 @@ impl Phone for VirtualPhone {
     fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
         let request = ImuRequest::gyroscope(length);
         self.imu(request, BUSY, move |reply| {
-            Next::Done(reply.and_then(|reply| gyroscope(request, &reply)))
+            Next::Done(reply.and_then(|reply| gyroscope(&reply)))
         })
     }
 

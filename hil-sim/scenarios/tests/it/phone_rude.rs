@@ -212,34 +212,18 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
 }
 
 #[test]
-fn a_sensor_without_a_file_or_samples_is_named_and_the_others_kept() {
+fn a_gyroscope_without_a_file_is_an_error() {
     let _turn = turn::beside_others();
-    let bench = Bench::new(80, 10.0, |c| {
-        c.app.ticked = [false, true, true];
-        c.magnetometer = None;
-    });
+    let bench = Bench::new(80, 10.0, |c| c.app.ticked = [true, false, true]);
     let folder = tempfile::tempdir().unwrap();
-    let all = [
-        "imu",
-        "--seconds",
-        "2",
-        "--accel",
-        "--magnetic",
-        "--out",
-        ".",
-    ];
-    let words = [
-        "accelerometer: the phone sent no file",
-        "Enabled sensors",
-        "magnetometer: no samples",
-    ];
-    let output = bench.command(&all, folder.path());
-    says(&output, LOSS, &words);
-    assert!(!String::from_utf8_lossy(&output.stdout).contains("-0.0000"));
-    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
-    assert_eq!(left.len(), 1);
-    assert!(folder.path().join("gyro.csv").exists());
-    // Two of them within one second have other names, and are taken.
+    let output = bench.command(&["imu", "--seconds", "2"], folder.path());
+    says(
+        &output,
+        PHONE,
+        &["no file of its gyroscope", "Enabled sensors"],
+    );
+    // Two recordings within one second have other names, and are taken.
+    let bench = Bench::new(80, 10.0, |_| ());
     for _ in 0..3 {
         let output = bench.command(&["imu", "--seconds", "0.01"], folder.path());
         says(&output, 0, &[]);
@@ -265,25 +249,13 @@ fn a_recording_that_the_background_cut_short_is_an_error() {
 #[test]
 fn a_long_answer_on_a_slow_network_is_waited_for() {
     let _turn = turn::beside_others();
-    // 30 s of three sensors are 1.7 MB: 17 s at this rate, with 3 s of patience.
+    // 30 s of the gyroscope are 0.8 MB: 16 s at this rate, with 3 s of patience.
     let bench = Bench::new(82, 30.0, |_| ());
-    bench.phone.set_fault(Some(LinkFault::Slow(100_000)));
+    bench.phone.set_fault(Some(LinkFault::Slow(50_000)));
     let folder = tempfile::tempdir().unwrap();
-    let arguments = [
-        "imu",
-        "--seconds",
-        "30",
-        "--accel",
-        "--magnetic",
-        "--timeout",
-        "3",
-    ];
+    let arguments = ["imu", "--seconds", "30", "--timeout", "3"];
     let output = bench.command(&arguments, folder.path());
-    says(
-        &output,
-        0,
-        &["accelerometer: 15", "gyroscope: 15", "magnetometer: 2"],
-    );
+    says(&output, 0, &["samples: 15"]);
 }
 
 /// A program named `adb` that has one phone, whose storage is the simulated one's.

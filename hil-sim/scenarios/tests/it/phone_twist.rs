@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::turn;
-use phone::{ImuRequest, PhoneClient, Sensor, Settings};
+use phone::{PhoneClient, Settings};
 use rig::flash_log::Dark;
 use rig::inertial_channel::{Channel, ChannelConfig, LowPass, quantise};
 use rig::motion::MotionSpec;
@@ -38,10 +38,10 @@ fn twist(seed: u64) -> (f64, f64) {
     let mut client =
         PhoneClient::connect(&phone.address().to_string(), Settings::default()).unwrap();
     clock.publish(TrueTime::from_nanos(BEGIN * 1_000_000_000));
-    let recording = std::thread::scope(|scope| {
+    let samples = std::thread::scope(|scope| {
         let asked = scope.spawn(|| {
-            let request = ImuRequest::gyroscope(Duration::from_secs(LENGTH));
-            client.imu(request).unwrap()
+            let length = Duration::from_secs(LENGTH);
+            client.gyroscope(length).unwrap()
         });
         while clock.waiters() == 0 {
             std::thread::sleep(Duration::from_millis(1));
@@ -49,7 +49,6 @@ fn twist(seed: u64) -> (f64, f64) {
         clock.publish(TrueTime::from_nanos((BEGIN + LENGTH + 1) * 1_000_000_000));
         asked.join().unwrap()
     });
-    let samples = recording.samples(Sensor::Gyroscope).unwrap();
     let times: Vec<_> = samples.iter().map(|s| s.time).collect();
     let phone_track = phone_track(&times, samples.iter().map(|s| s.xyz).collect());
 

@@ -21,7 +21,6 @@ use scenarios::whole_chain::{self, Plan, believed, calibration, evaluation, extr
 use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
-use test_support::objects;
 
 pub(crate) fn programs() -> Programs {
     Programs {
@@ -180,7 +179,6 @@ fn the_photodiode_gives_the_time_from_trigger_to_centre() {
     // The camera's first frame comes on the second pulse.
     assert!(matches!(output.status.code(), Some(0 | 4)), "{output:?}");
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
-    objects::check("trigger latency", &[&found]);
     assert!(found["pulses"].as_u64().unwrap() >= 57, "{found}");
     // The camera counts its delays on its own clock.
     let rate = (1.0 + 1e-6 * board.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);

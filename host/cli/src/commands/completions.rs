@@ -1,5 +1,7 @@
 //! `smartdepthsync completions`: for the shell.
 
+use std::collections::BTreeMap;
+
 use clap::Command;
 use clap_complete::Shell;
 
@@ -15,12 +17,6 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-#[derive(Debug, serde::Serialize)]
-struct Script {
-    shell: String,
-    script: String,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -33,10 +29,9 @@ pub(crate) fn run(
 ) -> Result<ExitStatus, Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "smartdepthsync", &mut script);
-    let script = Script {
-        shell: args.shell.to_string(),
-        script: String::from_utf8_lossy(&script).into_owned(),
-    };
-    context.print(&script, || script.script.clone())?;
+    let script = String::from_utf8_lossy(&script);
+    context.print(&BTreeMap::from([("script", &script)]), || {
+        script.to_string()
+    })?;
     Ok(ExitStatus::Good)
 }

@@ -23,20 +23,12 @@ pub(crate) struct Args {
 ///
 /// The folder cannot be written.
 pub(crate) fn run(args: &Args, program: Command, context: &Context) -> Result<ExitStatus, Failure> {
-    let failed = |error: std::io::Error| Failure::file("write", &args.folder, &error);
-    std::fs::create_dir_all(&args.folder).map_err(failed)?;
-    clap_mangen::generate_to(program, &args.folder).map_err(failed)?;
-    let mut pages = Vec::new();
-    for entry in std::fs::read_dir(&args.folder).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        let name = path.file_name().map(|name| name.to_string_lossy());
-        if name.is_some_and(|name| name.starts_with("smartdepthsync") && name.ends_with(".1")) {
-            pages.push(path);
-        }
-    }
-    pages.sort();
-    context.print(&BTreeMap::from([("pages", &pages)]), || {
-        format!("{} pages written to {}", pages.len(), args.folder.display())
-    })?;
+    std::fs::create_dir_all(&args.folder)
+        .and_then(|()| clap_mangen::generate_to(program, &args.folder))
+        .map_err(|error| Failure::file("write", &args.folder, &error))?;
+    context.show(&BTreeMap::from([(
+        "folder",
+        args.folder.display().to_string(),
+    )]))?;
     Ok(ExitStatus::Good)
 }

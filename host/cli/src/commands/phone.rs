@@ -2,20 +2,20 @@
 //! at a time, and the files that it does not send.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::advice::{TICK_SENSORS, at_phone};
+use crate::advice::at_phone;
 use crate::context::Context;
 use crate::options::number_in;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
-use phone::{ImuRequest, PhoneClient, PhoneError, Sensor, SensorRecording, Settings, VideoTarget};
+use phone::{PhoneClient, PhoneError, Settings};
 use timebase::PhoneNanos;
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
@@ -41,7 +41,7 @@ struct ConnectionArgs {
 /// One of the app's requests.
 #[derive(Debug, Subcommand)]
 enum Request {
-    /// Record the phone's motion sensors for a while
+    /// Record the phone's gyroscope for a while
     Imu(ImuArgs),
     /// Start a video; prints the phase and duration of its frames
     Start,
@@ -59,19 +59,10 @@ struct ImuArgs {
     /// How long to record
     #[arg(long, default_value = "10", value_parser = imu_seconds)]
     seconds: Duration,
-    /// Record the accelerometer too
-    #[arg(long)]
-    accel: bool,
-    /// Record the magnetometer too
-    #[arg(long)]
-    magnetic: bool,
-    /// Do not record the gyroscope
-    #[arg(long)]
-    no_gyro: bool,
-    /// Save gyro.csv, accel.csv, magnetic.csv in this folder, as the app writes them
-    #[arg(long, value_name = "FOLDER")]
+    /// Save the samples in this file, as the app writes them
+    #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Overwrite existing files
+    /// Replace the file if it is there
     #[arg(long)]
     overwrite: bool,
 }
@@ -89,9 +80,6 @@ struct GetVideoArgs {
     /// and a video that it would be recording: so it is not asked unless you say so
     #[arg(long)]
     recorded: bool,
-    /// Largest video that is accepted, in bytes
-    #[arg(long, value_name = "BYTES", default_value_t = 64 << 30)]
-    max_bytes: u64,
     /// How long the app may take to finish the file before it sends it
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
     ready: Duration,
@@ -134,11 +122,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             )
             .into());
         }
-        Request::GetVideo(video) => {
-            settings.max_video = video.max_bytes;
-            settings.video_ready = video.ready;
+        Request::GetVideo(video) => settings.video_ready = video.ready,
+        Request::Imu(imu) => {
+            if let Some(path) = &imu.out {
+                refuse_to_overwrite(path, imu.overwrite)?;
+            }
         }
-        Request::Imu(imu) => check_imu(imu)?,
+
         Request::Start | Request::Stop => {}
     }
     let address = args.connection.phone.as_deref().ok_or_else(|| {
@@ -166,138 +156,46 @@ fn ask(
     Ok(ExitStatus::Good)
 }
 
-/// A recording of one sensor, as `--json` prints it.
-#[derive(Debug, Serialize)]
-struct SensorSummary {
-    sensor: String,
-    unit: &'static str,
-    samples: usize,
-    first_ns: Option<i64>,
-    last_ns: Option<i64>,
-    rate_hz: Option<f64>,
-    interval_max_us: Option<f64>,
-    file: Option<PathBuf>,
-}
-
-impl SensorSummary {
-    fn of(recording: &SensorRecording, file: Option<PathBuf>) -> Self {
-        let times: Vec<i64> = recording.samples.iter().map(|s| s.time.0).collect();
-        let (first_ns, last_ns) = (times.first().copied(), times.last().copied());
-        let length_ns = last_ns
-            .zip(first_ns)
-            .map(|(to, from)| to.saturating_sub(from));
-        let intervals = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
-        Self {
-            sensor: recording.sensor.to_string(),
-            unit: recording.sensor.unit(),
-            samples: times.len(),
-            first_ns,
-            last_ns,
-            rate_hz: length_ns
-                .filter(|&length| length > 0)
-                .map(|length| (times.len() - 1) as f64 * 1e9 / length as f64),
-            interval_max_us: intervals.max().map(|interval| interval as f64 * 1e-3),
-            file,
-        }
-    }
-
-    fn text(&self) -> String {
-        if self.samples == 0 {
-            return format!("{}: no samples: the phone lacks this sensor", self.sensor);
-        }
-        let mut text = format!("{}: {} samples", self.sensor, self.samples);
-        if let (Some(rate), Some(longest)) = (self.rate_hz, self.interval_max_us) {
-            text.push_str(&format!(
-                ", {rate:.2} Hz (longest interval {longest:.1} µs)"
-            ));
-        }
-        if let Some(file) = &self.file {
-            text.push_str(&format!(", saved as {}", file.display()));
-        }
-        text
-    }
-}
-
-fn imu_request(args: &ImuArgs) -> ImuRequest {
-    ImuRequest {
-        duration: args.seconds,
-        accelerometer: args.accel,
-        gyroscope: !args.no_gyro,
-        magnetometer: args.magnetic,
-    }
-}
-
-/// Refuses what cannot become a recording before the phone is bothered.
-fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
-    let request = imu_request(args);
-    request.line()?;
-    let Some(folder) = &args.out else {
-        return Ok(());
-    };
-    std::fs::create_dir_all(folder).map_err(|source| PhoneError::File {
-        action: "save in",
-        path: folder.clone(),
-        source,
-    })?;
-    for sensor in Sensor::ALL {
-        let path = folder.join(sensor.file_suffix());
-        if request.wants(sensor) && !args.overwrite && path.symlink_metadata().is_ok() {
-            return Err(PhoneError::TargetExists { path });
-        }
-    }
-    Ok(())
-}
-
 fn record_imu(
     client: &mut PhoneClient,
     args: &ImuArgs,
     context: &Context,
 ) -> Result<ExitStatus, Failure> {
-    let request = imu_request(args);
+    #[derive(Serialize)]
+    struct Recorded {
+        samples: usize,
+        first_ns: Option<i64>,
+        last_ns: Option<i64>,
+        rate_hz: Option<f64>,
+        interval_max_us: Option<f64>,
+        file: Option<String>,
+    }
     let bar = context.spinner();
     let seconds = args.seconds.as_secs_f64();
     bar.set_message(format!("recording on the phone for {seconds:.1} s"));
     bar.enable_steady_tick(Duration::from_millis(200));
-    let recording = client.imu(request);
+    let samples = client.gyroscope(args.seconds);
     bar.finish_and_clear();
-    let recording = recording?;
-    if let (true, Some(&sensor)) = (recording.recordings.is_empty(), recording.missing.first()) {
-        return Err(PhoneError::SensorMissing { sensor }.into());
+    let samples = samples?;
+    if let Some(path) = &args.out {
+        phone::save_samples(path, &samples, args.overwrite)?;
     }
-    let mut summaries = Vec::new();
-    for recording in &recording.recordings {
-        let file = match &args.out {
-            Some(folder) if !recording.samples.is_empty() => {
-                let path = folder.join(recording.sensor.file_suffix());
-                phone::save_samples(&path, &recording.samples, args.overwrite)?;
-                Some(path)
-            }
-            _ => None,
-        };
-        summaries.push(SensorSummary::of(recording, file));
-    }
-    /// What `--json` prints.
-    #[derive(Serialize)]
-    struct Summaries<'a> {
-        sensors: &'a [SensorSummary],
-        /// Sensors that were asked for and have no file.
-        missing: Vec<String>,
-    }
-    let missing: Vec<String> = recording.missing.iter().map(Sensor::to_string).collect();
-    let empty = summaries.iter().any(|summary| summary.samples == 0);
-    let printed = Summaries {
-        sensors: &summaries,
-        missing,
-    };
-    context.print(&printed, || {
-        let came = summaries.iter().map(SensorSummary::text);
-        let missing = &printed.missing;
-        let missing = missing
-            .iter()
-            .map(|sensor| format!("{sensor}: the phone sent no file: {TICK_SENSORS}"));
-        came.chain(missing).collect::<Vec<_>>().join("\n")
+    let times: Vec<i64> = samples.iter().map(|sample| sample.time.0).collect();
+    let (first_ns, last_ns) = (times.first().copied(), times.last().copied());
+    let length_ns = last_ns
+        .zip(first_ns)
+        .map(|(to, from)| to.saturating_sub(from))
+        .filter(|&length| length > 0);
+    let intervals = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
+    context.show(&Recorded {
+        samples: times.len(),
+        first_ns,
+        last_ns,
+        rate_hz: length_ns.map(|length| (times.len() - 1) as f64 * 1e9 / length as f64),
+        interval_max_us: intervals.max().map(|interval| interval as f64 * 1e-3),
+        file: args.out.as_ref().map(|path| path.display().to_string()),
     })?;
-    Ok(ExitStatus::of_loss(empty || !recording.missing.is_empty()))
+    Ok(ExitStatus::of_loss(samples.is_empty()))
 }
 
 fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
@@ -318,29 +216,17 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
         }
         client.undo_start(error)
     })?;
-    let started = Started {
+    context.show(&Started {
         app_version: client.version().map(|v| v.as_str()),
         phase_ns: start.phase.0,
         frame_duration_ns: start.frame_duration_ns,
         exposure_ns: start.exposure_ns,
-    };
-    context.print(&started, || {
-        let exposure = match started.exposure_ns {
-            Some(ns) => format!("{:.1} us", ns as f64 * 1e-3),
-            None => "not reported".to_owned(),
-        };
-        format!(
-            "video started\n  phase           {} ns of the phone's clock\n  frame duration  {:.3} us ({:.4} fps)\n  exposure        {exposure}",
-            started.phase_ns,
-            started.frame_duration_ns * 1e-3,
-            1e9 / started.frame_duration_ns,
-        )
     })
 }
 
 fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
     client.stop_video()?;
-    context.print(&json!({ "stopped": true }), || "video stopped".to_owned())
+    context.show(&json!({ "stopped": true }))
 }
 
 fn get_video(
@@ -350,33 +236,25 @@ fn get_video(
 ) -> Result<(), Failure> {
     #[derive(Serialize)]
     struct Saved<'a> {
-        path: &'a Path,
+        path: String,
         bytes: u64,
         phone_name: &'a str,
         seconds: f64,
     }
-    let target = if args.out.is_dir() {
-        VideoTarget::Folder(args.out.clone())
-    } else {
-        VideoTarget::File(args.out.clone())
-    };
     let template = "{bar:30} {bytes}/{total_bytes} {bytes_per_sec}, {eta} left";
     let bar = context.progress(Some(0), template);
     let begin = Instant::now();
-    let saved = client.get_video(&target, args.overwrite, &mut |received, size| {
+    let saved = client.get_video(&args.out, args.overwrite, &mut |received, size| {
         bar.set_length(size);
         bar.set_position(received);
     });
     bar.finish_and_clear();
     let saved = saved?;
-    let report = Saved {
-        path: &saved.path,
+    context.show(&Saved {
+        path: saved.path.display().to_string(),
         bytes: saved.size,
         phone_name: &saved.phone_name,
         seconds: begin.elapsed().as_secs_f64(),
-    };
-    context.print(&report, || {
-        format!("{}: {} bytes", saved.path.display(), saved.size)
     })
 }
 
@@ -388,10 +266,8 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failu
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
         PhoneError::from(error)
     })?;
-    context.print(&BTreeMap::from([("files", &files)]), || {
-        let lines = files.iter().map(|path| path.display().to_string());
-        lines.collect::<Vec<_>>().join("\n")
-    })?;
+    let files: Vec<String> = files.iter().map(|it| it.display().to_string()).collect();
+    context.show(&BTreeMap::from([("files", files)]))?;
     Ok(ExitStatus::Good)
 }
 

@@ -149,19 +149,7 @@ fn import(
         },
     )?;
     write_file(file, &text)?;
-    context.print(&imported, || {
-        let camera = &imported.camera;
-        let also = match imported.color_from_imu {
-            Some(_) => " and the depth camera's place",
-            None => "; the file has no cam1, so the depth camera's place stays as it was",
-        };
-        format!(
-            "intrinsics of {phone} for images of {} × {}, its place{also}: written to {}",
-            camera.width,
-            camera.height,
-            file.display()
-        )
-    })?;
+    context.show(&imported)?;
     Ok(ExitStatus::Good)
 }
 
@@ -178,9 +166,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
     File::create_new(file)
         .and_then(|mut created| created.write_all(text.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
-    context.print(&BTreeMap::from([("profile", file)]), || {
-        format!("wrote {}; set the phone's address in it", file.display())
-    })?;
+    context.show(&BTreeMap::from([("profile", file.display().to_string())]))?;
     Ok(ExitStatus::Good)
 }
 

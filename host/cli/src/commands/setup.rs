@@ -12,7 +12,7 @@ use toml_edit::{Array, value};
 
 use super::doctor;
 use crate::context::Context;
-use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
+use crate::new_profile::{Camera, recorder_command, text};
 use crate::options::{PortArg, number_in};
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
 use crate::record::preflight::Checks;
@@ -40,9 +40,6 @@ pub(crate) struct Args {
     phone: Option<String>,
     #[command(flatten)]
     camera: CameraArg,
-    /// Pulses a second for the depth camera
-    #[arg(long, value_name = "FPS")]
-    fps: Option<u32>,
     /// The program that records the depth camera, with its arguments; {folder} and {fps} are
     /// filled in. `none` for none; the camera's own if it is installed
     #[arg(long, value_name = "COMMAND")]
@@ -284,11 +281,9 @@ fn answers<R: BufRead>(
         host => Ok(host.to_owned()),
     })?;
     let camera = ask_camera(args, asker)?;
-    let usual = usual_recorder(camera.model);
-    let default = match files::program(usual).is_some() {
-        true => usual,
-        false => "none",
-    };
+    let usual = camera.model.recorder.first();
+    let usual = usual.filter(|usual| files::program(usual).is_some());
+    let default = usual.map_or("none", String::as_str);
     let question = "The program that records the depth camera (none: you start it yourself)?";
     let recorder = asker.ask(args.recorder.clone(), question, default, as_typed)?;
     Ok(Answers {
@@ -310,25 +305,6 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
     })?;
     let mut camera = Camera::new(model, Some(mode));
     camera.exposure_us = given.exposure_us(mode)?;
-    let rates: Vec<String> = mode.rates.iter().map(u32::to_string).collect();
-    let rates = rates.join(", ");
-    let fits = |fps: u32| match mode.rates.contains(&fps) {
-        true => Ok(fps),
-        false => Err(format!("{} has {rates} frames a second", mode.name)),
-    };
-    let fps = args.fps.map(|fps| {
-        fits(fps).map_err(|expected| {
-            Failure::new(ExitStatus::Usage, format!("--fps {fps}: {expected}"))
-                .next_step("give one of these, or another --depth-mode")
-        })
-    });
-    let question = format!("Frames a second of the depth camera ({rates})?");
-    camera.fps = asker.ask(
-        fps.transpose()?,
-        &question,
-        &camera.fps.to_string(),
-        |text| fits(text.parse().map_err(|_| format!("expected {rates}"))?),
-    )?;
     Ok(camera)
 }
 
@@ -353,7 +329,7 @@ mod tests {
     use clap::Parser as _;
 
     use super::*;
-    use crate::context::{Global, Interrupt, LogFormat, Said};
+    use crate::context::{Global, Interrupt, Said};
     use recording::profile::Profile;
 
     #[derive(clap::Parser)]
@@ -368,7 +344,6 @@ mod tests {
             global: Global {
                 json: true,
                 verbose: 0,
-                log_format: LogFormat::Text,
             },
             interrupt: Interrupt::default(),
             said: Said::default(),
@@ -384,7 +359,7 @@ mod tests {
 
     #[test]
     fn what_is_typed_and_what_is_given_come_to_the_same() {
-        let typed = "desk\n10.0.0.7\n\nwfov_unbinned\n5\nk4arecorder\n";
+        let typed = "desk\n10.0.0.7\n\nwfov_unbinned\nk4arecorder\n";
         let typed = asked(&[], typed, None).unwrap().profile().unwrap();
         let given = [
             "--name",
@@ -393,8 +368,6 @@ mod tests {
             "10.0.0.7",
             "--depth-mode",
             "WFOV_UNBINNED",
-            "--fps",
-            "5",
             "--recorder",
             "k4arecorder",
             "--yes",
@@ -416,7 +389,7 @@ mod tests {
 
     #[test]
     fn another_camera_brings_its_modes() {
-        let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\n\nnone\n";
+        let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\nnone\n";
         let typed = asked(&["--depth-exposure-us", "6000"], typed, None).unwrap();
         let profile = Profile::parse(&typed.profile().unwrap(), None).unwrap();
         assert_eq!(
@@ -454,21 +427,6 @@ mod tests {
         assert!(nobody.to_string().contains("address"), "{nobody}");
         let wrong = asked(&["--phone", "x"], "\n\nNFOV\n", None).unwrap_err();
         assert!(wrong.to_string().contains("NFOV_UNBINNED"), "{wrong}");
-        let rate = [
-            "--phone",
-            "x",
-            "--depth-mode",
-            "WFOV_UNBINNED",
-            "--fps",
-            "30",
-            "--yes",
-        ];
-        assert!(
-            asked(&rate, "", None)
-                .unwrap_err()
-                .to_string()
-                .contains("15, 5")
-        );
     }
 
     #[test]

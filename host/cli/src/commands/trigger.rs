@@ -1,14 +1,14 @@
 //! `smartdepthsync trigger`: the trigger outputs by hand.
 
 mod latency;
-mod printed;
 
 use clap::Subcommand;
 use protocol::{
-    AlignPlan, Arrived, DeviceToHost, Output, Period, TICK_HZ, Ticks, TriggerAlign, TriggerStart,
+    AlignPlan, Arrived, DeviceToHost, Output, Period, Readback, TICK_HZ, Ticks, TrainState,
+    TriggerAlign, TriggerStart, TriggerStatus,
 };
+use serde::Serialize;
 
-use self::printed::{PrintedArrival, PrintedMove, PrintedTrain};
 use crate::arrival::PlannedArrival;
 use crate::context::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
@@ -43,19 +43,12 @@ enum Action {
         /// Board time of the first rising edge, in ticks of 48 MHz [default: at once]
         #[arg(long, value_name = "TICK")]
         first_edge: Option<u64>,
-        /// Fraction of the tick of the first edge, in 1/2^32 (outputs 2 to 4); as
-        /// `next_edge_fraction` of `trigger status --json` tells it
-        #[arg(long, value_name = "N", requires = "first_edge", default_value_t = 0)]
-        first_fraction: u32,
     },
     /// Move the running train so that an edge falls exactly on a tick
     Align {
         /// A tick of 48 MHz on which an edge must fall; at most an hour away
         #[arg(long, value_name = "TICK")]
         anchor: u64,
-        /// Fraction of that tick, in 1/2^32 (outputs 2 to 4)
-        #[arg(long, value_name = "N", default_value_t = 0)]
-        anchor_fraction: u32,
         #[command(flatten)]
         period: PeriodArg,
         /// Move at most this many µs a frame; 0 jumps at once
@@ -122,20 +115,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     }
     // The command line takes 1 to 4.
     let output = Output::from_number(args.output).unwrap_or(Output::Camera);
-    let fraction = match args.action {
-        Action::Start { first_fraction, .. } => first_fraction,
-        Action::Align {
-            anchor_fraction, ..
-        } => anchor_fraction,
-        _ => 0,
-    };
-    if output.is_camera() && fraction != 0 {
-        return Err(Failure::new(
-            ExitStatus::Usage,
-            "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
-        )
-        .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4"));
-    }
     if !output.is_camera() && matches!(args.action, Action::Latency { .. }) {
         return Err(Failure::new(
             ExitStatus::Usage,
@@ -152,20 +131,18 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             period,
             width_us,
             first_edge,
-            first_fraction,
         } => {
             let default_us = if output.is_camera() { 12 } else { 100 };
             let start = TriggerStart {
                 period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
                 width: width_us.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
                 first_edge: first_edge.map(Ticks),
-                first_fraction,
+                first_fraction: 0,
             };
             board.start_trigger(output, start)?
         }
         Action::Align {
             anchor,
-            anchor_fraction,
             period,
             slew_us,
             no_wait,
@@ -176,7 +153,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             };
             let to = TriggerAlign {
                 anchor: Ticks(anchor),
-                anchor_fraction,
+                anchor_fraction: 0,
                 period,
                 slew: slew_us,
             };
@@ -189,13 +166,63 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         Action::Stop => board.stop_trigger(output)?,
         Action::Status => board.output(output)?,
     };
-    let mut report = PrintedTrain::from(&status);
-    if !output.is_camera() {
-        report.readback.state = String::from("none on this output");
-    }
-    context.print(&report, || report.text(&status))?;
+    context.show(&Train::new(output, &status))?;
     let lossy = status.late > 0 || status.readback.missing > 0;
     Ok(ExitStatus::of_loss(lossy))
+}
+
+/// State of a train.
+#[derive(Debug, Serialize)]
+struct Train {
+    state: TrainState,
+    train: u32,
+    period_ns: String,
+    period_ticks: u32,
+    period_fraction: u32,
+    fps: f64,
+    width_us: f64,
+    pulses: u64,
+    next_edge_ticks: u64,
+    next_edge_fraction: u32,
+    late: u32,
+    readback_state: String,
+    readback: Readback,
+}
+
+impl Train {
+    fn new(output: Output, status: &TriggerStatus) -> Self {
+        let (period, readback) = (status.period, status.readback);
+        let seconds = period.as_secs_f64();
+        Self {
+            state: status.state,
+            train: status.train,
+            period_ns: period.to_string().trim_end_matches(" ns").to_owned(),
+            period_ticks: period.ticks(),
+            period_fraction: period.fraction(),
+            fps: if seconds > 0.0 { 1.0 / seconds } else { 0.0 },
+            width_us: f64::from(status.width) * 1e6 / f64::from(TICK_HZ),
+            pulses: status.pulses,
+            next_edge_ticks: status.next_edge.0,
+            next_edge_fraction: status.next_fraction,
+            late: status.late,
+            readback_state: match (readback.seen, readback.missing, readback.stray) {
+                _ if !output.is_camera() => String::from("none on this output"),
+                (0, 0, 0) => String::from("not wired"),
+                (_, 0, 0) => String::from("ok"),
+                (_, 0, stray) => format!("stray {stray}"),
+                (_, missing, _) => format!("missing {missing}"),
+            },
+            readback,
+        }
+    }
+}
+
+/// A planned move of a train, in ticks, and its end.
+#[derive(Debug, Serialize)]
+struct Move {
+    #[serde(flatten)]
+    plan: AlignPlan,
+    arrived: Option<Arrived>,
 }
 
 /// Moves the train, and waits for it to arrive if that is wanted.
@@ -207,18 +234,11 @@ fn align(
     wait: bool,
 ) -> Result<ExitStatus, Failure> {
     let plan = board.align(output, to)?;
-    let mut report = PrintedMove::from(&plan);
-    context.print_text(|| report.text())?;
-    let mut outcome = ExitStatus::Good;
-    if wait {
-        let arrived;
-        (arrived, outcome) = wait_for_arrival(board, output, context, &plan)?;
-        if let Some(arrived) = arrived.as_ref().map(PrintedArrival::from) {
-            context.print_text(|| arrived.text())?;
-            report.arrived = Some(arrived);
-        }
-    }
-    context.print_json(&report)?;
+    let (arrived, outcome) = match wait {
+        true => wait_for_arrival(board, output, context, &plan)?,
+        false => (None, ExitStatus::Good),
+    };
+    context.show(&Move { plan, arrived })?;
     Ok(outcome)
 }
 

@@ -110,7 +110,7 @@ fn a_port_without_permission_has_its_own_code() {
 }
 
 #[test]
-fn a_board_that_goes_away_while_watched_is_a_lost_link() {
+fn a_board_that_goes_away_is_a_lost_link() {
     let mut left = 2;
     let (asks, asked) = channel();
     let board = StandIn::new(move |command: HostToDevice| {
@@ -122,7 +122,7 @@ fn a_board_that_goes_away_while_watched_is_a_lost_link() {
             polite(command)
         }
     });
-    let child = support::program(&["info", "--port", &board.path, "--watch", "1000"])
+    let child = support::program(&["info", "--port", &board.path])
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()
@@ -134,18 +134,11 @@ fn a_board_that_goes_away_while_watched_is_a_lost_link() {
 }
 
 #[test]
-fn ports_is_a_list_and_boards_has_its_own_code() {
+fn ports_is_a_list() {
     let output = run(&["ports", "--json"]);
     assert_eq!(code(&output), 0);
     let ports: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let boards = ports["ports"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .filter(|port| port["board"] == true)
-        .count();
-    let output = run(&["ports", "--boards"]);
-    assert_eq!(code(&output), if boards == 0 { 5 } else { 0 });
+    assert!(ports["ports"].is_array(), "{ports}");
 }
 
 #[test]

@@ -9,7 +9,6 @@ use clap::error::ErrorKind;
 use smartdepthsync::cli::Cli;
 
 use test_support::documents::{Code, arguments, pages};
-use test_support::root;
 
 fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -161,28 +160,6 @@ fn help_lists_the_commands_in_the_order_of_use() {
     assert!(places.is_sorted(), "{help}");
 }
 
-/// What the objects hold is compared by the tests of the commands.
-#[test]
-fn every_commands_object_is_described() {
-    let mut cli = Cli::command();
-    cli.build();
-    let mut commands = Vec::new();
-    all_commands(&cli, &mut Vec::new(), &mut commands);
-    let page = root().join("docs/json.md");
-    let page = fs::read_to_string(page).unwrap();
-    let headings: String = page
-        .lines()
-        .filter(|line| line.starts_with("## "))
-        .collect();
-    for path in &commands {
-        let is_group = commands
-            .iter()
-            .any(|other| other.len() > path.len() && other.starts_with(path));
-        let name = format!("`{}`", path.join(" "));
-        assert!(is_group || headings.contains(&name), "no section of {name}");
-    }
-}
-
 #[test]
 fn completions_know_the_commands() {
     for shell in ["bash", "zsh", "fish"] {
@@ -207,25 +184,5 @@ fn completions_know_the_commands() {
                 "{completed:?}"
             );
         }
-    }
-}
-
-#[test]
-fn the_log_can_be_json_and_errors_say_what_to_do() {
-    let output = run(&[
-        "-vvv",
-        "--log-format",
-        "json",
-        "--json",
-        "info",
-        "--port",
-        "/no/such/port",
-    ]);
-    assert_eq!(output.status.code(), Some(5), "{output:?}");
-    let error: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert!(error["error"]["next_step"].is_string(), "{error}");
-    for line in String::from_utf8(output.stderr).unwrap().lines() {
-        let entry: serde_json::Value = serde_json::from_str(line).unwrap();
-        assert!(entry["level"].is_string(), "{line}");
     }
 }

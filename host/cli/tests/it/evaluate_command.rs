@@ -7,7 +7,7 @@ use std::time::Duration;
 use evaluate::train::{Shape, TrainGeometry, row_light};
 use serde_json::Value;
 
-use test_support::{browser, objects};
+use test_support::browser;
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -78,7 +78,6 @@ fn precision_of_image_folders_with_all_outputs() {
     let ran = run(&args);
     assert_eq!(ran.code, 0, "{}", ran.err);
     let json: Value = serde_json::from_str(&ran.out).unwrap();
-    objects::check("evaluate precision", &[&json]);
     for (recording, truth) in json["recordings"]
         .as_array()
         .unwrap()
@@ -176,7 +175,6 @@ fn drift_of_an_image_folder() {
     let ran = run(&["--json", "evaluate", "drift", more.to_str().unwrap()]);
     assert_eq!(ran.code, 0, "{}", ran.err);
     let json: Value = serde_json::from_str(&ran.out).unwrap();
-    objects::check("evaluate drift", &[&json]);
     // All frames are alike.
     let drift = json["drift_us_per_min"].as_f64().unwrap();
     assert!(drift.abs() < 100.0, "{json:#}");

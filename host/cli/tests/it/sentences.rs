@@ -27,7 +27,6 @@ const CASES: &str = "\
 5 | imu --port /no/such/port | /no/such/port | smartdepthsync ports
 5 | monitor --port /no/such/port | /no/such/port | smartdepthsync ports
 5 | trigger start --port /no/such/port | /no/such/port | smartdepthsync ports
-2 | trigger start --first-edge 9 --first-fraction 5 | outputs 2 to 4 | --output
 5 | trigger align --anchor 5 --port /no/such/port | /no/such/port | ports
 2 | trigger period | --fps | trigger period --fps 30
 2 | trigger start --period-us 999 | 1 ms and 1 s | help COMMAND
@@ -42,7 +41,6 @@ const CASES: &str = "\
 5 | gnss status --port /no/such/port | /no/such/port | ports
 # Phones.
 12 | phone imu --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
-2 | phone imu --phone 127.0.0.1:1 --no-gyro | sensor | help phone
 12 | phone start --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
 2 | phone stop --phone 127.0.0.1:port | 127.0.0.1:port | <host>:<port>
 2 | phone get-video --phone 127.0.0.1:1 | --recorded | help phone
@@ -66,7 +64,6 @@ const CASES: &str = "\
 2 | sync gyro.csv text.txt | text.txt | x,y,z,nanoseconds
 2 | sync gyro.csv | 2 values required | help COMMAND
 2 | sync gyro.csv gyro.csv --delay-us 1,2,3 | 3 values for 2 recordings | one for each
-2 | imu --rate 4 | from 5 to 1000 | help COMMAND
 2 | profile init new.toml --camera azure-kinect-dk --depth-exposure-us 5000 | cannot be set | option out
 # Videos.
 13 | evaluate precision nothing.mp4 | nothing.mp4 | check the path
@@ -117,7 +114,7 @@ const CASES: &str = "\
 # Profiles that are made and taught.
 2 | setup --yes | address | help setup
 13 | setup --yes --phone x --profile text.txt | text.txt | --overwrite
-2 | setup --yes --phone x --depth-mode WFOV_UNBINNED --fps 30 | 15, 5 | --depth-mode
+2 | setup --yes --phone x --depth-mode NFOV | WFOV_UNBINNED | another --camera
 2 | record --calibrate | no rig profile | smartdepthsync setup
 2 | record --calibrate --profile plain.toml --duration 30s | a minute | 60s or more
 # The rest.

@@ -100,9 +100,8 @@ fn a_period_in_microseconds_reaches_the_board_exactly() {
     let report: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["period_ns"], "33330652.540");
     assert_eq!(report["period_ticks"], 1_599_871);
-    assert_eq!(report["readback"]["state"], "ok");
-    assert_eq!(report["readback"]["delay_ticks"], 2);
-    assert!((report["phase_step_ns"].as_f64().unwrap() - 20.833).abs() < 0.001);
+    assert_eq!(report["readback_state"], "ok");
+    assert_eq!(report["readback"]["delay"], 2);
 }
 
 #[test]
@@ -143,9 +142,9 @@ fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
     assert_eq!(align.period, Period(0x1234_5678_9ABC_DEF0 >> 8));
     assert_eq!(align.slew, 480);
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(report["shift_us"], -10.0);
+    assert_eq!(report["shift"], -480);
     assert_eq!(report["arrived"]["pulse"], 44);
-    assert_eq!(report["arrived"]["remaining_ticks"], 0);
+    assert_eq!(report["arrived"]["remaining"], 0);
 }
 
 /// Streams IMU samples at 500 Hz, a hundred at a time, with one missing; says that it sets

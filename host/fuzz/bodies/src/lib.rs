@@ -9,13 +9,11 @@
 )]
 
 use std::io::Cursor;
-use std::time::Duration;
 
 use board::Conversation;
 use evaluate::source::read_timestamps;
 use formats::k4a::{Content, Recording};
-use phone::ImuRequest;
-use phone::answer::{AnswerDecoder, AnswerEvent};
+use phone::answer::{self, Answer, Lines};
 use phone::file_name::safe_file_name;
 use phone::requests::{ImuBody, VideoHeader, VideoStart};
 use phone::rows::{RowError, Rows};
@@ -80,40 +78,34 @@ pub fn phone_csv(data: &[u8]) {
     while !matches!(rows.next_timestamp(), Ok(None) | Err(RowError::Io(_))) {}
 }
 
-/// Events of the answer in `bytes`, given in pieces of `step` bytes.
-fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
-    let mut imu = ImuBody::new(ImuRequest {
-        duration: Duration::from_secs(1),
-        accelerometer: true,
-        gyroscope: true,
-        magnetometer: true,
-    });
+/// The end and the body of the answer in `bytes`, given in pieces of `step` bytes.
+fn read_answer(bytes: &[u8], step: usize) -> (Option<Answer>, Vec<String>) {
+    let mut imu = ImuBody::default();
     let mut body = Vec::new();
-    let mut decoder = AnswerDecoder::new(1 << 16);
-    let mut events = Vec::new();
-    for piece in bytes.chunks(step.max(1)) {
-        let mut input = piece;
+    let mut lines = Lines::new(1 << 16);
+    let mut pieces = bytes.chunks(step.max(1));
+    let mut piece = &bytes[..0];
+    let next = || {
         loop {
-            match decoder.next(&mut input) {
-                Ok(Some(event)) => {
-                    if let AnswerEvent::Line(line) = &event {
-                        let _ = imu.line(1, line);
-                        body.push((*line).to_owned());
-                        assert!(safe_file_name(line).len() <= 101);
-                    }
-                    events.push(format!("{event:?}"));
-                }
-                Ok(None) => break,
-                Err(_) => return (events, false),
+            if let Some(line) = lines.next(&mut piece).map_err(drop)? {
+                return Ok(line);
             }
+            piece = pieces.next().ok_or(())?;
         }
-    }
+    };
+    let take = |_, line: &str| {
+        let _ = imu.line(1, line);
+        body.push(line.to_owned());
+        assert!(safe_file_name(line).len() <= 101);
+        Ok(())
+    };
+    let answer = answer::read(next, take, drop).ok();
     let _ = (
         imu.finish(),
         VideoStart::parse(&body),
         VideoHeader::parse(&body),
     );
-    (events, true)
+    (answer, body)
 }
 
 /// The phone's answers: any bytes in any split, read as the answer to each of the

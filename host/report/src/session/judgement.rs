@@ -212,9 +212,9 @@ fn place_of(folder: &Path, session: &SessionFile, name: &str) -> PathBuf {
 /// The kinds of a phone's files that a folder lacks.
 fn missing_files(place: &Path) -> Vec<&'static str> {
     match video_files::find(place, None) {
-        Ok(Some(files)) => files.missing_kinds(),
+        Ok(Some(files)) => files.missing(),
         Ok(None) | Err(video_files::FilesError::Io { .. }) => {
-            video_files::VideoFiles::default().missing_kinds()
+            video_files::VideoFiles::default().missing()
         }
         // Several videos lie there: whoever put them there names the right one.
         Err(video_files::FilesError::Several { .. }) => Vec::new(),

@@ -1,13 +1,11 @@
 //! `trigger latency`: from the trigger's edge to the centre of exposure.
 
-use std::fmt::Write as _;
-
 use protocol::{DeviceToHost, TICK_HZ, Ticks, TrainState};
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::{Board, Event};
-use evaluate::latency::{Latency, latency};
+use evaluate::latency::latency;
 use evaluate::train::TrainGeometry;
 
 /// How long, in board time, pulses may stay away before what came is all there is.
@@ -61,31 +59,6 @@ pub(super) fn measure(
         )
         .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's"));
     };
-    context.print(&found, || text(&found))?;
+    context.show(&found)?;
     Ok(ExitStatus::of_loss(found.left_out > 0))
-}
-
-fn text(found: &Latency) -> String {
-    let mut text = format!(
-        "pulses       {} with a whole train of flashes, {} without\n",
-        found.pulses, found.left_out
-    );
-    for (name, quantity) in [
-        ("centre", &found.center),
-        ("first flash", &found.first_flash),
-        ("pitch", &found.pitch),
-        ("flash", &found.duration),
-    ] {
-        let _ = writeln!(
-            text,
-            "{name:<12} {:.3} ± {:.3} µs (a single one: {:.3} µs)",
-            quantity.mean_us, quantity.sigma_us, quantity.sd_us
-        );
-    }
-    let _ = write!(
-        text,
-        "for the rig profile, less the light path's own delay:\n[depth]\ncenter_offset_us = {:.3}\ncenter_offset_sigma_us = {:.3}",
-        found.center.mean_us, found.center.sigma_us
-    );
-    text
 }
