@@ -1,7 +1,6 @@
-//! What a simulated rig may be like beyond what is believed of it: numbers of the models
-//! that nothing from outside holds, each with its nominal value and the range in which the
-//! truth may lie. The book's page of values has a row for each, with its source; a test
-//! compares them.
+//! Numbers of the models that nothing from outside confirms, each with its nominal value and
+//! the range in which that of a real rig may lie. The book's page of model ranges has a row
+//! for each, with its source; a test compares them.
 //!
 //! A seed draws a rig from the ranges ([`ModelValues::drawn`]); a study moves one at a time to
 //! the ends of its range ([`ModelValues::with`]). What a rig's owner measures once (filter
@@ -37,9 +36,12 @@ pub struct ModelRange {
     pub nominal: f64,
     /// Least and most of a real rig.
     pub range: (f64, f64),
+    /// Distribution over the range.
     pub draw: Draw,
-    apply: fn(f64, &mut RigConfig, &mut PhoneConfig),
+    apply: Apply,
 }
+
+type Apply = fn(f64, &mut RigConfig, &mut PhoneConfig);
 
 const LONGEST_EXPOSURE: &str = "longest exposure";
 
@@ -54,272 +56,92 @@ pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
 /// All ranges.
 pub const MODEL_RANGES: [ModelRange; 25] = [
-    either_sign(
-        "warming of the board's crystal",
-        WARMING_PPM,
-        |ppm, rig, _| {
-            rig.board_clock.warming.ppm = ppm;
-        },
-    ),
-    either_sign(
-        "warming of the phone's clock",
-        WARMING_PPM,
-        |ppm, _, phone| {
-            phone.clock.warming.ppm = ppm;
-        },
-    ),
-    either_sign(
-        "warming of the camera's clock",
-        WARMING_PPM,
-        |ppm, rig, _| {
-            camera(rig, |camera| camera.clock.warming.ppm = ppm);
-        },
-    ),
-    log(
-        "time in which a rig warms up",
-        "s",
-        Warming::SPAN_S,
-        WARMING_S,
-        |time_s, rig, phone| {
-            each_clock(rig, phone, |clock| clock.warming.time_s = time_s);
-        },
-    ),
-    log(
-        "wander of a clock",
-        "ppm per √s",
-        0.001,
-        WANDER_PPM,
-        |ppm, rig, phone| {
-            each_clock(rig, phone, |clock| clock.wander = ppm * 1e-6);
-        },
-    ),
-    even(
-        "frames of the phone that are lost",
-        "%",
-        0.0,
-        (0.0, 1.0),
-        |percent, _, phone| {
-            phone.camera.lost = percent / 100.0;
-        },
-    ),
-    even(
-        "frames of the phone that are doubled",
-        "%",
-        0.0,
-        (0.0, 1.0),
-        |percent, _, phone| {
-            phone.camera.doubled = percent / 100.0;
-        },
-    ),
-    log(LONGEST_EXPOSURE, "ms", 0.5, (0.5, 10.0), |ms, _, phone| {
-        phone.camera.longest_exposure_ns = (ms * 1e6) as u64;
-    }),
-    even(
-        "frame period that follows the exposure",
-        "ns/ms",
-        0.0,
-        (0.0, 200.0),
-        |ns, _, phone| {
-            phone.camera.period_of_exposure = ns * 1e-6;
-        },
-    ),
-    log(
-        "jitter of frame timestamps",
-        "µs",
-        1.0,
-        (0.1, 20.0),
-        |us, _, phone| {
-            phone.camera.timestamp_jitter_ns = us * 1e3;
-        },
-    ),
-    even(
-        "rate of the phone's gyroscope",
-        "Hz",
-        500.0,
-        (100.0, 500.0),
-        |hz, _, phone| {
-            // Relative to what this phone has for its nominal 500 Hz.
-            phone.gyroscope.rate_hz *= hz / 500.0;
-        },
-    ),
-    log(
-        "jitter of sensor timestamps",
-        "µs",
-        1.0,
-        (1.0, 500.0),
-        |us, _, phone| {
-            phone.gyroscope.timestamp_jitter_ns = us * 1e3;
-        },
-    ),
-    even(
-        "bias of the board's gyroscope",
-        "°/s",
-        2.0,
-        (2.0, 20.0),
-        |dps, rig, _| {
+    ModelRange::of("warming of the board's crystal", Draw::EitherSign)
+        .within(0.0, WARMING_PPM, "ppm in 10 min")
+        .sets(|ppm, rig, _| rig.board_clock.warming.ppm = ppm),
+    ModelRange::of("warming of the phone's clock", Draw::EitherSign)
+        .within(0.0, WARMING_PPM, "ppm in 10 min")
+        .sets(|ppm, _, phone| phone.clock.warming.ppm = ppm),
+    ModelRange::of("warming of the camera's clock", Draw::EitherSign)
+        .within(0.0, WARMING_PPM, "ppm in 10 min")
+        .sets(|ppm, rig, _| camera(rig, |camera| camera.clock.warming.ppm = ppm)),
+    ModelRange::of("time in which a rig warms up", Draw::Log)
+        .within(Warming::SPAN_S, WARMING_S, "s")
+        .sets(|time_s, rig, phone| each_clock(rig, phone, |clock| clock.warming.time_s = time_s)),
+    ModelRange::of("wander of a clock", Draw::Log)
+        .within(0.001, WANDER_PPM, "ppm per √s")
+        .sets(|ppm, rig, phone| each_clock(rig, phone, |clock| clock.wander = ppm * 1e-6)),
+    ModelRange::of("frames of the phone that are lost", Draw::Even)
+        .within(0.0, (0.0, 1.0), "%")
+        .sets(|percent, _, phone| phone.camera.lost = percent / 100.0),
+    ModelRange::of("frames of the phone that are doubled", Draw::Even)
+        .within(0.0, (0.0, 1.0), "%")
+        .sets(|percent, _, phone| phone.camera.doubled = percent / 100.0),
+    ModelRange::of(LONGEST_EXPOSURE, Draw::Log)
+        .within(0.5, (0.5, 10.0), "ms")
+        .sets(|ms, _, phone| phone.camera.longest_exposure_ns = (ms * 1e6) as u64),
+    ModelRange::of("frame period that follows the exposure", Draw::Even)
+        .within(0.0, (0.0, 200.0), "ns/ms")
+        .sets(|ns, _, phone| phone.camera.period_of_exposure = ns * 1e-6),
+    ModelRange::of("jitter of frame timestamps", Draw::Log)
+        .within(1.0, (0.1, 20.0), "µs")
+        .sets(|us, _, phone| phone.camera.timestamp_jitter_ns = us * 1e3),
+    // Relative to what this phone has for its nominal 500 Hz.
+    ModelRange::of("rate of the phone's gyroscope", Draw::Even)
+        .within(500.0, (100.0, 500.0), "Hz")
+        .sets(|hz, _, phone| phone.gyroscope.rate_hz *= hz / 500.0),
+    ModelRange::of("jitter of sensor timestamps", Draw::Log)
+        .within(1.0, (1.0, 500.0), "µs")
+        .sets(|us, _, phone| phone.gyroscope.timestamp_jitter_ns = us * 1e3),
+    // The specimen has one within the nominal limit.
+    ModelRange::of("bias of the board's gyroscope", Draw::Even)
+        .within(2.0, (2.0, 20.0), "°/s")
+        .sets(|dps, rig, _| {
             imu(rig, |imu| {
-                // The specimen has one within the nominal limit.
-                imu.gyro.bias = imu.gyro.bias.map(|bias| bias * dps / 2.0);
-            });
-        },
-    ),
-    even(
-        "bias against temperature",
-        "°/s per °C",
-        0.0,
-        (0.0, 0.32),
-        |dps, rig, _| {
+                imu.gyro.bias = imu.gyro.bias.map(|bias| bias * dps / 2.0)
+            })
+        }),
+    ModelRange::of("bias against temperature", Draw::Even)
+        .within(0.0, (0.0, 0.32), "°/s per °C")
+        .sets(|dps, rig, _| {
             imu(rig, |imu| {
                 imu.gyro_drift = [1.0, -1.0, 0.5].map(|axis: f64| (axis * dps).to_radians())
-            });
-        },
-    ),
-    even(
-        "rate of data-ready",
-        "ppm",
-        0.0,
-        (-1.0, 0.0),
-        |ppm, rig, _| {
-            imu(rig, |imu| imu.data_ready.rate_ppm = ppm);
-        },
-    ),
-    even(
-        "wander of data-ready",
-        "µs",
-        0.0,
-        (0.0, 0.4),
-        |us, rig, _| {
-            imu(rig, |imu| imu.data_ready.wander_ns = us * 1e3);
-        },
-    ),
-    even(
-        "temperature of the running IMU above the room",
-        "°C",
-        4.0,
-        (1.0, 10.0),
-        |celsius, rig, _| {
-            imu(rig, |imu| imu.self_heating_c = celsius);
-        },
-    ),
-    log(
-        "time in which the IMU warms up",
-        "s",
-        60.0,
-        (30.0, 600.0),
-        |time_s, rig, _| {
-            imu(rig, |imu| imu.warm_up_s = time_s);
-        },
-    ),
-    even(
-        "jitter from pulse to flash",
-        "µs",
-        0.0,
-        (0.0, 100.0),
-        |us, rig, _| {
-            camera(rig, |camera| camera.flash_jitter = micros(us));
-        },
-    ),
-    ModelRange {
-        draw: Draw::Whole,
-        ..even(
-            "first depth frame on pulse",
-            "",
-            2.0,
-            (2.0, 8.0),
-            |pulse, rig, _| {
-                camera(rig, |camera| camera.first_frame = pulse as u32);
-            },
-        )
-    },
-    ModelRange {
-        draw: Draw::Whole,
-        ..even(
-            "camera's clock zeroed at the first pulse",
-            "",
-            0.0,
-            (0.0, 1.0),
-            |yes, rig, _| {
-                camera(rig, |camera| camera.zeroed_at_first_pulse = yes > 0.5);
-            },
-        )
-    },
-    even(
-        "depth frames spoilt under an external train",
-        "%",
-        0.0,
-        (0.0, 5.0),
-        |percent, rig, _| {
-            camera(rig, |camera| camera.spoil_probability = percent / 100.0);
-        },
-    ),
-    even(
-        "depth frames lost",
-        "%",
-        0.0,
-        (0.0, 2.0),
-        |percent, rig, _| {
-            camera(rig, |camera| camera.drop_probability = percent / 100.0);
-        },
-    ),
-    even(
-        "photodiode: delay when light comes",
-        "µs",
-        0.0,
-        (0.0, 20.0),
-        |us, rig, _| {
-            camera(rig, |camera| camera.photodiode_delay.0 = micros(us));
-        },
-    ),
-    even(
-        "photodiode: delay when light goes",
-        "µs",
-        0.0,
-        (0.0, 20.0),
-        |us, rig, _| {
-            camera(rig, |camera| camera.photodiode_delay.1 = micros(us));
-        },
-    ),
+            })
+        }),
+    ModelRange::of("rate of data-ready", Draw::Even)
+        .within(0.0, (-1.0, 0.0), "ppm")
+        .sets(|ppm, rig, _| imu(rig, |imu| imu.data_ready.rate_ppm = ppm)),
+    ModelRange::of("wander of data-ready", Draw::Even)
+        .within(0.0, (0.0, 0.4), "µs")
+        .sets(|us, rig, _| imu(rig, |imu| imu.data_ready.wander_ns = us * 1e3)),
+    ModelRange::of("temperature of the running IMU above the room", Draw::Even)
+        .within(4.0, (1.0, 10.0), "°C")
+        .sets(|celsius, rig, _| imu(rig, |imu| imu.self_heating_c = celsius)),
+    ModelRange::of("time in which the IMU warms up", Draw::Log)
+        .within(60.0, (30.0, 600.0), "s")
+        .sets(|time_s, rig, _| imu(rig, |imu| imu.warm_up_s = time_s)),
+    ModelRange::of("jitter from pulse to flash", Draw::Even)
+        .within(0.0, (0.0, 100.0), "µs")
+        .sets(|us, rig, _| camera(rig, |camera| camera.flash_jitter = micros(us))),
+    ModelRange::of("first depth frame on pulse", Draw::Whole)
+        .within(2.0, (2.0, 8.0), "")
+        .sets(|pulse, rig, _| camera(rig, |camera| camera.first_frame = pulse as u32)),
+    ModelRange::of("camera's clock zeroed at the first pulse", Draw::Whole)
+        .within(0.0, (0.0, 1.0), "")
+        .sets(|yes, rig, _| camera(rig, |camera| camera.zeroed_at_first_pulse = yes > 0.5)),
+    ModelRange::of("depth frames spoilt under an external train", Draw::Even)
+        .within(0.0, (0.0, 5.0), "%")
+        .sets(|percent, rig, _| camera(rig, |camera| camera.spoil_probability = percent / 100.0)),
+    ModelRange::of("depth frames lost", Draw::Even)
+        .within(0.0, (0.0, 2.0), "%")
+        .sets(|percent, rig, _| camera(rig, |camera| camera.drop_probability = percent / 100.0)),
+    ModelRange::of("photodiode: delay when light comes", Draw::Even)
+        .within(0.0, (0.0, 20.0), "µs")
+        .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.0 = micros(us))),
+    ModelRange::of("photodiode: delay when light goes", Draw::Even)
+        .within(0.0, (0.0, 20.0), "µs")
+        .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.1 = micros(us))),
 ];
-
-type Apply = fn(f64, &mut RigConfig, &mut PhoneConfig);
-
-const fn even(
-    name: &'static str,
-    unit: &'static str,
-    nominal: f64,
-    range: (f64, f64),
-    apply: Apply,
-) -> ModelRange {
-    ModelRange {
-        name,
-        unit,
-        nominal,
-        range,
-        draw: Draw::Even,
-        apply,
-    }
-}
-
-const fn log(
-    name: &'static str,
-    unit: &'static str,
-    nominal: f64,
-    range: (f64, f64),
-    apply: Apply,
-) -> ModelRange {
-    ModelRange {
-        draw: Draw::Log,
-        ..even(name, unit, nominal, range, apply)
-    }
-}
-
-/// A change of a frequency in the first ten minutes, that the models do not have.
-const fn either_sign(name: &'static str, range: (f64, f64), apply: Apply) -> ModelRange {
-    ModelRange {
-        draw: Draw::EitherSign,
-        ..even(name, "ppm in 10 min", 0.0, range, apply)
-    }
-}
 
 fn micros(us: f64) -> SimDuration {
     SimDuration::from_nanos((us * 1e3).round() as u64)
@@ -348,6 +170,30 @@ fn each_clock(
 }
 
 impl ModelRange {
+    const fn of(name: &'static str, draw: Draw) -> Self {
+        Self {
+            name,
+            unit: "",
+            nominal: 0.0,
+            range: (0.0, 0.0),
+            draw,
+            apply: |_, _, _| (),
+        }
+    }
+
+    const fn within(self, nominal: f64, range: (f64, f64), unit: &'static str) -> Self {
+        Self {
+            unit,
+            nominal,
+            range,
+            ..self
+        }
+    }
+
+    const fn sets(self, apply: Apply) -> Self {
+        Self { apply, ..self }
+    }
+
     fn drawn(&self, random: &mut Random) -> f64 {
         let (least, most) = self.range;
         match self.draw {

@@ -429,30 +429,6 @@ mod tests {
     }
 
     #[test]
-    fn readout_directions_are_the_same_picture_turned() {
-        let mut camera = RollingShutter {
-            columns: 6,
-            rows: 40,
-            row_time_ns: 50_000.0,
-            ..clean()
-        };
-        let flash = [Flash {
-            start_ns: 300_000,
-            duration_ns: 125_000,
-        }];
-        let upright = camera.render(0, 0, &flash);
-        camera.readout = Readout::BottomToTop;
-        let flipped = camera.render(0, 0, &flash);
-        camera.readout = Readout::RightToLeft;
-        let turned = camera.render(0, 0, &flash);
-        assert_eq!((turned.width, turned.height), (40, 6));
-        for r in 0..40 {
-            assert_eq!(upright.pixels[r * 6], flipped.pixels[(39 - r) * 6]);
-            assert_eq!(upright.pixels[r * 6], turned.pixels[39 - r]);
-        }
-    }
-
-    #[test]
     fn flicker_averages_to_one_over_a_period() {
         let flicker = Flicker {
             frequency_hz: 100.0,

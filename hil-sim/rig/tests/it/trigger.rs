@@ -1,14 +1,15 @@
 //! The trigger train of the real firmware on the simulated board: every edge at
 //! the pin against the arithmetic of the command.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, Epoch, UNITS_PER_TICK, camera_align, pulses_of, train};
-use crate::trigger_rig::{Strobe, Wire};
+use crate::trigger_rig::Strobe;
 use protocol::*;
+use rig::jumpers::Jumpers;
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 
@@ -402,29 +403,29 @@ fn values_out_of_range_are_refused_and_change_nothing() {
 
 #[test]
 fn the_read_back_proves_the_wire() {
-    let connected = Arc::new(AtomicBool::new(false));
-    // 3 ticks: a buffer of 62.5 ns.
-    let delay = SimDuration::from_units(3 * UNITS_PER_TICK);
-    let wire = Wire::new(delay, connected.clone());
-    let mut board = Board::boot(wiring::board().model(wire));
+    let wires = Arc::new(Mutex::new(Jumpers {
+        readback: false,
+        strobe: None,
+    }));
+    let mut board = Board::boot(wiring::board().model(Arc::clone(&wires)));
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(500);
     let unwired = board.trigger().readback;
     assert_eq!((unwired.seen, unwired.missing, unwired.stray), (0, 0, 0));
     assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
 
-    connected.store(true, Ordering::Relaxed);
+    lock(&wires).readback = true;
     board.run(60);
     board.pulses.clear();
     board.run(1_000);
     assert!(board.pulses.len() >= 29);
-    let seen = Some(3 + INPUT_SYNCHRONISER as i32);
+    let seen = Some(INPUT_SYNCHRONISER as i32);
     assert!(board.pulses.iter().all(|pulse| pulse.readback == seen));
     let wired = board.trigger().readback;
     assert!(wired.seen >= 30);
     assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, seen));
 
-    connected.store(false, Ordering::Relaxed);
+    lock(&wires).readback = false;
     board.run(60);
     board.pulses.clear();
     board.run(1_000);

@@ -1,55 +1,11 @@
-//! What is wired to the trigger in tests: the wire back, and something that
-//! flashes.
+//! What is wired to the trigger in tests: something that flashes.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime};
-
-/// The trigger wire behind its buffer, back on PA3.
-pub(crate) struct Wire {
-    delay: SimDuration,
-    connected: Arc<AtomicBool>,
-    coming: VecDeque<(SimTime, Level)>,
-}
-
-impl Wire {
-    pub(crate) fn new(delay: SimDuration, connected: Arc<AtomicBool>) -> Self {
-        Self {
-            delay,
-            connected,
-            coming: VecDeque::new(),
-        }
-    }
-}
-
-impl PinModel for Wire {
-    fn name(&self) -> String {
-        "trigger wire".into()
-    }
-    fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PA5]
-    }
-    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut PinIo<'_>) {
-        if self.connected.load(Ordering::Relaxed) {
-            self.coming.push_back((io.now() + self.delay, level));
-        }
-    }
-    fn next_event(&self) -> Option<SimTime> {
-        self.coming.front().map(|next| next.0)
-    }
-    fn advance(&mut self, io: &mut PinIo<'_>) {
-        while let Some(&(at, level)) = self.coming.front()
-            && at <= io.now()
-        {
-            self.coming.pop_front();
-            io.drive(Pin::PA3, Drive::from(level));
-        }
-    }
-}
 
 /// Pulses on the strobe input, `count` of them at each trigger pulse.
 pub(crate) struct Strobe {

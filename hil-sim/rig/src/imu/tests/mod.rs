@@ -9,7 +9,7 @@ use super::*;
 use crate::motion::MotionSpec;
 use crate::oscillator::OscillatorConfig;
 use crate::random::Stream;
-use stm32f4_sim::i2c::{Ack, Direction, I2cTarget as _};
+use stm32f4_sim::i2c::Direction;
 use stm32f4_sim::model_bench::Bench;
 use stm32f4_sim::time::SimDuration;
 
