@@ -3,6 +3,10 @@
 //! A library says what is wrong in a typed error; what the user can do about it is
 //! this program's to say, here, in one place.
 
+use std::borrow::Cow;
+use std::fmt::Display;
+use std::path::Path;
+
 use board::BoardError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
@@ -15,48 +19,175 @@ use phone::error::Refusal as AppRefusal;
 use protocol::{ImuSetup, Refusal};
 use recording::RecordingError;
 use recording::profile::ProfileError;
-
-use std::path::Path;
+use session::checks::Fault;
+use session::error::SessionError;
 
 use crate::outcome::{ExitStatus, Failure, file_step};
 
-impl From<BoardError> for Failure {
-    fn from(error: BoardError) -> Self {
-        let message = error.to_string();
-        let (status, next) = match error {
-            BoardError::Open(error) => return error.into(),
-            BoardError::Ports(_) => (ExitStatus::Error, "give the board's port with --port"),
-            BoardError::NoBoard => (
+/// What to do where another firmware is needed.
+const FLASH: &str = ExitStatus::OtherVersion.next_step();
+
+/// An error of a library, for which this program knows exit code and next step.
+pub trait Advice: Display {
+    /// The exit code, and what to do.
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>);
+}
+
+impl<E: Advice + ?Sized> Advice for &E {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        (**self).advice()
+    }
+}
+
+impl<E: Advice> From<E> for Failure {
+    fn from(error: E) -> Self {
+        let (status, step) = error.advice();
+        Self::new(status, error.to_string()).next_step(step)
+    }
+}
+
+impl Advice for BoardError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let (status, step) = match self {
+            Self::Open(error) => return error.advice(),
+            Self::Silent => {
+                let step = format!("press the board's reset button; if it stays silent, {FLASH}");
+                return (ExitStatus::NoAnswer, step.into());
+            }
+            Self::NotThisBoard { .. } => {
+                let step = format!(
+                    "choose another port (`smartdepthsync ports` marks boards), or {FLASH}"
+                );
+                return (ExitStatus::NotThisBoard, step.into());
+            }
+            Self::Ports(_) => (ExitStatus::Error, "give the board's port with --port"),
+            Self::NoBoard => (
                 ExitStatus::NoPort,
                 "plug the board in, or give its port with --port (a pseudo-terminal of a simulated \
                  board must be given)",
             ),
-            BoardError::ManyBoards { .. } => (ExitStatus::NoPort, "choose one with --port"),
-            BoardError::Link(_) => (
-                ExitStatus::LinkLost,
-                "check the USB cable and plug the board in again",
-            ),
-            BoardError::Silent => (
-                ExitStatus::NoAnswer,
-                "press the board's reset button; if it stays silent, flash the firmware \
-                 (docs/flash.md)",
-            ),
-            BoardError::NotThisBoard { .. } => (
-                ExitStatus::NotThisBoard,
-                "choose another port (`smartdepthsync ports` marks boards), or flash the firmware \
-                 (docs/flash.md)",
-            ),
-            BoardError::OtherVersion { .. } => (
-                ExitStatus::OtherVersion,
-                ExitStatus::OtherVersion.next_step(),
-            ),
-            BoardError::NoAnswer { .. } | BoardError::OddReply { .. } => (
-                ExitStatus::NoAnswer,
-                "press the board's reset button and try again",
-            ),
-            BoardError::Refused { refusal, .. } => (ExitStatus::Refused, refusal_step(&refusal)),
+            Self::ManyBoards { .. } => (ExitStatus::NoPort, "choose one with --port"),
+            Self::Link(_) => (ExitStatus::LinkLost, ExitStatus::LinkLost.next_step()),
+            Self::OtherVersion { .. } => (ExitStatus::OtherVersion, FLASH),
+            Self::NoAnswer { .. } | Self::OddReply { .. } => {
+                (ExitStatus::NoAnswer, ExitStatus::NoAnswer.next_step())
+            }
+            Self::Refused { refusal, .. } => (ExitStatus::Refused, refusal_step(refusal)),
         };
-        Self::new(status, message).next_step(next)
+        (status, step.into())
+    }
+}
+
+impl Advice for SessionError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let (status, step) = match self {
+            Self::Board(error) => return error.advice(),
+            Self::Phone { error, .. } | Self::PhoneClock(error) | Self::Samples(error) => {
+                return error.advice();
+            }
+            Self::Recording(error) => return error.advice(),
+            Self::Profile(error) => return error.advice(),
+            Self::Check {
+                next_step, fault, ..
+            } => {
+                let status = fault_status(*fault);
+                let step = next_step.clone().map(Cow::Owned);
+                return (status, step.unwrap_or(status.next_step().into()));
+            }
+            Self::NoAddress { .. } => (
+                ExitStatus::Usage,
+                "set `address` in `[phone]` of the rig profile (`smartdepthsync setup` asks for \
+                 it), or give --phone HOST, as the app's dialog shows it",
+            ),
+            Self::Recorder(_) => (
+                ExitStatus::DepthRecorder,
+                "install it, or change `command` in `[depth.recorder]` of the rig profile; an \
+                 empty list records without it",
+            ),
+            Self::NoScale => (ExitStatus::Error, FLASH),
+            Self::Twists { .. } => (
+                ExitStatus::Refused,
+                "twist faster, about all three axes, with phone and board fixed to each other",
+            ),
+            Self::SecondTwist => (
+                ExitStatus::Refused,
+                "twist again, faster and about all axes",
+            ),
+            Self::NoClock => (
+                ExitStatus::Refused,
+                "the twist was skipped or refused: record again, and twist faster",
+            ),
+            Self::NoVideo => (
+                ExitStatus::Phone,
+                "record again with the phone's video: the trigger is aligned to it",
+            ),
+            Self::Alignment(_) => (
+                ExitStatus::Refused,
+                "set the profile's values to the camera's mode, or twist longer",
+            ),
+            Self::NotArrived { .. } => (
+                ExitStatus::NoAnswer,
+                "look at `smartdepthsync trigger status`, then record again",
+            ),
+            Self::LinkLost { .. } => (ExitStatus::LinkLost, ExitStatus::LinkLost.next_step()),
+            Self::BoardReset { .. } => (
+                ExitStatus::LinkLost,
+                "check the board's supply and cable, then record again",
+            ),
+            Self::RecordingMoved { .. } => (
+                ExitStatus::Storage,
+                "leave the folder in its place while it is recorded into, and record again",
+            ),
+            Self::DiskFull { .. } => (
+                ExitStatus::Storage,
+                "free some space; what was recorded is kept",
+            ),
+            Self::OutputTooSlow { .. } => (
+                ExitStatus::Usage,
+                "set a smaller `every` in its `[[outputs]]` of the rig profile",
+            ),
+            Self::Lidar(_) => (
+                ExitStatus::Usage,
+                "correct `[lidar]` of the rig profile; `smartdepthsync profile check` checks it",
+            ),
+            Self::ClockBefore1970 => (ExitStatus::Error, "set this computer's clock"),
+        };
+        (status, step.into())
+    }
+}
+
+/// The exit code for what a check found bad.
+const fn fault_status(fault: Fault) -> ExitStatus {
+    match fault {
+        Fault::Rig => ExitStatus::Refused,
+        Fault::Recorder => ExitStatus::DepthRecorder,
+    }
+}
+
+/// What to do about an event of this kind, in one line.
+pub(crate) fn remedy(kind: &str) -> &'static str {
+    match kind {
+        "link_lost" => "check the USB cable; it is taken up again by itself",
+        "board_reset" => "check the board's supply and cable, then record again",
+        "board_quiet" => "check the USB cable",
+        "pulses_missing" | "phase_off" | "trigger_late" => {
+            "stop and record again; `trigger status` says more"
+        }
+        "readback_missing" => "check the trigger's wire and buffer",
+        "imu_gap" | "imu_gone" | "imu_recovered" | "imu_late" => {
+            "check the IMU's wires; the trigger is not affected"
+        }
+        "pulse_messages_lost" | "captures_lost" | "status_lost" => {
+            "nothing to do: counted, and times are not affected"
+        }
+        "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
+        "phone_lost" | "phone_away" | "phone_left_out" | "video_ended" => {
+            "check the phone: app in the foreground, same network"
+        }
+        "disk_nearly_full" => "free some space",
+        "track_lost" => "check the phone's cable and `adb devices`",
+        "twist_due" => "stop, and record again when the phase matters",
+        _ => "see the recording's report",
     }
 }
 
@@ -86,54 +217,63 @@ pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
     }
 }
 
-impl From<BringUpError> for Failure {
-    fn from(error: BringUpError) -> Self {
-        let message = error.to_string();
-        match error {
-            BringUpError::Board(error) => error.into(),
-            BringUpError::Reset => Self::new(ExitStatus::Error, message).next_step(
+impl Advice for BringUpError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let (status, step) = match self {
+            Self::Board(error) => return error.advice(),
+            Self::Reset => (
+                ExitStatus::Error,
                 "`smartdepthsync info` says why; measure part by part with --part to find out when",
             ),
-            BringUpError::InUse => Self::new(ExitStatus::Refused, message)
-                .next_step("end the other program, or stop it: `smartdepthsync trigger stop`"),
-            BringUpError::Stopped => Self::new(ExitStatus::Interrupted, message),
-        }
+            Self::InUse => (
+                ExitStatus::Refused,
+                "end the other program, or stop it: `smartdepthsync trigger stop`",
+            ),
+            Self::Stopped => (ExitStatus::Interrupted, ExitStatus::Interrupted.next_step()),
+        };
+        (status, step.into())
     }
 }
 
-impl From<OpenError> for Failure {
-    fn from(error: OpenError) -> Self {
-        let message = error.to_string();
-        match error {
-            OpenError::NotFound { .. } => Self::new(ExitStatus::NoPort, message)
-                .next_step("plug the board in; `smartdepthsync ports` lists the ports there are"),
-            OpenError::Permission { path } => {
-                Self::new(ExitStatus::Permission, message).next_step(format!(
+impl Advice for OpenError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let (status, step) = match self {
+            Self::Permission { path } => {
+                let step = format!(
                     "install the udev rule, then plug the board in again: `sudo cp \
                      host/udev/60-smartdepthsync.rules /etc/udev/rules.d/ && sudo udevadm control \
                      --reload` (or, until the next boot: `sudo chmod a+rw {path}`)"
-                ))
+                );
+                return (ExitStatus::Permission, step.into());
             }
-            OpenError::Busy { path } => Self::new(ExitStatus::Busy, message).next_step(format!(
-                "close the other program (`fuser -v {path}` names it; ModemManager leaves the \
-                 board alone once the udev rule is installed)"
-            )),
-            OpenError::NotAPort { .. } => Self::new(ExitStatus::NotThisBoard, message).next_step(
+            Self::Busy { path } => {
+                let step = format!(
+                    "close the other program (`fuser -v {path}` names it; ModemManager leaves the \
+                     board alone once the udev rule is installed)"
+                );
+                return (ExitStatus::Busy, step.into());
+            }
+            Self::NotFound { .. } => (ExitStatus::NoPort, ExitStatus::NoPort.next_step()),
+            Self::NotAPort { .. } => (
+                ExitStatus::NotThisBoard,
                 "give the board's serial port to --port; `smartdepthsync ports` lists them",
             ),
-            OpenError::Other { .. } => Self::new(ExitStatus::Error, message)
-                .next_step("unplug the board, plug it in again, and look into `dmesg`"),
-        }
+            Self::Other { .. } => (
+                ExitStatus::Error,
+                "unplug the board, plug it in again, and look into `dmesg`",
+            ),
+        };
+        (status, step.into())
     }
 }
 
-impl From<PhoneError> for Failure {
-    fn from(error: PhoneError) -> Self {
-        let failure = Self::new(phone_status(&error), error.to_string());
-        match phone_step(&error) {
-            Some(step) => failure.next_step(step),
-            None => failure,
-        }
+impl Advice for PhoneError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let status = phone_status(self);
+        (
+            status,
+            phone_step(self).unwrap_or(status.next_step()).into(),
+        )
     }
 }
 
@@ -258,53 +398,48 @@ const fn app_refusal_step(refusal: AppRefusal) -> &'static str {
     }
 }
 
-impl From<ProfileError> for Failure {
-    fn from(error: ProfileError) -> Self {
-        let (status, step) = match &error {
-            ProfileError::Read { .. } => (
+impl Advice for ProfileError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        match self {
+            Self::Read { .. } => (
                 ExitStatus::Storage,
-                String::from(
-                    "`smartdepthsync setup` asks for what a profile needs; `smartdepthsync profile \
-                     init rig.toml` writes a commented one to start from",
-                ),
+                "`smartdepthsync setup` asks for what a profile needs; `smartdepthsync profile \
+                 init rig.toml` writes a commented one to start from"
+                    .into(),
             ),
-            ProfileError::Syntax { path, .. } | ProfileError::Value { path, .. } => {
+            Self::Syntax { path, .. } | Self::Value { path, .. } => {
                 let file = path
                     .as_deref()
                     .map_or("rig.toml".into(), Path::to_string_lossy);
-                (
-                    ExitStatus::Usage,
-                    format!(
-                        "correct that line; `smartdepthsync profile check {file}` checks it again"
-                    ),
-                )
+                let step = format!(
+                    "correct that line; `smartdepthsync profile check {file}` checks it again"
+                );
+                (ExitStatus::Usage, step.into())
             }
-        };
-        Self::new(status, error.to_string()).next_step(step)
+        }
     }
 }
 
-impl From<RecordingError> for Failure {
-    fn from(error: RecordingError) -> Self {
-        let step = match &error {
-            RecordingError::Stopped => {
-                return Self::new(ExitStatus::Interrupted, error.to_string());
+impl Advice for RecordingError {
+    fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
+        let step = match self {
+            Self::Stopped => {
+                let status = ExitStatus::Interrupted;
+                return (status, status.next_step().into());
             }
             full if full.is_disk_full() => {
                 "free some space; what was recorded before is kept and can be read"
             }
-            RecordingError::Mcap { .. } => {
+            Self::Mcap { .. } => {
                 "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
                  what is wrong with one, `smartdepthsync repair` saves what can be read"
             }
-            RecordingError::Io { source, .. } => file_step(source.kind()),
-            RecordingError::NoRecording { .. } => bag_step(&error),
-            RecordingError::ForeignBag { .. } => {
-                return Self::new(ExitStatus::Usage, error.to_string()).next_step(bag_step(&error));
-            }
+            Self::Io { source, .. } => file_step(source.kind()),
+            Self::NoRecording { .. } => bag_step(self),
+            Self::ForeignBag { .. } => return (ExitStatus::Usage, bag_step(self).into()),
             _ => "check the folder and its rights",
         };
-        Self::new(ExitStatus::Storage, error.to_string()).next_step(step)
+        (ExitStatus::Storage, step.into())
     }
 }
 
@@ -320,11 +455,7 @@ pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
 
 /// The scale of the board's IMU, which every command that reads it needs.
 pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
-    Scale::of(setup).ok_or_else(|| {
-        Failure::new(ExitStatus::Error, "the board gave no scale for its IMU").next_step(
-            "flash the firmware of this program's version (docs/flash.md), then try again",
-        )
-    })
+    Ok(Scale::of(setup).ok_or(SessionError::NoScale)?)
 }
 
 /// A file that was given as a gyroscope's recording.

@@ -1,9 +1,28 @@
-//! Checks in words: what `doctor` prints, and the verdict over a recording.
+//! The checks of this computer and of the rig profile, which `doctor` and a session make
+//! beside those of the rig ([`session::checks`]); and checks in words.
 
 use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 use recording::finding::{Finding, Severity};
+use recording::profile::Profile;
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
 use report::session::Judgement;
+use session::checks::{Checks, Fault};
+use session::housekeeping::free_space;
+
+use crate::new_profile::summary;
+use crate::rig_profile::Place;
+
+/// Free space below which a recording may not fit, bytes.
+const DISK_LOW: u64 = 2_000_000_000;
+
+/// A learnt skew or a measured bias older than this should be measured again, days.
+const OLD_DAYS: i32 = 90;
+
+/// Name of the check of the depth camera's settings.
+const CHECK_CAMERA: &str = "depth camera";
 
 /// What stands at the beginning of a check's line.
 pub(crate) const MARKS: [&str; 3] = ["good ", "check", "BAD  "];
@@ -38,4 +57,143 @@ pub(crate) fn text<'a>(checks: impl IntoIterator<Item = &'a Finding>) -> String 
 /// The verdict over a recording with its parts.
 pub(crate) fn text_of_judgement(judged: &Judgement) -> String {
     format!("{}\n{}", judged.text, text(&judged.parts))
+}
+
+/// Checks what does not need the board: profile, disk, ffmpeg, depth recorder. `place` says
+/// where the profile is from, `out` where recordings are to go.
+pub(crate) fn host(profile: &Profile, place: &Place, out: &Path) -> Checks {
+    let mut checks = Checks::default();
+    check_profile(&mut checks, profile, place);
+    check_camera(&mut checks, profile);
+    check_disk(&mut checks, out);
+    check_ffmpeg(&mut checks);
+    check_recorder(&mut checks, profile);
+    checks
+}
+
+fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
+    let today = jiff::Zoned::now().date();
+    let is_old = |date: jiff::civil::Date| {
+        let age = today.since(date).map_or(0, |span| span.get_days());
+        age > OLD_DAYS
+    };
+    match place.path {
+        Some(_) => checks.good("profile", format!("{} ({place})", profile.name)),
+        None => checks.warn(
+            "profile",
+            place.to_string(),
+            "make your own: `smartdepthsync setup`",
+        ),
+    }
+    match &profile.phone.learnt {
+        None => checks.warn(
+            CHECK_LEARNT,
+            "none: the phase may drift by tens of µs a minute",
+            "`smartdepthsync record --calibrate` learns them in 2 minutes",
+        ),
+        Some(learnt) if is_old(learnt.learnt) => checks.warn(
+            CHECK_LEARNT,
+            format!("from {}", learnt.learnt),
+            "crystals age: learn again",
+        ),
+        Some(learnt) => {
+            let skew = learnt.skew.map_or(String::from("not learnt"), |skew| {
+                format!("{:+.3} ppm", skew * 1e6)
+            });
+            let (period, date) = (learnt.frame_period_ns, learnt.learnt);
+            checks.good(
+                CHECK_LEARNT,
+                format!("frame period {period:.3} ns, skew {skew}, from {date}"),
+            );
+        }
+    }
+    match profile.frame_sync.bias_measured {
+        None => checks.warn(
+            CHECK_BIAS,
+            format!(
+                "not measured: there may be ms between the cameras (± {} µs of that from the \
+                 trigger to the middle of the depth exposure)",
+                profile.depth.center_offset_sigma_us
+            ),
+            "measure it: `smartdepthsync evaluate precision ... --calibrate`",
+        ),
+        Some(date) if is_old(date) => checks.warn(
+            CHECK_BIAS,
+            format!("measured on {date}"),
+            "measure it again after changes of the rig",
+        ),
+        Some(date) => checks.good(
+            CHECK_BIAS,
+            format!("{:+.1} µs, measured on {date}", profile.frame_sync.bias_us),
+        ),
+    }
+}
+
+fn check_camera(checks: &mut Checks, profile: &Profile) {
+    let Some(model) = profile.depth.model() else {
+        return;
+    };
+    let objections = model.objections(profile);
+    for objection in &objections {
+        checks.warn(CHECK_CAMERA, objection.found.clone(), &objection.next_step);
+    }
+    if objections.is_empty() {
+        checks.good(CHECK_CAMERA, summary(model, profile));
+    }
+}
+
+fn check_disk(checks: &mut Checks, out: &Path) {
+    // The folder may not be there yet: the nearest one above it is.
+    let place = out
+        .ancestors()
+        .find(|folder| folder.exists())
+        .unwrap_or_else(|| Path::new("."));
+    match free_space(place) {
+        Some(free) if free < DISK_LOW => checks.warn(
+            "disk",
+            format!("{} MB are free", free / 1_000_000),
+            "free some space: an hour takes about 150 MB, videos several GB",
+        ),
+        Some(free) => checks.good("disk", format!("{} GB are free", free / 1_000_000_000)),
+        None => checks.warn(
+            "disk",
+            "free space is not known",
+            "make sure that there is enough",
+        ),
+    }
+}
+
+fn check_ffmpeg(checks: &mut Checks) {
+    let version = Command::new("ffmpeg")
+        .arg("-version")
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output();
+    match version {
+        Ok(output) if output.status.success() => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            let first = text.lines().next().unwrap_or_default();
+            let short: Vec<&str> = first.split_whitespace().take(3).collect();
+            checks.good("ffmpeg", short.join(" "));
+        }
+        _ => checks.warn(
+            "ffmpeg",
+            "not found",
+            "extract and evaluate need it: install ffmpeg",
+        ),
+    }
+}
+
+fn check_recorder(checks: &mut Checks, profile: &Profile) {
+    const NAME: &str = "depth recorder";
+    match profile.depth.recorder.command.first() {
+        None => checks.good(NAME, "none in the profile: start it yourself"),
+        Some(program) if files::program(program).is_some() => checks.good(NAME, program.clone()),
+        Some(program) => checks.bad(
+            Fault::Recorder,
+            NAME,
+            format!("the program `{program}` is not found"),
+            "install it, or change `command` in `[depth.recorder]`",
+        ),
+    }
 }

@@ -20,7 +20,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::commands;
-use crate::context::{Context, Global, Interrupt, Said, write_stdout};
+use crate::context::{Context, Global, Interrupt, write_stdout};
 use crate::log::Lines;
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
@@ -145,7 +145,6 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     let context = Context {
         global: cli.global,
         interrupt,
-        said: Said::default(),
     };
     match cli.command.run(&context) {
         Ok(status) => status,

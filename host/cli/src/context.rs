@@ -4,10 +4,9 @@
 //! Results go to standard output (text, or one JSON document with `--json`);
 //! progress and errors go to standard error.
 
-use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
@@ -40,50 +39,6 @@ pub struct Context {
     pub global: Global,
     /// Set by Ctrl-C and by termination signals.
     pub interrupt: Interrupt,
-    /// Where things are said while a live view has the terminal.
-    pub said: Said,
-}
-
-/// What is said while a live view has the terminal, the latest last; standard
-/// error is not written to meanwhile.
-#[derive(Clone, Debug, Default)]
-pub struct Said(Arc<Mutex<Option<VecDeque<String>>>>);
-
-impl Said {
-    /// How many lines are kept.
-    const KEPT: usize = 20;
-
-    fn slot(&self) -> MutexGuard<'_, Option<VecDeque<String>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// A live view takes the terminal, or gives it back.
-    pub(crate) fn divert(&self, to_view: bool) {
-        *self.slot() = to_view.then(VecDeque::new);
-    }
-
-    /// Whether a live view has the terminal.
-    pub(crate) fn is_diverted(&self) -> bool {
-        self.slot().is_some()
-    }
-
-    /// The last lines.
-    pub(crate) fn lines(&self) -> Vec<String> {
-        self.slot().iter().flatten().cloned().collect()
-    }
-
-    /// Takes a line, if a live view has the terminal.
-    fn take(&self, text: &str) -> bool {
-        let mut slot = self.slot();
-        let Some(lines) = slot.as_mut() else {
-            return false;
-        };
-        lines.push_back(text.to_owned());
-        if lines.len() > Self::KEPT {
-            lines.pop_front();
-        }
-        true
-    }
 }
 
 impl Context {
@@ -162,7 +117,7 @@ impl Context {
     /// Says something to the person who waits, on standard error; silent with
     /// `--json`.
     pub(crate) fn say(&self, text: impl AsRef<str>) {
-        if !self.global.json && !self.said.take(text.as_ref()) {
+        if !self.global.json {
             // Nobody to tell it to if standard error is gone.
             let text = harmless(text.as_ref(), Shown::ForPeople);
             let _ = writeln!(io::stderr().lock(), "{text}");
@@ -171,7 +126,7 @@ impl Context {
 
     /// A progress bar of this length on standard error; hidden where nobody would see it.
     pub(crate) fn progress(&self, length: Option<u64>, template: &str) -> ProgressBar {
-        let is_seen = !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal();
+        let is_seen = !self.global.json && io::stderr().is_terminal();
         let target = if is_seen {
             ProgressDrawTarget::stderr()
         } else {

@@ -3,19 +3,16 @@
 //! - [`cli`], `commands`: the command line, one subcommand a file.
 //! - [`context`], `options`: what every command is given, and options of several.
 //! - [`outcome`]: exit codes; `advice`: what to do about the libraries' errors.
-//! - [`record`]: a session from the twist to the aligned recording.
-//! - `view`, `tracked`: what the operator sees while a session runs.
+//! - `view`: a session or a board for the person who waits; `operator`: that person.
 //! - `terminal`: what is printed does nothing to a terminal but to be read.
 //! - `log`: where log lines go.
-//! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
-//! - `checks`: the checks of a rig and the verdict over a recording, in words.
+//! - `checks`: the checks of this computer and of the profile; checks in words.
 //! - `rig_profile`, `recordings`: which profile and which recording a command is about.
 //! - `decimal`: numbers of the command line as exact times.
 //! - `fields`: the object of `--json` for people.
 #![forbid(unsafe_code)]
 
 mod advice;
-mod arrival;
 mod checks;
 pub mod cli;
 mod commands;
@@ -24,11 +21,10 @@ mod decimal;
 mod fields;
 mod log;
 mod new_profile;
+mod operator;
 mod options;
 pub mod outcome;
-pub mod record;
 mod recordings;
-pub mod rig_profile;
+mod rig_profile;
 mod terminal;
-mod tracked;
 mod view;

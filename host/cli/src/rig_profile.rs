@@ -27,7 +27,7 @@ pub(crate) struct ProfileArg {
 /// Where a profile comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Source {
+pub(crate) enum Source {
     /// Given with `--profile`.
     Option,
     /// `./rig.toml`.
@@ -43,11 +43,11 @@ pub enum Source {
 
 /// The profile that a command uses.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Place {
+pub(crate) struct Place {
     /// The file; none for the published rig's.
-    pub path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Why it is this one.
-    pub source: Source,
+    pub(crate) source: Source,
 }
 
 impl ProfileArg {

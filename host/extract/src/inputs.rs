@@ -15,7 +15,7 @@ use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
-use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
+use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 use twist_sync::Prior;
 
 /// Values that the user gives; they go before those of the session.
@@ -318,7 +318,7 @@ fn find_phones(
     };
     let mut others = Vec::new();
     for phone in &session.profile.phones {
-        let said = session.phones.iter().find(|said| said.name == phone.name);
+        let said = session.phone(&phone.name);
         others.push(PhoneInput {
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
@@ -333,7 +333,7 @@ fn find_phones(
 /// What a session says about a further phone; what is the rig's is as in `rig`.
 fn facts_of_other(
     phone: &Phone,
-    said: Option<&OtherPhone>,
+    said: Option<&PhoneRecord>,
     profile: &Profile,
     rig: RigFacts,
 ) -> RigFacts {
@@ -379,7 +379,8 @@ fn facts_of(session: &SessionFile) -> RigFacts {
     let alignment = session.alignment.as_ref();
     let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
     let bias = alignment.map_or(profile.frame_sync.bias_us, |a| a.bias_us);
-    let exposure = match (alignment, session.video.and_then(|video| video.exposure_ns)) {
+    let video = session.reference().and_then(|phone| phone.video);
+    let exposure = match (alignment, video.and_then(|video| video.exposure_ns)) {
         (Some(alignment), _) => nanos(alignment.exposure_us),
         (None, Some(exposure)) => i64::try_from(exposure).ok(),
         (None, None) => nanos(profile.phone.exposure_us),
@@ -400,7 +401,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
             .as_ref()
             .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
         phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
-        prior: session.clock.map(prior),
+        prior: session.clock().map(prior),
     }
 }
 

@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
 use crate::finding::Finding;
-use crate::profile::Profile;
+use crate::profile::{Phone, Profile};
 use board::StreamCounts;
 use board::imu::Scale;
 use timebase::ClockModel;
 use timebase::PhoneNanos;
 
 /// Version of this file's form.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// The longest file that is read, bytes. An hour with a twist a minute and a problem a
 /// second is below 2 MB.
@@ -46,26 +46,17 @@ pub struct SessionFile {
     pub board: Option<BoardInfo>,
     /// The board's IMU.
     pub imu: Option<ImuInfo>,
-    /// The phone's app.
-    pub phone: Option<PhoneInfo>,
     /// What was looked at before the recording, and how it was.
     #[serde(default)]
     pub preflight: Vec<Finding>,
-    /// Every twist, in order, refused ones too.
-    pub twists: Vec<Twist>,
-    /// The relation of the clocks that is best known.
-    pub clock: Option<ClockModel>,
-    /// What the phone answered when the video began.
-    pub video: Option<Video>,
+    /// The phones, in the profile's order: the first is the reference, to whose frames the
+    /// trigger is aligned.
+    pub phones: Vec<PhoneRecord>,
     /// How the trigger was aligned.
     pub alignment: Option<Alignment>,
     /// The board's runs after the first: each begins with a reset.
     #[serde(default)]
     pub runs: Vec<BoardRun>,
-    /// Further phones; `phone`, `twists`, `clock`, `video` and `alignment` are those
-    /// of the phone that the trigger is aligned to.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub phones: Vec<OtherPhone>,
     /// How the phone's clock was followed while it recorded; nothing if it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tracking: Option<TrackInfo>,
@@ -148,30 +139,23 @@ pub struct ImuInfo {
     pub scale: Scale,
 }
 
-/// The phone's app.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PhoneInfo {
-    /// Its address.
+/// A phone of a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PhoneRecord {
+    /// Its name in the profile.
+    pub name: String,
+    /// Where its app listens.
     pub address: String,
     /// Version of the app, once it has answered.
     pub version: Option<String>,
-}
-
-/// A phone beside the one that the trigger is aligned to.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct OtherPhone {
-    /// Its name in the profile.
-    pub name: String,
-    /// Its app.
-    pub info: PhoneInfo,
     /// Every twist, in order, refused ones too.
     pub twists: Vec<Twist>,
     /// The relation of its clock to the board's that is best known.
     pub clock: Option<ClockModel>,
     /// What it answered when its video began.
     pub video: Option<Video>,
-    /// Where its frames lie against the trigger's grid; after a reset of the board, as
-    /// far as that is known in the last run.
+    /// Where its frames lie against the trigger's grid, if that follows another phone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
 }
 
@@ -371,6 +355,12 @@ impl SessionFile {
     /// A session that has just begun.
     #[must_use]
     pub fn new(name: String, profile: Profile) -> Self {
+        let phone = |phone: &Phone| PhoneRecord {
+            name: phone.name.clone(),
+            address: phone.address.clone(),
+            ..PhoneRecord::default()
+        };
+        let phones = profile.all_phones().map(phone).collect();
         Self {
             format: FORMAT,
             program: env!("CARGO_PKG_VERSION").to_owned(),
@@ -382,14 +372,10 @@ impl SessionFile {
             profile,
             board: None,
             imu: None,
-            phone: None,
             preflight: Vec::new(),
-            twists: Vec::new(),
-            clock: None,
-            video: None,
+            phones,
             alignment: None,
             runs: Vec::new(),
-            phones: Vec::new(),
             tracking: None,
             recorded: None,
             markers: Vec::new(),
@@ -418,27 +404,28 @@ impl SessionFile {
         }
     }
 
-    /// Twists and clock relation of a phone by its name in the profile.
+    /// The phone to whose frames the trigger is aligned.
     #[must_use]
-    pub fn clocks_of(&self, phone: &str) -> Option<(&[Twist], Option<ClockModel>)> {
-        if self.profile.phone.name == phone {
-            return Some((&self.twists, self.clock));
-        }
-        let other = self.phones.iter().find(|other| other.name == phone)?;
-        Some((&other.twists, other.clock))
+    pub fn reference(&self) -> Option<&PhoneRecord> {
+        self.phones.first()
     }
 
-    /// The exposure that a phone reported when its video began, µs, by its name in the
-    /// profile.
+    /// The phones beside the reference.
     #[must_use]
-    pub fn exposure_us_of(&self, phone: &str) -> Option<f64> {
-        let video = if self.profile.phone.name == phone {
-            self.video
-        } else {
-            let other = self.phones.iter().find(|other| other.name == phone);
-            other.and_then(|other| other.video)
-        };
-        video?.exposure_us()
+    pub fn further_phones(&self) -> &[PhoneRecord] {
+        self.phones.get(1..).unwrap_or_default()
+    }
+
+    /// A phone by its name in the profile.
+    #[must_use]
+    pub fn phone(&self, name: &str) -> Option<&PhoneRecord> {
+        self.phones.iter().find(|phone| phone.name == name)
+    }
+
+    /// The best known relation of the reference phone's clock.
+    #[must_use]
+    pub fn clock(&self) -> Option<ClockModel> {
+        self.reference()?.clock
     }
 
     /// Writes it into the recording's folder; replaces an older one only when
@@ -485,16 +472,18 @@ impl SessionFile {
         Ok(session)
     }
 
-    /// Whether the profile is one that could be loaded, and every name stays in the
-    /// recording's folder: the file may come from anywhere.
+    /// Whether the profile is one that could be loaded, the phones are its phones, and every
+    /// name stays in the recording's folder: the file may come from anywhere.
     fn check(&self) -> Result<(), String> {
         self.profile.check().map_err(|error| error.to_string())?;
-        for phone in &self.phones {
-            crate::folder::check_name(&phone.name)
-                .map_err(|expected| format!("phones.name is {:?}; {expected}", phone.name))?;
+        let names: Vec<&str> = self.phones.iter().map(|p| p.name.as_str()).collect();
+        let expected: Vec<&str> = self.profile.all_phones().map(|p| p.name.as_str()).collect();
+        if names != expected {
+            return Err(format!(
+                "its phones are {names:?}; expected those of its profile, {expected:?}"
+            ));
         }
-        let phones = self.phones.iter().flat_map(|phone| &phone.twists);
-        let twists = self.twists.iter().chain(phones);
+        let twists = self.phones.iter().flat_map(|phone| &phone.twists);
         let files = twists.filter_map(|twist| twist.phone_gyro.as_ref());
         match self.files.iter().chain(files).find(|name| !is_below(name)) {
             Some(name) => Err(format!(

@@ -255,7 +255,7 @@ fn nothing_is_overwritten() {
 fn the_session_file_comes_back_and_another_form_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut session = SessionFile::new(String::from("walk"), Profile::published().unwrap());
-    session.clock = Some(clock());
+    session.phones[0].clock = Some(clock());
     session.save(folder.path()).unwrap();
     session.outcome = Some(SessionOutcome::Loss);
     session.save(folder.path()).unwrap();
@@ -265,7 +265,7 @@ fn the_session_file_comes_back_and_another_form_is_refused() {
 
     let path = folder.path().join(SESSION_FILE);
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replace("\"format\": 1", "\"format\": 77")).unwrap();
+    fs::write(&path, text.replace("\"format\": 2", "\"format\": 77")).unwrap();
     let error = SessionFile::load(folder.path()).unwrap_err().to_string();
     assert!(error.contains("found 77"), "{error}");
 }

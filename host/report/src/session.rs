@@ -106,16 +106,11 @@ fn facts(session: &SessionFile) -> Vec<(&'static str, String)> {
             ),
         ));
     }
-    let others = session.phones.iter();
-    let others = others.map(|phone| (format!("{}: ", phone.name), &phone.info));
-    let first = session
-        .phone
-        .as_ref()
-        .map(|info| match session.phones.len() {
-            0 => (String::new(), info),
-            _ => (format!("{}: ", session.profile.phone.name), info),
-        });
-    for (name, phone) in first.into_iter().chain(others) {
+    for phone in &session.phones {
+        let name = match session.phones.len() {
+            1 => String::new(),
+            _ => format!("{}: ", phone.name),
+        };
         let version = phone.version.as_ref();
         let app = version.map_or(String::new(), |version| format!(", app {version}"));
         facts.push(("phone", format!("{name}{}{app}", phone.address)));

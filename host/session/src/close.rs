@@ -144,7 +144,7 @@ fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), S
     session.closing = false;
     if options.second_twist && !session.was_reset {
         let places = session.phones.places();
-        let first: Vec<_> = places.map(|place| session.log.clock(place)).collect();
+        let first: Vec<_> = places.map(|place| session.log.phone(place).clock).collect();
         let twisted = session.step(Step::SecondTwist, |session| second_twist(session, &first));
         pass_over(session, twisted, |error| SessionEvent::SecondTwistFailed {
             error,
@@ -157,7 +157,7 @@ fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), S
     if options.fetch_video {
         for place in session.phones.places() {
             // The app ends when it is asked for a video and has made none.
-            if session.log.video(place).is_none() {
+            if session.log.phone(place).video.is_none() {
                 let phone = session.phones.name(place);
                 session.log.report(SessionEvent::NoVideoToFetch { phone })?;
                 continue;

@@ -8,7 +8,7 @@ use board::imu::Scale;
 use protocol::Ticks;
 use recording::folder;
 use recording::profile::Profile;
-use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile};
+use recording::session_file::{BoardInfo, ImuInfo, SessionFile};
 use recording::writer::Writer;
 
 use crate::checks::firmware_version;
@@ -40,7 +40,8 @@ pub(crate) struct Parts<'a> {
 struct Sides {
     board: Board,
     imu: ImuInfo,
-    apps: Vec<PhoneInfo>,
+    /// The versions of the phones' apps.
+    apps: Vec<String>,
 }
 
 /// Connects to board and phones, and makes the recording's folder once both are
@@ -204,18 +205,8 @@ fn new_log<'a>(
         reset_cause: hello.reset_cause,
     });
     file.imu = Some(sides.imu.clone());
-    let mut apps = sides.apps.iter().cloned();
-    file.phone = apps.next();
-    let others = profile.phones.iter().zip(apps);
-    file.phones = others
-        .map(|(phone, info)| OtherPhone {
-            name: phone.name.clone(),
-            info,
-            twists: Vec::new(),
-            clock: None,
-            video: None,
-            placement: None,
-        })
-        .collect();
+    for (phone, version) in file.phones.iter_mut().zip(&sides.apps) {
+        phone.version = Some(version.clone());
+    }
     Ok(Log::new(events, writer, folder, file))
 }

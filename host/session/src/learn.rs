@@ -11,8 +11,7 @@ use toml_edit::{DocumentMut, Item, Table, TomlError};
 
 use recording::profile::edit::{open, phone_table};
 use recording::profile::{Learnt, Profile, ProfileError};
-use recording::session_file::Twist;
-use timebase::ClockModel;
+use recording::session_file::PhoneRecord;
 
 /// What crystals do from one recording to the next (temperature), relative: a
 /// floor under the stated sigmas, which are those within one recording.
@@ -63,21 +62,16 @@ pub fn learnt(frames: &Frames, skew: Option<(f64, f64)>, origin: &Origin<'_>) ->
     }
 }
 
-/// The skew that the twists of a session know, with its 1-sigma: only two that are at
-/// least a minute apart, and within one run of the board, know it well enough.
-/// `resets` is how often it was reset within the recording.
+/// The skew that a phone's twists in a session know, with its 1-sigma: only two that are at
+/// least a minute apart know it well enough.
 #[must_use]
-pub fn skew_of_twists(
-    (twists, clock): (&[Twist], Option<ClockModel>),
-    resets: usize,
-) -> Option<(f64, f64)> {
+pub fn skew_of_twists(phone: &PhoneRecord) -> Option<(f64, f64)> {
+    let twists = phone.twists.iter();
     let accepted: Vec<f64> = twists
-        .iter()
         .filter_map(|twist| twist.clock.map(|clock| clock.reference.0))
         .collect();
     let baseline = accepted.last()? - accepted.first()?;
-    // Over a reset the two twists are of different runs.
-    let clock = clock.filter(|_| resets == 0 && baseline >= MIN_BASELINE_S)?;
+    let clock = phone.clock.filter(|_| baseline >= MIN_BASELINE_S)?;
     Some((clock.skew, clock.covariance[1][1].max(0.0).sqrt()))
 }
 
@@ -119,8 +113,8 @@ mod tests {
     use super::*;
     use crate::train::{FramePeriod, frame_period};
     use recording::profile::DEFAULT;
-    use timebase::Wander;
-    use timebase::{BoardSeconds, PhoneNanos};
+    use recording::session_file::Twist;
+    use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 
     /// Frames of 33,330,652.54 ns.
     fn period() -> FramePeriod {
@@ -153,8 +147,12 @@ mod tests {
         let mut twists = vec![twist(10.0)];
         let period = period();
         let last = Some(clock(300.0));
-        let learnt_over = |twists: &[Twist], resets| {
-            let skew = skew_of_twists((twists, last), resets);
+        let learnt = |twists: &[Twist]| {
+            let skew = skew_of_twists(&PhoneRecord {
+                twists: twists.to_vec(),
+                clock: last,
+                ..PhoneRecord::default()
+            });
             let known = Frames {
                 period_ns: period.period_ns,
                 sigma_ns: period.sigma_ns,
@@ -168,15 +166,12 @@ mod tests {
             };
             super::learnt(&known, skew, &origin)
         };
-        let learnt = |twists: &[Twist]| learnt_over(twists, 0);
         let one_twist = learnt(&twists);
         assert_eq!(one_twist.skew, None);
         twists.push(twist(300.0));
         let two_twists = learnt(&twists);
         assert_eq!(two_twists.skew, Some(3e-6));
         assert!(two_twists.skew_sigma.unwrap() >= REPEATABILITY);
-        // The board was reset between them.
-        assert_eq!(learnt_over(&twists, 1).skew, None);
 
         let path = Path::new("rig.toml");
         let text = into_profile(DEFAULT, path, None, &two_twists).unwrap();

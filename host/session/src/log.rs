@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use protocol::{TICK_HZ, Ticks};
 use recording::RecordingError;
-use recording::session_file::{OtherPhone, SessionFile, SessionOutcome, Twist, Video};
+use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
 use recording::writer::Writer;
 use timebase::ClockModel;
 
@@ -167,17 +167,14 @@ impl<'a> Log<'a> {
         Ok(self.file.save(&self.folder)?)
     }
 
-    /// A further phone, by its place in the profile.
-    pub(crate) fn other_phone(&mut self, place: usize) -> Option<&mut OtherPhone> {
-        self.file.phones.get_mut(place.checked_sub(1)?)
+    /// The phone at a place.
+    pub(crate) fn phone(&self, place: usize) -> &PhoneRecord {
+        &self.file.phones[place]
     }
 
-    /// The relation of the clock of the phone at a place.
-    pub(crate) fn clock(&self, place: usize) -> Option<ClockModel> {
-        match place.checked_sub(1) {
-            None => self.file.clock,
-            Some(index) => self.file.phones.get(index)?.clock,
-        }
+    /// The phone at a place, to be changed.
+    pub(crate) fn phone_mut(&mut self, place: usize) -> &mut PhoneRecord {
+        &mut self.file.phones[place]
     }
 
     /// Keeps a new relation of the clock of the phone at a place.
@@ -188,42 +185,13 @@ impl<'a> Log<'a> {
         clock: ClockModel,
         source: &str,
     ) -> Result<(), Stop> {
-        let other = self.other_phone(place).map(|phone| {
-            phone.clock = Some(clock);
-            phone.name.clone()
-        });
-        if other.is_none() {
-            self.file.clock = Some(clock);
-        }
-        self.write(|writer, now| writer.clock_model(now, other.as_deref(), &clock, source))?;
+        self.phone_mut(place).clock = Some(clock);
+        let further = (place > 0).then(|| phone.name.clone());
+        self.write(|writer, now| writer.clock_model(now, further.as_deref(), &clock, source))?;
         self.report(SessionEvent::ClockKnown {
             place,
             phone,
             clock,
         })
-    }
-
-    /// The video of the phone at a place, once it has begun.
-    pub(crate) fn video(&self, place: usize) -> Option<Video> {
-        match place.checked_sub(1) {
-            None => self.file.video,
-            Some(index) => self.file.phones.get(index)?.video,
-        }
-    }
-
-    /// Keeps that a video of the phone at a place has begun.
-    pub(crate) fn set_video(&mut self, place: usize, video: Video) {
-        match self.other_phone(place) {
-            Some(phone) => phone.video = Some(video),
-            None => self.file.video = Some(video),
-        }
-    }
-
-    /// Keeps a twist of the phone at a place.
-    pub(crate) fn keep_twist(&mut self, place: usize, twist: Twist) {
-        match self.other_phone(place) {
-            Some(phone) => phone.twists.push(twist),
-            None => self.file.twists.push(twist),
-        }
     }
 }

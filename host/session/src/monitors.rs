@@ -118,7 +118,7 @@ pub(crate) fn take_message(
     };
     monitors.message(&message);
     let profile = &log.file.profile;
-    let clock = log.file.clock;
+    let clock = log.file.clock();
     let phone_time = |at| clock.map(|clock| clock.ticks_to_phone(at));
     let at = match message {
         DeviceToHost::Imu(raw) => {

@@ -13,7 +13,7 @@ use phone::PhoneError;
 use phone::task::Pending;
 use protocol::Ticks;
 use recording::profile::{Phone as PhoneProfile, Profile};
-use recording::session_file::{PhoneInfo, RateChange};
+use recording::session_file::RateChange;
 use timebase::ClockModel;
 
 use crate::devices::{Clock, Phone};
@@ -21,6 +21,9 @@ use crate::error::{SessionError, Stop};
 use crate::event::PhoneName;
 use crate::options::seconds;
 use crate::rates::Course;
+
+/// The place of the phone to whose frames the trigger is aligned.
+pub(crate) const REFERENCE: usize = 0;
 
 /// How often a phone that records is asked whether it does, ticks.
 const ASK_EVERY: u64 = seconds(5);
@@ -63,12 +66,12 @@ impl<'a> Phones<'a> {
     }
 
     /// Asks all for the versions of their apps; ends when `is_interrupted`.
-    pub(crate) fn probe(&self, is_interrupted: &dyn Fn() -> bool) -> Result<Vec<PhoneInfo>, Stop> {
+    pub(crate) fn probe(&self, is_interrupted: &dyn Fn() -> bool) -> Result<Vec<String>, Stop> {
         let probe = |place: usize| {
             let asked = self.device(place).probe();
-            let version = loop {
+            loop {
                 match asked.answer() {
-                    Some(Ok(version)) => break version.to_string(),
+                    Some(Ok(version)) => return Ok(version.to_string()),
                     Some(Err(error)) => return Err(self.failure(place, error).into()),
                     None if is_interrupted() => {
                         call_off(self.clock, [asked]);
@@ -76,11 +79,7 @@ impl<'a> Phones<'a> {
                     }
                     None => self.clock.wait(PAUSE),
                 }
-            };
-            Ok(PhoneInfo {
-                address: self.profile(place).address.clone(),
-                version: Some(version),
-            })
+            }
         };
         self.places().map(probe).collect()
     }

@@ -6,7 +6,7 @@ use protocol::{
     AlignPlan, Output, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart,
     TriggerStatus,
 };
-use recording::session_file::{Alignment, ImuInfo, Marker, PhoneInfo, Span, Twist, Video};
+use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 use timebase::ClockModel;
 
 use crate::alignment::{phase_sigma_us_now, plan, stated_sigma_us_at};
@@ -17,6 +17,7 @@ use crate::error::{SessionError, Stop};
 use crate::event::{Phase, SessionEvent, Step};
 use crate::log::Log;
 use crate::options::Options;
+use crate::phones::REFERENCE;
 use crate::session::Session;
 use crate::twist::first_twists;
 use crate::videos::{place_others, start_videos, watch_videos};
@@ -55,8 +56,12 @@ pub(crate) fn run(
     })?;
     session.enter(Phase::StartingVideos);
     session.step(Step::Videos, start_videos)?;
-    let video = session.log.file.video.ok_or(SessionError::NoVideo)?;
-    let clock = session.log.file.clock.ok_or(SessionError::NoClock)?;
+    let video = session
+        .log
+        .phone(REFERENCE)
+        .video
+        .ok_or(SessionError::NoVideo)?;
+    let clock = session.log.file.clock().ok_or(SessionError::NoClock)?;
     session.enter(Phase::Aligning);
     let alignment = align(session, &clock, &video)?;
     place_others(&session.phones, &mut session.log, session.profile)?;
@@ -69,8 +74,9 @@ pub(crate) fn run(
 /// file.
 fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
     checks.firmware(&session.link.board, Some(session.profile));
-    if let Some(PhoneInfo { address, version }) = &session.log.file.phone {
-        checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
+    for phone in &session.log.file.phones {
+        let version = phone.version.as_deref();
+        checks.phone(version.unwrap_or("of unknown version"), &phone.address);
     }
     session.link.board.start_counting();
     let setup = checks.look_at_imu(|| {
@@ -117,7 +123,7 @@ fn keep(log: &mut Log<'_>, checks: Checks) -> Result<(), Stop> {
 fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
     let profile = session.profile;
     let nominal = Period::from_ticks(TICK_HZ / profile.depth.fps);
-    let period = match (&profile.phone.learnt, session.log.file.clock) {
+    let period = match (&profile.phone.learnt, session.log.file.clock()) {
         (Some(learnt), Some(clock)) => {
             let picos = learnt.frame_period_ns * 1e3 / (1.0 + clock.skew)
                 * f64::from(profile.frame_ratio());
@@ -146,7 +152,7 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
 
 /// Sends the train onto the phone's frames.
 fn align(session: &mut Session<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
-    let course = session.phones.course(0, *clock);
+    let course = session.phones.course(REFERENCE, *clock);
     let planned = plan(session.profile, &course, video).map_err(SessionError::Alignment)?;
     for remark in planned.remarks {
         session
@@ -165,7 +171,7 @@ fn align(session: &mut Session<'_>, clock: &ClockModel, video: &Video) -> Result
         arrival_pulse: Some(plan.arrival_pulse),
         arrival: Some(plan.arrival),
         phase_sigma_us: stated_sigma_us_at(&alignment, plan.arrival.into()),
-        board_temperature_c: twist_temperature(&session.log.file.twists),
+        board_temperature_c: twist_temperature(&session.log.phone(REFERENCE).twists),
         ..alignment
     };
     session.log.file.alignment = Some(alignment);
@@ -346,7 +352,7 @@ fn is_twist_due(session: &Session<'_>) -> bool {
 /// Sets a mark.
 fn mark(log: &mut Log<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
     let label = label.unwrap_or_else(|| format!("marker {}", log.file.markers.len() + 1));
-    let phone = log.file.clock.map(|clock| clock.ticks_to_phone(at));
+    let phone = log.file.clock().map(|clock| clock.ticks_to_phone(at));
     log.write(|writer, _| writer.marker(at, phone, &label))?;
     log.file.markers.push(Marker {
         at,

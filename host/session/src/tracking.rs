@@ -186,7 +186,7 @@ impl Tracking {
         if self.asking.is_due(now) {
             self.asking.asked(board.board.ask_time(), now);
         }
-        if let Some(clock) = log.file.clock.filter(|clock| self.known != Some(*clock))
+        if let Some(clock) = log.file.clock().filter(|clock| self.known != Some(*clock))
             && self.tracker.take_relation(&clock.into())
         {
             self.known = Some(clock);

@@ -15,7 +15,7 @@ use crate::error::{SessionError, Stop};
 use crate::event::{Phase, Prompt, SessionEvent, Step, TwistEstimate};
 use crate::log::Log;
 use crate::options::Options;
-use crate::phones::Phones;
+use crate::phones::{Phones, REFERENCE};
 use crate::rates::Course;
 use crate::session::Session;
 use crate::twist_report::{TwistReport, report_of};
@@ -133,7 +133,7 @@ fn take_over(session: &mut Session<'_>, place: usize, twists: &Twists) -> Result
         None => twists.course(),
     };
     session.phones.set_change(place, course.change);
-    let source = format!("twist {}", session.log.file.twists.len());
+    let source = format!("twist {}", session.log.phone(REFERENCE).twists.len());
     let phone = session.phones.name(place);
     session.log.set_clock(place, phone, course.clock, &source)
 }
@@ -174,7 +174,7 @@ fn twist(
     can_skip: bool,
 ) -> Result<Option<Vec<Option<ClockModel>>>, Stop> {
     let length_s = session.profile.phone.twist_s;
-    let number = session.log.file.twists.len() + 1;
+    let number = session.log.phone(REFERENCE).twists.len() + 1;
     session.enter(Phase::Twisting { number });
     session.operator.forget_typed();
     let prompt = Prompt::Twist { length_s, can_skip };
@@ -258,7 +258,7 @@ fn relate(
         board_temperature_c: board.temperature_c,
         report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
     };
-    log.keep_twist(place, twist);
+    log.phone_mut(place).twists.push(twist);
     log.file.files.push(name);
     // First what the hands did: that is what a further twist can change.
     let left_out = report.left_out.iter().map(|stretch| stretch.text.clone());

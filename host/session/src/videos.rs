@@ -27,7 +27,7 @@ const REPORT_EVERY: Duration = Duration::from_millis(300);
 pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
     let mut without_video = Vec::new();
     for place in session.phones.places() {
-        if session.log.video(place).is_none() {
+        if session.log.phone(place).video.is_none() {
             session.phones.set_video_may_run(place);
             without_video.push(place);
         }
@@ -36,7 +36,7 @@ pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
     let clocks = session
         .phones
         .places()
-        .map(|place| session.log.clock(place));
+        .map(|place| session.log.phone(place).clock);
     let times: Vec<_> = clocks
         .map(|clock| Some(clock?.ticks_to_phone(now)))
         .collect();
@@ -87,7 +87,7 @@ fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Re
         frame_duration_ns: start.frame_duration_ns,
         exposure_ns: start.exposure_ns,
     };
-    session.log.set_video(place, video);
+    session.log.phone_mut(place).video = Some(video);
     session.log.save()?;
     session.log.report(SessionEvent::VideoStarted {
         phone: session.phones.name(place),
@@ -103,16 +103,18 @@ pub(crate) fn place_others(
 ) -> Result<(), Stop> {
     for place in phones.places().skip(1) {
         let phone = phones.name(place);
-        let known = (log.file.alignment, log.clock(place), log.video(place));
+        let known = (
+            log.file.alignment,
+            log.phone(place).clock,
+            log.phone(place).video,
+        );
         let (Some(alignment), Some(clock), Some(video)) = known else {
             log.report(SessionEvent::PhoneLeftOut { phone })?;
             continue;
         };
         let course = phones.course(place, clock);
         let placement = placement(profile, phones.profile(place), &course, &video, &alignment);
-        if let Some(kept) = log.other_phone(place) {
-            kept.placement = Some(placement);
-        }
+        log.phone_mut(place).placement = Some(placement);
         log.save()?;
         log.report(SessionEvent::Placed { phone, placement })?;
     }
@@ -230,7 +232,7 @@ pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(),
 /// Copies what the app does not send, the frames' timestamps and the sensors; where that
 /// does not work, gives the commands that do.
 pub(crate) fn fetch_files(session: &mut Session<'_>, place: usize) -> Result<(), Stop> {
-    let Some(video) = session.log.video(place) else {
+    let Some(video) = session.log.phone(place).video else {
         return Ok(());
     };
     let own = &session.phones.profile(place).name;

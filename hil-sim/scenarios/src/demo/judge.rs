@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use protocol::Ticks;
 use recording::reader::{Item, Reader};
-use recording::session_file::{OtherPhone, SessionFile, Span, Twist};
+use recording::session_file::{PhoneRecord, SessionFile, Span, Twist};
 use serde::Serialize;
 use timebase::BoardSeconds;
 use timebase::ClockModel;
@@ -275,18 +275,19 @@ impl Truth {
         let alignment = session
             .alignment
             .context("the session has aligned nothing")?;
-        let clock = session
+        let reference = session.reference().context("the session has no phone")?;
+        let clock = reference
             .clock
             .context("the session knows no relation of the clocks")?;
         let span = session
             .recorded
             .context("the session has recorded nothing")?;
-        let phase_ns = session
+        let phase_ns = reference
             .video
             .context("the session has started no video")?
             .phase
             .0;
-        let twist = last_twist(&session.twists, span).context("no twist related the clocks")?;
+        let twist = last_twist(&reference.twists, span).context("no twist related the clocks")?;
         let video = video_at(&self.videos, phase_ns)?;
         let phases = self.phases(&self.phone, video, &base, span);
         let phase = summarise(&phases).context("the recorded span has no frames")?;
@@ -345,7 +346,7 @@ impl Truth {
             .recorded
             .context("the session has recorded nothing")?;
         session
-            .phones
+            .further_phones()
             .iter()
             .zip(&self.others)
             .map(|(said, (clock, videos))| {
@@ -357,7 +358,7 @@ impl Truth {
 
     fn judge_other(
         &self,
-        said: &OtherPhone,
+        said: &PhoneRecord,
         (phone, videos): (&Oscillator, &[VideoTruth]),
         base: &Timebase,
         span: Span,

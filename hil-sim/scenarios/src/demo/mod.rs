@@ -111,7 +111,11 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
 /// Has `smartdepthsync offset` draw the first twist; nothing if there is none.
 fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result<Option<String>> {
     let session = SessionFile::load(recording)?;
-    let Some(twist) = session.twists.iter().find(|t| t.accepted) else {
+    let mut twists = session
+        .reference()
+        .into_iter()
+        .flat_map(|phone| &phone.twists);
+    let Some(twist) = twists.find(|twist| twist.accepted) else {
         return Ok(None);
     };
     let (Some(phone), Some(imu)) = (&twist.phone_gyro, &session.imu) else {

@@ -406,7 +406,7 @@ fn session_with_stop(seed: u64, stop_ms: f64) {
     let folder = rig.recording("whole");
     let file = SessionFile::load(&folder).unwrap();
     assert_eq!(file.outcome, Some(SessionOutcome::Good), "{said}");
-    assert_eq!(file.twists.len(), 2, "{said}");
+    assert_eq!(file.phones[0].twists.len(), 2, "{said}");
     let found = phone::video_files::find(&folder, None).unwrap().unwrap();
     assert_eq!(found.missing(), Vec::<&str>::new(), "{said}");
     assert!(!rig.phone().is_recording());
@@ -437,7 +437,7 @@ fn a_session_whose_video_does_not_start_stops_what_it_began() {
     // The phase comes after the app's own timeout, and the video runs.
     let rig = WholeRig::with(89, SPEED, |_, phone| phone.camera.frame_period_ns = 200e6);
     let said = Session::start(&mut rig.record("slow", &["--duration", "5s"])).ends_with(PHONE);
-    assert!(said.contains("the phone was told to stop"), "{said}");
+    assert!(said.contains("the phone was asked to stop"), "{said}");
     assert_eq!(rig.phone().videos().len(), 1);
     assert!(!rig.phone().is_recording());
 }

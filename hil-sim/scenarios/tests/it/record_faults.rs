@@ -481,50 +481,6 @@ fn a_kill_takes_the_depth_recorder_along() {
     rig.stop_phone();
 }
 
-/// With its guard killed too, nobody stops it; the next start says so.
-#[test]
-fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::new(16, SPEED);
-    let profile = format!(
-        "{}\n[depth.recorder]\ncommand = [\"sh\", \"-c\", \"echo $$ > {{folder}}/pid; sleep 600\"]\n",
-        rig.profile()
-    );
-    let mut session = Session::start(&mut rig.record_with("left", &profile, &[]));
-    session.wait_for("the trigger runs");
-    let pid = recorder_pid(&rig, "left");
-    let doctor = || {
-        let mut command = Command::new(smartdepthsync());
-        command.args(["doctor", "--port"]).arg(rig.rig.port());
-        command
-            .arg("--profile")
-            .arg(rig.folder.path().join("left.toml"));
-        let output = command.output().unwrap();
-        String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
-    };
-    let told = format!("still runs (process {pid})");
-    let guards = children(session.id());
-    // One of a `record` that lives is none.
-    let said = doctor();
-    assert!(!said.contains("still runs"), "{said}");
-    // The recorder is the other child.
-    for guard in guards.into_iter().filter(|child| *child != pid) {
-        let guard = rustix::process::Pid::from_raw(guard).unwrap();
-        rustix::process::kill_process(guard, Signal::KILL).unwrap();
-    }
-    session.signal(Signal::KILL);
-    session.end();
-    rig.stop_phone();
-    let said = doctor();
-    assert!(said.contains(&told), "{told}: {said}");
-    let mut next = Session::start(&mut rig.record_with("next", &profile, &[]));
-    next.wait_for(&told);
-    next.signal(Signal::INT);
-    next.ends_with(INTERRUPTED);
-    let group = rustix::process::Pid::from_raw(pid).unwrap();
-    rustix::process::kill_process_group(group, Signal::KILL).unwrap();
-}
-
 /// The number that a depth recorder writes into its recording.
 fn recorder_pid(rig: &WholeRig, name: &str) -> i32 {
     let file = rig.recording(name).join("pid");
@@ -534,15 +490,6 @@ fn recorder_pid(rig: &WholeRig, name: &str) -> i32 {
             _ => rig.wait_ms(10),
         }
     }
-}
-
-/// The processes that a process has started.
-fn children(process: u32) -> Vec<i32> {
-    let list = std::fs::read_to_string(format!("/proc/{process}/task/{process}/children"));
-    let list = list.unwrap();
-    list.split_whitespace()
-        .map(|pid| pid.parse().unwrap())
-        .collect()
 }
 
 #[test]

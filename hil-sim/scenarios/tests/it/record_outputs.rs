@@ -30,7 +30,7 @@ fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
     let mut command = rig.record_with("further", &profile, &["--duration", "12s"]);
     let said = Session::start(&mut command).ends_with(0);
     assert!(said.contains("left on output 2"), "{said}");
-    assert!(said.contains("VLP-16 is told"), "{said}");
+    assert!(said.contains("UTC for VLP-16"), "{said}");
 
     let folder = rig.recording("further");
     let session = SessionFile::load(&folder).unwrap();

@@ -23,7 +23,7 @@ fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
     let session = SessionFile::load(&folder).unwrap();
     assert_eq!(session.outcome, Some(SessionOutcome::Good));
     assert_eq!(session.profile.phone.name, "left");
-    let right = &session.phones[0];
+    let right = &session.phones[1];
     assert_eq!((right.name.as_str(), right.twists.len()), ("right", 2));
     // Each phone's files are in its own folder, and are all there.
     for file in &session.files {

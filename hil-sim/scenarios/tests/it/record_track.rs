@@ -97,7 +97,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     let forwarded = phone.adb(&["forward", "--list"]);
     assert!(forwarded.contains(&phone.serial()), "{forwarded}");
     phone.pull();
-    session.wait_for("the phone's clock is not heard any more");
+    session.wait_for("the phone's clock cannot be read any more");
     phone.plug();
     phone.wait_for_programs(2);
     session.wait_for("the phone's clock is followed again");
@@ -128,7 +128,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
 
     // The files of the video come through it too.
     rig.phone().wait_saved().unwrap();
-    let phase = recorded.video.unwrap().phase.0.to_string();
+    let phase = recorded.phones[0].video.unwrap().phase.0.to_string();
     let mut command = Command::new(smartdepthsync());
     command.args(["phone", "get-files", "--phase", &phase, "--out"]);
     let output = phone.show(command.arg(&folder)).output().unwrap();

@@ -543,7 +543,7 @@ fn write_session(folder: &Path, rig: &Rig) {
             + rig.phone.elapsed_at(at) as f64 / UNITS_PER_SECOND as f64;
         phone - board_s as f64
     };
-    session.clock = Some(ClockModel {
+    session.phones[0].clock = Some(ClockModel {
         reference: BoardSeconds(8.0),
         offset: offset_at(8) + 4e-6,
         skew: (offset_at(13) - offset_at(3)) / 10.0 + 1.5e-6,

@@ -1,5 +1,5 @@
 //! `smartdepthsync doctor`: is the rig ready for a recording? Each problem is listed
-//! with its fix. The checks are those of a session ([`crate::record::preflight`]).
+//! with its fix. The checks are those of a session.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -11,14 +11,15 @@ use crate::checks;
 use crate::context::Context;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use crate::record::phones::has_address;
-use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::recordings;
 use crate::rig_profile::ProfileArg;
 use board::imu::{ImuLook, Scale};
 use board::{Board, Event};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
+use serde::Serialize;
+use session::checks::{Checks, Fault, IMU_TIME, TRIGGER_TIME};
+use session::connect::has_addresses;
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
@@ -41,52 +42,86 @@ pub(crate) struct Args {
     pub(crate) no_phone: bool,
 }
 
+/// The checks of a rig, and what could not be checked.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct Found {
+    #[serde(flatten)]
+    pub(crate) checks: Checks,
+    /// The exit code of the first failure, where no bad check came before it.
+    #[serde(skip)]
+    failed: Option<ExitStatus>,
+}
+
+impl Found {
+    /// How a command ends that prints them: as the first bad one says.
+    pub(crate) fn outcome(&self) -> ExitStatus {
+        match (self.failed, self.checks.result()) {
+            (Some(status), _) => status,
+            (None, Err(error)) => Failure::from(error).status(),
+            (None, Ok(())) => ExitStatus::Good,
+        }
+    }
+
+    /// Adds a check that failed.
+    fn fail(&mut self, name: &str, failure: impl Into<Failure>) {
+        let failure = failure.into();
+        if self.checks.result().is_ok() {
+            self.failed = Some(failure.status());
+        }
+        let step = failure.what_to_do();
+        self.checks.bad(Fault::Rig, name, failure.to_string(), step);
+    }
+}
+
 /// Checks the rig.
 ///
 /// # Errors
 ///
 /// None but those of printing; what is wrong is in the result.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let checks = look(args, context);
-    context.print_checks(&checks, || checks::text(&checks.checks))?;
+    let found = look(args, context);
+    context.print_checks(&found, || checks::text(&found.checks.checks))?;
     if context.interrupt.requested() {
         return Ok(ExitStatus::Interrupted);
     }
-    Ok(checks.outcome())
+    Ok(found.outcome())
 }
 
 /// Makes the checks.
-pub(crate) fn look(args: &Args, context: &Context) -> Checks {
-    let mut checks = Checks::default();
+pub(crate) fn look(args: &Args, context: &Context) -> Found {
+    let mut found = Found::default();
     let profile = match args.profile.load() {
         Ok((mut profile, place)) => {
             if let Some(phone) = &args.phone {
                 profile.phone.address.clone_from(phone);
             }
-            checks.host(&profile, &place, &args.out);
+            found.checks = checks::host(&profile, &place, &args.out);
             Some(profile)
         }
         Err(error) => {
-            checks.bad("profile", error);
+            found.fail("profile", error);
             None
         }
     };
     match args.port.open() {
         Ok(mut board) => {
+            let checks = &mut found.checks;
             checks.firmware(&board, profile.as_ref());
-            let looked = check_imu(&mut board, &mut checks, context).and_then(|()| {
-                check_trigger(args, profile.as_ref(), &mut board, &mut checks, context)
-            });
+            let looked = check_imu(&mut board, checks, context)
+                .and_then(|()| check_trigger(args, profile.as_ref(), &mut board, checks, context));
             if let Err(error) = looked {
-                checks.bad("board", error);
+                found.fail("board", error);
             }
         }
-        Err(failure) => checks.bad("board", failure),
+        Err(failure) => found.fail("board", failure),
     }
     if let Some(profile) = profile.filter(|_| !args.no_phone) {
-        check_phone(&profile, &mut checks, context);
+        match check_phone(&profile, context) {
+            Ok(version) => found.checks.phone(&version, &profile.phone.address),
+            Err(failure) => found.fail("phone", failure),
+        }
     }
-    checks
+    found
 }
 
 /// Takes events for so long in board time. Ends early on Ctrl-C.
@@ -157,19 +192,16 @@ fn check_trigger(
     Ok(())
 }
 
-fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
-    if let Err(failure) = has_address(profile) {
-        return checks.bad("phone", failure);
-    }
+/// The version of the phone's app.
+fn check_phone(profile: &Profile, context: &Context) -> Result<String, Failure> {
+    has_addresses(profile)?;
     let settings = Settings {
         margin: Duration::from_secs(5),
         stop: context.interrupt.stop_signal(),
         ..Settings::default()
     };
-    let version =
-        PhoneClient::connect(&profile.phone.address, settings).and_then(|mut phone| phone.probe());
-    match version {
-        Ok(version) => checks.phone(&version.to_string(), &profile.phone.address),
-        Err(error) => checks.bad("phone", at_phone(error, &profile.phone.address)),
-    }
+    let address = &profile.phone.address;
+    let version = PhoneClient::connect(address, settings).and_then(|mut phone| phone.probe());
+    let version = version.map_err(|error| at_phone(error, address))?;
+    Ok(version.to_string())
 }

@@ -13,9 +13,9 @@ use crate::context::Context;
 use crate::decimal::seconds;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
-use crate::record::preflight::IMU_WIRING;
 use board::imu::{Sample, Scale, Summary, SummaryReport, last_fault};
 use board::{Board, Event, Stream};
+use session::checks::IMU_WIRING;
 
 /// How long, in board time, samples may stay away before it is given up. The
 /// board recovers a sensor within a second.

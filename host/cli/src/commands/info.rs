@@ -6,8 +6,8 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use crate::record::preflight::firmware_version;
 use crate::rig_profile::{Place, ProfileArg};
+use session::checks::firmware_version;
 
 /// Options of `info`.
 #[derive(Debug, clap::Args)]

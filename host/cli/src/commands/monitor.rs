@@ -1,31 +1,30 @@
 //! `smartdepthsync monitor`: look at the board while it runs.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use protocol::{TICK_HZ, Ticks};
+use protocol::{DeviceToHost, TICK_HZ, Ticks};
+use serde::Serialize;
 
 use crate::advice::imu_scale;
 use crate::context::Context;
 use crate::decimal::parse_duration;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use crate::record::{Connector as _, SerialConnector};
-use crate::view::gauge::Gauge;
-use crate::view::lines::line;
-use crate::view::screen::{Key, Screen};
-use crate::view::{PERIOD, Snapshot};
-use board::Event;
+use crate::view::plain::line;
+use crate::view::screen::{Key, PERIOD, Screen, SharedState, lock};
+use crate::view::state::{Losses, Rates, Sensor, State, Trigger};
 use board::imu::Scale;
 use board::transport::LinkError;
-use board::{Board, BoardError};
+use board::{Board, BoardError, Event};
+use recording::finding::Finding;
 use recording::profile::Profile;
+use session::devices::Connector as _;
+use session::event::{SessionEvent, Stamped};
+use session::hardware::SerialConnector;
 
 /// How often a plain line is written where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
-
-/// What the state is called.
-const STATE: &str = "monitor";
 
 /// Look at the board: trigger, gyroscope, rates, losses. Nothing is changed and
 /// nothing is recorded.
@@ -47,6 +46,20 @@ pub(crate) struct Args {
     plain: bool,
 }
 
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct PrintedState<'a> {
+    state: String,
+    board: &'a str,
+    now: Ticks,
+    trigger: &'a Trigger,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    sensors: Vec<Sensor>,
+    rates: Rates,
+    losses: Losses,
+    warnings: Vec<&'a Finding>,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -57,15 +70,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let scale = imu_scale(&board.imu()?)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let profile = args.profile.as_deref().map(Profile::load).transpose()?;
-    let mut gauge = Gauge::default();
-    gauge.latest.state = String::from(STATE);
-    gauge.latest.board.clone_from(&id);
-    if let Some(profile) = &profile {
-        gauge.know_rig(profile);
-    }
+    let state = SharedState::new(State::of_board(id.clone(), profile.as_ref()).into());
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen
-        .then(|| Screen::open(&context.interrupt))
+        .then(|| Screen::open(&state, &context.interrupt))
         .flatten();
     let keys = screen.as_mut().and_then(Screen::take_keys);
     let mut monitor = Monitor {
@@ -75,45 +83,46 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         },
         scale,
         id,
-        gauge,
-        screen,
+        state,
         begun: None,
         last_line: None,
     };
-    let mut shown = Instant::now();
-    let mut snapshot = Snapshot::default();
     while !context.interrupt.requested() {
         monitor.take_events(&mut board)?;
-        if shown.elapsed() >= PERIOD {
-            shown = Instant::now();
-            snapshot = monitor.gauge.snapshot(None, None);
-            if let Some(screen) = &monitor.screen {
-                screen.show(snapshot.clone());
-            }
+        let now = lock(&monitor.state).now;
+        if screen.is_none() {
+            monitor.line(now)?;
         }
-        monitor.line(&snapshot)?;
-        let asked = keys
+        let is_left = keys
             .as_ref()
             .is_some_and(|keys| keys.try_iter().any(|key| key == Key::Quit));
-        if asked || monitor.is_over(snapshot.now, args.duration) {
+        if is_left || monitor.is_over(now, args.duration) {
             break;
         }
     }
-    monitor.screen = None;
-    let snapshot = monitor.gauge.snapshot(None, None);
-    context.print_json(&snapshot)?;
-    let losses = &snapshot.losses;
+    drop(screen);
+    let state = lock(&monitor.state);
+    context.print_json(&PrintedState {
+        state: state.doing(),
+        board: &state.board,
+        now: state.now,
+        trigger: &state.trigger,
+        sensors: state.sensors(),
+        rates: state.rates(),
+        losses: state.losses,
+        warnings: state.warnings.iter().collect(),
+    })?;
+    let losses = state.losses;
     Ok(ExitStatus::of_loss(losses.messages + losses.damaged > 0))
 }
 
-/// A board that is looked at.
+/// A board that is monitored.
 struct Monitor<'a> {
     context: &'a Context,
     connector: SerialConnector,
     scale: Scale,
     id: String,
-    gauge: Gauge,
-    screen: Option<Screen>,
+    state: SharedState,
     /// The first board time that was shown, since the board's last reset.
     begun: Option<Ticks>,
     last_line: Option<Ticks>,
@@ -126,7 +135,7 @@ impl Monitor<'_> {
         // Bounded, so that keys stay alive under full load.
         for _ in 0..2_000 {
             match board.next_event(wait) {
-                Ok(Some(event)) => self.take(event)?,
+                Ok(Some(event)) => self.take(board.conversation().latest(), event)?,
                 Ok(None) => break,
                 Err(BoardError::Link(error)) => {
                     self.relink(board, &error);
@@ -139,26 +148,31 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    fn take(&mut self, event: Event) -> Result<(), Failure> {
+    fn take(&mut self, at: Ticks, event: Event) -> Result<(), Failure> {
         match event {
             Event::Message(message) => {
-                self.gauge.take(&message, Some(&self.scale));
+                let sample = match &message {
+                    DeviceToHost::Imu(raw) => Some(self.scale.apply(raw)),
+                    _ => None,
+                };
+                self.tell(at, SessionEvent::Board { message, sample });
             }
             Event::Lost { stream, count } => {
-                self.gauge.lost(count);
-                let text = format!("{count} {stream} lost");
-                self.gauge.warning("pulse_messages_lost", &text);
+                let stream = stream.to_string();
+                self.warn(at, "pulse_messages_lost", format!("{count} {stream} lost"));
+                self.tell(at, SessionEvent::Lost { stream, count });
             }
             Event::Disordered { stream } => {
                 let text = format!("{stream} came twice, or with numbers that do not follow");
-                self.gauge.warning("numbers_disordered", &text);
+                self.warn(at, "numbers_disordered", text);
             }
             Event::Damaged(error) => {
-                self.gauge.damaged();
-                self.gauge.warning("damaged", &error.to_string());
+                let reason = error.to_string();
+                self.warn(at, "damaged", reason.clone());
+                self.tell(at, SessionEvent::Damaged { reason });
             }
             Event::Restarted { .. } => {
-                self.gauge.warning("restarted", "the board was reset");
+                self.warn(at, "restarted", String::from("the board was reset"));
                 self.begun = None;
                 self.last_line = None;
             }
@@ -170,33 +184,40 @@ impl Monitor<'_> {
         Ok(())
     }
 
+    fn warn(&self, at: Ticks, kind: &'static str, text: String) {
+        let finding = Finding::check(kind, text);
+        self.tell(at, SessionEvent::Found { finding });
+    }
+
+    fn tell(&self, at: Ticks, event: SessionEvent) {
+        lock(&self.state).take(&Stamped { at, event });
+    }
+
     /// Waits until the board is back, or the user stops.
-    fn relink(&mut self, board: &mut Board, error: &LinkError) {
-        self.gauge.warning("link_lost", &error.to_string());
-        self.gauge.latest.losses.reconnects += 1;
-        self.gauge.latest.state = String::from("link lost");
-        if let Some(screen) = &self.screen {
-            screen.show(self.gauge.snapshot(None, None));
-        }
+    fn relink(&self, board: &mut Board, error: &LinkError) {
+        let at = lock(&self.state).now;
+        let reason = error.to_string();
+        self.tell(at, SessionEvent::LinkLost { reason });
+        let mut connector = self.connector.clone();
         while !self.context.interrupt.requested() {
-            let link = self.connector.connect(Some(&self.id));
+            let link = connector.connect(Some(&self.id));
             if link.and_then(|link| board.reconnect(link)).is_ok() {
+                let away_s = 0.0;
+                self.tell(at, SessionEvent::LinkBack { away_s });
                 break;
             }
             std::thread::sleep(Duration::from_millis(300));
         }
-        self.gauge.latest.state = String::from(STATE);
     }
 
-    /// A plain line, where there is no view and it is time for one.
-    fn line(&mut self, snapshot: &Snapshot) -> Result<(), Failure> {
-        let now = snapshot.now;
+    /// A plain line, if it is time for one.
+    fn line(&mut self, now: Ticks) -> Result<(), Failure> {
         let is_due = self
             .last_line
             .is_none_or(|last| now.0.saturating_sub(last.0) >= LINE_TICKS);
-        if self.screen.is_none() && is_due && now > Ticks::ZERO {
+        if is_due && now > Ticks::ZERO {
             self.last_line = Some(now);
-            self.context.print_text(|| line(snapshot))?;
+            self.context.print_text(|| line(&lock(&self.state)))?;
         }
         Ok(())
     }

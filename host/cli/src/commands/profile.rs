@@ -244,15 +244,15 @@ fn learn_from(
         Failure::new(ExitStatus::Refused, format!("{shown}: {error}"))
             .next_step("give the timestamps of a longer recording, whole as the app wrote them")
     })?;
-    let clocks = session.clocks_of(phone).ok_or_else(|| {
+    let recorded = session.phone(phone).ok_or_else(|| {
         Failure::new(
             ExitStatus::Usage,
             format!("the recording has no phone called {phone:?}"),
         )
         .next_step("give --phone as the phone is called in the recording's session.json")
     })?;
-    let skew = learn::skew_of_twists(clocks, session.runs.len());
-    let twists = clocks.0.iter().filter(|twist| twist.accepted);
+    let skew = learn::skew_of_twists(recorded);
+    let twists = recorded.twists.iter().filter(|twist| twist.accepted);
     let origin = learn::Origin {
         board_id: session.board.as_ref().map(|board| board.id.as_str()),
         // A session file has the time when it began; one that has not is taken for today's.
@@ -265,7 +265,7 @@ fn learn_from(
         period_ns: period.period_ns,
         sigma_ns: period.sigma_ns,
         jitter_ns: Some(period.jitter_ns),
-        exposure_us: session.exposure_us_of(phone),
+        exposure_us: recorded.video.and_then(|video| video.exposure_us()),
     };
     let learnt = learn::learnt(&frames, skew, &origin);
     let text = learn::into_profile(&text, file, Some(phone), &learnt)?;

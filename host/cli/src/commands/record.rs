@@ -2,25 +2,37 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::Serialize;
 
 use super::profile::{Lesson, learn};
 use crate::checks::{self, text_of_judgement};
 use crate::context::Context;
+use crate::decimal::{parse_duration, parse_real_time};
+use crate::operator::AtTerminal;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use crate::record::track::Track;
-use crate::record::{self, Ended, Options, SerialConnector};
+use crate::recordings;
 use crate::rig_profile::{Place, ProfileArg};
+use crate::view::View;
+use crate::view::state::State;
 use phone::adb::get_files_command;
-use recording::session_file::{OtherPhone, SessionFile};
+use phone::task::PhoneTask;
+use recording::folder::check_name;
+use recording::profile::Profile;
+use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
 use report::session::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
+use session::devices::{Devices, Phone, SystemClock};
+use session::hardware::{AdbClockStarter, SerialConnector};
+use session::options::{Options, Track, seconds};
+use session::recorder_process::RecorderProcess;
+use session::run::{Ended, run as run_session};
 use timebase::PhoneNanos;
 
 /// How long a calibration records between its twists: a minute is the least that a rate is
 /// learnt from.
-const CALIBRATION_TICKS: u64 = record::seconds(90);
+const CALIBRATION_TICKS: u64 = seconds(90);
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
@@ -35,8 +47,44 @@ pub(crate) struct Args {
     /// Of several phones, the one that the trigger is aligned to, instead of the profile's
     #[arg(long, value_name = "NAME")]
     reference: Option<String>,
-    #[command(flatten)]
-    options: Options,
+    /// Folder in which the recording's folder is made
+    #[arg(long, value_name = "FOLDER", default_value = recordings::FOLDER)]
+    out: PathBuf,
+    /// Name of the recording's folder [default: date and time]
+    #[arg(long, value_parser = check_name)]
+    name: Option<String>,
+    /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
+    #[arg(long, value_parser = parse_duration)]
+    duration: Option<u64>,
+    /// Never prompt; stop at the first failure
+    #[arg(long)]
+    yes: bool,
+    /// How long to wait for a lost USB link to come back, in real time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
+    link_patience: Duration,
+    /// Plain lines instead of the live view
+    #[arg(long)]
+    plain: bool,
+    /// Print what happens as it happens, one JSON object a line, and nothing else on standard
+    /// output; plain lines instead of the live view
+    #[arg(long)]
+    events: bool,
+    /// Set a mark this long after the start; may be given more than once
+    #[arg(long = "marker", value_name = "AFTER", value_parser = parse_duration)]
+    markers: Vec<u64>,
+    /// Twists before the recording: two know the rate of the clocks today, three and more
+    /// how it changes while the rig warms up
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=5))]
+    twists: u32,
+    /// Between two of these twists, in board time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
+    twist_gap: u64,
+    /// Twist again at the end: a far better skew, and `profile learn` needs it
+    #[arg(long)]
+    second_twist: bool,
+    /// Download the phone's video at the end
+    #[arg(long)]
+    fetch_video: bool,
     /// Record for 90 s between two twists, and write what that teaches about the phone's
     /// clocks into the rig profile
     #[arg(long)]
@@ -49,6 +97,32 @@ pub(crate) struct Args {
     /// Do not follow the phone's clock: nothing is started on the phone
     #[arg(long, conflicts_with = "track")]
     no_track: bool,
+}
+
+impl Args {
+    fn options(&self) -> Options {
+        let duration = match self.calibrate {
+            true => Some(self.duration.unwrap_or(CALIBRATION_TICKS)),
+            false => self.duration,
+        };
+        Options {
+            out: self.out.clone(),
+            name: self.name.clone(),
+            duration,
+            link_patience: self.link_patience,
+            markers: self.markers.clone(),
+            track: match (self.track, self.no_track) {
+                (true, _) => Track::Always,
+                (_, true) => Track::Never,
+                _ => Track::IfThere,
+            },
+            twists: self.twists,
+            twist_gap: self.twist_gap,
+            second_twist: self.second_twist || self.calibrate,
+            fetch_video: self.fetch_video,
+            first_command: None,
+        }
+    }
 }
 
 /// What `--json` prints.
@@ -72,6 +146,13 @@ struct PrintedSession<'a> {
 ///
 /// A step failed; what was recorded before is kept.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+    if args.events && context.global.json {
+        return Err(Failure::new(
+            ExitStatus::Usage,
+            "--events and --json both print on standard output",
+        )
+        .next_step("give one of them"));
+    }
     let (mut profile, place) = args.profile.load()?;
     for phone in &args.phone {
         profile.set_address(phone)?;
@@ -83,25 +164,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         true => Some(calibrates(args, &place)?),
         false => None,
     };
-    let mut options = args.options.clone();
-    options.profile = place.clone();
-    options.track = match (args.track, args.no_track) {
-        (true, _) => Track::Always,
-        (_, true) => Track::Never,
-        _ => Track::IfThere,
-    };
-    if args.calibrate {
-        options.duration.get_or_insert(CALIBRATION_TICKS);
-        options.second_twist = true;
-    }
-    let mut connector = SerialConnector {
-        port: args.port.port.clone(),
-    };
     let Ended {
         result,
         folder,
         file,
-    } = record::run(&options, &profile, context, &mut connector)?;
+    } = record(args, &profile, &place, context)?;
     // The recording is there, whatever becomes of its report.
     let html = match report::session::write(&folder, &file, &|| false) {
         Ok(path) => Some(path),
@@ -111,10 +178,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
     };
     let outcome = match result {
-        Ok(outcome) => outcome,
-        Err(failure) => {
+        Ok(SessionOutcome::Good) => ExitStatus::Good,
+        Ok(SessionOutcome::Loss) => ExitStatus::Loss,
+        Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
+        Ok(SessionOutcome::Failed) => ExitStatus::Error,
+        Err(error) => {
             context.say(format!("what was recorded is in {}", folder.display()));
-            return Err(failure);
+            return Err(error.into());
         }
     };
     let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
@@ -132,7 +202,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         learnt,
         session: &file,
     };
-    context.print_checks(&report, || summary(&report))?;
+    match args.events {
+        true => context.say(summary(&report)),
+        false => context.print_checks(&report, || summary(&report))?,
+    }
     match not_learnt {
         Some(failure) => {
             Err(failure.about("the recording is there, but nothing was learnt from it"))
@@ -141,11 +214,57 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     }
 }
 
+/// Runs the session on the devices of this computer.
+fn record(
+    args: &Args,
+    profile: &Profile,
+    place: &Place,
+    context: &Context,
+) -> Result<Ended, Failure> {
+    let mut phones: Vec<Box<dyn Phone>> = Vec::new();
+    for phone in profile.all_phones() {
+        let task = PhoneTask::start(phone.address.clone()).map_err(|error| {
+            Failure::new(ExitStatus::Error, format!("no thread: {error}"))
+                .next_step("close other programs: the system gives no more threads")
+        })?;
+        phones.push(Box::new(task));
+    }
+    let asks = !args.yes && !context.global.json;
+    let wants_screen = !(args.plain || args.events || context.global.json);
+    let state = State::of_session(profile, asks);
+    let mut view = View::open(context, state, wants_screen, args.events);
+    let mut operator = AtTerminal::new(view.take_keys(), asks, &context.interrupt);
+    let devices = Devices {
+        connector: &mut SerialConnector {
+            port: args.port.port.clone(),
+        },
+        phones,
+        phone_clock: &mut AdbClockStarter {
+            stop: context.interrupt.stop_signal(),
+        },
+        recorder: &mut RecorderProcess::default(),
+        host_checks: &mut || checks::host(profile, place, &args.out),
+        clock: &SystemClock,
+        operator: &mut operator,
+        events: &mut |event| view.take(event),
+    };
+    let ended = run_session(&args.options(), profile, devices);
+    // Gives the terminal back before anything else is said on it.
+    drop(view);
+    ended?.ok_or_else(|| {
+        Failure::new(
+            ExitStatus::Interrupted,
+            "stopped before anything was recorded",
+        )
+        .next_step("start it again when you are ready")
+    })
+}
+
 /// The profile that a calibration teaches.
 fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     let file = place.file()?;
-    match args.options.duration {
-        Some(ticks) if ticks < record::seconds(60) => Err(Failure::new(
+    match args.duration {
+        Some(ticks) if ticks < seconds(60) => Err(Failure::new(
             ExitStatus::Usage,
             "a calibration needs a minute or more between its two twists",
         )
@@ -218,7 +337,7 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
             (span.to - span.from).as_secs_f64()
         );
     }
-    if let Some(clock) = session.clock {
+    if let Some(clock) = session.clock() {
         let (offset_us, skew_ppm) = sigmas(&clock);
         let (offset, skew) = (clock.offset, clock.skew * 1e6);
         let _ = writeln!(
@@ -229,7 +348,7 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
     if let Some(alignment) = session.alignment {
         let _ = writeln!(text, "alignment    {}", alignment.promise());
     }
-    for phone in &session.phones {
+    for phone in session.further_phones() {
         let _ = writeln!(text, "{}", phone_line(phone));
     }
     let counts = session.counts;
@@ -270,7 +389,7 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
     }
 }
 
-fn phone_line(phone: &OtherPhone) -> String {
+fn phone_line(phone: &PhoneRecord) -> String {
     let mut text = format!("phone        {}", phone.name);
     if let Some(clock) = phone.clock {
         let (sigma, _) = sigmas(&clock);

@@ -15,7 +15,6 @@ use crate::context::Context;
 use crate::new_profile::{Camera, recorder_command, text};
 use crate::options::{PortArg, number_in};
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
-use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
 use recording::camera::{DEFAULT_CAMERA, Mode, Model};
@@ -127,7 +126,7 @@ fn parse_exposure(text: &str) -> Result<f64, String> {
 struct PrintedSetup {
     profile: PathBuf,
     #[serde(flatten)]
-    checks: Checks,
+    found: doctor::Found,
     /// The next command.
     next: String,
 }
@@ -177,8 +176,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         no_trigger: args.no_trigger,
         no_phone: false,
     };
-    let checks = doctor::look(&doctor, context);
-    let is_ready = checks.failure().is_none();
+    let found = doctor::look(&doctor, context);
+    let is_ready = found.checks.result().is_ok();
     let port = args.port.port.as_deref().map_or(String::new(), |port| {
         format!(" --port {}", files::shell_word(port.as_ref()))
     });
@@ -192,7 +191,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     };
     let printed = PrintedSetup {
         profile: args.profile.clone(),
-        checks,
+        found,
         next,
     };
     context.print_checks(&printed, || {
@@ -200,10 +199,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             true => "next, with the phone and the rig in your hands",
             false => "mend what is BAD above; then",
         };
-        let checks = crate::checks::text(&printed.checks.checks);
+        let checks = crate::checks::text(&printed.found.checks.checks);
         format!("{checks}\n{what}\n  {}", printed.next)
     })?;
-    Ok(printed.checks.outcome())
+    Ok(printed.found.outcome())
 }
 
 /// Asks the person at the terminal, or whoever writes to standard input.
@@ -329,7 +328,7 @@ mod tests {
     use clap::Parser as _;
 
     use super::*;
-    use crate::context::{Global, Interrupt, Said};
+    use crate::context::{Global, Interrupt};
     use recording::profile::Profile;
 
     #[derive(clap::Parser)]
@@ -346,7 +345,6 @@ mod tests {
                 verbose: 0,
             },
             interrupt: Interrupt::default(),
-            said: Said::default(),
         };
         let mut asker = Asker {
             input: lines.as_bytes(),

@@ -9,13 +9,13 @@ use protocol::{
 };
 use serde::Serialize;
 
-use crate::arrival::PlannedArrival;
 use crate::context::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use board::{Board, BoardError, Event};
 use evaluate::train::TrainGeometry;
+use session::steps::PlannedArrival;
 
 /// Options of `trigger`.
 #[derive(Debug, clap::Args)]

@@ -1,8 +1,9 @@
 //! The thread that owns the terminal.
 
 use std::io::{IsTerminal as _, Stderr, Write as _, stderr, stdin};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -14,10 +15,13 @@ use ratatui::crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
 };
 
-use super::draw::draw;
-use super::{PERIOD, Snapshot};
+use super::state::State;
+use super::text::draw;
 use crate::context::Interrupt;
 use crate::log;
+
+/// How often a new picture is made.
+pub(crate) const PERIOD: Duration = Duration::from_millis(100);
 
 /// How long the terminal is waited for at the end; one that takes nothing must not
 /// keep the program.
@@ -38,15 +42,17 @@ pub(crate) enum Key {
     Quit,
 }
 
-#[derive(Default)]
-struct Slot {
-    snapshot: Snapshot,
-    stop: bool,
+/// The state that the screen shows.
+pub(crate) type SharedState = Arc<Mutex<State>>;
+
+/// Locks it.
+pub(crate) fn lock(state: &SharedState) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The view, while it is on the terminal. Dropping it gives the terminal back.
 pub(crate) struct Screen {
-    slot: Arc<Mutex<Slot>>,
+    stop: Arc<AtomicBool>,
     keys: Option<Receiver<Key>>,
     done: Receiver<()>,
     thread: Option<JoinHandle<()>>,
@@ -61,20 +67,21 @@ pub(crate) fn is_possible() -> bool {
 impl Screen {
     /// Takes the terminal. `None` if it cannot be taken. A Ctrl-C becomes an
     /// interrupt, as it does without the view.
-    pub(crate) fn open(interrupt: &Interrupt) -> Option<Self> {
+    pub(crate) fn open(state: &SharedState, interrupt: &Interrupt) -> Option<Self> {
         if !is_possible() || enable_raw_mode().is_err() {
             return None;
         }
-        let slot = Arc::new(Mutex::new(Slot::default()));
+        let stop = Arc::new(AtomicBool::new(false));
         let (key_sender, keys) = channel();
         let (done_sender, done) = channel();
-        let (theirs, interrupt) = (Arc::clone(&slot), interrupt.clone());
+        let (their_stop, state) = (Arc::clone(&stop), Arc::clone(state));
+        let interrupt = interrupt.clone();
         log::hold();
         let spawned = std::thread::Builder::new()
             .name(String::from("view"))
             .spawn(move || {
                 // Only the view is lost: the recording goes on without it.
-                if let Err(error) = show(&theirs, &key_sender, &interrupt) {
+                if let Err(error) = show(&state, &their_stop, &key_sender, &interrupt) {
                     tracing::debug!("the view has ended: {error}");
                 }
                 let _ = disable_raw_mode();
@@ -84,7 +91,7 @@ impl Screen {
             });
         match spawned {
             Ok(thread) => Some(Self {
-                slot,
+                stop,
                 keys: Some(keys),
                 done,
                 thread: Some(thread),
@@ -102,17 +109,12 @@ impl Screen {
         self.keys.take()
     }
 
-    /// Puts a new state into the slot. Never waits for the terminal.
-    pub(crate) fn show(&self, snapshot: Snapshot) {
-        lock(&self.slot).snapshot = snapshot;
-    }
-
     /// Gives the terminal back, if it still takes anything.
     pub(crate) fn close(&mut self) {
         let Some(thread) = self.thread.take() else {
             return;
         };
-        lock(&self.slot).stop = true;
+        self.stop.store(true, Ordering::Relaxed);
         if self.done.recv_timeout(PATIENCE).is_ok() {
             // It has ended; there is nothing to be had from it.
             let _ = thread.join();
@@ -126,27 +128,22 @@ impl Drop for Screen {
     }
 }
 
-fn lock(slot: &Mutex<Slot>) -> std::sync::MutexGuard<'_, Slot> {
-    slot.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn show(slot: &Mutex<Slot>, keys: &Sender<Key>, interrupt: &Interrupt) -> std::io::Result<()> {
+fn show(
+    state: &SharedState,
+    stop: &AtomicBool,
+    keys: &Sender<Key>,
+    interrupt: &Interrupt,
+) -> std::io::Result<()> {
     let mut out = stderr();
     execute!(out, EnterAlternateScreen)?;
     let mut terminal: Terminal<CrosstermBackend<Stderr>> =
         Terminal::new(CrosstermBackend::new(stderr()))?;
     terminal.clear()?;
     let mut help = false;
-    loop {
-        // Taken out of the slot first: the session must never wait for a drawing.
-        let (snapshot, stop) = {
-            let slot = lock(slot);
-            (slot.snapshot.clone(), slot.stop)
-        };
-        if stop {
-            break;
-        }
-        terminal.draw(|frame| draw(frame, &snapshot, help))?;
+    while !stop.load(Ordering::Relaxed) {
+        // A copy: the session must never wait for a drawing.
+        let copy = lock(state).clone();
+        terminal.draw(|frame| draw(frame, &copy, help))?;
         let drawn = Instant::now();
         while let Some(left) = PERIOD.checked_sub(drawn.elapsed()) {
             if !event::poll(left)? {

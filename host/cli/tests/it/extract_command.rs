@@ -53,7 +53,7 @@ fn recording(parent: &Path) -> PathBuf {
     }
     writer.finish().unwrap();
     let mut session = SessionFile::new("walk".into(), Profile::published().unwrap());
-    session.clock = Some(ClockModel {
+    session.phones[0].clock = Some(ClockModel {
         reference: BoardSeconds(2.0),
         offset: OFFSET as f64,
         skew: 0.0,

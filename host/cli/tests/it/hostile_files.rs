@@ -195,7 +195,7 @@ fn numbers_beyond_all_reason_are_left_out_of_a_report() {
     if let Some(alignment) = &mut session.alignment {
         alignment.clock.covariance = [[1e308, 0.0], [0.0, 1e308]];
         alignment.frame_period_ns = 1e-300;
-        session.clock = Some(alignment.clock);
+        session.phones[0].clock = Some(alignment.clock);
     }
     session.save(&folder).unwrap();
     let output = limited(&["report", utf8(&folder)]);

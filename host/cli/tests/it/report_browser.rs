@@ -16,8 +16,8 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
     let folder = make(parent.path(), Wrong::default());
     let mut session = SessionFile::load(&folder).unwrap();
     let clock = session.alignment.unwrap().clock;
-    session.clock = Some(clock);
-    session.twists.push(Twist {
+    session.phones[0].clock = Some(clock);
+    session.phones[0].twists.push(Twist {
         phone_gyro: Some(String::from("twist_1_phone_gyro.csv")),
         span: Span {
             from: Ticks(48_000_000),

@@ -191,13 +191,8 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
 
 /// Name and phase, ns, of each phone that made a video.
 fn videos(session: &SessionFile) -> impl Iterator<Item = (&str, i64)> {
-    let own = (session.profile.phone.name.as_str(), session.video);
-    let others = session
-        .phones
-        .iter()
-        .map(|phone| (phone.name.as_str(), phone.video));
-    let all = std::iter::once(own).chain(others);
-    all.filter_map(|(name, video)| Some((name, video?.phase.0)))
+    let phones = session.phones.iter();
+    phones.filter_map(|phone| Some((phone.name.as_str(), phone.video?.phase.0)))
 }
 
 /// The folder of a phone's files.
@@ -404,7 +399,7 @@ mod tests {
     fn files_of_the_phone_are_asked_for_where_they_are_missing() {
         let folder = tempfile::tempdir().unwrap();
         let mut session = session();
-        session.video = Some(recording::session_file::Video {
+        session.phones[0].video = Some(recording::session_file::Video {
             phase: timebase::PhoneNanos(42),
             frame_duration_ns: 33e6,
             exposure_ns: None,

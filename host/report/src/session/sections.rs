@@ -12,11 +12,14 @@ use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
 pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
-    if session.twists.is_empty() && session.clock.is_none() {
+    let Some(phone) = session.reference() else {
+        return;
+    };
+    if phone.twists.is_empty() && phone.clock.is_none() {
         return;
     }
     page.section("The clocks of phone and board");
-    if let Some(clock) = session.clock {
+    if let Some(clock) = phone.clock {
         let (offset_us, skew_ppm) = sigmas(&clock);
         let (offset, at) = (clock.offset, clock.reference.0);
         let offset = format!("{offset:.6} s ± {offset_us:.2} µs at {at:.3} s of board time");
@@ -24,7 +27,7 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
         page.facts(&[("phone minus board", offset), ("rate of the phone", rate)]);
     }
     let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.3}"));
-    let rows: Vec<Vec<String>> = session
+    let rows: Vec<Vec<String>> = phone
         .twists
         .iter()
         .enumerate()
@@ -54,7 +57,7 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
             &rows,
         );
     }
-    if let (Some(clock), Some(span)) = (session.clock, session.recorded) {
+    if let (Some(clock), Some(span)) = (phone.clock, session.recorded) {
         let sigma_us = |at| clock.offset_at(at).sigma * 1e6;
         let svg = curve("offset", "1-sigma of the offset, µs", span, sigma_us);
         if !svg.is_empty() {
@@ -123,7 +126,8 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
 
 /// Clocks and frames of the phones that the trigger does not follow.
 pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
-    if session.phones.is_empty() {
+    let phones = session.further_phones();
+    if phones.is_empty() {
         return;
     }
     page.section("Further phones");
@@ -133,8 +137,7 @@ pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
          measures it.",
         session.profile.phone.name
     ));
-    let rows: Vec<Vec<String>> = session
-        .phones
+    let rows: Vec<Vec<String>> = phones
         .iter()
         .map(|phone| {
             let used = phone.twists.iter().filter(|twist| twist.accepted).count();

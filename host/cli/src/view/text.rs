@@ -1,0 +1,687 @@
+//! The state onto a screen.
+//!
+//! Laid out for 80 columns and 24 lines; larger screens give the room to the chart
+//! and the lists, smaller ones lose the chart first. Only the sixteen colours of
+//! any terminal are used, and nothing is shown by colour alone.
+
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Paragraph, Wrap};
+
+use protocol::Ticks;
+
+use super::plain::{line, lock};
+use super::state::{Keys, State, Twist};
+
+/// Below this the chart is left out.
+const CHART_MIN: u16 = 20;
+
+/// Below this width, things stand below each other.
+const WIDE: u16 = 70;
+
+/// Rows that all but chart, sensors and further phones need.
+const SENSORS_MIN: u16 = 16;
+
+/// The same with a twist, whose part must not give any room.
+const TWIST_MIN: u16 = 24;
+
+/// Rows of the twist's part.
+const TWIST_ROWS: u16 = 8;
+
+/// Rows of the smallest chart.
+const CHART_ROWS: u16 = 5;
+
+const GOOD: Style = Style::new().fg(Color::Green);
+const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
+const WARN: Style = Style::new().fg(Color::Yellow);
+const DIM: Style = Style::new().fg(Color::DarkGray);
+const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
+
+/// Draws it. `help` shows what the keys do.
+pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
+    let area = frame.area();
+    if area.width < 20 || area.height < 6 {
+        let line = Paragraph::new(line(state)).wrap(Wrap { trim: true });
+        return frame.render_widget(line, area);
+    }
+    let twist = state.twist();
+    let (warning_lines, said_lines) = (warnings(state, area.width), said(state, area.width));
+    let mut sensors = sensor_lines(state);
+    // They take room from the chart, and in a small terminal have none.
+    let needed = match twist {
+        Some(_) => TWIST_MIN,
+        None => SENSORS_MIN,
+    };
+    sensors.truncate(usize::from(area.height.saturating_sub(needed)));
+    let panels_height = if area.width >= WIDE { 8 } else { 14 };
+    let middle_min = match (&twist, area.height >= CHART_MIN) {
+        (Some(_), _) => TWIST_ROWS,
+        (None, true) => CHART_ROWS,
+        (None, false) => 0,
+    };
+    let others = 2 + panels_height + sensors.len() as u16 + middle_min;
+    let (warning_height, said_height) = heights(
+        area.height.saturating_sub(others),
+        area.height,
+        &warning_lines,
+        &said_lines,
+    );
+    let [title, panels, rows, middle, warning, talk, keys] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(panels_height),
+        Constraint::Length(sensors.len() as u16),
+        Constraint::Min(0),
+        Constraint::Length(warning_height),
+        Constraint::Length(said_height),
+        Constraint::Length(1),
+    ])
+    .areas(area);
+    frame.render_widget(title_line(state), title);
+    draw_panels(frame, state, panels);
+    frame.render_widget(Paragraph::new(sensors), rows);
+    if let Some(twist) = &twist {
+        draw_twist(frame, twist, middle);
+    } else if area.height >= CHART_MIN {
+        draw_chart(frame, state, middle);
+    }
+    draw_warnings(frame, warning_lines, warning);
+    draw_said(frame, said_lines, talk);
+    frame.render_widget(keys_line(state.keys()), keys);
+    if help {
+        draw_help(frame, area);
+    }
+}
+
+fn title_line(state: &State) -> Paragraph<'static> {
+    let mut text = format!(" SmartDepthSync  {}", state.doing().to_uppercase());
+    if let Some((elapsed, length)) = state.recorded_s() {
+        text.push_str(&format!("  {}", clock(elapsed)));
+        if let Some(length) = length {
+            text.push_str(&format!(" of {}", clock(length)));
+        }
+    }
+    text.push_str(&format!(
+        "   board {} at {:.1} s",
+        short(&state.board),
+        state.now.as_secs_f64()
+    ));
+    let colour = match state.warnings.is_empty() {
+        true => Color::Green,
+        false => Color::Yellow,
+    };
+    Paragraph::new(text).style(Style::new().fg(Color::Black).bg(colour))
+}
+
+fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
+    let [left, right] = if area.width >= WIDE {
+        Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(area)
+    } else {
+        Layout::vertical([Constraint::Length(7), Constraint::Length(7)]).areas(area)
+    };
+    let block = |title: &'static str| Block::bordered().title(title).border_style(DIM);
+    frame.render_widget(
+        Paragraph::new(trigger_lines(state)).block(block(" trigger and clocks ")),
+        left,
+    );
+    frame.render_widget(
+        Paragraph::new(state_lines(state)).block(block(" rates and losses ")),
+        right,
+    );
+}
+
+fn draw_chart(frame: &mut Frame<'_>, state: &State, area: Rect) {
+    let block = Block::bordered()
+        .title(" gyroscope of the board, rad/s: x red, y green, z blue ")
+        .border_style(DIM);
+    if area.height < 5 {
+        return;
+    }
+    let Some(&(last, _)) = state.gyro.back() else {
+        return frame.render_widget(Paragraph::new("no samples yet").block(block), area);
+    };
+    let axes: [Vec<(f64, f64)>; 3] = [0, 1, 2].map(|axis: usize| {
+        let seconds = |at: Ticks| at.as_secs_f64() - last.as_secs_f64();
+        let points = state.gyro.iter();
+        points
+            .filter_map(|(at, rates)| Some((seconds(*at), *rates.get(axis)?)))
+            .collect()
+    });
+    let top = axes
+        .iter()
+        .flatten()
+        .map(|(_, rate)| rate.abs())
+        .fold(0.2, f64::max);
+    let colours = [Color::Red, Color::Green, Color::Blue];
+    let sets = axes
+        .iter()
+        .zip(colours)
+        .map(|(points, colour)| {
+            Dataset::default()
+                .marker(Marker::Braille)
+                .graph_type(GraphType::Line)
+                .style(Style::new().fg(colour))
+                .data(points)
+        })
+        .collect();
+    let chart = Chart::new(sets)
+        .block(block)
+        .x_axis(
+            Axis::default()
+                .bounds([-10.0, 0.0])
+                .labels(["-10 s", "-5 s", "now"])
+                .style(DIM),
+        )
+        .y_axis(
+            Axis::default()
+                .bounds([-top, top])
+                .labels([
+                    format!("{:+.1}", -top),
+                    String::from("0"),
+                    format!("{top:+.1}"),
+                ])
+                .style(DIM),
+        );
+    frame.render_widget(chart, area);
+}
+
+fn draw_twist(frame: &mut Frame<'_>, twist: &Twist, area: Rect) {
+    let [time, bar, hint] = Layout::vertical([
+        Constraint::Length(3),
+        Constraint::Length(3),
+        Constraint::Min(0),
+    ])
+    .areas(area);
+    let enough = twist.is_enough();
+    let label = format!("{:.1} of {:.0} s", twist.elapsed_s, twist.length_s);
+    let elapsed = if twist.length_s > 0.0 {
+        twist.elapsed_s / twist.length_s
+    } else {
+        0.0
+    };
+    let title = " twist now, about all axes ";
+    frame.render_widget(meter(title, Color::Cyan, elapsed, label), time);
+    // From a hundred times too much (empty) to enough (full), by its logarithm.
+    let full = twist.sigma_us.map_or(0.0, |sigma| {
+        1.0 - (sigma / twist.enough_us).max(1e-9).log10() / 2.0
+    });
+    let label = match twist.sigma_us {
+        Some(sigma) if enough => format!("{sigma:.1} us: ENOUGH (needed {:.0})", twist.enough_us),
+        Some(sigma) => format!("{sigma:.1} us, needed {:.0}", twist.enough_us),
+        None => String::from("no motion yet"),
+    };
+    let colour = if enough { Color::Green } else { Color::Yellow };
+    let title = " expected 1-sigma of the offset, falling ";
+    frame.render_widget(meter(title, colour, full, label), bar);
+    let [x, y, z] = twist.rms;
+    let style = if enough { GOOD } else { WARN }.add_modifier(Modifier::BOLD);
+    frame.render_widget(
+        Paragraph::new(vec![
+            Line::styled(format!(" {}", twist.advice()), style),
+            Line::raw(format!(" x {x:.1}   y {y:.1}   z {z:.1} rad/s rms")),
+        ]),
+        hint,
+    );
+}
+
+/// A bar in a box, full at 1.
+fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<'static> {
+    Gauge::default()
+        .block(Block::bordered().title(title).border_style(DIM))
+        .gauge_style(Style::new().fg(colour))
+        .ratio(full.clamp(0.0, 1.0))
+        .label(label)
+}
+
+/// Lines of a text as wide as the screen; those after the first stand further to the right.
+fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
+    let width = usize::from(width);
+    let further = " ".repeat(first.chars().count().min(width / 2));
+    let mut lines = Vec::new();
+    let mut line = first.to_owned();
+    for word in text.split_whitespace() {
+        let has_words = line != first && line != further;
+        if has_words && line.chars().count() + 1 + word.chars().count() > width {
+            lines.push(std::mem::replace(&mut line, further.clone()));
+        }
+        if !line.is_empty() && !line.ends_with(' ') {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    lines.push(line);
+    lines
+}
+
+/// The warnings with what to do about them, the newest first, each in its lines.
+fn warnings(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
+    let newest = state.warnings.iter().rev();
+    newest
+        .map(|warning| {
+            let at = warning.at.unwrap_or_default().as_secs_f64();
+            let todo = warning.next_step.as_deref().unwrap_or_default();
+            let text = wrapped(&format!(" ! {at:.1} s: "), &warning.text, width).into_iter();
+            let todo = wrapped("   -> ", todo, width).into_iter();
+            let text = text.map(|line| Line::styled(line, BAD));
+            text.chain(todo.map(|line| Line::styled(line, WARN)))
+                .collect()
+        })
+        .collect()
+}
+
+/// What was said, the newest last, each in its lines.
+fn said(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
+    let lines = |text: &String| wrapped(" ", text, width).into_iter().map(Line::raw);
+    state
+        .said
+        .iter()
+        .map(|text| lines(text).collect())
+        .collect()
+}
+
+/// Rows of warnings and of what was said: at least the newest of each as a whole, where
+/// there is room for it.
+fn heights(
+    room: u16,
+    screen: u16,
+    warnings: &[Vec<Line<'_>>],
+    said: &[Vec<Line<'_>>],
+) -> (u16, u16) {
+    let (most_warnings, least_said) = if screen >= 30 { (6, 4) } else { (2, 2) };
+    let newest = |lines: Option<&Vec<Line<'_>>>| lines.map_or(0, |lines| lines.len() as u16);
+    let all: u16 = warnings.iter().map(|lines| lines.len() as u16).sum();
+    let wanted = all.clamp(1, most_warnings).max(newest(warnings.first()));
+    let talk = newest(said.last())
+        .max(least_said)
+        .min(room.max(least_said));
+    let warning = (wanted + 1).min(room.saturating_sub(talk).max(most_warnings.min(wanted) + 1));
+    (warning, talk)
+}
+
+fn draw_warnings(frame: &mut Frame<'_>, warnings: Vec<Vec<Line<'static>>>, area: Rect) {
+    if warnings.is_empty() {
+        frame.render_widget(Paragraph::new(" no warnings").style(GOOD), area);
+        return;
+    }
+    let lines: Vec<Line<'_>> = warnings.into_iter().flatten().collect();
+    frame.render_widget(Paragraph::new(lines), area);
+}
+
+fn draw_said(frame: &mut Frame<'_>, said: Vec<Vec<Line<'static>>>, area: Rect) {
+    let mut room = usize::from(area.height);
+    let mut shown = Vec::new();
+    // Whole ones; of the newest, if it is longer than the room, its beginning.
+    for lines in said.into_iter().rev() {
+        if lines.len() > room && !shown.is_empty() {
+            break;
+        }
+        room = room.saturating_sub(lines.len());
+        shown.splice(0..0, lines);
+    }
+    frame.render_widget(Paragraph::new(shown), area);
+}
+
+fn keys_line(keys: Keys) -> Paragraph<'static> {
+    let text = match keys {
+        Keys::Look => " q stop   h help",
+        Keys::Answer => " Enter go on   r twist again / repeat   s skip   q stop   h help",
+        Keys::Record => " m mark   q stop   h help",
+    };
+    Paragraph::new(text).style(Style::new().fg(Color::Black).bg(Color::Gray))
+}
+
+fn draw_help(frame: &mut Frame<'_>, area: Rect) {
+    let text = [
+        "Enter  go on, where something is asked",
+        "r      do the last step again (twist again)",
+        "s      skip the step",
+        "m      set a mark, while recording",
+        "q      stop; what was recorded is kept",
+        "h      this help, and away again",
+        "",
+        "phase: the last pulse against the grid it was sent to,",
+        "       and how well that grid is known (1-sigma)",
+        "clocks: error of phone time in board time now (1-sigma)",
+    ];
+    let width = 60.min(area.width);
+    let height = (text.len() as u16 + 2).min(area.height);
+    let place = Rect::new(
+        area.x + (area.width - width) / 2,
+        area.y + (area.height - height) / 2,
+        width,
+        height,
+    );
+    frame.render_widget(Clear, place);
+    frame.render_widget(
+        Paragraph::new(text.map(Line::raw).to_vec()).block(Block::bordered().title(" help ")),
+        place,
+    );
+}
+
+/// The end of a long ID, which is what differs.
+fn short(id: &str) -> String {
+    let skip = id.chars().count().saturating_sub(8);
+    id.chars().skip(skip).collect()
+}
+
+fn fact(name: &'static str, value: impl Into<String>, style: Style) -> Line<'static> {
+    let name = Span::styled(format!("{name:<10}"), DIM);
+    Line::from(vec![name, Span::styled(value.into(), style)])
+}
+
+/// One line each of the further outputs, the lidar, and the further phones.
+fn sensor_lines(state: &State) -> Vec<Line<'static>> {
+    let row = |name: &str, text: String, style: Style| {
+        let name: String = name.chars().take(16).collect();
+        let name = Span::styled(format!(" {name:<17}"), DIM);
+        Line::from(vec![name, Span::styled(text, style)])
+    };
+    let sensors = state.sensors().into_iter().map(|sensor| {
+        let mut text = format!("{}, {:.2}/s", sensor.at, sensor.rate);
+        if !sensor.state.is_empty() {
+            text.push_str(&format!(", {}", sensor.state));
+        }
+        match (sensor.utc_text(), sensor.pulse) {
+            (Some(utc), _) => text.push_str(&format!(", at {utc}")),
+            (None, Some(pulse)) => text.push_str(&format!(", pulse {pulse}")),
+            (None, None) => {}
+        }
+        if sensor.late > 0 {
+            text.push_str(&format!(", {} LATE", sensor.late));
+        }
+        row(&sensor.name, text, bad_if(sensor.late > 0))
+    });
+    let phones = state.phones.iter().skip(1).map(|phone| {
+        let mut text = match state.clock_now(phone) {
+            Some(known) => format!("clocks +-{:.1} us now", known.sigma_us),
+            None => String::from("no twist yet"),
+        };
+        if let Some(placed) = &phone.placement {
+            let (offset, sigma) = (placed.offset_us, placed.offset_sigma_us);
+            text.push_str(&format!(", frames {offset:+.0} +-{sigma:.0} us off grid"));
+        }
+        row(&phone.name, text, Style::new())
+    });
+    sensors.chain(phones).collect()
+}
+
+const fn bad_if(is_bad: bool) -> Style {
+    match is_bad {
+        true => BAD,
+        false => Style::new(),
+    }
+}
+
+fn trigger_lines(state: &State) -> Vec<Line<'static>> {
+    let trigger = &state.trigger;
+    let train = match trigger.state.as_str() {
+        "" => "?",
+        word => word,
+    };
+    let fps = trigger.fps.map(|fps| format!(", {fps:.4} fps"));
+    let pulse = match trigger.pulse {
+        Some(pulse) if trigger.late > 0 => format!("{pulse}, {} LATE", trigger.late),
+        Some(pulse) => pulse.to_string(),
+        None => String::from("-"),
+    };
+    let (readback, readback_style) = match (trigger.readback_ns, trigger.readback_missing) {
+        (Some(ns), 0) => (format!("seen, {ns:.0} ns after the edge"), GOOD),
+        (Some(ns), missing) => (format!("{ns:.0} ns, {missing} NOT SEEN"), BAD),
+        (None, _) if trigger.fps.is_some() => (String::from("not wired or not seen"), WARN),
+        (None, _) => (String::from("-"), Style::new()),
+    };
+    let (phase, phase_style) = phase_text(state);
+    let mut lines = vec![
+        fact("train", format!("{train}{}", fps.unwrap_or_default()), BOLD),
+        fact("pulse", pulse, bad_if(trigger.late > 0)),
+        fact("phase", phase, phase_style),
+        fact("read-back", readback, readback_style),
+    ];
+    let reference = state.phones.first();
+    match reference.and_then(|phone| state.clock_now(phone)) {
+        Some(known) => {
+            let age = clock(known.age_s);
+            lines.push(fact(
+                "clocks",
+                format!("+-{:.1} us now, {age} old", known.sigma_us),
+                if known.sigma_us < 100.0 { GOOD } else { WARN },
+            ));
+            let relation = format!("{:.6} s, {:+.3} ppm", known.offset_s, known.skew_ppm);
+            lines.push(fact("", relation, Style::new()));
+        }
+        None => lines.push(fact("clocks", "no twist yet", Style::new())),
+    }
+    lines
+}
+
+fn phase_text(state: &State) -> (String, Style) {
+    let Some(now) = state.phase_now() else {
+        return (String::from("not aligned yet"), Style::new());
+    };
+    let (phase, sigma) = (now.phase_us, now.sigma_us);
+    match now.tracked {
+        _ if now.is_twist_due => (format!("+-{sigma:.0} us: time for a TWIST"), WARN),
+        Some(tracked) => (
+            format!("{phase:+.1} us +-{sigma:.1} us, {}", lock(&tracked)),
+            if tracked.holds { GOOD } else { WARN },
+        ),
+        None => (
+            format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
+            if phase == 0.0 { GOOD } else { BAD },
+        ),
+    }
+}
+
+fn state_lines(state: &State) -> Vec<Line<'static>> {
+    let (rates, losses) = (state.rates(), &state.losses);
+    let imu = match (state.imu_runs, rates.temperature) {
+        (Some(false), _) => fact("IMU", "DOES NOT ANSWER", BAD),
+        (_, Some(celsius)) => fact(
+            "IMU",
+            format!("{:.1}/s, {celsius:.1} C", rates.imu),
+            Style::new(),
+        ),
+        (_, None) => fact("IMU", format!("{:.1}/s", rates.imu), Style::new()),
+    };
+    let relinks = match losses.reconnects {
+        0 => String::new(),
+        n => format!(", {n} relinks"),
+    };
+    let is_whole = losses.messages + losses.damaged + u64::from(losses.reconnects) == 0;
+    let mut lines = vec![
+        imu,
+        fact(
+            "pulses",
+            format!("{:.2}/s, strobe {:.2}/s", rates.pulses, rates.captures),
+            Style::new(),
+        ),
+        fact(
+            "lost",
+            format!(
+                "{} messages, {} damaged{relinks}",
+                losses.messages, losses.damaged
+            ),
+            if is_whole { GOOD } else { BAD },
+        ),
+        fact("load", format!("{:.1} %", rates.load_percent), Style::new()),
+    ];
+    lines.push(match &state.disk {
+        Some(disk) => {
+            let left = disk.left_s.map(|left| format!(", for {}", clock(left)));
+            let free = disk.free as f64 * 1e-9;
+            fact(
+                "disk",
+                format!("{free:.1} GB free{}", left.unwrap_or_default()),
+                if disk.free < 1_000_000_000 {
+                    WARN
+                } else {
+                    Style::new()
+                },
+            )
+        }
+        None => fact("disk", "nothing is recorded", DIM),
+    });
+    if let Some((at, label)) = &state.mark {
+        let mark = format!("{label} at {:.1} s", at.as_secs_f64());
+        lines.push(fact("last mark", mark, Style::new()));
+    }
+    lines
+}
+
+/// Seconds as `1:02:03`.
+fn clock(seconds: f64) -> String {
+    let sign = if seconds < 0.0 { "-" } else { "" };
+    let whole = seconds.abs().min(1e9) as u64;
+    let (hours, minutes, seconds) = (whole / 3_600, whole / 60 % 60, whole % 60);
+    match hours {
+        0 => format!("{sign}{minutes}:{seconds:02}"),
+        _ => format!("{sign}{hours}:{minutes:02}:{seconds:02}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use recording::finding::Finding;
+
+    use super::*;
+    use crate::view::state::tests::{begin_twist, busy};
+
+    fn shown(width: u16, height: u16, drawing: impl FnOnce(&mut Frame<'_>)) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(drawing).unwrap();
+        let buffer = terminal.backend().buffer();
+        (0..height)
+            .map(|y| {
+                (0..width)
+                    .map(|x| buffer[(x, y)].symbol())
+                    .collect::<String>()
+                    + "\n"
+            })
+            .collect()
+    }
+
+    fn screen(width: u16, height: u16, state: &State, help: bool) -> String {
+        shown(width, height, |frame| draw(frame, state, help))
+    }
+
+    #[test]
+    fn all_is_there_in_80_by_24() {
+        let text = screen(80, 24, &busy(), false);
+        for word in [
+            "RECORDING",
+            "1:01 of 5:00",
+            "30.0024 fps",
+            "3456",
+            "+0.00 us off grid, +-",
+            "seen, 83 ns",
+            "+-4.8 us now, 1:40 old",
+            "0 messages",
+            "40.0 GB free, for 1000:00:00",
+            "door at 90.0 s",
+            "2 IMU samples lost",
+            "-> nothing to do",
+            "mark: door",
+            "side             output 3, 5.00/s, running, pulse 77",
+            "VLP-16           gnss, 1.00/s, at 2026-11-21 04:16:07 UTC",
+            "frames +1234 +-5 us off grid",
+            "m mark",
+            "gyroscope",
+            "now",
+        ] {
+            assert!(text.contains(word), "{word}:\n{text}");
+        }
+    }
+
+    #[test]
+    fn a_long_fix_is_all_there_in_80_by_24() {
+        let mut state = busy();
+        let gone = "the depth recorder `k4arecorder` ended by itself (exit status: 1); its \
+                    output is in depth_recorder.log";
+        let todo = "read the recorder's log, start it again by hand in the folder of the \
+                    recording, and look whether it goes on to the END";
+        let gone = Finding::bad("depth_recorder_gone", gone).next_step(todo);
+        state.warnings.push_back(gone.at(Ticks(48_000_000 * 100)));
+        let long = "a long sentence that goes on ".repeat(4);
+        state.said.push_back(format!("error: {long}WHOLE"));
+        state.phones.truncate(1);
+        for twists in [false, true] {
+            if twists {
+                begin_twist(&mut state);
+            }
+            let text = screen(80, 24, &state, false);
+            for word in ["depth_recorder.log", "END", "WHOLE", "m mark"] {
+                assert!(text.contains(word), "{word}:\n{text}");
+            }
+            assert_eq!(twists, text.contains("rad/s rms"), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_was_said_is_not_shown_without_its_beginning() {
+        let mut state = busy();
+        let long = format!("aligned {}(1-sigma)", "to the phone's frames ".repeat(4));
+        state.said = [long, String::from("recording")].into();
+        let text = screen(80, 24, &state, false);
+        assert!(text.contains("\n recording"), "{text}");
+        assert_eq!(
+            text.contains("aligned"),
+            text.contains("(1-sigma)"),
+            "{text}"
+        );
+    }
+
+    const SIZES: [(u16, u16); 7] = [
+        (1, 1),
+        (19, 5),
+        (20, 6),
+        (40, 10),
+        (69, 12),
+        (80, 24),
+        (200, 60),
+    ];
+
+    #[test]
+    fn any_size_and_any_state_can_be_drawn() {
+        let mut twisting = busy();
+        begin_twist(&mut twisting);
+        for (width, height) in SIZES {
+            for help in [false, true] {
+                for state in [&twisting, &busy(), &State::default()] {
+                    screen(width, height, state, help);
+                }
+            }
+            for (elapsed_s, sigma_us) in [(0.0, None), (3.0, Some(1e9)), (9.0, Some(0.0))] {
+                let twist = Twist {
+                    elapsed_s,
+                    length_s: 7.0,
+                    sigma_us,
+                    enough_us: 10.0,
+                    rms: [3.0, 2.0, f64::NAN],
+                };
+                shown(width, height, |frame| {
+                    draw_twist(frame, &twist, frame.area());
+                });
+            }
+        }
+    }
+
+    #[test]
+    fn the_twist_says_when_it_is_enough() {
+        let twist = Twist {
+            elapsed_s: 5.0,
+            length_s: 7.0,
+            sigma_us: Some(4.2),
+            enough_us: 10.0,
+            rms: [3.0, 2.0, 1.0],
+        };
+        let text = shown(80, TWIST_ROWS, |frame| {
+            draw_twist(frame, &twist, frame.area());
+        });
+        assert!(text.contains("4.2 us: ENOUGH"), "{text}");
+        assert!(text.contains("enough: hold still"), "{text}");
+    }
+}
