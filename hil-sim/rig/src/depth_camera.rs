@@ -2,7 +2,7 @@
 //!
 //! It listens to the trigger pin (PA5), takes depth frames on a clock of its
 //! own, and its infrared flashes come back on the strobe input (PA2) through a
-//! photodiode. It keeps the truth about every frame.
+//! photodiode. It keeps the ground truth of every frame.
 //!
 //! # What is modelled, and from where
 //!
@@ -57,7 +57,7 @@ use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 /// Device timestamps count at this rate, in the camera's time.
 pub const TIMESTAMP_HZ: u64 = 90_000;
 
-/// What made a frame.
+/// Cause of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
     /// A pulse of the trigger.
@@ -71,12 +71,12 @@ pub enum Source {
     FreeRun,
 }
 
-/// The truth about one frame.
+/// Ground truth of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// Counted from zero, lost frames included.
     pub number: u64,
-    /// What made it.
+    /// Its cause.
     pub source: Source,
     /// Start of its first flash, in board time.
     pub first_flash: SimTime,
@@ -87,9 +87,9 @@ pub struct FrameRecord {
     /// Device timestamp: ticks of [`TIMESTAMP_HZ`] of the camera's clock at the
     /// centre of exposure, rounded down.
     pub device_ticks: u64,
-    /// Whether a disturbance spoilt its image.
+    /// True if a disturbance spoilt its image.
     pub bad: bool,
-    /// Whether it reached the computer.
+    /// True if it reached the computer.
     pub delivered: bool,
 }
 
@@ -233,7 +233,7 @@ impl DepthCamera {
         &self.clock
     }
 
-    /// What it was made from.
+    /// Its configuration.
     #[must_use]
     pub fn config(&self) -> &DepthCameraConfig {
         &self.config

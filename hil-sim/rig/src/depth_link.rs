@@ -24,7 +24,7 @@ use crate::interrupt;
 use crate::k4a_mkv::{K4aMkvWriter, K4aSettings, device_us};
 use stm32f4_sim::shared::{Shared, lock};
 
-/// How long either side waits before it looks whether it should end.
+/// Wait of either side between looks whether it should end.
 const POLL: Duration = Duration::from_millis(50);
 
 /// The camera's end; the socket's file goes with it.

@@ -11,7 +11,7 @@
 //! Data sheets state two numbers for a low-pass: its -3 dB bandwidth and its
 //! delay. The model has exactly these two: a Gaussian kernel of the stated
 //! bandwidth, shifted by the stated delay. Its group delay is the same at all
-//! frequencies, which makes it a truth to measure against. The true filters'
+//! frequencies, which makes it a ground truth to measure against. The true filters'
 //! shape is not documented; it cannot be a plain causal one, as the table of
 //! the MPU-9150 shows (at 5 Hz a single pole would already delay by 31.8 ms,
 //! the table says 18.6 ms). With the slow settings the kernel therefore reaches
@@ -130,7 +130,7 @@ impl Channel {
     }
 
     /// Changes the low-pass and the distance of internal samples. Numbering of
-    /// internal samples may begin anew.
+    /// internal samples may begin again.
     pub(crate) fn set_filter(&mut self, low_pass: LowPass, tick_s: f64) {
         self.low_pass = low_pass;
         self.tick_s = tick_s;
@@ -159,7 +159,7 @@ impl Channel {
         self.bias
     }
 
-    /// What it was made from.
+    /// Its configuration.
     #[must_use]
     pub fn config(&self) -> &ChannelConfig {
         &self.config

@@ -22,7 +22,7 @@ use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
-/// How it is wired and set.
+/// Wiring and settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarConfig {
     /// Rate of the serial line, Bd.
@@ -36,7 +36,7 @@ pub struct LidarConfig {
     pub rising: bool,
     /// By when after its pulse a sentence must have ended.
     pub window: SimDuration,
-    /// What is high for whatever the board's outputs drive, in V: the gates, or without them
+    /// Voltage from which an input of the board's outputs is high: the gates, or without them
     /// the lidar itself.
     pub input_high: f64,
 }
@@ -55,7 +55,7 @@ impl Default for LidarConfig {
     }
 }
 
-/// A pulse and what was told about it.
+/// A pulse and its sentences.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LidarSecond {
     /// The leading edge.
@@ -66,11 +66,11 @@ pub struct LidarSecond {
     pub text: String,
     /// When the last of them ended.
     pub ended: Option<SimTime>,
-    /// The second that it began, as Unix time, if it was told in time.
+    /// The second that it began, as Unix time, if the sentence came in time.
     pub utc: Option<i64>,
 }
 
-/// What went wrong on the inputs.
+/// Errors on the inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LidarFaults {
     /// Bytes without a stop bit.
@@ -128,7 +128,7 @@ impl Lidar {
         self.seconds.drain(..).collect()
     }
 
-    /// What went wrong so far.
+    /// Errors so far.
     #[must_use]
     pub fn faults(&self) -> LidarFaults {
         self.faults
@@ -218,9 +218,15 @@ fn utc_of(body: &str) -> Option<i64> {
         return None;
     }
     let (day, month, year) = (date.get(..2)?, date.get(2..4)?, date.get(4..6)?);
-    let told = format!("20{year}{month}{day}{}", time.get(..6)?);
-    let told = DateTime::strptime("%Y%m%d%H%M%S", told).ok()?;
-    Some(told.to_zoned(TimeZone::UTC).ok()?.timestamp().as_second())
+    let reported = format!("20{year}{month}{day}{}", time.get(..6)?);
+    let reported = DateTime::strptime("%Y%m%d%H%M%S", reported).ok()?;
+    Some(
+        reported
+            .to_zoned(TimeZone::UTC)
+            .ok()?
+            .timestamp()
+            .as_second(),
+    )
 }
 
 impl PinModel for Lidar {

@@ -1,4 +1,4 @@
-//! How long a question to a clock takes on its way, and the answer back.
+//! Delays of a question to a clock, and of the answer back.
 //!
 //! Each way takes the least that it can, some microseconds that scatter even then, often a
 //! body of waiting, and now and then a tail of milliseconds. What the least is differs
@@ -9,16 +9,16 @@
 
 use crate::random::{Random, log_uniform};
 
-/// What a link is like.
+/// Ranges of a link's properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkRanges {
     /// Median of the round trip, s.
     pub median: (f64, f64),
-    /// How the shortest ways scatter, s.
+    /// Scatter of the shortest ways, s.
     pub jitter: (f64, f64),
-    /// What share of the median the shortest round trip is.
+    /// Shortest round trip as a share of the median.
     pub least: (f64, f64),
-    /// What share of it the way there is.
+    /// Share of it that is the way there.
     pub there: (f64, f64),
     /// Share of ways that have a tail.
     pub tailed: (f64, f64),
@@ -30,9 +30,9 @@ pub struct LinkRanges {
     pub step: (f64, f64),
     /// Silences an hour.
     pub silences: (f64, f64),
-    /// How long one is, s.
+    /// Length of one, s.
     pub silence: (f64, f64),
-    /// How far the least of a way wanders, in its jitter.
+    /// Wander of the least of a way, in its jitter.
     pub wander: (f64, f64),
 }
 
@@ -120,7 +120,7 @@ fn even(random: &mut Random, (from, to): (f64, f64)) -> f64 {
     random.uniform(from, to)
 }
 
-/// How long until something happens that happens so often.
+/// Time until the next of events that are so rare.
 fn waiting(random: &mut Random, between: f64) -> f64 {
     -between * (1.0 - random.uniform(0.0, 1.0)).ln()
 }

@@ -5,7 +5,7 @@
 //! an offset, a rate error, and a frequency that wanders as a random walk.
 //! [`BoardTime`] is the oscillator whose count *is* the board's
 //! [`SimTime`]: the board's crystal is right by definition on the board, and
-//! wrong against the truth like every other.
+//! wrong against true time like every other.
 //!
 //! All conversions are exact integer arithmetic in units of 15 fs
 //! ([`UNITS_PER_SECOND`]), monotonic and without accumulated rounding: the
@@ -77,10 +77,10 @@ impl TrueTime {
     }
 }
 
-/// What an oscillator does.
+/// Behaviour of an oscillator.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OscillatorConfig {
-    /// What the clock reads at power-on of the rig, in its nanoseconds.
+    /// Reading of the clock at power-on of the rig, in its nanoseconds.
     pub offset_ns: i64,
     /// Fractional frequency error at power-on, in parts per million. Positive
     /// runs fast. Held within ±100,000.
@@ -88,11 +88,11 @@ pub struct OscillatorConfig {
     /// Standard deviation of the fractional frequency's change in one second
     /// (not in ppm). 0 is a constant rate.
     pub wander: f64,
-    /// How the frequency moves as the rig warms up.
+    /// Change of the frequency as the rig warms up.
     pub warming: Warming,
 }
 
-/// How a frequency moves after power-on, as its crystal warms up: exponentially.
+/// Change of a frequency after power-on, as its crystal warms up: exponential.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warming {
     /// Change of the fractional frequency in the first ten minutes, in parts per million.
@@ -207,7 +207,7 @@ impl Oscillator {
         }
     }
 
-    /// What it was made from.
+    /// Its configuration.
     #[must_use]
     pub fn config(&self) -> OscillatorConfig {
         self.config
@@ -240,7 +240,7 @@ impl Oscillator {
         TrueTime(second as u64 * UNITS_PER_SECOND + part as u64)
     }
 
-    /// What the clock reads at `at`, in its own whole nanoseconds (rounded
+    /// Reading of the clock at `at`, in its own whole nanoseconds (rounded
     /// down), with its offset.
     #[must_use]
     pub fn nanos_at(&self, at: TrueTime) -> i64 {

@@ -53,7 +53,7 @@ pub(crate) fn owner_profile_of<'a>(
     owner_profile(config, &phones)
 }
 
-/// What is in the table of a phone.
+/// Lines of a phone's table.
 fn constants(phone: &Handset<'_>) -> String {
     let config = phone.config;
     let camera = &config.camera;

@@ -1,4 +1,4 @@
-//! Rising edges at pins with their times, for the truth.
+//! Rising edges at pins with their times, for the ground truth.
 
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Level, Pin};

@@ -44,13 +44,13 @@ impl Pty {
         Ok(Self { master, path })
     }
 
-    /// What other programs open.
+    /// Path that other programs open.
     #[must_use]
     pub fn path(&self) -> &std::path::Path {
         &self.path
     }
 
-    /// Whether a program has the port open.
+    /// True if a program has the port open.
     ///
     /// # Errors
     ///

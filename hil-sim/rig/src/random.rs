@@ -2,7 +2,7 @@
 
 pub use stm32f4_sim::random::{Random, Seed};
 
-/// What a stream of random numbers is for. The numbers are part of what a seed
+/// Purpose of a stream of random numbers. The numbers are part of what a seed
 /// means: they are never given to something else. 19, 20, 28 and 29 are the
 /// simulated chip's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -34,13 +34,13 @@ pub enum Stream {
     PhoneCamera = 12,
     /// Dropped frames of the depth camera.
     DepthCamera = 13,
-    /// What is drawn once for a rig: clock offsets and rates, mounting, biases.
+    /// Drawn once for a rig: clock offsets and rates, mounting, biases.
     Rig = 14,
     /// Inputs that a test makes up.
     Test = 15,
     /// Tolerances of one specimen of the IMU.
     ImuConfig = 16,
-    /// What is drawn once for a phone: its clock, mounting, biases, frame period.
+    /// Drawn once for a phone: its clock, mounting, biases, frame period.
     PhoneConfig = 17,
     /// Noise of the phone's magnetometer.
     PhoneMagnetometer = 18,
@@ -48,7 +48,7 @@ pub enum Stream {
     PhoneFrames = 21,
     /// Values in the model ranges.
     ModelRanges = 22,
-    /// What is drawn once for a study of clocks that are asked for their time.
+    /// Drawn once for a study of clocks that are asked for their time.
     Tracking = 23,
     /// Delays of exchanges with the board.
     BoardLink = 24,
@@ -56,7 +56,7 @@ pub enum Stream {
     PhoneLink = 25,
     /// Wander of the computer's clock.
     ComputerClock = 26,
-    /// What nobody has published of a depth camera's family.
+    /// Properties that nobody has published of a depth camera's family.
     DepthFamily = 27,
 }
 

@@ -17,14 +17,14 @@ use crate::wiring::BoardKind;
 use stm32f4_sim::shared::Shared;
 use stm32f4_sim::sim::SimBuilder;
 
-/// What is around the board.
+/// The parts around the board, as plain data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigConfig {
     /// Everything random comes from this.
     pub seed: Seed,
     /// The board.
     pub board: BoardKind,
-    /// How the rig moves.
+    /// Motion of the rig.
     pub motion: MotionSpec,
     /// The board's crystal.
     pub board_clock: OscillatorConfig,
@@ -125,9 +125,9 @@ impl RigConfig {
 /// The parts around the board. Clones are handles to the same parts.
 #[derive(Clone, Debug)]
 pub struct RigParts {
-    /// What they were made from.
+    /// Their configuration.
     pub config: RigConfig,
-    /// How the rig moves.
+    /// Motion of the rig.
     pub motion: Arc<Motion>,
     /// Relation of the board's time to true time.
     pub board: BoardTime,

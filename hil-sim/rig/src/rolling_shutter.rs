@@ -4,7 +4,7 @@
 //! light (a photodiode drives an LED strip). Row `r` of a frame is exposed from
 //! `frame_start + r · row_time` for `exposure`, so every flash paints a bright
 //! band whose place in the image says when the flash came. This module renders
-//! such frames from the exact flash times: the truth of every test of the
+//! such frames from the exact flash times: the ground truth of every test of the
 //! evaluation, and the picture that the simulated phone delivers.
 //!
 //! Brightness of a pixel, in grey levels before quantisation:
@@ -112,7 +112,7 @@ impl Flicker {
     }
 }
 
-/// How the sensor's rows lie in the delivered image.
+/// Direction of the sensor's rows in the delivered image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Readout {
     /// The first row is the image's top row.

@@ -27,7 +27,7 @@ use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::SimTime;
 use stm32f4_sim::vcd_trace::VcdTrace;
 
-/// How often it looks whether it should end.
+/// Interval between looks whether it should end.
 const POLL: Duration = Duration::from_millis(2);
 
 /// Options of `serve`.
@@ -49,7 +49,7 @@ pub struct Args {
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// How the rig moves: rest, twist, walk, or a sequence such as rest:5,twist:12,walk
+    /// Motion of the rig: rest, twist, walk, or a sequence such as rest:5,twist:12,walk
     /// (seconds).
     #[arg(long, value_name = "MOTION", default_value = "rest")]
     motion: MotionSpec,
@@ -102,7 +102,7 @@ const TRACED: [(Pin, &str); 11] = [
     (wiring::LED_LINK, "led_link"),
 ];
 
-/// How many times as fast as real time virtual time may pass, on a command line.
+/// Speed of virtual time against real time, on a command line.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! What lies beside a simulated rig so that a session finds what it finds beside a real one:
+//! Programs beside a simulated rig, so that a session finds what it finds beside a real one:
 //! a recorder of the depth camera, and `adb` with the phone's files.
 
 use std::ffi::OsString;
@@ -11,7 +11,7 @@ use crate::link_delay::LinkRanges;
 use crate::phone::{ClockTeller, SimPhone};
 use crate::rig_config::RigParts;
 
-/// What lies on the table beside the rig: the depth camera's cable, and programs that reach
+/// The table beside the rig, with the depth camera's cable, and programs that reach
 /// the phone's files.
 #[derive(Debug)]
 pub struct Table {

@@ -83,7 +83,7 @@ impl TrueClock {
         }
     }
 
-    /// How far true time has come.
+    /// True time now.
     #[must_use]
     pub fn now(&self) -> TrueTime {
         TrueTime::from_units(self.0.now.load(Ordering::SeqCst))
@@ -131,7 +131,7 @@ impl TrueClock {
         }
     }
 
-    /// How many wait for a time that has not come.
+    /// Number of waiters for a time that has not come.
     #[must_use]
     pub fn waiters(&self) -> usize {
         self.0.waiting().times.len()
@@ -144,13 +144,13 @@ impl TrueClock {
         self.0.woken.notify_all();
     }
 
-    /// Ends true time: everyone who waits, now or later, is told.
+    /// Ends true time: everyone who waits, now or later, is woken.
     pub fn stop(&self) {
         self.0.waiting().stopped = true;
         self.0.woken.notify_all();
     }
 
-    /// Whether the rig was stopped.
+    /// True if the rig was stopped.
     #[must_use]
     pub(crate) fn is_stopped(&self) -> bool {
         self.0.waiting().stopped
@@ -186,7 +186,7 @@ pub struct BoardClockwork {
 }
 
 impl BoardClockwork {
-    /// How often true time is published, in board time.
+    /// Interval at which true time is published, in board time.
     pub const STEP: SimDuration = SimDuration::from_micros(500);
 
     /// Publishes to `clock` how far the rig of `board` has come.

@@ -13,7 +13,7 @@ use anyhow::{Error, Result, anyhow, bail, ensure};
 
 use crate::rolling_shutter::GreyImage;
 
-/// How strongly the video is compressed.
+/// Compression of the video.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Quality {
     /// Constant rate factor of x264: 0 is lossless, 23 its default.
@@ -31,7 +31,7 @@ pub struct VideoSettings {
     pub height: usize,
     /// Frames per second written to the file.
     pub frame_rate: f64,
-    /// How strongly to compress.
+    /// Compression.
     pub quality: Quality,
 }
 

@@ -49,7 +49,7 @@ pub(crate) const LED_FAULT: Pin = Pin::PD14;
 /// LED: the host is linked.
 pub(crate) const LED_LINK: Pin = Pin::PD15;
 
-/// What the 74AHCT gates between the board and a 5 V input take as high, in V (data sheet of
+/// Voltage that the 74AHCT gates between the board and a 5 V input take as high (data sheet of
 /// the 74AHCT125, at 4.5 to 5.5 V).
 pub const GATE_HIGH: f64 = 2.0;
 

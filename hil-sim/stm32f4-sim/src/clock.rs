@@ -50,7 +50,7 @@ impl Rate {
         (self.num + self.den / 2) / self.den
     }
 
-    /// Whether the clock stands still.
+    /// True if the clock stands still.
     #[must_use]
     pub const fn is_zero(self) -> bool {
         self.num == 0
@@ -145,7 +145,7 @@ impl Clock {
         })
     }
 
-    /// Whether the clock stands still.
+    /// True if the clock stands still.
     #[inline]
     #[must_use]
     pub fn is_stopped(&self) -> bool {

@@ -105,7 +105,7 @@ impl Firmware {
         &self.bytes
     }
 
-    /// What is flashed: load address and bytes.
+    /// Contents of the flash: load address and bytes.
     pub(crate) fn segments(&self) -> &[(u32, Vec<u8>)] {
         &self.segments
     }

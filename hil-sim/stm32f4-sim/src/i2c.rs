@@ -6,7 +6,7 @@
 
 use crate::time::SimTime;
 
-/// Whether the receiver of a byte pulled SDA low in the ninth clock.
+/// True if the receiver of a byte pulled SDA low in the ninth clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ack {
     /// Acknowledged.
@@ -41,7 +41,7 @@ pub trait I2cTarget: Send {
     /// The next byte for the controller, at the time its first bit is put on the wire.
     fn read(&mut self, at: SimTime) -> u8;
 
-    /// How the controller answered the byte last read: [`Ack::Nack`] ends the read.
+    /// Takes the controller's answer to the byte last read: [`Ack::Nack`] ends the read.
     fn read_acknowledged(&mut self, ack: Ack, at: SimTime) {
         let _ = (ack, at);
     }
@@ -49,7 +49,7 @@ pub trait I2cTarget: Send {
     /// Stop condition; called for targets whether they were addressed or not.
     fn stop(&mut self, at: SimTime);
 
-    /// Whether the device holds SDA low outside of a transfer (a hung device).
+    /// True if the device holds SDA low outside of a transfer (a hung device).
     fn holds_sda_low(&self) -> bool {
         false
     }

@@ -34,7 +34,7 @@ impl I2cBus {
         self.sda_held = held;
     }
 
-    /// Whether somebody holds SDA low outside of a transfer.
+    /// True if somebody holds SDA low outside of a transfer.
     pub(crate) fn is_stuck(&self) -> bool {
         self.sda_held || self.targets.iter().any(|t| t.holds_sda_low())
     }

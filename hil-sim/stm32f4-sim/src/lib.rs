@@ -34,7 +34,7 @@
 //! }
 //! ```
 //!
-//! What is wired to the chip is a [`model::PinModel`] (pins), an [`i2c::I2cTarget`] (the
+//! A part that is wired to the chip is a [`model::PinModel`] (pins), an [`i2c::I2cTarget`] (the
 //! I2C bus) or both; [`model_bench::Bench`] runs one alone, for its tests.
 //! [`vcd_trace::VcdTrace`] writes edges for a wave viewer.
 //!

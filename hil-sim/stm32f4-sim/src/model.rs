@@ -1,6 +1,6 @@
-//! What a part outside of the microcontroller looks like to the board.
+//! A part outside of the microcontroller, as the board sees it.
 //!
-//! A model lives on the board's virtual time. It is told of the pins it asked
+//! A model lives on the board's virtual time. It hears of the pins it asked
 //! for at the exact time of each edge, and is called at the exact time it asks
 //! for. What it drives changes the pin at that very time: a timer capture of
 //! the microcontroller latches that time, whatever the core is doing.
@@ -59,7 +59,7 @@ pub trait PinModel: Send {
     /// Name for logs.
     fn name(&self) -> String;
 
-    /// Pins whose edges and clock changes the model is told of. Asked once.
+    /// Pins whose edges and clock changes the model hears of. Asked once.
     fn watched_pins(&self) -> Vec<Pin>;
 
     /// Its inputs that a pin of the chip drives, and from which voltage on each takes its

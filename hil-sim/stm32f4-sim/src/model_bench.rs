@@ -15,7 +15,7 @@ pub struct Bench<M> {
     /// Time since power-on.
     pub now: SimTime,
     levels: [u16; Pin::PORTS],
-    /// What was driven, in order.
+    /// Drives so far, in order.
     pub driven: Vec<(SimTime, Pin, Drive)>,
 }
 

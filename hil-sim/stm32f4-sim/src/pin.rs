@@ -101,7 +101,7 @@ pub enum Level {
 }
 
 impl Level {
-    /// Whether the level is high.
+    /// True if the level is high.
     #[must_use]
     pub const fn is_high(self) -> bool {
         matches!(self, Level::High)
@@ -114,7 +114,7 @@ impl From<bool> for Level {
     }
 }
 
-/// What something outside of the microcontroller does to a pin.
+/// Action of something outside of the microcontroller on a pin.
 ///
 /// Against a push-pull output of the microcontroller the output wins (the
 /// model has no short circuits); against an open-drain output a low wins.

@@ -11,7 +11,7 @@ use crate::time::SimTime;
 pub struct LogLine {
     /// Virtual time at which the simulator read it (within 60 us of its writing).
     pub at: SimTime,
-    /// How important it is; nothing where it was printed without a level.
+    /// Importance; none where it was printed without a level.
     level: Option<Level>,
     /// The text.
     pub message: String,
@@ -74,7 +74,7 @@ impl Rtt {
         self.pending.clear();
     }
 
-    /// Whether something waits in the buffer.
+    /// True if something waits in the buffer.
     #[inline]
     pub(crate) fn has_data(&self, mem: &impl Words) -> bool {
         let Some(control) = self.control else {

@@ -40,7 +40,7 @@ struct Args {
     /// Three devices on one body instead: how their loops close
     #[arg(long)]
     loops: bool,
-    /// Write the recordings as CSV and our results beside the truth to this folder; of all
+    /// Write the recordings as CSV and our results beside the ground truth to this folder; of all
     /// scenarios to folders in it
     #[arg(long)]
     export: Option<PathBuf>,
@@ -144,7 +144,7 @@ fn row(args: &Args, scenario: &Scenario) {
             let twist = twist(args, scenario, trial);
             let result = estimate_offset(&twist.a, &twist.b, &options);
             if args.verbose {
-                println!("{trial}: {}", told(&twist, &result));
+                println!("{trial}: {}", reported(&twist, &result));
             }
             result.ok().map(|e| Accepted {
                 error_s: e.clock.offset - twist.offset_at(e.clock.reference),
@@ -200,7 +200,7 @@ struct Accepted {
     skew_sigmas: f64,
 }
 
-fn told(twist: &Twist, result: &Result<Estimate, Refusal>) -> String {
+fn reported(twist: &Twist, result: &Result<Estimate, Refusal>) -> String {
     let report = match result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
@@ -376,7 +376,7 @@ fn about_a_line(clocks: &[ClockRelation]) -> f64 {
         .sum()
 }
 
-/// Recordings and a table of the truth, our results (all digits) and settings, and the time.
+/// Recordings and a table of the ground truth, our results (all digits) and settings, and the time.
 fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
     std::fs::create_dir_all(folder).unwrap();
     let options = options(scenario);

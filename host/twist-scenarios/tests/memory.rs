@@ -104,13 +104,13 @@ fn the_peak_is_a_stated_multiple_of_the_input() {
         .args(["--exact", "memory::measured", "--ignored", "--nocapture"])
         .output()
         .unwrap();
-    let told = String::from_utf8_lossy(&child.stdout);
-    println!("{told}");
+    let reported = String::from_utf8_lossy(&child.stdout);
+    println!("{reported}");
     assert!(
         child.status.success(),
-        "{told}{}",
+        "{reported}{}",
         String::from_utf8_lossy(&child.stderr)
     );
     // The one test did run.
-    assert!(told.contains("at most"), "{told}");
+    assert!(reported.contains("at most"), "{reported}");
 }

@@ -1,4 +1,4 @@
-//! What a depth camera is like: plain data.
+//! Properties of a depth camera, as plain data.
 
 use anyhow::{Result, bail, ensure};
 
@@ -19,7 +19,7 @@ pub enum DepthMode {
     WfovUnbinned,
     /// No flashes of its own, but a shutter: one exposure of this length.
     Shutter {
-        /// How long it is open.
+        /// Time for which it is open.
         exposure: SimDuration,
     },
 }
@@ -40,7 +40,7 @@ impl DepthMode {
     }
 }
 
-/// What a depth camera is like.
+/// Properties of a depth camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthCameraConfig {
     /// Frames a second: 30, 15 or 5.
@@ -58,7 +58,7 @@ pub struct DepthCameraConfig {
     /// Jitter of that, 1-sigma. At most three of it, and no flash before the camera knows
     /// that no pulse comes.
     pub flash_jitter: SimDuration,
-    /// How far from its expected place a pulse may come without a disturbance.
+    /// Distance from its expected place at which a pulse disturbs nothing.
     pub tolerance: SimDuration,
     /// Frames that are bad after a disturbance, the one disturbed included.
     pub bad_frames: u32,
@@ -73,9 +73,9 @@ pub struct DepthCameraConfig {
     /// From the begin of a flash to the photodiode's rising edge, and from its end to the
     /// falling one: rise times against the threshold of the input.
     pub photodiode_delay: (SimDuration, SimDuration),
-    /// Whether the photodiode is wired to the strobe input.
+    /// True if the photodiode is wired to the strobe input.
     pub photodiode: bool,
-    /// What is high for whatever the board's output drives, in V: the gate, or without one
+    /// Voltage from which the input of the board's output is high: the gate, or without one
     /// the camera itself, which wants 3.5 (SDK #1844).
     pub input_high: f64,
 }

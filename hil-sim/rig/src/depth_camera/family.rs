@@ -44,7 +44,7 @@ impl Family {
         }
     }
 
-    /// Whether its recorder writes the Azure Kinect's files, and not a bag.
+    /// True if its recorder writes the Azure Kinect's files, and not a bag.
     #[must_use]
     pub fn writes_mkv(self) -> bool {
         matches!(self, Self::AzureKinect | Self::Femto)
@@ -83,7 +83,7 @@ impl Family {
     }
 }
 
-/// How long a shutter is open, µs.
+/// Exposure of a shutter, µs.
 const EXPOSURE_US: (f64, f64) = (2_000.0, 12_000.0);
 
 /// One that waits for each pulse, and whose exposure is set.

@@ -19,7 +19,7 @@ impl SimImu {
         Ack::Ack
     }
 
-    /// Whether the write of an external clock is lost.
+    /// True if the write of an external clock is lost.
     fn loses_clock(&mut self, value: u8) -> bool {
         let lost = self.lost_at_clock > 0 && self.map.selects_clock(self.pointer, value);
         if lost {

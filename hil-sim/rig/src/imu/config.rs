@@ -33,7 +33,7 @@ pub enum SensorModel {
 }
 
 impl SensorModel {
-    /// What its maker calls it.
+    /// Name by its maker.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -72,7 +72,7 @@ pub struct SimImuConfig {
     pub warm_up_s: f64,
     /// Change of the gyroscope's bias with the die's temperature, rad/s per °C.
     pub gyro_drift: [f64; 3],
-    /// How data-ready goes wrong against a clock on CLKIN, of which it should be an exact
+    /// Errors of data-ready against a clock on CLKIN, of which it should be an exact
     /// division.
     pub data_ready: DataReady,
     /// Noise of the thermometer, standard deviation of a sample in °C.
@@ -83,7 +83,7 @@ pub struct SimImuConfig {
     /// Rate error of its internal oscillator (CLKSEL 0), in ppm; within
     /// ±5 % by the product specification (MPU-6500 ±2 %, ICM-42688-P ±3 %).
     pub internal_ppm: f64,
-    /// How far from 19.2 MHz the PLL still locks, in ppm. Not documented; a
+    /// Range around 19.2 MHz in which the PLL locks, in ppm. Not documented; a
     /// setting of the model.
     pub lock_range_ppm: u32,
     /// From power-on or device reset until registers answer: 11 ms typical,
@@ -95,7 +95,7 @@ pub struct SimImuConfig {
     pub wake_up: SimDuration,
 }
 
-/// How the samples' times go wrong against the clock on CLKIN.
+/// Errors of the samples' times against the clock on CLKIN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DataReady {
     /// Rate of the samples against that clock, parts per million.
@@ -108,7 +108,7 @@ impl DataReady {
     /// Time in which the wander goes to and fro, seconds.
     const WANDER_S: f64 = 7.0;
 
-    /// How much later than the exact division a sample is that comes after `since_s`
+    /// Delay against the exact division of a sample that comes after `since_s`
     /// seconds, in units of [`SimTime`](stm32f4_sim::time::SimTime).
     pub(super) fn late(self, since_s: f64) -> i64 {
         let turn = 2.0 * core::f64::consts::PI * since_s / Self::WANDER_S;

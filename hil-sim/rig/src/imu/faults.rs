@@ -18,7 +18,7 @@ pub enum Fault {
     Nack {
         /// Which byte; only bytes that the sensor acknowledges count and can be hit.
         byte: u32,
-        /// How often.
+        /// Number of times.
         times: u32,
     },
     /// SDA is held low, as by a sensor that lost count of the clock in the

@@ -40,7 +40,7 @@ const REGISTERS: usize = 128;
 /// DATA_RDY_INT of INT_STATUS, UI_DRDY_INT1_EN of INT_SOURCE0.
 const DATA_RDY: u8 = 0x08;
 
-/// What is not zero after a reset (chapters 14 to 16).
+/// Registers that are not zero after a reset (chapters 14 to 16).
 const RESET_VALUES: [(Address, u8); 26] = [
     ((0, 0x13), 0x05),
     (INT_STATUS, 0x10),

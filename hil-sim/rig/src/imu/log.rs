@@ -1,4 +1,4 @@
-//! What the sensor really put into its registers, and when.
+//! Ground truth of the sensor's registers: the values, and when they came.
 
 use stm32f4_sim::time::SimTime;
 
@@ -9,14 +9,14 @@ pub struct SampleRecord {
     pub number: u64,
     /// When it was written, which is when data-ready was asserted.
     pub at: SimTime,
-    /// Whether data-ready made an edge on the pin: not if the interrupt is
+    /// True if data-ready made an edge on the pin: not if the interrupt is
     /// disabled, or still latched from a sample before.
     pub edge: bool,
     /// The register values.
     pub values: Values,
 }
 
-/// What a sample measured, as seven numbers.
+/// The measurements of a sample, as seven numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Values {
     /// Acceleration, in counts.

@@ -1,10 +1,10 @@
-//! What a family's registers ask of the sensor behind them.
+//! Requests of a family's registers to the sensor behind them.
 
 use super::log::Values;
 use crate::inertial_channel::LowPass;
 use stm32f4_sim::time::SimDuration;
 
-/// What clocks the internal samples.
+/// Clock of the internal samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     /// Nothing, or nothing that is modelled.
@@ -32,7 +32,7 @@ pub(super) struct SignalPath {
     pub(super) accel_hz: u64,
 }
 
-/// How samples are measured.
+/// Settings of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Measuring {
     pub(super) awake: bool,
@@ -49,7 +49,7 @@ pub(super) struct Measuring {
     pub(super) thermometer: Option<(f64, f64)>,
 }
 
-/// What the interrupt pin does.
+/// Behaviour of the interrupt pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct InterruptPin {
     /// Data-ready drives it.
@@ -60,7 +60,7 @@ pub(super) struct InterruptPin {
     pub(super) pulse: Option<SimDuration>,
 }
 
-/// What follows from a write.
+/// Consequences of a write.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Stored {
     /// The sensor resets itself.
@@ -98,9 +98,9 @@ pub(super) trait RegisterMap: core::fmt::Debug + Send {
     /// Sets or clears data-ready in the status register.
     fn set_ready(&mut self, ready: bool);
 
-    /// Whether reading a register clears data-ready.
+    /// True if reading a register clears data-ready.
     fn clears(&self, register: u8) -> bool;
 
-    /// Whether a write selects the clock at CLKIN.
+    /// True if a write selects the clock at CLKIN.
     fn selects_clock(&self, register: u8, value: u8) -> bool;
 }

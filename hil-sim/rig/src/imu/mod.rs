@@ -109,7 +109,7 @@ pub struct SimImu {
     answers_from: SimTime,
     sampling: Sampling,
     interrupt: Interrupt,
-    /// What the pin is driven with at present; nothing before power-on.
+    /// Present drive of the pin; none before power-on.
     driven: Option<Drive>,
     /// The pin must be looked at, at this time (it changed by a bus event).
     pin_due: Option<SimTime>,
@@ -121,7 +121,7 @@ pub struct SimImu {
     nack: Option<(u32, u32)>,
     /// Writes that select an external clock and are still to be lost.
     lost_at_clock: u32,
-    /// What WHO_AM_I reads as, if a fault says so.
+    /// Content of WHO_AM_I, if a fault says so.
     identity: Option<u8>,
     sda_held: bool,
     sda_pulses_left: Option<u32>,
@@ -180,7 +180,7 @@ impl SimImu {
         self.faults.add(at, fault);
     }
 
-    /// What was put into the registers.
+    /// The samples that were put into the registers.
     #[must_use]
     pub fn log(&self) -> &[SampleRecord] {
         &self.log
@@ -197,7 +197,7 @@ impl SimImu {
         &self.unmodelled
     }
 
-    /// What it was made from.
+    /// Its configuration.
     #[must_use]
     pub fn config(&self) -> &SimImuConfig {
         &self.config
@@ -303,7 +303,7 @@ impl SimImu {
         });
     }
 
-    /// What the sensor does to its interrupt pin now.
+    /// Present drive of the interrupt pin.
     fn pin_drive(&self) -> Drive {
         if !self.powered || self.data_ready_cut {
             return Drive::Floating;

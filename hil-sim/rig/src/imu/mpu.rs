@@ -198,7 +198,7 @@ impl MpuRegisters {
         self.values[usize::from(register & 0x7f)]
     }
 
-    /// Whether it is one of the two later ones.
+    /// True if it is one of the two later ones.
     fn is_late(&self) -> bool {
         matches!(self.model, SensorModel::Mpu6500 | SensorModel::Mpu9250)
     }
@@ -237,7 +237,7 @@ impl MpuRegisters {
         }
     }
 
-    /// Whether the controller can write the register (section 3, table of registers).
+    /// True if the controller can write the register (section 3, table of registers).
     fn is_writable(&self, register: u8) -> bool {
         (register == address::ACCEL_CONFIG_2 && self.is_late())
             || matches!(register,

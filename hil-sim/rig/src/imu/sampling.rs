@@ -332,7 +332,7 @@ impl Sampling {
     }
 }
 
-/// Whether the PLL for `nominal_hz` locks to `rate`.
+/// True if the PLL for `nominal_hz` locks to `rate`.
 fn locks(rate: Rate, nominal_hz: u64, range_ppm: u32) -> bool {
     let (num, den) = rate.fraction();
     let nominal = u128::from(den) * u128::from(nominal_hz);

@@ -29,7 +29,7 @@ use crate::depth_camera::{FrameRecord, TIMESTAMP_HZ};
 const SCALE: u64 = 1_000;
 /// Length of a cluster, in µs.
 const CLUSTER_US: u64 = 32_000;
-/// How long data is held back, in µs.
+/// Time for which data is held back, in µs.
 const DELAY_US: u64 = 2_000_000;
 /// At most this many IMU samples in one block.
 const LACED: usize = 8;
@@ -38,7 +38,7 @@ const DEPTH_TRACK: u8 = 1;
 const IR_TRACK: u8 = 2;
 const IMU_TRACK: u8 = 3;
 
-/// What stands in the file's head.
+/// Settings in the file's head.
 #[derive(Clone, Debug)]
 pub struct K4aSettings {
     /// Width of depth and infrared in pixels.
@@ -51,9 +51,9 @@ pub struct K4aSettings {
     pub depth_mode: String,
     /// `K4A_DEVICE_SERIAL_NUMBER`.
     pub serial: String,
-    /// Whether there is an infrared track.
+    /// True if there is an infrared track.
     pub infrared: bool,
-    /// Whether there is an IMU track.
+    /// True if there is an IMU track.
     pub imu: bool,
     /// Content of the attachment `calibration.json`.
     pub calibration: Vec<u8>,

@@ -26,7 +26,7 @@ use crate::random::Random;
 /// Time in which a gesture fades in, and in which it fades out, in seconds.
 pub const FADE: f64 = 0.7;
 
-/// What the rig is made to do.
+/// A kind of motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gesture {
     /// Lies still and level.

@@ -32,7 +32,7 @@ pub struct MotionSpec(pub Vec<Step>);
 /// One gesture of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// What is done.
+    /// Its kind.
     pub gesture: Gesture,
     /// For how long, in seconds; nothing is for ever.
     pub seconds: Option<f64>,

@@ -1,4 +1,4 @@
-//! What the app does when it is asked: its four requests, without a socket.
+//! Requests to the app, of which there are four, without a socket.
 //!
 //! The lines that it follows are of the app's source: RRH is
 //! `RemoteRpcRequestHandler.java`, EAI `ExtendedAppInterface.java`.
@@ -20,13 +20,13 @@ use crate::true_clock::{RigStopped, TrueClock};
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
-/// How long the app waits for the phase of a video, in milliseconds (RRH:34).
+/// Time that the app waits for the phase of a video, in milliseconds (RRH:34).
 const PHASE_TIMEOUT_MS: u64 = 10_000;
 
-/// How often the phase is looked for, in milliseconds.
+/// Interval between looks for the phase, in milliseconds.
 const PHASE_POLL_MS: u64 = 50;
 
-/// How often the app looks whether a video that is asked for is closed, in milliseconds.
+/// Interval between looks whether a video that is asked for is closed, in milliseconds.
 const CLOSED_POLL_MS: f64 = 50.0;
 
 /// An answer of the app.
@@ -66,7 +66,7 @@ impl Reply {
     }
 }
 
-/// How far a request has come.
+/// Progress of a request.
 pub(super) enum Progress {
     /// It is answered.
     Done(Reply),
@@ -74,7 +74,7 @@ pub(super) enum Progress {
     Waits {
         /// The time.
         until: TrueTime,
-        /// What goes on then.
+        /// The request that goes on then.
         request: Request,
     },
 }
@@ -90,7 +90,7 @@ pub(super) enum Request {
     },
     /// The last video is asked for, and not closed yet.
     Video {
-        /// How often the app had been opened.
+        /// Number of times that the app had been opened.
         opened: u64,
         /// It has waited before.
         waited: bool,
@@ -105,7 +105,7 @@ pub(super) struct SensorRecording {
     to: i64,
 }
 
-/// What the app does by itself later.
+/// Something that the app does by itself later.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Due {
     /// It has been in the background for long enough: recordings end.
@@ -114,7 +114,7 @@ pub(super) enum Due {
     Closed { number: usize, at: TrueTime },
 }
 
-/// One recording of the phone, for the truth.
+/// One recording of the phone, for the ground truth.
 #[derive(Clone, Debug)]
 pub struct VideoTruth {
     /// It was begun by hand, not by a request.
@@ -147,7 +147,7 @@ pub(super) struct Recording {
     pub(super) phase_taken: bool,
 }
 
-/// What the video recorder does.
+/// State of the video recorder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Recorder {
     #[default]
@@ -171,7 +171,7 @@ pub(super) struct State {
     pub(super) background: Option<TrueTime>,
     /// Files being written in the background.
     pub(super) saving: usize,
-    /// What went wrong while saving.
+    /// Error while saving.
     pub(super) trouble: Option<String>,
 }
 
@@ -196,7 +196,7 @@ pub(super) struct App {
     state: Mutex<State>,
     pub(super) changed: Condvar,
     pub(super) render: Mutex<()>,
-    /// How often the app was opened anew.
+    /// Number of times that the app was opened again.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
     /// Where the app has no threads: what it does later.
@@ -312,7 +312,7 @@ impl App {
         TrueTime::from_units(self.clock.now().units().saturating_add(units))
     }
 
-    /// Whether true time has come to `at`.
+    /// True if true time has come to `at`.
     pub(super) fn has_come(&self, at: TrueTime) -> bool {
         self.clock.now() >= at
     }
@@ -512,7 +512,7 @@ impl App {
 
     /// The process ends, as by a crash or by hand, and the app is as if just opened.
     /// A video that runs ends with it.
-    pub(super) fn open_anew(self: &Arc<Self>) {
+    pub(super) fn reopen(self: &Arc<Self>) {
         self.opened.fetch_add(1, Ordering::SeqCst);
         self.stop_recording(0.0);
         let mut state = self.state();

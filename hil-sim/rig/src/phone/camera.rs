@@ -19,7 +19,7 @@ const PHASE_FRAME: usize = 60;
 /// Frames rendered in parallel before they go to the encoder, in order.
 const BATCH: usize = 64;
 
-/// The frames of one recording: when they truly were, and what the app was told. The
+/// The frames of one recording: their true times, and the times that the app gets. The
 /// sensor's frames are a perfect grid, numbered from 0; the app may get some of them not
 /// at all and some twice.
 #[derive(Clone, Debug)]
@@ -119,7 +119,7 @@ impl FrameTimes {
         self.start_ns(n).saturating_add(length.round() as i64)
     }
 
-    /// How many frames were complete at `ns`.
+    /// Number of frames that were complete at `ns`.
     #[must_use]
     pub fn complete_at(&self, ns: i64) -> usize {
         let since = ns.saturating_sub(self.end_ns(0));
@@ -151,7 +151,7 @@ impl FrameTimes {
         delivered.map(|n| stamps[n]).collect()
     }
 
-    /// What `video_start` answers: phase, and mean of the durations before it.
+    /// Answer to `video_start`: phase, and mean of the durations before it.
     #[must_use]
     pub fn phase(&self) -> (i64, f64) {
         let stamps = self.stamps(self.phase_frame() + 1);
@@ -165,7 +165,7 @@ impl FrameTimes {
 
 /// Renders and encodes the first `count` frames into `path`.
 ///
-/// What the camera saw: the scene's even light and the flashes of `light`, each
+/// Renders the video: the scene's even light and the flashes of `light`, each
 /// on the rows that were exposed at that moment.
 pub(super) fn write_video(
     path: &Path,

@@ -1,4 +1,4 @@
-//! What the phone's clocks read, told on a port as our program on a phone tells it, with the
+//! The readings of the phone's clocks on a port, as our program on a phone reports them, with the
 //! delays of a link on the way.
 //!
 //! It stands for the program, for `adb`'s forwarding and for the cable: how long the way

@@ -1,4 +1,4 @@
-//! What one simulated phone is like.
+//! Properties of one simulated phone.
 
 use std::path::PathBuf;
 
@@ -51,14 +51,14 @@ pub struct AppConfig {
     /// Up to v1.48.2.9 each `imu?` rewrites the ticks for good; later versions have the
     /// lines as comments (RRH:70).
     pub imu_rewrites_ticks: bool,
-    /// How files are written.
+    /// Access to the storage.
     pub storage: StorageAccess,
-    /// What is left of an answer waits for the next one, as Nagle's algorithm has it on a
+    /// The rest of an answer waits for the next one, as Nagle's algorithm has it on a
     /// network with latency. If not, each answer leaves as soon as it is there.
     pub gathers: bool,
 }
 
-/// How the app writes its files.
+/// Access of the app to its files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StorageAccess {
     /// As files. A second one of a name ends in `_1` (`StorageUtils.java`:640).
@@ -127,10 +127,10 @@ pub struct CameraConfig {
     pub first_frame_ms: (f64, f64),
     /// From the end of a frame's readout to the app that handles it, milliseconds.
     pub pipeline_ms: f64,
-    /// Whether the app gets timestamps of frames at all (its sync recording is
+    /// True if the app gets timestamps of frames at all (its sync recording is
     /// switched on). Without them `video_start` fails after 10 s.
     pub reports_frames: bool,
-    /// Whether exposure times are reported. If not, the app says 0.
+    /// True if exposure times are reported. If not, the app says 0.
     pub reports_exposure: bool,
     /// Grey level of the scene.
     pub ambient: f64,
@@ -140,7 +140,7 @@ pub struct CameraConfig {
     pub read_noise: f64,
     /// Constant rate factor of the encoder (x264; 23 is its default).
     pub rate_factor: u8,
-    /// Whether a [`ball`](crate::ball) swings before the camera.
+    /// True if a [`ball`](crate::ball) swings before the camera.
     pub ball: bool,
 }
 
@@ -151,7 +151,7 @@ pub struct Handset<'a> {
     pub name: Option<&'a str>,
     /// Where it is reached.
     pub address: String,
-    /// What it was made from.
+    /// Its configuration.
     pub config: &'a PhoneConfig,
 }
 

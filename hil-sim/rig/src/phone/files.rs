@@ -14,7 +14,7 @@ use super::config::StorageAccess;
 use super::java;
 use super::sensors::{Kind, Sample};
 
-/// What the phone's wall clock says at power-on of the rig: 2021-05-04
+/// Wall clock of the phone at power-on of the rig: 2021-05-04
 /// 16:17:30, in seconds since 1970.
 const WALL_CLOCK_AT_ZERO: u64 = 1_620_145_050;
 

@@ -21,7 +21,7 @@ const ADDRESS: &str = "192.0.2.1:6969";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(u64);
 
-/// What a client gets for a request.
+/// Answer to a request of a client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// These bytes.
@@ -109,7 +109,7 @@ impl AskedPhone {
 
     fn answer(&mut self, id: RequestId, reply: Reply) {
         if reply == Reply::Crash {
-            self.app.open_anew();
+            self.app.reopen();
             self.leave_network();
         }
         let answer = match reply.written(&self.app.config.version) {
@@ -162,7 +162,7 @@ impl AskedPhone {
         self.app.storage()
     }
 
-    /// Whether it records a video.
+    /// True if it records a video.
     #[must_use]
     pub fn is_recording(&self) -> bool {
         self.app.is_recording()
@@ -180,7 +180,7 @@ impl AskedPhone {
         &self.app.oscillator
     }
 
-    /// What its owner knows of it.
+    /// The phone as its owner knows it.
     #[must_use]
     pub fn handset(&self) -> Handset<'_> {
         Handset {

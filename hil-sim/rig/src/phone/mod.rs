@@ -57,12 +57,12 @@ pub use config::{
 pub use in_process::{Answer, AskedPhone, RequestId};
 pub use server::LinkFault;
 
-/// What a phone needs of the rig.
+/// The rig around a phone.
 #[derive(Clone)]
 pub struct Surroundings {
     /// True time as it passes.
     pub clock: TrueClock,
-    /// How the rig moves.
+    /// Motion of the rig.
     pub motion: Arc<Motion>,
     /// When the depth camera flashes.
     pub light: Arc<dyn FlashSource>,
@@ -108,13 +108,13 @@ impl SimPhone {
         self.link.address()
     }
 
-    /// What it was made from.
+    /// Its configuration.
     #[must_use]
     pub fn config(&self) -> &PhoneConfig {
         &self.app.config
     }
 
-    /// What its owner knows of it.
+    /// The phone as its owner knows it.
     #[must_use]
     pub fn handset(&self) -> Handset<'_> {
         Handset {
@@ -130,7 +130,7 @@ impl SimPhone {
         &self.app.oscillator
     }
 
-    /// The truth about its videos so far, in order.
+    /// Ground truth of its videos so far, in order.
     #[must_use]
     pub fn videos(&self) -> Vec<VideoTruth> {
         self.app.videos()
@@ -145,7 +145,7 @@ impl SimPhone {
         ClockTeller::start(Arc::clone(&self.app), link)
     }
 
-    /// Whether it records a video.
+    /// True if it records a video.
     #[must_use]
     pub fn is_recording(&self) -> bool {
         self.app.is_recording()
@@ -161,7 +161,7 @@ impl SimPhone {
     ///
     /// # Errors
     ///
-    /// What went wrong while saving.
+    /// Error while saving.
     pub fn wait_saved(&self) -> Result<(), String> {
         self.app.wait_saved()
     }
@@ -197,7 +197,7 @@ impl SimPhone {
     ///
     /// Someone else has taken its port.
     pub fn reopen_app(&self) -> std::io::Result<()> {
-        self.app.open_anew();
+        self.app.reopen();
         self.link.forget_background();
         self.link.cut();
         self.link.join()

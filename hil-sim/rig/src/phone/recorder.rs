@@ -16,7 +16,7 @@ use stm32f4_sim::time::UNITS_PER_SECOND;
 /// (`Preview.java`:5020).
 const PRESS_IGNORED_MS: u64 = 500;
 
-/// What the app tells of its frames when a recording has begun.
+/// Report of the app about its frames when a recording has begun.
 pub(super) struct Phase {
     /// Timestamp of frame 60.
     pub(super) stamp_ns: i64,

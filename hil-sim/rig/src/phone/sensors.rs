@@ -41,7 +41,7 @@ impl Kind {
     /// In the order in which the app sends them.
     pub(super) const ALL: [Self; 3] = [Self::Accelerometer, Self::Gyroscope, Self::Magnetometer];
 
-    /// How the app names the sensor in its files.
+    /// Name of the sensor in the app's files.
     pub(super) const fn suffix(self) -> &'static str {
         match self {
             Self::Accelerometer => "accel",
@@ -50,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// Whether this sensor is one of those: accelerometer, gyroscope, magnetometer.
+    /// True if this sensor is one of those: accelerometer, gyroscope, magnetometer.
     pub(super) const fn one_of(self, [accelerometer, gyroscope, magnetometer]: [bool; 3]) -> bool {
         match self {
             Self::Accelerometer => accelerometer,
@@ -232,7 +232,7 @@ impl BiasWalk {
     }
 }
 
-/// How the rig is turned against the world: the integral of its angular rate.
+/// Orientation of the rig in the world: the integral of its angular rate.
 #[derive(Debug)]
 struct Heading {
     motion: Arc<Motion>,

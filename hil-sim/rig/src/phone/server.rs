@@ -37,13 +37,13 @@ use stm32f4_sim::shared::lock;
 /// Bytes of an answer that wait for the next one: less than a segment.
 const TAIL: usize = 1_024;
 
-/// How long they wait at least.
+/// Least time that they wait.
 const GATHER: Duration = Duration::from_millis(50);
 
-/// How soon the server sees that it shall stop.
+/// Time in which the server sees that it shall stop.
 const POLL: Duration = Duration::from_millis(20);
 
-/// How soon a server in the background sees that it is to end, in milliseconds of true
+/// Time in which a server in the background sees that it is to end, in milliseconds of true
 /// time (`RemoteRpcServer.java`:41).
 const ACCEPT_MS: f64 = 1_000.0;
 
@@ -53,7 +53,7 @@ const MAX_REQUEST: usize = 64 * 1024;
 /// Bytes of a file sent at once, as in the app.
 const FILE_BLOCK: usize = 1_024;
 
-/// What is made to go wrong on the way of the answers.
+/// Fault on the way of the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkFault {
     /// The connection is closed after so many bytes of an answer.
@@ -98,7 +98,7 @@ impl Link {
         self.join().map(|()| true)
     }
 
-    /// The app's process has ended, or is opened anew.
+    /// The app's process has ended, or is opened again.
     pub(super) fn forget_background(&self) {
         *lock(&self.ending) = None;
     }
@@ -285,7 +285,7 @@ impl<'a> Client<'a> {
         Some(String::from_utf8_lossy(&line).into_owned())
     }
 
-    /// Whether another request is waiting, one that is answered at once.
+    /// True if another request is waiting, one that is answered at once.
     fn has_quick_request(&self) -> bool {
         let skip = usize::from(self.after_return && self.input.first() == Some(&b'\n'));
         let rest = self.input.get(skip..).unwrap_or_default();
@@ -303,7 +303,7 @@ impl<'a> Client<'a> {
             return Ok(());
         }
         if reply == Reply::Crash {
-            self.app.open_anew();
+            self.app.reopen();
             self.link.leave();
         }
         let (head, file) = reply.written(&self.app.config.version).ok_or(Gone)?;

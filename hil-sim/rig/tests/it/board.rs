@@ -348,7 +348,7 @@ fn a_hang_and_a_dead_task_end_in_a_watchdog_reset() {
     }
 }
 
-/// Without being told to go on, a failure ends the run and says where it was.
+/// Without tolerance, a failure ends the run and says where it was.
 #[test]
 fn a_failure_ends_the_run_with_its_message_and_stack() {
     let mut board = Board::boot(wiring::board());
@@ -467,7 +467,7 @@ fn handlers_are_measured_after_a_probe_has_gone() {
     assert!(usb.calls > 0 && usb.mean() > 20, "{usb:?}");
 }
 
-/// A clock tree that is not what the firmware believes shows as wrong time.
+/// A clock tree that is not what the firmware assumes shows as wrong time.
 #[test]
 fn a_wrong_pll_factor_is_found_out() {
     let mut elf = wiring::default_elf().into_os_string();
@@ -489,7 +489,7 @@ fn a_wrong_pll_factor_is_found_out() {
     );
 }
 
-/// What three seconds of the board send, byte for byte.
+/// Three seconds of the board's bytes.
 fn three_seconds(seed: u64) -> Vec<u8> {
     let mut rig = wiring::board().seed(Seed(seed)).build().unwrap();
     let mut bytes = Vec::new();
@@ -541,7 +541,7 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
     assert!(text.contains("not a firmware of this board"), "{text}");
 }
 
-/// What each handler took, and the chip's temperature whatever its supply.
+/// The time of each handler, and the chip's temperature whatever its supply.
 #[test]
 fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
     for (celsius, supply) in [(-12.0, 3.3), (41.5, 2.9), (84.0, 2.5)] {
@@ -550,9 +550,9 @@ fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
         board.start(train(Period::from_ticks(TICK_HZ / 100), MIN_PULSE_WIDTH));
         board.run(3_100);
         let status = board.statuses.last().unwrap();
-        let told = f64::from(status.die_decidegrees.unwrap()) / 10.0;
+        let reported = f64::from(status.die_decidegrees.unwrap()) / 10.0;
         // A code is 0.3 °C; two of them and the rounding of the calibration.
-        assert!((told - celsius).abs() < 0.8, "{told} for {celsius}");
+        assert!((reported - celsius).abs() < 0.8, "{reported} for {celsius}");
         let volts = f64::from(status.supply_mv.unwrap()) / 1e3;
         assert!((volts - supply).abs() < 0.01, "{volts} for {supply}");
 

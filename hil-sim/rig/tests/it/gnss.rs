@@ -57,7 +57,7 @@ impl Bench {
     }
 
     /// Checks the seconds that are over: pulses at whole seconds to the tick, the
-    /// right UTC told in time, by a public parser too, and the board's reports.
+    /// right UTC in time, by a public parser too, and the board's reports.
     fn check(&mut self, settings: &GnssSettings) -> Vec<LidarSecond> {
         let seconds = lock(&self.lidar).take_seconds();
         for second in &seconds {
@@ -77,12 +77,12 @@ impl Bench {
             assert!(ended <= promised, "{ended:?}");
             let begun = SimDuration::from_millis(settings.delay_ms.into());
             assert!(ended > begun);
-            let told = parsed(&second.text);
+            let reported = parsed(&second.text);
             let count = match settings.sentences {
                 Sentences::Rmc => 1,
                 Sentences::RmcZda => 2,
             };
-            assert_eq!(told, vec![utc; count]);
+            assert_eq!(reported, vec![utc; count]);
             let report = self.board.pps.iter().find(|pps| pps.at.0 == tick);
             let report = report.expect("the pulse is reported");
             assert_eq!(report.utc, utc);

@@ -79,7 +79,7 @@ fn ten_minutes_of_samples_are_exact() {
     assert!(bus_errors > 1_000, "{bus_errors}");
 }
 
-/// How many samples, pulses and bus errors that were none there were.
+/// Numbers of samples, pulses and bus errors that were none.
 fn five_minutes_are_exact(seed: Seed) -> [u64; 3] {
     let walk = MotionSpec::always(Gesture::Walk);
     let motion = walk.build(seed.stream(Stream::Motion));
@@ -380,7 +380,7 @@ fn settings_of_an_icm_42688_p_reach_it_or_are_refused() {
 }
 
 /// A sensor that is lost in the middle of the switch to CLKIN's clock, every time: it
-/// runs on its own, and the fault is told.
+/// runs on its own, and the fault is reported.
 #[test]
 fn a_sensor_lost_at_its_external_clock_runs_on_its_own() {
     let mut bench = Bench::new(Motion::rest(), &[Fault::LostAtExternalClock(u32::MAX)]);
@@ -440,7 +440,7 @@ fn settings_reach_the_sensor_and_are_reported() {
         assert_eq!(sensor.peek(mpu9150::ACCEL_CONFIG), 0x10);
         drop(sensor);
 
-        // Once more, as after an answer that came late: nothing is set up anew.
+        // Once more, as after an answer that came late: nothing is set up again.
         let again = bench.board.ask(ConfigureImu(config));
         assert_eq!(again.unwrap().status.state, ImuState::Running);
         bench.board.run(500);

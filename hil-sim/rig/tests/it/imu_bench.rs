@@ -19,7 +19,7 @@ pub(crate) struct Bench {
     pub(crate) board: Board,
     pub(crate) sensor: Shared<SimImu>,
     zero: u64,
-    /// What the sensor measured and no sample was compared with yet.
+    /// Measurements with which no sample was compared yet.
     records: VecDeque<SampleRecord>,
 }
 

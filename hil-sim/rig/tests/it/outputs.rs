@@ -207,7 +207,7 @@ impl Bench {
         board.pps.clear();
     }
 
-    /// How many pulses of the slowest train have one of each other train within so
+    /// Number of pulses of the slowest train that have one of each other train within so
     /// many ticks, by the arithmetic of the edges that were seen.
     fn coincidences(&self, within: u64) -> usize {
         let slow = self.trains.iter().max_by_key(|train| train.period.0);
@@ -250,7 +250,7 @@ impl Bench {
 /// flood of commands in every other one: every edge, every report.
 fn run_all(seconds: u64) {
     let mut bench = Bench::new();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     // All begin together on a whole second, so the pulse per second is part of that.
     // From there on they slip by 1 µs a second against it: the camera and every sixth
     // of its frames one way, the shortest the other way.
@@ -272,22 +272,23 @@ fn run_all(seconds: u64) {
         bench.board.answers.clear();
         bench.board.statuses.clear();
         bench.check();
-        told.extend(
+        reported.extend(
             lock(&bench.lidar)
                 .take_seconds()
                 .iter()
                 .map(|second| second.utc),
         );
     }
-    // The lidar was told every second in time, each one more than the one before. The
+    // The lidar got every second in time, each one more than the one before. The
     // last may not be over.
     let pulses = bench.trains.last().map_or(0, |pps| pps.seen.div_ceil(2));
-    assert_eq!(told.len() as u64 + 1, pulses);
+    assert_eq!(reported.len() as u64 + 1, pulses);
     assert!(pulses >= seconds - 2, "{pulses}");
     assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
-    let first = told[0].expect("the first second was told");
+    let first = reported[0].expect("the first second came in time");
     assert!(
-        told.iter()
+        reported
+            .iter()
             .zip(first..)
             .all(|(utc, next)| *utc == Some(next))
     );
@@ -301,9 +302,9 @@ fn run_all(seconds: u64) {
     let together = bench.coincidences(50 * 48);
     assert!(together > 40, "{together}");
     println!(
-        "coincidences of all five within 50 us: {together}; seconds told to the lidar: {}, all in \
+        "coincidences of all five within 50 us: {together}; seconds reported to the lidar: {}, all in \
          time",
-        told.len()
+        reported.len()
     );
     let status = bench.board.next_status();
     println!(

@@ -76,7 +76,7 @@ impl Client {
         bytes
     }
 
-    /// Whether nothing comes for a while.
+    /// True if nothing comes for a while.
     fn is_silent(&mut self) -> bool {
         let stream = self.0.get_ref();
         let patience = stream.read_timeout().unwrap();

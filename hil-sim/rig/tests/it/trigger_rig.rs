@@ -1,4 +1,4 @@
-//! What is wired to the trigger in tests: something that flashes.
+//! A strobe on the trigger, for tests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};

@@ -38,7 +38,7 @@ pub(super) const VREFINT_CAL: u32 = 1_504;
 const CAL_SUPPLY: f64 = 3.3;
 const CAL_CELSIUS: [f64; 2] = [30.0, 110.0];
 
-/// What the ADC measures.
+/// Quantities that the ADC measures.
 #[derive(Clone, Copy, Debug)]
 pub struct Die {
     /// Temperature of the die, in °C.

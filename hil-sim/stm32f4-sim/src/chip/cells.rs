@@ -115,7 +115,7 @@ impl Cells {
         Some(self.0.get(&address).copied().unwrap_or(cell.reset))
     }
 
-    /// Whether there is such a register.
+    /// True if there is such a register.
     pub(super) fn write(&mut self, address: u32, value: u32) -> bool {
         let Some(cell) = Self::find(address) else {
             return false;

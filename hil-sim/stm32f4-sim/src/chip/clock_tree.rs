@@ -1,4 +1,4 @@
-//! What follows when a clock changes: everybody's rate, and the clock on PA8.
+//! Consequences of a change of a clock: everybody's rate, and the clock on PA8.
 
 use super::gpio::Mode;
 use super::{Soc, TIM1, TIMERS, uart};

@@ -64,7 +64,7 @@ impl Dma {
         self.streams[s].ndtr
     }
 
-    /// What the next request of stream `s` moves.
+    /// Item that the next request of stream `s` moves.
     pub(crate) fn transfer(&self, s: usize) -> Transfer {
         let st = &self.streams[s];
         let width = 1 << ((st.cr >> 13) & 3).min(2);
@@ -89,7 +89,7 @@ impl Dma {
         })
     }
 
-    /// Whether a write enables a stream whose flags of the last transfer are still set.
+    /// True if a write enables a stream whose flags of the last transfer are still set.
     pub(crate) fn enables_with_flags(&self, offset: u32, value: u32) -> Option<usize> {
         let s = (offset.checked_sub(0x10)? / 0x18) as usize;
         let st = self.streams.get(s)?;

@@ -81,7 +81,7 @@ impl Events {
         Source::of(index.unwrap_or(MODELS))
     }
 
-    /// Whether `source` has an event to come.
+    /// True if `source` has an event to come.
     pub(super) fn is_set(&self, source: Source) -> bool {
         self.at[source.index()] != SimTime::NEVER
     }

@@ -40,7 +40,7 @@ const SR2_TRA: u32 = 1 << 2;
 /// longer is harder on software that does not wait.
 const STOP_CLOCKS: u64 = 4;
 
-/// What the controller is doing on the wire.
+/// Activity of the controller on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Idle,
@@ -77,7 +77,7 @@ pub(crate) struct BusErrors {
 #[derive(Debug)]
 pub(crate) struct I2c {
     bus_errors: BusErrors,
-    /// How many bus errors there were.
+    /// Number of bus errors.
     pub(crate) reported: u64,
     pclk: Rate,
     cr1: u32,
@@ -130,17 +130,17 @@ impl I2c {
         self.phase_end
     }
 
-    /// Whether the peripheral has the bus between a start and a stop.
+    /// True if the peripheral has the bus between a start and a stop.
     pub(crate) fn owns_bus(&self) -> bool {
         self.controller
     }
 
-    /// Whether software asks for a START that has not been made yet.
+    /// True if software asks for a START that has not been made yet.
     pub(crate) fn starts(&self) -> bool {
         self.cr1 & CR1_START != 0
     }
 
-    /// Whether a write breaks the rule that CR1 is left alone while a START or STOP is
+    /// True if a write breaks the rule that CR1 is left alone while a START or STOP is
     /// pending. The reset of the peripheral is the way out of a bus that hangs.
     pub(crate) fn is_forbidden(&self, offset: u32, value: u32) -> bool {
         offset == 0x00 && self.cr1 & (CR1_START | CR1_STOP) != 0 && value & CR1_SWRST == 0
@@ -180,17 +180,17 @@ impl I2c {
         )
     }
 
-    /// Whether a byte to send is wanted from the DMA.
+    /// True if a byte to send is wanted from the DMA.
     pub(crate) fn wants_tx(&self) -> bool {
         self.cr2 & CR2_DMAEN != 0 && self.transmitter && self.sr1 & SR1_TXE != 0 && self.controller
     }
 
-    /// Whether the DMA is to fetch a received byte.
+    /// True if the DMA is to fetch a received byte.
     pub(crate) fn wants_rx(&self) -> bool {
         self.cr2 & CR2_DMAEN != 0 && self.sr1 & SR1_RXNE != 0
     }
 
-    /// What the wires do ends now. `remaining` are the items that the DMA
+    /// Ends the activity on the wires. `remaining` are the items that the DMA
     /// still has to fetch, for LAST.
     pub(crate) fn advance(&mut self, now: SimTime, bus: &mut I2cBus, remaining: u32) {
         if now < self.phase_end {

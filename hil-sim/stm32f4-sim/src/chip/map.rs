@@ -73,7 +73,7 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
 }
 
 impl Soc {
-    /// Whether a peripheral that is touched is there and has its clock, and holds software
+    /// True if a peripheral that is touched is there and has its clock, and holds software
     /// to it.
     fn usable(&mut self, enable: Option<(u32, u32)>, address: u32) -> bool {
         if self.part.lacks(address) {
@@ -185,7 +185,7 @@ impl Soc {
         true
     }
 
-    /// Whether the register is modelled.
+    /// True if the register is modelled.
     fn write_modelled(&mut self, block: Block, addr: u32, value: u32) -> bool {
         let offset = addr & 0x3ff;
         let now = self.now;
@@ -453,7 +453,7 @@ impl Soc {
         }
     }
 
-    /// How many bus errors the I2C peripheral reported where there was none.
+    /// Number of bus errors that the I2C peripheral reported where there was none.
     pub(crate) fn spurious_bus_errors(&self) -> u64 {
         self.i2c.reported
     }

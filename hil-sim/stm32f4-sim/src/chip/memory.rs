@@ -13,7 +13,7 @@ pub(crate) const CCM_BASE: u32 = 0x1000_0000;
 /// Size of the core-coupled memory.
 pub(crate) const CCM_SIZE: usize = 64 * 1024;
 
-/// Whether an address is in the flash, at its own place or where it is mapped to zero.
+/// True if an address is in the flash, at its own place or where it is mapped to zero.
 #[inline(always)]
 pub(crate) fn is_flash(addr: u32) -> bool {
     addr < CCM_BASE
@@ -132,7 +132,7 @@ impl Memory {
         true
     }
 
-    /// Whether `addr` to `addr + len` is all in one memory (`write`: in RAM).
+    /// True if `addr` to `addr + len` is all in one memory (`write`: in RAM).
     pub(crate) fn holds(&self, addr: u32, len: u32, write: bool) -> bool {
         if write && !matches!(addr >> 24, 0x20 | 0x10) {
             return false;

@@ -75,7 +75,7 @@ pub(crate) struct I2cWires {
     pub(crate) sda: Pin,
 }
 
-/// What the chip is soldered to, and what differs from one specimen to the next.
+/// Surroundings of the chip, and properties that differ from one specimen to the next.
 #[derive(Clone, Copy, Debug)]
 pub struct ChipConfig {
     /// Which chip it is.
@@ -116,7 +116,7 @@ impl Revision {
     }
 }
 
-/// Who is told of edges besides the models.
+/// Receivers of edges besides the models.
 pub(crate) type EdgeLog = Vec<(Pin, Level, SimTime)>;
 
 /// The chip and what is wired to its pins.

@@ -165,13 +165,13 @@ pub(super) fn name(address: u32) -> Option<&'static str> {
     peripheral(address).map(|(_, name)| name)
 }
 
-/// Whether a peripheral has this name.
+/// True if a peripheral has this name.
 #[cfg(test)]
 pub(super) fn is_name(name: &str) -> bool {
     PERIPHERALS.iter().any(|(_, known)| *known == name)
 }
 
-/// Whether the chip has a peripheral there.
+/// True if the chip has a peripheral there.
 pub(super) fn is_peripheral(address: u32) -> bool {
     peripheral(address).is_some()
 }

@@ -16,7 +16,7 @@ pub enum Part {
     Stm32f411ce,
 }
 
-/// What the STM32F407 has and the STM32F411 has not (RM0383 2.3).
+/// Peripherals of the STM32F407 that the STM32F411 lacks (RM0383 2.3).
 const NOT_ON_F411: [&str; 25] = [
     "TIM6", "TIM7", "TIM8", "TIM12", "TIM13", "TIM14", "CAN1", "CAN2", "DAC", "USART3", "UART4",
     "UART5", "ADC2", "ADC3", "GPIOF", "GPIOG", "GPIOI", "BKPSRAM", "ETH", "OTG_HS", "DCMI", "CRYP",
@@ -24,7 +24,7 @@ const NOT_ON_F411: [&str; 25] = [
 ];
 
 impl Part {
-    /// Whether this chip has no peripheral at an address where the STM32F407 has one.
+    /// True if this chip has no peripheral at an address where the STM32F407 has one.
     pub(super) fn lacks(self, address: u32) -> bool {
         match self {
             Self::Stm32f407vg => false,

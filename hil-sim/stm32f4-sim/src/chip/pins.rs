@@ -1,4 +1,4 @@
-//! Pins: who drives them, who is told of their edges.
+//! Pins: who drives them, who hears of their edges.
 
 use super::gpio::Mode;
 use super::{I2cWires, Soc, TIM1, TIM2, TIM3, TIM4, TIM5, uart};
@@ -50,7 +50,7 @@ const TIMER_PINS: &[(Pin, u8, usize, usize)] = &[
 ];
 
 impl Soc {
-    /// What the microcontroller drives on a pin.
+    /// Drive of the microcontroller on a pin.
     fn own_drive(&self, pin: Pin) -> Option<bool> {
         match self.gpio.mode(pin) {
             Mode::Input | Mode::Analog => None,
@@ -110,7 +110,7 @@ impl Soc {
         if !self.delivering {
             self.delivering = true;
             let mut done = 0;
-            // Models may cause further edges while they are told.
+            // Models may cause further edges while they hear of one.
             while let Some((pin, level, at)) = self.edge_queue.get(done).copied() {
                 done += 1;
                 self.deliver(pin, level, at);

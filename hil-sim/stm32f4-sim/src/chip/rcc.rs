@@ -202,7 +202,7 @@ impl Rcc {
         there.then(|| ((offset - GATES) / 4) as usize)
     }
 
-    /// Whether bit `bit` of the enable register at `offset` is set.
+    /// True if bit `bit` of the enable register at `offset` is set.
     pub(crate) fn enabled(&self, offset: u32, bit: u32) -> bool {
         self.gate(offset)
             .and_then(|n| self.gates.get(n))
@@ -238,7 +238,7 @@ impl Rcc {
         (self.pll_source().scaled(1, m), self.pll(1))
     }
 
-    /// Whether the PLL is switched on.
+    /// True if the PLL is switched on.
     pub(crate) fn pll_is_on(&self) -> bool {
         self.cr & CR_PLLON != 0
     }

@@ -1,4 +1,4 @@
-//! What ends a run whatever is tolerated: a register that is not modelled, and what
+//! Ends of a run whatever is tolerated: a register that is not modelled, and what
 //! the manuals forbid. Where the chip would hang, lose an access or only work most of
 //! the time, the simulator stops and names the rule.
 

@@ -39,7 +39,7 @@ const CR1_ARPE: u32 = 1 << 7;
 const SR_UIF: u32 = 1 << 0;
 const BDTR_MOE: u32 = 1 << 15;
 
-/// What a channel is set up for by `CCxS`.
+/// Direction of a channel by `CCxS`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channel {
     Output,
@@ -134,7 +134,7 @@ impl Tim {
         self.cr1 & CR1_CEN != 0
     }
 
-    /// Whether its start is its trigger output (MMS is "enable").
+    /// True if its start is its trigger output (MMS is "enable").
     pub(crate) fn start_is_output(&self) -> bool {
         (self.cr2 >> 4) & 7 == 1
     }

@@ -136,7 +136,7 @@ impl Uart {
         self.cr[0] & (CR1_UE | CR1_TE) == CR1_UE | CR1_TE
     }
 
-    /// Whether the DMA is to deliver a byte.
+    /// True if the DMA is to deliver a byte.
     pub(crate) fn wants_tx(&self) -> bool {
         self.cr[2] & CR3_DMAT != 0 && self.enabled() && self.sr & SR_TXE != 0
     }

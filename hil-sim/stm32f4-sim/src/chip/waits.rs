@@ -1,4 +1,4 @@
-//! How long an access of the core takes beyond the one clock that every access takes:
+//! Waits of an access of the core beyond the one clock that every access takes:
 //! always the longest that the sources allow, so that what the firmware does in time here
 //! it does in time on the chip. No manual gives the core's waits for a peripheral: AN4031
 //! (table 4) gives those of a DMA controller, which are taken for it.

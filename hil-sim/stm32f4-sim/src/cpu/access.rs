@@ -8,7 +8,7 @@ use crate::chip::memory::{Memory, is_flash};
 /// Cycles of a load or a store that waits for nothing.
 pub(super) const ACCESS: u64 = 2;
 
-/// What the core is connected to.
+/// Connections of the core.
 pub(crate) trait Bus {
     /// Flash and RAM.
     fn memory(&mut self) -> &mut Memory;
@@ -24,7 +24,7 @@ pub(crate) trait Bus {
     fn limit(&self) -> u64;
 }
 
-/// Whether an address is a peripheral that the interpreter reaches itself
+/// True if an address is a peripheral that the interpreter reaches itself
 /// (the bit-band alias is rsemu's).
 #[inline(always)]
 fn is_io(addr: u32) -> bool {
@@ -145,7 +145,7 @@ pub(super) fn multi_start(st: &Fast, rn: u8, list: u16, before: bool) -> u32 {
     span(st.reg(rn), list.count_ones(), before).0
 }
 
-/// How many lines of the flash, of 16 bytes, a transfer of several registers reads.
+/// Number of lines of the flash, of 16 bytes, that a transfer of several registers reads.
 #[inline]
 pub(super) fn flash_lines(addr: u32, bytes: u32) -> u64 {
     if !is_flash(addr) || bytes == 0 {

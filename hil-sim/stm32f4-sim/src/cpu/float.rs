@@ -50,7 +50,7 @@ pub(super) struct Float {
     replaced: Option<usize>,
 }
 
-/// Whether a 32-bit instruction is one of the floating-point extension (A5.3.18).
+/// True if a 32-bit instruction is one of the floating-point extension (A5.3.18).
 fn is_float(word: u32) -> bool {
     word & 0xfc00_0e00 == 0xec00_0a00 && word >> 24 & 3 != 3
 }
@@ -157,7 +157,7 @@ impl Float {
         arm.set_fpscr(kept | self.seen & (CUMULATIVE | RMODE) | raised);
     }
 
-    /// Whether it is a data-processing instruction (A6.4).
+    /// True if it is a data-processing instruction (A6.4).
     fn computes(&self) -> bool {
         self.word & 0xff00_0e10 == 0xee00_0a00
     }
@@ -172,7 +172,7 @@ impl Float {
         self.word & 0xffbe_0e50 == 0xeeb2_0a40
     }
 
-    /// What VSUB gives if its second operand is the NaN that counts: a signalling one
+    /// Result of VSUB if its second operand is the NaN that counts: a signalling one
     /// before a quiet one, then the first before the second.
     fn subtracted_nan(&self) -> Option<u32> {
         let [_, n, m] = self.operands;
@@ -201,7 +201,7 @@ impl Float {
         }
     }
 
-    /// Whether nothing but the flush to zero was inexact. VMLA, VMLS, VNMLA and VNMLS
+    /// True if nothing but the flush to zero was inexact. VMLA, VMLS, VNMLA and VNMLS
     /// round twice, and a product that is not flushed may be inexact by itself.
     fn is_exact(&self) -> bool {
         if self.word & 0xffa0_0e10 != 0xee00_0a00 {

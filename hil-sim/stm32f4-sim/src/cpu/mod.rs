@@ -53,7 +53,7 @@ const ROM: u32 = 0x1fff_0000;
 const HARD_FAULT: usize = 3;
 const BUS_FAULT: usize = 5;
 
-/// What the core did when it was run.
+/// Outcome of a run of the core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Event {
     /// Nothing out of the ordinary.
@@ -68,7 +68,7 @@ pub(crate) enum Event {
     ResetRequest,
 }
 
-/// How long interrupts waited for their handler, and what handlers cost.
+/// Waits of interrupts for their handler, and the cost of handlers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IrqStats {
     /// Times the handler was entered.
@@ -83,7 +83,7 @@ pub struct IrqStats {
     pub max_cycles: u64,
 }
 
-/// What the core did with its time.
+/// Use that the core made of its time.
 #[derive(Clone, Debug, Default)]
 pub struct CpuStats {
     /// Core cycles awake.
@@ -131,7 +131,7 @@ pub(crate) struct Cpu {
     locked_up: bool,
     /// Core cycles since power-on, those asleep included.
     pub(crate) cycles: u64,
-    /// Cycles that rsemu's counters have not been told of.
+    /// Cycles that rsemu's counters do not know of.
     untold: u64,
     /// Interrupt levels that rsemu knows.
     known_irq: u128,

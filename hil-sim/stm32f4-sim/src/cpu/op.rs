@@ -7,7 +7,7 @@
 
 use rsemu::cpu::arm::v7m::isa::{BitfieldOp, DpOp, ExtendOp, MiscOp, ShiftType};
 
-/// How wide a load or store is, and how a load is extended.
+/// Width of a load or store, and extension of a load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Word,

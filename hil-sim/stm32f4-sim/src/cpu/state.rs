@@ -76,12 +76,12 @@ impl Fast {
         value
     }
 
-    /// Whether the next instruction stands in an IT block.
+    /// True if the next instruction stands in an IT block.
     pub(crate) fn in_it(&self) -> bool {
         self.it != 0
     }
 
-    /// Whether the next instruction's condition holds.
+    /// True if the next instruction's condition holds.
     pub(crate) fn executes(&self) -> bool {
         self.it == 0 || self.passes(self.it >> 4)
     }

@@ -16,14 +16,14 @@ use crate::pin::Pin;
 use crate::random::{RAM_STREAM, Seed};
 use crate::rtt::{LogLine, Rtt};
 
-/// Clocks that the synchroniser of a timer's input takes, unless the builder is told
+/// Clocks that the synchroniser of a timer's input takes, unless the builder says
 /// otherwise: two flip-flops and the detector of the edge. A guess, no manual has it.
 pub const INPUT_SYNCHRONISER: u64 = 3;
-/// How probable it is for each byte on the I2C bus that the chip reports a bus error where
+/// Probability, for each byte on the I2C bus, that the chip reports a bus error where
 /// there is none (ES0182 2.10.1, which says no more than that it happens), unless the
-/// builder is told otherwise: some a second with a sensor that is read at 500 Hz.
+/// builder says otherwise: some a second with a sensor that is read at 500 Hz.
 const BUS_ERRORS: f64 = 1e-3;
-/// How far below its supply an output of the chip may be that drives 8 mA high, in V
+/// Voltage by which an output of the chip that drives 8 mA high may be below its supply
 /// (DS8626 table 48).
 const OUTPUT_DROP: f64 = 0.4;
 /// Pins of I2C1 (DS8626 table 9).
@@ -82,7 +82,7 @@ impl SimBuilder {
         self
     }
 
-    /// What to do when there is no ELF, for the message that says so.
+    /// Advice for the message that there is no ELF.
     #[must_use]
     pub fn missing_hint(mut self, hint: &'static str) -> Self {
         self.missing_hint = hint;
@@ -117,7 +117,7 @@ impl SimBuilder {
         self
     }
 
-    /// Whether the USB cable is in at power-on. It is by default.
+    /// True if the USB cable is in at power-on. It is by default.
     #[must_use]
     pub fn plugged(mut self, plugged: bool) -> Self {
         self.plugged = plugged;

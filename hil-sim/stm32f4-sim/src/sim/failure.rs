@@ -1,4 +1,4 @@
-//! How a firmware fails, and what is told of it.
+//! Failures of a firmware, and their reports.
 
 use super::{ResetCause, Sim};
 use crate::backtrace;
@@ -10,7 +10,7 @@ use crate::time::{SimDuration, SimTime};
 /// Time given to a firmware that panicked, to log its message and reset.
 const LAST_WORDS: SimDuration = SimDuration::from_millis(500);
 
-/// How the firmware failed.
+/// Kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FailureKind {
     /// It panicked.
@@ -30,7 +30,7 @@ pub enum FailureKind {
 /// A failure of the firmware.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    /// How it failed.
+    /// Its kind.
     pub kind: FailureKind,
     /// When, in virtual time.
     pub at: SimTime,

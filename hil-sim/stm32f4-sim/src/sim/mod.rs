@@ -3,7 +3,7 @@
 //!
 //! A failure of the firmware (panic, HardFault, lock-up, a reset that nobody
 //! asked for) ends the run with its log, its message and a symbolised
-//! backtrace, unless the simulation was told to let it happen. The touch of a
+//! backtrace, unless the simulation lets it happen. The touch of a
 //! register that is not modelled, or a use of the chip that its manuals forbid, ends it
 //! always. The same seed and the same calls
 //! give the same run, to the byte.
@@ -34,10 +34,10 @@ use crate::time::{SimDuration, SimTime};
 
 /// Longest stretch of cycles between two looks at the log.
 const SLICE: u64 = 5_000;
-/// How often [`Sim::run_until`] asks its predicate.
+/// Interval at which [`Sim::run_until`] asks its predicate.
 const PREDICATE_STEP: SimDuration = SimDuration::from_millis(1);
 
-/// What is done with each line of the firmware's log.
+/// Receiver of each line of the firmware's log.
 type LogSink = Box<dyn FnMut(&LogLine) + Send>;
 
 /// The registers that are stored and read back without being modelled, with why that
@@ -290,7 +290,7 @@ impl Sim {
 
     // ---- the core ------------------------------------------------------------------------
 
-    /// What the core did with its time.
+    /// Use that the core made of its time.
     pub fn cpu_stats(&mut self) -> CpuStats {
         self.cpu.stats()
     }

@@ -1,4 +1,4 @@
-//! What is done to the board from outside: the USB host, the I2C bus and the pins.
+//! Actions on the board from outside: the USB host, the I2C bus and the pins.
 
 use std::collections::BTreeSet;
 
@@ -12,25 +12,25 @@ use crate::usb::{DeviceInfo, UsbState, UsbTraffic};
 impl Sim {
     // ---- USB ------------------------------------------------------------------------
 
-    /// How far the USB host has got.
+    /// Progress of the USB host.
     #[must_use]
     pub fn usb_state(&self) -> UsbState {
         self.with_chip(|s| s.usb.state())
     }
 
-    /// What the device said about itself.
+    /// Description that the device gave of itself.
     #[must_use]
     pub fn usb_device(&self) -> DeviceInfo {
         self.with_chip(|s| s.usb.device().clone())
     }
 
-    /// What went over the bus.
+    /// Traffic on the bus.
     #[must_use]
     pub fn usb_traffic(&self) -> UsbTraffic {
         self.with_chip(|s| s.usb.traffic())
     }
 
-    /// What the USB host noticed, with its time.
+    /// Observations of the USB host, with their times.
     #[must_use]
     pub fn usb_log(&self) -> Vec<(SimTime, String)> {
         self.with_chip(|s| s.usb.log().to_vec())
@@ -163,7 +163,7 @@ impl Sim {
         self.with_chip(|s| s.stored_writes().collect())
     }
 
-    /// How many bus errors the I2C peripheral reported where there was none
+    /// Number of bus errors that the I2C peripheral reported where there was none
     /// ([`SimBuilder::spurious_bus_errors`](super::SimBuilder::spurious_bus_errors)).
     #[must_use]
     pub fn spurious_bus_errors(&self) -> u64 {

@@ -1,4 +1,4 @@
-//! What the host learns from a device's descriptors (USB 2.0 chapter 9, CDC 1.2).
+//! Facts that the host learns from a device's descriptors (USB 2.0 chapter 9, CDC 1.2).
 
 /// Maximum packet sizes and numbers of the endpoints of a CDC-ACM function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

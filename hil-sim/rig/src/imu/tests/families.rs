@@ -171,7 +171,7 @@ fn banks_reset_and_data_of_an_icm_42688_p() {
         assert_eq!(words[..4], [2_650, 0, 0, 8_192]);
         assert_eq!(words[4..], [lowest, 32_767, 6_550]);
     }
-    // What must not be changed while the sensors are on is told (12.9).
+    // What must not be changed while the sensors are on is reported (12.9).
     assert!(bench.model.unmodelled().is_empty());
     bench.write(ADDRESS, 0x52, &[0x11]).unwrap();
     assert!(bench.model.unmodelled().contains(&0x52));

@@ -143,7 +143,7 @@ fn an_absent_target_is_an_acknowledge_failure() {
     assert_eq!(b.sr2(), 0);
 }
 
-/// An error is told, and the transfer goes on.
+/// An error is reported, and the transfer goes on.
 #[test]
 fn a_spurious_bus_error_is_a_flag_and_an_interrupt() {
     let mut b = Bench::new();

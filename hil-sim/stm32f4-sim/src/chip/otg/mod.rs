@@ -60,7 +60,7 @@ const PKTSTS_OUT_DONE: u32 = 3;
 const PKTSTS_SETUP_DONE: u32 = 4;
 const PKTSTS_SETUP: u32 = 6;
 
-/// How the device answered a transaction.
+/// Answer of the device to a transaction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Handshake {
     /// Data of an IN, or the acknowledge of an OUT (then empty).
@@ -166,7 +166,7 @@ impl Otg {
 
     // ---- the host's side ----------------------------------------------
 
-    /// Whether the device's pull-up shows on the bus.
+    /// True if the device's pull-up shows on the bus.
     pub(crate) fn attached(&self) -> bool {
         let powered = self.gccfg & (1 << 16) != 0;
         let session = self.session_valid();
@@ -245,7 +245,7 @@ impl Otg {
         self.gintsts |= GINTSTS_SOF;
     }
 
-    /// Whether the firmware wants to be interrupted every frame.
+    /// True if the firmware wants to be interrupted every frame.
     pub(crate) fn wants_sof(&self) -> bool {
         self.gintmsk & GINTSTS_SOF != 0
     }
@@ -300,7 +300,7 @@ impl Otg {
         ep == 0 || self.outep[ep].ctl & EPCTL_USBAEP != 0
     }
 
-    /// What an OUT of `len` bytes would be answered now.
+    /// Answer to an OUT of `len` bytes now.
     pub(crate) fn out_ready(&self, ep: usize, len: usize) -> Option<Handshake> {
         let e = &self.outep[ep];
         if e.ctl & EPCTL_STALL != 0 {
@@ -343,7 +343,7 @@ impl Otg {
         Handshake::Ack(Vec::new())
     }
 
-    /// What an IN would be answered now: nothing means NAK.
+    /// Answer to an IN now: nothing means NAK.
     pub(crate) fn in_ready(&self, ep: usize) -> Option<Handshake> {
         let e = &self.inep[ep];
         if e.ctl & EPCTL_STALL != 0 {

@@ -69,7 +69,7 @@ impl Tim {
                 }
             }
             0x20 => self.ccer = value & 0xffff,
-            // The prescaler goes on: only an update event begins it anew.
+            // The prescaler goes on: only an update event begins it again.
             0x24 => {
                 self.base_count = value & self.mask;
                 for ch in 0..CHANNELS {

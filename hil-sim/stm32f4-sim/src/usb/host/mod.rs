@@ -33,7 +33,7 @@ const FRAME: SimDuration = SimDuration::from_millis(1);
 const FRAME_END: SimDuration = SimDuration::from_micros(3);
 /// The start-of-frame packet.
 const SOF_TIME: SimDuration = SimDuration::from_micros(4);
-/// How long after a device got ready the next token reaches it.
+/// Time after a device got ready at which the next token reaches it.
 const POLL: SimDuration = SimDuration::from_micros(3);
 /// Debounce of an attached device (USB 2.0 7.1.7.3).
 const DEBOUNCE: SimDuration = SimDuration::from_millis(100);
@@ -50,7 +50,7 @@ const ADDRESS: u8 = 5;
 /// Enumerations tried before the host gives up.
 const ATTEMPTS: u32 = 3;
 
-/// How far the host has got with the device.
+/// Progress of the host with the device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UsbState {
     /// The cable is not plugged in.
@@ -65,7 +65,7 @@ pub enum UsbState {
     Failed(String),
 }
 
-/// What went over the bus.
+/// Traffic on the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UsbTraffic {
     /// Bytes of the serial port from the device.
@@ -207,7 +207,7 @@ impl UsbHost {
 
     // ---- what the user sees ---------------------------------
 
-    /// How far the host has got.
+    /// Progress of the host.
     #[must_use]
     pub(crate) fn state(&self) -> UsbState {
         match self.phase {
@@ -219,19 +219,19 @@ impl UsbHost {
         }
     }
 
-    /// What the device said about itself in the last enumeration.
+    /// Description that the device gave of itself in the last enumeration.
     #[must_use]
     pub(crate) fn device(&self) -> &DeviceInfo {
         &self.info
     }
 
-    /// What went over the bus.
+    /// Traffic on the bus.
     #[must_use]
     pub(crate) fn traffic(&self) -> UsbTraffic {
         self.traffic
     }
 
-    /// What the host noticed, with its time.
+    /// Observations of the host, with their times.
     #[must_use]
     pub(crate) fn log(&self) -> &[(SimTime, String)] {
         &self.log
@@ -255,7 +255,7 @@ impl UsbHost {
         }
     }
 
-    /// Whether the host asks for data at all (a host that hangs does not).
+    /// True if the host asks for data at all (a host that hangs does not).
     pub(crate) fn set_reading(&mut self, reading: bool) {
         self.reading = reading;
     }
@@ -386,7 +386,7 @@ impl UsbHost {
         }
     }
 
-    /// Whether frames are sent.
+    /// True if frames are sent.
     fn active(&self) -> bool {
         matches!(
             self.phase,

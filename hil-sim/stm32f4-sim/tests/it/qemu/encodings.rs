@@ -20,7 +20,7 @@ pub(crate) struct Encoding {
     pub(crate) section: &'static str,
     /// The bits, highest first.
     pub(crate) bits: &'static str,
-    /// Whether these bits are a defined instruction of this row.
+    /// True if these bits are a defined instruction of this row.
     pub(crate) defined: fn(u32) -> bool,
 }
 
