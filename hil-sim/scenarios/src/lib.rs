@@ -1,14 +1,16 @@
 //! Sessions on the simulated rig, judged by the ground truth: the demo, the fault
 //! campaign, the long run and the whole chain. Test code, not a part of the simulator.
 
-pub mod beliefs;
 pub(crate) mod board_truth;
 pub mod campaign;
 pub mod demo;
 pub(crate) mod frame_phase;
+pub mod frame_sync;
+pub mod judge;
 pub mod long_run;
 pub mod process;
 pub mod programs;
+pub mod study;
 pub mod tracking;
 pub mod virtual_session;
 pub mod whole_chain;

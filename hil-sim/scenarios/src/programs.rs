@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use anyhow::{Context, Result};
-use rig::running_rig::Pace;
+use anyhow::{Context, Result, bail};
+use serde_json::Value;
 
 /// What all sessions need.
 #[derive(Clone, Debug)]
@@ -13,19 +13,9 @@ pub struct Programs {
     pub smartdepthsync: PathBuf,
     /// The firmware's ELF; the one that was built last if not given.
     pub elf: Option<PathBuf>,
-    /// At most so many times real time.
-    pub speed: f64,
 }
 
 impl Programs {
-    /// The pace of a rig that waits for its first session.
-    pub(crate) fn pace(&self) -> Pace {
-        Pace {
-            speed: Some(self.speed),
-            wait_for_host: true,
-        }
-    }
-
     /// `smartdepthsync`, with nobody at the keys.
     pub(crate) fn tool(&self) -> Command {
         let mut command = Command::new(&self.smartdepthsync);
@@ -71,4 +61,16 @@ pub(crate) fn said(output: &Output) -> String {
         String::from_utf8_lossy(&output.stdout).trim(),
         String::from_utf8_lossy(&output.stderr).trim()
     )
+}
+
+/// Runs `smartdepthsync` with `--json` and gives what it prints. Exit code 4,
+/// finished with loss, is an answer too.
+pub(crate) fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
+    let mut command = programs.tool();
+    let output = programs.output(command.arg("--json").args(arguments).args(paths))?;
+    if !matches!(output.status.code(), Some(0 | 4)) {
+        bail!("smartdepthsync {arguments:?} failed: {}", said(&output));
+    }
+    serde_json::from_slice(&output.stdout)
+        .with_context(|| format!("smartdepthsync {arguments:?} printed no JSON"))
 }

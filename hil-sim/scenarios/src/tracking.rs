@@ -24,7 +24,7 @@ use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
-use crate::beliefs::{self, BeliefStudy, Figure, Kind, Specimen};
+use crate::study::{self as ranges, Figure, Kind, RangeStudy, Specimen};
 use crate::workers;
 
 /// Board and phone are asked so often, s; at times that scatter by half of it.
@@ -53,8 +53,8 @@ pub struct StudyOptions {
     pub jobs: u32,
     /// What of the world is left out, to see what it does.
     pub without: Vec<Part>,
-    /// Where in their ranges the beliefs are.
-    pub beliefs: Place,
+    /// Where in their ranges the values are.
+    pub place: Place,
 }
 
 /// Where in their ranges the links and the warming of the clocks are: the ranges of
@@ -134,10 +134,10 @@ struct Session {
 #[derive(Debug)]
 pub struct Study(Vec<(Arm, Session)>);
 
-/// The phase of an hour three times: with all beliefs in the middle of their ranges, drawn, and
+/// The phase of an hour three times: with all values in the middle of their ranges, drawn, and
 /// with one of them at an end; `rigs_an_end` rigs for each of those.
 #[must_use]
-pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
+pub fn over_ranges(options: &StudyOptions, rigs_an_end: u32) -> RangeStudy {
     let mut places = vec![
         (Kind::Nominal, Place::Middle, options.rigs),
         (Kind::Drawn, Place::Drawn, options.rigs),
@@ -150,17 +150,17 @@ pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
         }
     }
     let specimens: Vec<_> = (places.into_iter())
-        .flat_map(|(kind, beliefs, rigs)| {
+        .flat_map(|(kind, values, rigs)| {
             (0..u64::from(rigs)).map(move |n| Specimen {
                 seed: options.first_seed.wrapping_add(n),
                 kind: kind.clone(),
-                beliefs,
+                values,
             })
         })
         .collect();
     let figures = |rig: &Specimen<Place>| {
         let options = StudyOptions {
-            beliefs: rig.beliefs,
+            place: rig.values,
             ..options.clone()
         };
         let figure = |arm| {
@@ -173,7 +173,7 @@ pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
         };
         ARMS.into_iter().map(figure).collect()
     };
-    beliefs::each(&specimens, options.jobs, figures, |_| ())
+    ranges::each(&specimens, options.jobs, figures, |_| ())
 }
 
 /// 95th percentile of the size of the error.
@@ -203,7 +203,7 @@ impl StudyOptions {
         f64::from(u8::from(!self.without.contains(&part)))
     }
 
-    fn beliefs(&self, of: LinkRanges) -> LinkRanges {
+    fn ranges(&self, of: LinkRanges) -> LinkRanges {
         let share = |part, (from, to): (f64, f64)| {
             let share = self.share(part);
             (from * share, to * share)
@@ -221,7 +221,7 @@ impl StudyOptions {
         };
         for (number, (_, range)) in LinkRanges::RANGES.iter().enumerate() {
             let range = range(&mut link);
-            *range = self.beliefs.within(number, *range);
+            *range = self.place.within(number, *range);
         }
         link
     }
@@ -297,7 +297,7 @@ impl Study {
     }
 }
 
-/// A clock of a rig that warms up, drawn from the ranges of the page of beliefs.
+/// A clock of a rig that warms up, drawn from the ranges of the models.
 fn clock(
     seed: Seed,
     stream: Stream,
@@ -339,7 +339,7 @@ struct Clocks {
 impl Clocks {
     fn drawn(seed: Seed, random: &mut Random, until: f64, options: &StudyOptions) -> Self {
         let moves = options.share(Part::Clocks);
-        let warming = (options.beliefs).within(LinkRanges::RANGES.len(), WARMING_PPM);
+        let warming = options.place.within(LinkRanges::RANGES.len(), WARMING_PPM);
         let board = clock(seed, Stream::BoardClock, (30.0, moves), warming, random);
         let phone = clock(seed, Stream::PhoneClock, (50.0, moves), warming, random);
         let computer = clock(seed, Stream::ComputerClock, (50.0, moves), warming, random);
@@ -472,7 +472,7 @@ fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
         largest_step_ppm: 0.0,
         told_after_s: None,
     };
-    let (beliefs, kind) = match arm {
+    let (ranges, kind) = match arm {
         Arm::None => {
             let mut at = video_at;
             while at < end {
@@ -488,9 +488,9 @@ fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
         Arm::Usb => (LinkRanges::PHONE_USB, Reached::Usb),
         Arm::Wifi => (LinkRanges::PHONE_WIFI, Reached::Network),
     };
-    let link = |beliefs, stream| Link::drawn(&options.beliefs(beliefs), seed.stream(stream));
+    let link = |ranges, stream| Link::drawn(&options.ranges(ranges), seed.stream(stream));
     let mut board_link = link(LinkRanges::BOARD_USB, Stream::BoardLink);
-    let mut phone_link = link(beliefs, Stream::PhoneLink);
+    let mut phone_link = link(ranges, Stream::PhoneLink);
     let mut tracker = Tracker::new();
     let (mut asked, mut at) = ([begin; 2], begin);
     let (mut knows, mut steered, mut judged) = (false, video_at, video_at);

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
-use scenarios::beliefs::{self, BeliefOptions, Specimen};
+use scenarios::study::{self, RangeOptions, Specimen};
 use scenarios::whole_chain::evaluation::EvaluationFigures;
-use scenarios::whole_chain::{Plan, believed, calibration, evaluation, extraction};
+use scenarios::whole_chain::{Plan, calibration, evaluation, extraction, ranges};
 use serde::Serialize;
 use stm32f4_sim::time::SimDuration;
 
@@ -32,9 +32,6 @@ pub(crate) struct Args {
     json: Option<PathBuf>,
     #[command(flatten)]
     sessions: super::Sessions,
-    /// Virtual time passes at most so many times as fast as real time.
-    #[arg(long, default_value_t = 20.0, value_parser = super::speed, global = true)]
-    speed: f64,
     /// Keep the recordings.
     #[arg(long, global = true)]
     keep: bool,
@@ -58,14 +55,14 @@ enum What {
         #[arg(long, value_name = "SECONDS", default_value_t = 10)]
         seconds: u32,
     },
-    /// Record on rigs as believed, on rigs drawn from what may be true instead, and on rigs
-    /// with one belief at an end of its range; extract, and compare with what the session
+    /// Record on rigs as modelled, on rigs drawn from what may be true instead, and on rigs
+    /// with one value at an end of its range; extract, and compare with what the session
     /// and the extraction state of themselves.
-    Beliefs {
-        /// Rigs as believed, and rigs that are drawn.
+    Ranges {
+        /// Rigs as modelled, and rigs that are drawn.
         #[arg(long, default_value_t = 10)]
         rigs: u32,
-        /// Rigs with each belief at each end of its range.
+        /// Rigs with each value at each end of its range.
         #[arg(long, value_name = "RIGS", default_value_t = 1)]
         rigs_an_end: u32,
         /// Seconds of board time to record with each.
@@ -85,7 +82,7 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let programs = args.sessions.programs(args.speed)?;
+    let programs = args.sessions.programs()?;
     match &args.what {
         What::Extract { seconds } => {
             let plan = Plan {
@@ -117,13 +114,13 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             }
             args.finish(&figures, &figures.table(), figures.good())
         }
-        What::Beliefs {
+        What::Ranges {
             rigs,
             rigs_an_end,
             seconds,
             jobs,
         } => {
-            let options = BeliefOptions {
+            let options = RangeOptions {
                 first_seed: args.seed,
                 rigs: *rigs,
                 rigs_an_end: *rigs_an_end,
@@ -132,12 +129,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 jobs: *jobs,
             };
             let session = |rig: &Specimen| {
-                let plan = believed::plan(rig, *seconds);
-                let figures = believed::figures(&plan, &programs, &args.out)?;
+                let plan = ranges::plan(rig, *seconds);
+                let figures = ranges::figures(&plan, &programs, &args.out)?;
                 args.discard(&plan.name);
                 Ok(figures)
             };
-            let study = beliefs::run(&options, session, |rig| println!("{rig}"));
+            let study = study::run(&options, session, |rig| println!("{rig}"));
             args.finish(&study, &study.table(), true)
         }
         What::Calibrate { hidden_ms } => {

@@ -54,9 +54,9 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         stage: StageOptions {
             seed: args.seed,
             out: args.out.clone(),
-            programs: args.sessions.programs(args.speed)?,
-            quiet: false,
-            recorder: Some(std::env::current_exe().context("where is this program?")?),
+            programs: args.sessions.programs()?,
+            speed: args.speed,
+            recorder: std::env::current_exe().context("where is this program?")?,
         },
         seconds: args.seconds,
         fresh: args.fresh,
@@ -83,7 +83,7 @@ fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
 
 /// Two phones, further cameras and a lidar: each extracted and judged.
 fn run_several(args: &Args) -> Result<()> {
-    let programs = args.sessions.programs(args.speed)?;
+    let programs = args.sessions.programs()?;
     let plan = SeveralPlan {
         seed: args.seed,
         seconds: args.seconds,

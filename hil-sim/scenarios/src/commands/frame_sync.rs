@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use scenarios::beliefs::{self, BeliefOptions, Specimen, session};
-use scenarios::demo::frame_sync::{self, FrameSyncOptions};
+use scenarios::frame_sync::{self, FrameSyncOptions};
+use scenarios::study::{self, RangeOptions, Specimen, models};
 
 /// Options of `frame-sync`.
 #[derive(clap::Args)]
@@ -16,18 +16,18 @@ pub(crate) struct Args {
     /// there is nothing to learn from.
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(60..=3600))]
     seconds: u32,
-    /// Instead, on the models alone: rigs as believed, rigs drawn from what may be true,
-    /// and rigs with one belief at an end of its range. `--launches` is how many of the
+    /// Instead, on the models alone: rigs as modelled, rigs drawn from what may be true,
+    /// and rigs with one value at an end of its range. `--launches` is how many of the
     /// first two
     #[arg(long)]
-    beliefs: bool,
-    /// With --beliefs: rigs with each belief at each end of its range
+    ranges: bool,
+    /// With --ranges: rigs with each value at each end of its range
     #[arg(long, value_name = "RIGS", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1_000))]
     rigs_an_end: u32,
-    /// With --beliefs: no drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
+    /// With --ranges: no drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
     #[arg(long, value_name = "PPM", value_parser = warming)]
     most_warming: Option<f64>,
-    /// With --beliefs: the exposure of drawn rigs is the same in each recording, as with the
+    /// With --ranges: the exposure of drawn rigs is the same in each recording, as with the
     /// app's exposure locked
     #[arg(long)]
     exposure_locked: bool,
@@ -48,9 +48,6 @@ pub(crate) struct Args {
     keep: bool,
     #[command(flatten)]
     sessions: super::Sessions,
-    /// Virtual time passes at most so many times as fast as real time.
-    #[arg(long, default_value_t = 30.0, value_parser = super::speed)]
-    speed: f64,
 }
 
 /// ppm in ten minutes, within the range that is drawn from.
@@ -59,8 +56,8 @@ fn warming(text: &str) -> Result<f64, String> {
     ppm.ok_or_else(|| "expected 0.1 to 5 (ppm in ten minutes)".to_owned())
 }
 
-fn over_beliefs(args: &Args) -> Result<()> {
-    let options = BeliefOptions {
+fn over_ranges(args: &Args) -> Result<()> {
+    let options = RangeOptions {
         first_seed: args.first_seed,
         rigs: args.launches,
         rigs_an_end: args.rigs_an_end,
@@ -68,8 +65,8 @@ fn over_beliefs(args: &Args) -> Result<()> {
         exposure_locked: args.exposure_locked,
         jobs: args.jobs,
     };
-    let sessions = |rig: &Specimen| Ok(session::sessions(rig.seed, &rig.beliefs)?.figures());
-    let study = beliefs::run(&options, sessions, |rig| {
+    let sessions = |rig: &Specimen| Ok(models::sessions(rig.seed, &rig.values)?.figures());
+    let study = study::run(&options, sessions, |rig| {
         if rig.figures.is_err() {
             println!("{rig}");
         }
@@ -79,8 +76,8 @@ fn over_beliefs(args: &Args) -> Result<()> {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    if args.beliefs {
-        return over_beliefs(args);
+    if args.ranges {
+        return over_ranges(args);
     }
     let options = FrameSyncOptions {
         first_seed: args.first_seed,
@@ -88,7 +85,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         seconds: args.seconds,
         jobs: args.jobs,
         out: args.out.clone(),
-        programs: args.sessions.programs(args.speed)?,
+        programs: args.sessions.programs()?,
         keep: args.keep,
     };
     let result = frame_sync::run(&options, |fresh, learnt| {

@@ -46,11 +46,10 @@ pub(crate) struct Sessions {
 }
 
 impl Sessions {
-    pub(crate) fn programs(&self, speed: f64) -> Result<Programs> {
+    pub(crate) fn programs(&self) -> Result<Programs> {
         Ok(Programs {
             smartdepthsync: self.program.path()?,
             elf: self.elf.clone(),
-            speed,
         })
     }
 }

@@ -1,7 +1,7 @@
 //! `hil-sim track-study`: clocks that warm up for an hour, followed or not.
 
 use anyhow::Result;
-use scenarios::tracking::{Part, Place, StudyOptions, over_beliefs, study};
+use scenarios::tracking::{Part, Place, StudyOptions, over_ranges, study};
 
 /// Options of `track-study`.
 #[derive(clap::Args)]
@@ -21,12 +21,12 @@ pub(crate) struct Args {
     /// Leave this out of the simulated world; may be given several times.
     #[arg(long, value_enum)]
     without: Vec<Part>,
-    /// Three values of the phase: beliefs about links and warming in the middle of their
+    /// Three values of the phase: links and warming in the middle of their
     /// ranges, drawn, and one of them at an end.
     #[arg(long)]
-    beliefs: bool,
-    /// Rigs with each belief at each end of its range.
-    #[arg(long, default_value_t = 4, requires = "beliefs")]
+    ranges: bool,
+    /// Rigs with each value at each end of its range.
+    #[arg(long, default_value_t = 4, requires = "ranges")]
     rigs_an_end: u32,
 }
 
@@ -37,10 +37,10 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         seconds: args.seconds,
         jobs: args.jobs,
         without: args.without.clone(),
-        beliefs: Place::Drawn,
+        place: Place::Drawn,
     };
-    if args.beliefs {
-        println!("{}", over_beliefs(&options, args.rigs_an_end).table());
+    if args.ranges {
+        println!("{}", over_ranges(&options, args.rigs_an_end).table());
         return Ok(());
     }
     println!("{}", study(&options)?.table());

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 
-use super::judge::Truth;
-use crate::programs::Programs;
+use crate::judge::Truth;
+use crate::programs::{Programs, ask};
+use crate::whole_chain::Recorded;
 use crate::whole_chain::extraction::{self, ExtractionFigures, table};
-use crate::whole_chain::{Recorded, ask};
 use rig::k4a_mkv::device_us;
 
 /// A data set, and how right it is.

@@ -6,8 +6,6 @@
 //! the phone's clock and frames; then the one that is shown. Both are judged.
 
 pub mod data_set;
-pub mod frame_sync;
-pub mod judge;
 pub mod report;
 pub mod stage;
 
@@ -19,8 +17,8 @@ use anyhow::{Context, Result, ensure};
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 
+use crate::judge::Verdict;
 use crate::programs::said;
-use judge::Verdict;
 use report::Figures;
 use stage::{Stage, StageOptions};
 

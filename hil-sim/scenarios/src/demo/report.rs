@@ -11,7 +11,7 @@ use report::page::Page;
 use serde::Serialize;
 
 use super::data_set::DataSet;
-use super::judge::Verdict;
+use crate::judge::Verdict;
 
 /// The figures of one run, as `--json` writes them. All are of the simulated rig.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -295,9 +295,9 @@ fn phase_plot(verdict: &Verdict) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::judge::{OffsetError, TwistVerdict};
     use super::*;
     use crate::frame_phase::{PhaseError, summarise};
+    use crate::judge::{OffsetError, TwistVerdict};
     use crate::whole_chain::extraction::{Errors, ExtractionFigures};
 
     fn verdict() -> Verdict {

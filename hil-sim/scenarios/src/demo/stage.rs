@@ -4,25 +4,23 @@
 //! The sessions see a serial port and a TCP port as on hardware. They are given
 //! a profile with the constants that a real rig's owner would have measured
 //! ([`rig::owner_profile`]), and nothing that a session finds out by itself.
-//! [`Stage::learn`] adds what a session has taught, by the tool's own command.
 //!
 //! The rig is twisted all the time: a session may ask for it at any moment. What
 //! else it does has no part in the figures.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, bail, ensure};
 use recording::folder;
 
-use super::judge::Truth;
-use crate::programs::{Programs, said};
+use crate::judge::Truth;
+use crate::programs::Programs;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::RunningRig;
+use rig::running_rig::{Pace, RunningRig};
 use rig::table::Table;
 use rig::wiring;
 use stm32f4_sim::time::SimTime;
@@ -36,18 +34,18 @@ pub struct StageOptions {
     pub out: PathBuf,
     /// What runs.
     pub programs: Programs,
-    /// Sessions say nothing unless they fail.
-    pub quiet: bool,
+    /// At most so many times real time.
+    pub speed: f64,
     /// The program `hil-sim`, whose depth recorder is used in front of a scene with
-    /// something to look at; without it nothing records the depth camera.
-    pub recorder: Option<PathBuf>,
+    /// something to look at.
+    pub recorder: PathBuf,
 }
 
 /// A rig that runs, and where its sessions leave their files.
 pub struct Stage {
     options: StageOptions,
     rig: RunningRig,
-    table: Option<Table>,
+    table: Table,
     profile: PathBuf,
 }
 
@@ -64,20 +62,18 @@ impl Stage {
         let mut phone = PhoneConfig::draw(seed);
         // A phone knows nothing of the rigs before it, whose dates were the same.
         phone.storage = Some(folder::create(out, "phone")?);
-        if options.recorder.is_some() {
-            phone.camera.show_ball();
-        }
+        phone.camera.show_ball();
         let programs = &options.programs;
         let board = wiring::board_of(config.board, programs.elf.as_deref());
-        let rig = RunningRig::start(config, board, Some((phone, 0)), programs.pace())?;
+        let pace = Pace {
+            speed: Some(options.speed),
+            wait_for_host: true,
+        };
+        let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
         let profile = out.join("rig.toml");
-        let mut text = rig.profile()?;
-        let mut table = None;
-        if let (Some(recorder), Some(phone)) = (&options.recorder, rig.phone()) {
-            let laid = Table::new(rig.parts(), phone, recorder)?;
-            text += &laid.recorder();
-            table = Some(laid);
-        }
+        let phone = rig.phone().context("the rig has no phone")?;
+        let table = Table::new(rig.parts(), phone, &options.recorder)?;
+        let text = rig.profile()? + &table.recorder();
         std::fs::write(&profile, text)
             .with_context(|| format!("cannot write {}", profile.display()))?;
         Ok(Self {
@@ -122,40 +118,15 @@ impl Stage {
         let mut command = programs.record(port, &self.profile, out, &name);
         command
             .args(["--duration", &format!("{seconds}s")])
-            .args(arguments);
-        if let Some(table) = &self.table {
-            command.env("PATH", table.search_path());
-        }
-        let ended = self.run(&mut command);
+            .args(arguments)
+            .env("PATH", self.table.search_path());
+        let status = command.status().with_context(|| programs.cannot_start());
         if !self.rig.is_running() {
             bail!("the simulated board has failed during a session");
         }
-        ended?;
+        let status = status?;
+        ensure!(status.success(), "{command:?} ended with {status}");
         Ok(self.options.out.join(name))
-    }
-
-    /// Has `smartdepthsync profile learn` write into the profile what a session
-    /// has taught. It must be the last one that recorded a video.
-    ///
-    /// # Errors
-    ///
-    /// The phone has no files of it, or nothing can be learnt.
-    pub fn learn(&self, recording: &Path) -> Result<()> {
-        let phone = self.phone()?;
-        phone
-            .wait_saved()
-            .map_err(|e| anyhow!("the simulated phone: {e}"))?;
-        let videos = phone.videos();
-        let video = videos.last().context("the phone has recorded no video")?;
-        let mut command = self.options.programs.tool();
-        command
-            .args(["profile", "learn"])
-            .arg(recording)
-            .arg("--profile")
-            .arg(&self.profile)
-            .arg("--timestamps")
-            .arg(&video.timestamps);
-        self.run(&mut command)
     }
 
     /// Ends the rig and tells the truth.
@@ -165,24 +136,6 @@ impl Stage {
     /// The firmware has failed, or the phone could not save a file.
     pub fn end(self) -> Result<Truth> {
         Truth::of(self.rig.stop().context("the simulated rig")?)
-    }
-
-    /// Runs a program to its end.
-    fn run(&self, command: &mut Command) -> Result<()> {
-        let programs = &self.options.programs;
-        if self.options.quiet {
-            let output = programs.output(command)?;
-            if !output.status.success() {
-                bail!("{command:?} ended with {}", said(&output));
-            }
-        } else {
-            let status = command.status();
-            let status = status.with_context(|| programs.cannot_start())?;
-            if !status.success() {
-                bail!("{command:?} ended with {status}");
-            }
-        }
-        Ok(())
     }
 }
 

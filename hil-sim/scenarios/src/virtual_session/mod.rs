@@ -39,7 +39,9 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 
 use clock::ClockReader;
 use phone::VirtualPhone;
+pub use recorder::RecorderFate;
 use recorder::VirtualRecorder;
+pub(crate) use recorder::write_frames;
 
 /// The longest that a board may take from power-on to its serial port.
 const BOOT: Duration = Duration::from_secs(5);
@@ -201,6 +203,7 @@ pub struct Bench {
     pub out: PathBuf,
     /// Whether a recorder of the depth camera is there.
     pub has_recorder: bool,
+    fate: Rc<RecorderFate>,
     /// Over what the phone's clock is read, if it can be.
     pub phone_link: Option<LinkRanges>,
     /// Whether the board's messages are kept among the events of a run.
@@ -235,6 +238,7 @@ impl Bench {
             profile,
             out: out.to_owned(),
             has_recorder: false,
+            fate: Rc::default(),
             phone_link: None,
             keeps_messages: false,
         })
@@ -246,6 +250,18 @@ impl Bench {
         self.profile.align.slew_us = 1_000.0;
     }
 
+    /// Writes the profile into `rig.toml` in the folder of the recordings, for programs.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be written.
+    pub fn write_profile(&self) -> Result<PathBuf> {
+        let path = self.out.join("rig.toml");
+        std::fs::write(&path, self.profile.to_toml()?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(path)
+    }
+
     /// Somebody is there to be asked.
     pub fn seat_person(&self) {
         self.rig.hands.is_present.set(true);
@@ -255,6 +271,12 @@ impl Bench {
     #[must_use]
     pub fn hands(&self) -> Rc<Hands> {
         Rc::clone(&self.rig.hands)
+    }
+
+    /// What becomes of the depth recorder, for cues.
+    #[must_use]
+    pub fn recorder(&self) -> Rc<RecorderFate> {
+        Rc::clone(&self.fate)
     }
 
     /// Does something with the rig between two sessions.
@@ -326,7 +348,7 @@ impl Bench {
             let phone = VirtualPhone::new(self.rig.clone(), place);
             Box::new(phone) as Box<dyn Phone>
         });
-        let mut recorder = VirtualRecorder::new(self.rig.clone());
+        let mut recorder = VirtualRecorder::new(self.rig.clone(), self.recorder());
         let mut no_recorder = NoRecorder;
         let recording: &mut dyn DepthRecorder = match self.has_recorder {
             true => &mut recorder,

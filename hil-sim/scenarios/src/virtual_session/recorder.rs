@@ -1,9 +1,11 @@
 //! The recorder of the depth camera, as the maker's: what the camera delivers from its
 //! start until it is stopped becomes `depth.mkv`.
 
+use std::cell::Cell;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use ::session::devices::{DepthRecorder, RecorderEnd, RecorderError};
 use recording::profile::Depth;
@@ -12,9 +14,29 @@ use rig::k4a_mkv::{self, K4aSettings};
 
 use super::SharedRig;
 
+/// What becomes of a recorder.
+#[derive(Debug, Default)]
+pub struct RecorderFate {
+    ends: Cell<bool>,
+    hangs: Cell<bool>,
+}
+
+impl RecorderFate {
+    /// It ends by itself.
+    pub fn end(&self) {
+        self.ends.set(true);
+    }
+
+    /// It does not listen any more.
+    pub fn hang(&self) {
+        self.hangs.set(true);
+    }
+}
+
 /// The recorder.
 pub(super) struct VirtualRecorder {
     rig: SharedRig,
+    fate: Rc<RecorderFate>,
     /// Where it writes, and the first frame that is its own.
     recording: Option<(PathBuf, usize)>,
     frames: Vec<FrameRecord>,
@@ -22,9 +44,10 @@ pub(super) struct VirtualRecorder {
 }
 
 impl VirtualRecorder {
-    pub(super) const fn new(rig: SharedRig) -> Self {
+    pub(super) const fn new(rig: SharedRig, fate: Rc<RecorderFate>) -> Self {
         Self {
             rig,
+            fate,
             recording: None,
             frames: Vec::new(),
             end: None,
@@ -66,10 +89,20 @@ impl DepthRecorder for VirtualRecorder {
     }
 
     fn poll(&mut self) -> Option<RecorderEnd> {
+        if self.fate.ends.take() {
+            return Some(RecorderEnd {
+                program: String::from("the simulated recorder"),
+                status: String::from("3"),
+                is_as_asked: false,
+            });
+        }
         self.end.take()
     }
 
     fn ask_to_stop(&mut self) {
+        if self.fate.hangs.take() {
+            return;
+        }
         let written = self.write();
         self.end = Some(RecorderEnd {
             program: String::from("the simulated recorder"),

@@ -8,8 +8,8 @@ use protocol::Ticks;
 use serde::Serialize;
 use session::alignment::phase_sigma_us_at;
 
-use super::{Plan, Recorded, ask, number, record};
-use crate::programs::Programs;
+use super::{Plan, Recorded, number, record};
+use crate::programs::{Programs, ask};
 use crate::whole_chain::evaluation::{Measured, bias, phase_at};
 use stm32f4_sim::time::SimDuration;
 

@@ -9,33 +9,36 @@ use anyhow::Result;
 use mcap::records::MessageHeader;
 use recording::messages::camera::Image;
 use recording::messages::{Header, RosMessage, Time, to_cdr};
-use recording::profile::Profile;
+use recording::profile::{Depth, Profile};
 use rig::depth_camera::{Family, FrameRecord};
 use rig::k4a_mkv::device_us;
 
-use super::ask;
-use crate::programs::Programs;
+use crate::programs::{Programs, ask};
 
 /// Size of an image.
 const SIZE: (u32, u32) = (16, 12);
 
-/// What `profile init` writes about such a camera, for the end of the owner's profile. What
-/// it writes about the middle of exposure is left out: the owner has measured that.
-pub(super) fn profile_lines(family: Family, programs: &Programs, folder: &Path) -> Result<String> {
+/// Takes what `profile init` writes about such a camera into the owner's profile. What it
+/// writes about the middle of exposure is left out: the owner has measured that.
+pub(super) fn into_profile(
+    depth: &mut Depth,
+    family: Family,
+    programs: &Programs,
+    folder: &Path,
+) -> Result<()> {
     if family == Family::AzureKinect {
-        return Ok(String::new());
+        return Ok(());
     }
     let path = folder.join("init.toml");
-    ask(
-        programs,
-        &["profile", "init", "--camera", family.word()],
-        &[&path],
-    )?;
-    let depth = Profile::load(&path)?.depth;
-    Ok(format!(
-        "camera = \"{}\"\nmode = \"{}\"\npulse_width_us = {}\n",
-        depth.camera, depth.mode, depth.pulse_width_us
-    ))
+    let init = ["profile", "init", "--camera", family.word()];
+    ask(programs, &init, &[&path])?;
+    *depth = Depth {
+        fps: depth.fps,
+        center_offset_us: depth.center_offset_us,
+        center_offset_sigma_us: depth.center_offset_sigma_us,
+        ..Profile::load(&path)?.depth
+    };
+    Ok(())
 }
 
 /// A bag as a driver's recorder leaves it, in a folder of its own: stamps of the camera's

@@ -11,9 +11,9 @@ use rig::phone::VideoTruth;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{Plan, Recorded, ask, number, record};
+use super::{Plan, Recorded, number, record};
 use crate::frame_phase::{phase_errors, summarise};
-use crate::programs::Programs;
+use crate::programs::{Programs, ask};
 
 /// Frames that `evaluate precision` uses, the last ones.
 const FRAMES: usize = 16;

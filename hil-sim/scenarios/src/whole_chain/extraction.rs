@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 
-use super::{Plan, Recorded, ask, record};
-use crate::programs::Programs;
+use super::{Plan, Recorded, record};
+use crate::programs::{Programs, ask};
 use rig::depth_camera::{FrameRecord, Source};
 use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;

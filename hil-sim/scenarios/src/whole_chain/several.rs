@@ -3,20 +3,22 @@
 //! all into board time, and each is judged against the truth: the phones' frames and
 //! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
+use ::session::options::seconds;
 use anyhow::{Context, Result, ensure};
 use protocol::TICK_HZ;
+use recording::profile::Profile;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
 use super::extraction::{table, whole};
-use super::{Length, Recorded, ask, session};
-use crate::demo::judge::{OtherVerdict, Verdict};
-use crate::programs::Programs;
+use super::{Recorded, new_folder, session};
+use crate::judge::{OtherVerdict, Verdict};
+use crate::programs::{Programs, ask};
+use crate::virtual_session::Bench;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -24,7 +26,6 @@ use rig::phone::PhoneConfig;
 use rig::pin_log::PinLog;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::RunningRig;
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
@@ -217,11 +218,7 @@ pub fn run(
     out: &Path,
     tell: impl Fn(&str),
 ) -> Result<SeveralFigures> {
-    if out.exists() {
-        fs::remove_dir_all(out)
-            .with_context(|| format!("cannot remove the former {}", out.display()))?;
-    }
-    fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+    new_folder(out)?;
     let motion = MotionSpec::always(Gesture::Twist);
     let config = RigConfig::published(Seed(plan.seed)).with_motion(motion);
     let phones = (0_u64..).zip(PHONES).map(|(number, name)| {
@@ -231,30 +228,23 @@ pub fn run(
             phone.camera.columns = 16;
         }
         phone.storage = Some(out.join("phones").join(name));
-        (phone, 0)
+        phone
     });
     let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
     let pins = Arc::new(Mutex::new(PinLog::new(&CAMERAS.map(|camera| camera.1))));
     let board = wiring::board_of(config.board, programs.elf.as_deref())
         .model(Arc::clone(&lidar))
         .model(Arc::clone(&pins));
-    let rig = RunningRig::with_phones(config, board, phones.collect(), programs.pace())?;
-    let profile = profile_of(&rig)?;
+    let mut bench = Bench::new(config, board, phones.collect(), &PHONES, out)?;
+    add_sensors(&mut bench.profile)?;
+    let mut options = bench.options("recording");
+    options.duration = Some(seconds(plan.seconds.into()));
+    options.fetch_video = true;
     tell(&format!(
         "recording {} s with two phones, four cameras and a lidar, and fetching the videos",
         plan.seconds
     ));
-    let mut recorded = session(
-        rig,
-        programs,
-        &profile,
-        out,
-        out.join("phones"),
-        Length {
-            seconds: plan.seconds,
-            twists: 1,
-        },
-    )?;
+    let mut recorded = session(bench, &options, out.join("phones"))?;
     // As its recorder would have been stopped with the session.
     let span = recorded.session.recorded.context("nothing was recorded")?;
     let end = span.to.0 + RECORDER_STOPS;
@@ -301,16 +291,19 @@ pub fn run(
     })
 }
 
-/// The owner's profile with all sensors.
-fn profile_of(rig: &RunningRig) -> Result<String> {
-    let mut text = rig.profile_of(&PHONES)?;
+/// Names all sensors in the owner's profile.
+fn add_sensors(profile: &mut Profile) -> Result<()> {
+    let mut text = String::from("[lidar]\nname = \"VLP-16\"\n");
     for (name, _, output, every, delay) in CAMERAS {
         text += &format!(
             "\n[[outputs]]\noutput = {output}\nname = \"{name}\"\nevery = {every}\n\
              delay_us = {delay:?}\n"
         );
     }
-    Ok(text + "\n[lidar]\nname = \"VLP-16\"\n")
+    let named = Profile::parse(&text, None)?;
+    profile.outputs = named.outputs;
+    profile.lidar = named.lidar;
+    Ok(())
 }
 
 struct Judge<'a> {

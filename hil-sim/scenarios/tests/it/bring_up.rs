@@ -6,7 +6,6 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 
 use crate::support;
-use crate::turn;
 use crate::whole_rig::Session;
 use protocol::{Failure, SELF_TEST_KEY, SelfTest};
 use rig::imu::Fault;
@@ -88,7 +87,6 @@ fn verdicts(report: &Value, name: &str) -> Vec<(String, String)> {
 
 #[test]
 fn a_board_in_order_passes_with_somebody_at_its_wires() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(31, Jumpers::default());
     let parts = ["trigger", "outputs", "imu", "link"];
     let mut session = Session::start(
@@ -140,7 +138,6 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
 
 #[test]
 fn a_broken_wire_and_a_held_bus_fail_with_what_to_look_at() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(
         32,
         Jumpers {
@@ -174,7 +171,6 @@ fn a_broken_wire_and_a_held_bus_fail_with_what_to_look_at() {
 
 #[test]
 fn a_board_in_use_is_left_alone() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(33, Jumpers::default());
     let trigger = |action: &[&str]| {
         let mut command = Command::new(support::smartdepthsync());
@@ -196,7 +192,6 @@ fn a_board_in_use_is_left_alone() {
 /// Slower than the gap between two pulses leaves it, though no edge comes late by it.
 #[test]
 fn a_slow_handler_fails() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(34, Jumpers::default());
     let mut board = board::Board::open(bench.rig.port().to_str()).unwrap();
     let (key, failure) = (SELF_TEST_KEY, Failure::SlowHandler);
@@ -217,7 +212,6 @@ fn a_slow_handler_fails() {
 /// computer keeps it, which costs the board a millisecond now and then, so the longer the better.
 #[test]
 fn the_crystal_is_compared_with_the_computers_clock() {
-    let _turn = turn::alone();
     let compare = |speed, seconds| {
         let bench = Bench::at_speed(35, Jumpers::default(), speed);
         let length = format!("--clock-time={seconds}s");

@@ -5,7 +5,6 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::support;
-use crate::turn;
 use crate::whole_rig::{SPEED, WholeRig};
 use recording::camera::Model;
 use serde_json::Value;
@@ -62,7 +61,6 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
 
 #[test]
 fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::with(21, SPEED, |config, _| {
         config.motion = "rest".parse().unwrap();
     });
@@ -135,7 +133,6 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
 
 #[test]
 fn the_profile_that_is_written_for_each_camera_passes() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::with(22, SPEED, |config, _| {
         config.motion = "rest".parse().unwrap();
     });

@@ -1,7 +1,6 @@
 //! The evaluation on rendered frames with known truth. All figures are simulated.
 
 use crate::strobes::Scene;
-use crate::turn;
 use evaluate::classify::Reference;
 use evaluate::frame::Rotation;
 use evaluate::precision::{RecordingResult, evaluate_recording};
@@ -41,7 +40,6 @@ fn error_us(scene: &Scene, result: &RecordingResult) -> f64 {
 /// Uncompressed frames: 1 µs at a flash of 3 grey levels, 0.2 µs at 20.
 #[test]
 fn uncompressed_frames_reach_a_fraction_of_a_microsecond() {
-    let _turn = turn::beside_others();
     println!("exposure  row time  grey |  fit error  row time ppm");
     for (i, (exposure, row_time)) in [
         (100.0, 10.2),
@@ -70,7 +68,6 @@ fn uncompressed_frames_reach_a_fraction_of_a_microsecond() {
 /// Nothing known beforehand: row time and exposure are found from the flashes.
 #[test]
 fn an_unknown_camera_is_measured() {
-    let _turn = turn::beside_others();
     for (exposure, row_time) in [(125.0, 8.0), (700.0, 20.0), (3800.0, 11.3)] {
         let scene = scene(exposure, row_time, 20.0, 7);
         let result = scene.evaluate(&Settings::default()).unwrap();
@@ -85,7 +82,6 @@ fn an_unknown_camera_is_measured() {
 /// 95 % of 50 seeds, and the intervals are not simply wide.
 #[test]
 fn fifty_seeds_of_bias_lie_within_the_stated_uncertainty() {
-    let _turn = turn::beside_others();
     let (mut inside, mut squares, mut row_inside) = (0, 0.0, 0);
     for seed in 1..=50u64 {
         let exposure = [125.0, 300.0, 800.0, 2000.0][seed as usize % 4];
@@ -117,7 +113,6 @@ fn fifty_seeds_of_bias_lie_within_the_stated_uncertainty() {
 /// Five minutes of drift, one frame every three seconds: 50 seeds.
 #[test]
 fn fifty_seeds_of_drift_lie_within_the_stated_uncertainty() {
-    let _turn = turn::beside_others();
     let (mut inside, mut squares) = (0, 0.0);
     for seed in 1..=50u64 {
         let truth = ((seed as f64 * 0.381_966).fract() - 0.5) * 40.0;
@@ -150,7 +145,6 @@ fn fifty_seeds_of_drift_lie_within_the_stated_uncertainty() {
 /// The drift of the published rig.
 #[test]
 fn drift_of_the_published_rig_is_measured() {
-    let _turn = turn::beside_others();
     let scene = Scene {
         bias_us: -20.0,
         drift_us_per_min: 16.34,
@@ -181,7 +175,6 @@ fn drift_of_the_published_rig_is_measured() {
 
 #[test]
 fn flashes_on_every_second_frame_leave_the_others_as_reference() {
-    let _turn = turn::beside_others();
     let scene = Scene {
         lit_from: 1,
         lit_every: 2,
@@ -198,7 +191,6 @@ fn flashes_on_every_second_frame_leave_the_others_as_reference() {
 /// Rows of a scene with strong structure: with a reference it does not matter.
 #[test]
 fn the_reference_takes_the_scene_away() {
-    let _turn = turn::beside_others();
     let textured = |lit_from| Scene {
         camera: RollingShutter {
             texture: 0.05,
@@ -220,7 +212,6 @@ fn the_reference_takes_the_scene_away() {
 /// Cameras that run free: the train wanders, and every row is dark at some time.
 #[test]
 fn rows_become_their_own_reference_when_the_train_wanders() {
-    let _turn = turn::beside_others();
     let scene = Scene {
         camera: RollingShutter {
             texture: 0.05,
@@ -247,7 +238,6 @@ fn rows_become_their_own_reference_when_the_train_wanders() {
 
 #[test]
 fn a_train_that_enters_the_picture_is_not_taken_for_the_scene() {
-    let _turn = turn::beside_others();
     let scene = Scene {
         lit_from: 0,
         entering: 20,
@@ -265,7 +255,6 @@ fn a_train_that_enters_the_picture_is_not_taken_for_the_scene() {
 
 #[test]
 fn mains_flicker_is_recognised_and_left_out() {
-    let _turn = turn::beside_others();
     // 100 Hz at 30 frames per second: another phase in each of three frames.
     let flickering = |depth| Scene {
         camera: RollingShutter {
@@ -301,7 +290,6 @@ fn mains_flicker_is_recognised_and_left_out() {
 
 #[test]
 fn scenes_without_flashes_are_not_taken_for_flashes() {
-    let _turn = turn::beside_others();
     for (name, camera) in [
         ("noise", RollingShutter::default()),
         (
@@ -354,7 +342,6 @@ fn scenes_without_flashes_are_not_taken_for_flashes() {
 
 #[test]
 fn which_flash_is_which_is_decided_by_the_ends_or_stated_as_open() {
-    let _turn = turn::beside_others();
     // All of the train in view.
     let slow = scene(125.0, 20.0, 20.0, 2);
     let result = slow.evaluate(&hint(&slow)).unwrap();
@@ -397,7 +384,6 @@ fn which_flash_is_which_is_decided_by_the_ends_or_stated_as_open() {
 
 #[test]
 fn an_exposure_that_the_frames_leave_open_is_stated() {
-    let _turn = turn::beside_others();
     let long = Scene {
         lit_from: 0,
         ..scene(2000.0, 10.2, 20.0, 4)
@@ -428,7 +414,6 @@ fn an_exposure_that_the_frames_leave_open_is_stated() {
 
 #[test]
 fn rotation_region_and_wide_mode() {
-    let _turn = turn::beside_others();
     for (readout, rotation) in [
         (Readout::BottomToTop, Rotation::Deg180),
         (Readout::LeftToRight, Rotation::Deg270),
@@ -471,7 +456,6 @@ fn rotation_region_and_wide_mode() {
 
 #[test]
 fn an_exposure_of_one_pitch_is_called_blind() {
-    let _turn = turn::beside_others();
     let scene = Scene {
         camera: RollingShutter {
             columns: 256,
@@ -499,7 +483,6 @@ fn an_exposure_of_one_pitch_is_called_blind() {
 /// A trigger that is being aligned while the frames are taken is no precision.
 #[test]
 fn motion_within_the_frames_is_remarked() {
-    let _turn = turn::beside_others();
     let moving = Scene {
         drift_us_per_min: 30_000.0,
         ..scene(125.0, 10.2, 20.0, 6)

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::strobes::Scene;
-use crate::turn;
 use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings};
@@ -34,7 +33,6 @@ fn evaluate(path: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError
 /// Compressed video: bias within 2 µs, row time within 0.2 %.
 #[test]
 fn compressed_video_keeps_the_bias() {
-    let _turn = turn::beside_others();
     let dir = tempfile::tempdir().unwrap();
     println!("exposure  row time  grey  quality | fit error  sigma  row time ppm");
     for (i, (exposure, row_time, grey, quality)) in [
@@ -72,7 +70,6 @@ fn compressed_video_keeps_the_bias() {
 
 #[test]
 fn videos_without_flashes_truncated_or_of_another_size() {
-    let _turn = turn::beside_others();
     let dir = tempfile::tempdir().unwrap();
     let settings = Settings {
         row_time_us: Some(10.2),
@@ -159,7 +156,6 @@ fn videos_without_flashes_truncated_or_of_another_size() {
 /// The phone's timestamps beside the video are the time axis.
 #[test]
 fn the_app_s_timestamps_are_used() {
-    let _turn = turn::beside_others();
     let dir = tempfile::tempdir().unwrap();
     let video = dir.path().join("VID_20240131_120000.mp4");
     let scene = Scene {

@@ -4,7 +4,6 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use crate::turn;
 use formats::k4a::{Content, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 
@@ -109,7 +108,6 @@ fn collect<R: std::io::Read + std::io::Seek>(mut recording: Recording<R>) -> Rea
 
 #[test]
 fn a_closed_recording_is_read_to_the_last_pixel() {
-    let _turn = turn::beside_others();
     let bytes = record(true).finish().unwrap().into_inner();
     let recording = Recording::new(Cursor::new(&bytes)).unwrap();
     assert_eq!(recording.size(), (32, 18));
@@ -155,7 +153,6 @@ fn crashed(imu: bool) -> Vec<u8> {
 
 #[test]
 fn a_recording_that_was_not_closed_keeps_its_device_times() {
-    let _turn = turn::beside_others();
     let bytes = crashed(true);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("crashed.mkv");
@@ -176,7 +173,6 @@ fn a_recording_that_was_not_closed_keeps_its_device_times() {
 
 #[test]
 fn a_recording_cut_at_any_place_gives_its_whole_frames() {
-    let _turn = turn::beside_others();
     let bytes = crashed(true);
     let whole = read_bytes(&bytes);
     // Every byte of the head, then steps that meet all parts of a cluster.
@@ -206,7 +202,6 @@ fn a_recording_cut_at_any_place_gives_its_whole_frames() {
 
 #[test]
 fn damage_in_the_middle_costs_what_it_hits() {
-    let _turn = turn::beside_others();
     let good = record(true).finish().unwrap().into_inner();
     let clusters: Vec<usize> = good
         .windows(4)
@@ -244,7 +239,6 @@ fn damage_in_the_middle_costs_what_it_hits() {
 
 #[test]
 fn hostile_bytes_end_in_errors_and_not_in_panics() {
-    let _turn = turn::beside_others();
     let good = crashed(true);
     let mut state = 12_345_u64;
     let mut dice = |end: usize| {

@@ -5,7 +5,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::turn;
 use extract::error::ExtractError;
 use extract::inputs::Options;
 use extract::layout::Format;
@@ -81,7 +80,6 @@ impl Progress for Stops {
 
 #[test]
 fn the_bag_extracts_to_the_same_numbers() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "bz2");
     let (topics_report, topics) = extract(folder.path(), Format::Topics);
@@ -137,7 +135,6 @@ fn whole_twist() -> f64 {
 
 #[test]
 fn a_bag_cut_off_is_read() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "none");
     // The last third of the bag is lost.
@@ -152,7 +149,6 @@ fn a_bag_cut_off_is_read() {
 
 #[test]
 fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "none");
     let before = snapshot(folder.path());

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use crate::extract_vendor::Case;
 use crate::synthetic::Synthetic;
-use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use test_support::python;
@@ -13,7 +12,6 @@ use test_support::python;
 /// another form is refused with the command that makes one of it that is read.
 #[test]
 fn depth_of_a_driver_s_bag_finds_its_pulses() {
-    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 13,
         seconds: 20,

@@ -5,7 +5,6 @@
 use std::path::{Path, PathBuf};
 
 use crate::synthetic::{Synthetic, Truth, make};
-use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
@@ -96,7 +95,6 @@ fn check_depth(case: &Case) -> (f64, f64) {
 // One recording, judged from all sides: it is too dear to be made for each.
 #[test]
 fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
-    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 7,
         seconds: 600,
@@ -224,7 +222,6 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
 
 #[test]
 fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous() {
-    let _turn = turn::beside_others();
     let config = Synthetic {
         seed: 11,
         seconds: 60,
@@ -279,7 +276,6 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
 
 #[test]
 fn damaged_and_missing_parts_leave_the_rest() {
-    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 3,
         seconds: 40,

@@ -7,7 +7,6 @@ use std::process::Command;
 use serde_json::json;
 
 use crate::synthetic::{Synthetic, make};
-use crate::turn;
 use crate::whole_chain::programs;
 use extract::error::ExtractError;
 use extract::inputs::Options;
@@ -155,7 +154,6 @@ fn later(found: &[i64], base: &[i64], by: i64) {
 
 #[test]
 fn the_files_own_tags_decide_the_times() {
-    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 5,
         seconds: 25,
@@ -276,7 +274,6 @@ fn the_files_own_tags_decide_the_times() {
 
 #[test]
 fn a_camera_on_its_own_is_timed_by_its_own_clock() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("recording");
     std::fs::create_dir(&recording).unwrap();

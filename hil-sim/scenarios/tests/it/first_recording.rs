@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use crate::support;
-use crate::turn;
 use recording::finding::Severity;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -109,7 +108,6 @@ fn on_this_rig(command: &str, rig: &Served, recorder: &str) -> Vec<String> {
 
 #[test]
 fn the_page_is_followed_to_a_data_set() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path();
     // Built if need be.

@@ -5,7 +5,6 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
 use crate::support;
-use crate::turn;
 use crate::whole_rig::run_python;
 
 /// Virtual time against real time: a program that is slow to start, by 2 s, must not miss
@@ -52,7 +51,6 @@ impl Drop for Serve {
 
 #[test]
 fn pandas_sees_the_twist_in_the_csv() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("twist.csv");
     let rig = Serve::start(&["--seed", "5", "--motion", "rest:10,twist:10,rest"]);

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::support;
-use crate::turn;
 use crate::whole_rig::WholeRig;
 use serde_json::Value;
 
@@ -41,7 +40,6 @@ fn find(folder: &Path, ending: &str) -> Option<PathBuf> {
 
 #[test]
 fn objects_of_commands_that_talk_to_board_and_phone() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(71, 8.0);
     let folder = rig.folder.path();
     let port = rig.rig.port().to_str().unwrap();
@@ -157,7 +155,6 @@ cam1:
 
 #[test]
 fn objects_of_commands_that_need_nothing() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("chain.yaml"), CHAIN).unwrap();
     for arguments in [

@@ -8,7 +8,6 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::support;
-use crate::turn;
 use crate::whole_rig::WholeRig;
 use recording::finding::Severity;
 use recording::reader::Reader;
@@ -136,7 +135,6 @@ fn monitor(rig: &WholeRig) -> Command {
 
 #[test]
 fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(31, 4.0);
     let shown = [
         "MONITOR",
@@ -181,7 +179,6 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 
 #[test]
 fn without_a_terminal_there_are_plain_lines_and_one_object() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(32, 2.0);
     let lines = monitor(&rig).args(["--duration", "4s"]).output().unwrap();
     assert_eq!(lines.status.code(), Some(0), "{lines:?}");
@@ -208,7 +205,6 @@ fn without_a_terminal_there_are_plain_lines_and_one_object() {
 
 #[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(33, 3.0);
     // What is enough is seen for some seconds.
     let profile = rig.profile().replace("twist_s = 6", "twist_s = 20");
@@ -234,7 +230,6 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
 
 #[test]
 fn a_closed_terminal_ends_the_recording_in_order() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(34, 3.0);
     let command = rig.record("cut", &[]);
     let mut terminal = Tmux::start(100, 30, &command);

@@ -2,13 +2,11 @@
 
 use std::process::Command;
 
-use crate::turn;
 use serde_json::Value;
 
 /// `cargo xtask hil-sim long-run` is this for hours. A process, since it looks at its own memory.
 #[test]
 fn two_minutes_are_exact_on_all_pins_with_flat_memory() {
-    let _turn = turn::beside_others();
     let output = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
         .args([
             "long-run",

@@ -1,9 +1,11 @@
 //! Sessions, recordings and their results on the simulated rig.
 //!
-//! Every test that runs for more than a moment takes its turn (`turn.rs`).
+//! Sessions run on virtual time in the test's thread (`bench.rs`), but for what only a
+//! process and a pseudo-terminal can show (`whole_rig.rs`).
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod adb_phone;
+mod bench;
 mod bring_up;
 mod doctor;
 mod documented_commands;
@@ -24,20 +26,16 @@ mod moving_thing;
 mod phone_bench;
 mod phone_command;
 mod phone_rude;
-mod phone_twist;
 mod readers;
-mod record;
-mod record_boards;
-mod record_faults;
 mod record_kill;
-mod record_outputs;
-mod record_phones;
+mod record_process;
 mod record_track;
+mod session_faults;
+mod sessions;
 mod several_sensors;
 mod strobes;
 mod support;
 mod synthetic;
-mod turn;
 mod vendor_k4a;
 mod virtual_session;
 mod whole_chain;

@@ -5,7 +5,6 @@ use std::process::{Command, Output};
 use rig::phone::{LinkFault, VideoMode};
 
 use crate::phone_bench::Bench;
-use crate::turn;
 
 fn json(output: &Output) -> serde_json::Value {
     let stderr = String::from_utf8_lossy(&output.stderr);
@@ -21,7 +20,6 @@ fn fails(output: &Output, code: i32, words: &str) {
 
 #[test]
 fn imu_start_stop_and_get_video() {
-    let _turn = turn::beside_others();
     for version in ["v.0.1", "v.0.1.1"] {
         let bench = Bench::new(20, 10.0, |c| {
             c.version = version.to_owned();
@@ -74,7 +72,6 @@ fn frames_of(path: &std::path::Path) -> usize {
 
 #[test]
 fn another_version_is_refused() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(21, 20.0, |c| c.version = "v.0.1.2".to_owned());
     let folder = tempfile::tempdir().unwrap();
     fails(&bench.command(&["stop"], folder.path()), 12, "v.0.1.2");
@@ -82,7 +79,6 @@ fn another_version_is_refused() {
 
 #[test]
 fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(22, 20.0, |_| ());
     let folder = tempfile::tempdir().unwrap();
     let other = bench.occupy();
@@ -95,7 +91,6 @@ fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
 
 #[test]
 fn faults_of_the_link_are_named() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(23, 20.0, |c| {
         c.camera.rows = 64;
         c.camera.columns = 16;
@@ -134,7 +129,6 @@ fn faults_of_the_link_are_named() {
 
 #[test]
 fn a_phone_that_goes_away_is_noticed() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(24, 1.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     std::thread::scope(|scope| {
@@ -152,7 +146,6 @@ fn a_phone_that_goes_away_is_noticed() {
 
 #[test]
 fn a_probe_changes_nothing() {
-    let _turn = turn::beside_others();
     use phone::{PhoneClient, ServerVersion, Settings};
     let bench = Bench::new(25, 20.0, |_| ());
     let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();

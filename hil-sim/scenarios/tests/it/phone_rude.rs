@@ -1,4 +1,4 @@
-//! The program against a phone that is as rude as the app: `phone …` and `record`, each
+//! The program against a phone that is as rude as the app: `phone …`, each
 //! case with what is said, how it ends, and what runs on the phone then.
 
 use std::path::Path;
@@ -6,16 +6,13 @@ use std::process::{Command, Output};
 use std::time::Duration;
 
 use phone::adb::copy_command;
-use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::{LinkFault, PhoneConfig, StorageAccess, VideoMode};
 use timebase::PhoneNanos;
 
 use crate::phone_bench::Bench;
 use crate::support::smartdepthsync;
-use crate::turn;
-use crate::whole_rig::{SPEED, Session, WholeRig};
+use crate::whole_rig::Session;
 
-const LOSS: i32 = 4;
 const PHONE: i32 = 12;
 
 fn small(c: &mut PhoneConfig) {
@@ -41,7 +38,6 @@ fn wait_s(bench: &Bench, seconds: f64) {
 
 #[test]
 fn a_video_begun_by_hand_is_left_alone() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(70, 5.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     bench.phone.press_record();
@@ -54,7 +50,6 @@ fn a_video_begun_by_hand_is_left_alone() {
 #[test]
 fn an_answer_before_its_frames_is_not_an_answer() {
     use phone::{PhoneClient, PhoneError, Settings};
-    let _turn = turn::beside_others();
     for (seed, known) in [(71, true), (72, false)] {
         // Without the phone's clock, the time of this computer counts: in step with it.
         let bench = Bench::new(seed, if known { 10.0 } else { 1.0 }, |c| {
@@ -86,7 +81,6 @@ fn an_answer_before_its_frames_is_not_an_answer() {
 
 #[test]
 fn what_waits_behind_another_client_is_not_carried_out_later() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(73, 10.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     let other = bench.occupy();
@@ -99,7 +93,6 @@ fn what_waits_behind_another_client_is_not_carried_out_later() {
 
 #[test]
 fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     // Frames too slow for the app's own patience.
     let bench = Bench::new(74, 10.0, |c| {
@@ -148,7 +141,6 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
 
 #[test]
 fn sensors_right_behind_a_stop_are_tried_again() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(77, 1.0, |c| {
         c.video = VideoMode::Never;
         c.app.stop_ms = 2_000.0;
@@ -166,7 +158,6 @@ fn sensors_right_behind_a_stop_are_tried_again() {
 
 #[test]
 fn a_video_is_fetched_only_when_the_app_can_send_it() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(78, 2.0, |c| {
         small(c);
         c.app.storage = StorageAccess::Documents;
@@ -213,7 +204,6 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
 
 #[test]
 fn a_gyroscope_without_a_file_is_an_error() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(80, 10.0, |c| c.app.ticked = [true, false, true]);
     let folder = tempfile::tempdir().unwrap();
     let output = bench.command(&["imu", "--seconds", "2"], folder.path());
@@ -232,7 +222,6 @@ fn a_gyroscope_without_a_file_is_an_error() {
 
 #[test]
 fn a_recording_that_the_background_cut_short_is_an_error() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(81, 2.0, |c| c.app.background_ms = 200.0);
     let folder = tempfile::tempdir().unwrap();
     std::thread::scope(|scope| {
@@ -248,7 +237,6 @@ fn a_recording_that_the_background_cut_short_is_an_error() {
 
 #[test]
 fn a_long_answer_on_a_slow_network_is_waited_for() {
-    let _turn = turn::beside_others();
     // 30 s of the gyroscope are 0.8 MB: 16 s at this rate, with 3 s of patience.
     let bench = Bench::new(82, 30.0, |_| ());
     bench.phone.set_fault(Some(LinkFault::Slow(50_000)));
@@ -286,7 +274,6 @@ const PULL: &str = "cp \"$(here \"$4\")\" \"$5\"";
 
 #[test]
 fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
-    let _turn = turn::beside_others();
     let bench = Bench::new(83, 10.0, small);
     let folder = tempfile::tempdir().unwrap();
     let start = |name: &str| {
@@ -382,62 +369,4 @@ fn number_files(storage: &Path, number: &str) {
         let to = path.with_file_name(format!("{stem}{number}.{extension}"));
         std::fs::rename(&path, to).unwrap();
     }
-}
-
-#[test]
-fn a_session_ends_well_whatever_time_a_stop_takes() {
-    let _turn = turn::beside_others();
-    std::thread::scope(|scope| {
-        for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
-            scope.spawn(move || session_with_stop(seed, stop_ms));
-        }
-    });
-}
-
-fn session_with_stop(seed: u64, stop_ms: f64) {
-    // In step with real time: the program's patience is real, and so is the stop.
-    let rig = WholeRig::with(seed, 1.0, |_, phone| phone.app.stop_ms = stop_ms);
-    let tools = tempfile::tempdir().unwrap();
-    let path = stand_in_adb(tools.path(), rig.phone().storage(), PULL);
-    let arguments = ["--duration", "3s", "--second-twist", "--fetch-video"];
-    let mut command = rig.record("whole", &arguments);
-    let said = Session::start(command.env("PATH", path)).ends_with(0);
-    assert!(said.contains("files of the phone were copied"), "{said}");
-    let folder = rig.recording("whole");
-    let file = SessionFile::load(&folder).unwrap();
-    assert_eq!(file.outcome, Some(SessionOutcome::Good), "{said}");
-    assert_eq!(file.phones[0].twists.len(), 2, "{said}");
-    let found = phone::video_files::find(&folder, None).unwrap().unwrap();
-    assert_eq!(found.missing(), Vec::<&str>::new(), "{said}");
-    assert!(!rig.phone().is_recording());
-}
-
-#[test]
-fn a_session_notices_that_the_video_has_ended() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::new(88, 5.0);
-    let mut session = Session::start(&mut rig.record("ended", &["--duration", "30s"]));
-    session.wait_for("recording for");
-    rig.phone().send_to_background();
-    rig.wait_ms(3_000);
-    assert!(rig.phone().bring_to_foreground().unwrap());
-    session.wait_for("has ended");
-    let said = session.ends_with(LOSS);
-    assert!(said.contains("in the background"), "{said}");
-    let file = SessionFile::load(&rig.recording("ended")).unwrap();
-    let kinds: Vec<_> = file.problems.iter().map(|p| p.kind.as_str()).collect();
-    assert_eq!(kinds, ["video_ended"]);
-    assert_eq!(file.markers.len(), 1);
-    assert!(file.markers[0].label.contains("video ended"));
-}
-
-#[test]
-fn a_session_whose_video_does_not_start_stops_what_it_began() {
-    let _turn = turn::beside_others();
-    // The phase comes after the app's own timeout, and the video runs.
-    let rig = WholeRig::with(89, SPEED, |_, phone| phone.camera.frame_period_ns = 200e6);
-    let said = Session::start(&mut rig.record("slow", &["--duration", "5s"])).ends_with(PHONE);
-    assert!(said.contains("the phone was asked to stop"), "{said}");
-    assert_eq!(rig.phone().videos().len(), 1);
-    assert!(!rig.phone().is_recording());
 }

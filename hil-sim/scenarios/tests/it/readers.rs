@@ -11,7 +11,6 @@ use serde_json::json;
 
 use crate::extract_vendor::{Case, NFOV_UNBINNED, calibration, said};
 use crate::json_objects::CHAIN;
-use crate::turn;
 use extract::geometry::View;
 use extract::inputs::Options;
 use extract::layout::Format;
@@ -87,7 +86,6 @@ fn record() -> Chain {
 
 #[test]
 fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
-    let _turn = turn::beside_others();
     let chain = record();
     bags_and_tables(&chain);
     registered(&chain);
@@ -96,7 +94,6 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
 #[test]
 #[ignore = "its readers take gigabytes: `cargo xtask readers` installs and runs them"]
 fn large_readers_find_the_same() {
-    let _turn = turn::beside_others();
     let chain = record();
     let [euroc, ros2, lerobot] = extracted(&chain);
     let (calibration, color) = in_color(&chain);

@@ -1,7 +1,6 @@
 //! A session that is killed at any moment leaves a file that opens and lacks at
 //! most the last second, and a rig on which the next session simply starts.
 
-use crate::turn;
 use crate::whole_rig::{SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
@@ -23,7 +22,6 @@ const MOST_MISSING: f64 = 1.0;
 
 #[test]
 fn a_kill_loses_at_most_a_second() {
-    let _turn = turn::beside_others();
     let mut random = Seed(11).stream(Stream::Test);
     // A whole session to its first seconds of recording takes 14 s of board time.
     let moments: Vec<f64> = (0..TRIALS).map(|_| random.uniform(0.0, 16.0)).collect();

@@ -1,17 +1,12 @@
-//! `smartdepthsync record --track`: the phone's clock is followed, every change of the
-//! trigger's period is in the recording and within its bounds, and a phone that falls silent
-//! is told.
+//! `smartdepthsync record --track` with a phone behind `adb`.
 
 use std::process::Command;
 
 use crate::adb_phone::AdbPhone;
 use crate::support::smartdepthsync;
-use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
-use protocol::Period;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
-use rig::table::Table;
 use rustix::process::Signal;
 
 /// Sessions that follow a clock pass as fast as the computer's.
@@ -20,57 +15,6 @@ const SPEED: f64 = 1.0;
 // Exit codes, as docs/exit-codes.md has them.
 const PHONE: i32 = 12;
 const INTERRUPTED: i32 = 130;
-
-#[test]
-fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::new(17, SPEED);
-    let program = env!("CARGO_BIN_EXE_hil-sim");
-    let table = Table::new(rig.rig.parts(), rig.phone(), program.as_ref()).unwrap();
-    let mut command = rig.record("tracked", &["--duration", "16s", "--track"]);
-    command.env("PATH", table.search_path());
-    let said = Session::start(&mut command).ends_with(0);
-    assert!(
-        said.contains("the clock of phone SIMULATED is followed"),
-        "{said}"
-    );
-    assert!(said.contains(", locked, phone 31.4 °C"), "{said}");
-
-    let folder = rig.recording("tracked");
-    let session = SessionFile::load(&folder).unwrap();
-    let tracking = session.tracking.unwrap();
-    assert_eq!(tracking.device, "SIMULATED");
-    let alignment = session.alignment.unwrap();
-    let (mut exchanges, mut periods) = ([0, 0], vec![alignment.period_q32 as f64]);
-    for entry in Reader::open(&folder).unwrap() {
-        match entry.unwrap().item {
-            Item::Exchange(exchange) => {
-                assert!(exchange.received_ns > exchange.sent_ns);
-                exchanges[usize::from(exchange.header.frame_id != "board")] += 1;
-            }
-            Item::Period(step) => {
-                assert!(Period(step.period_q32).in_bounds());
-                periods.push(step.period_q32 as f64);
-            }
-            _ => {}
-        }
-    }
-    // 50 and 25 a second, of the seconds from the connection on.
-    assert!(exchanges[0] > 100 && exchanges[1] > 200, "{exchanges:?}");
-    assert_eq!(periods.len(), 1 + tracking.steps as usize);
-    assert!(tracking.steps >= 3, "{tracking:?}");
-    for step in periods.windows(2) {
-        let ppm = (step[1] / step[0] - 1.0) * 1e6;
-        // 0.2 ppm a second, of steps two seconds apart; a slow computer's are rarer.
-        assert!(ppm.abs() <= 2.0, "{ppm}");
-    }
-    // Every pulse is on the grid that held then.
-    let report = report::verify::verify(&folder, &|| false).unwrap();
-    let grid = report.grid.unwrap();
-    assert!(grid.checked > 300 && grid.off == 0, "{grid:?}");
-    drop(table);
-    rig.rig.stop().unwrap();
-}
 
 /// What the computer's boot clock reads, ns, to a hundredth of a second.
 fn boot_ns() -> i64 {
@@ -83,7 +27,6 @@ fn boot_ns() -> i64 {
 /// which the simulated phone then has.
 #[test]
 fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left() {
-    let _turn = turn::beside_others();
     let begun = boot_ns();
     let rig = WholeRig::with(18, SPEED, |_, phone| {
         phone.clock.offset_ns = begun;
@@ -142,7 +85,6 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
 /// A phone on which the program does not run, as where it may not.
 #[test]
 fn ctrl_c_leaves_nothing_on_a_phone_whose_program_does_not_answer() {
-    let _turn = turn::beside_others();
     let rig = WholeRig::new(19, SPEED);
     let phone = AdbPhone::new(rig.phone().storage(), "false");
     let mut command = rig.record("silent", &["--track"]);

@@ -3,18 +3,15 @@
 //! test of `outputs/NAME.csv`, too.
 
 use crate::support;
-use crate::turn;
 use scenarios::programs::Programs;
 use scenarios::whole_chain::several::{self, SeveralPlan};
 
 #[test]
 fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
-    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let programs = Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),
         elf: None,
-        speed: 20.0,
     };
     let plan = SeveralPlan {
         seed: 7,

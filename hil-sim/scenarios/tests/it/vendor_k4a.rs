@@ -8,7 +8,6 @@ use std::io::{Read, Seek};
 use std::path::Path;
 use std::process::Command;
 
-use crate::turn;
 use formats::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
@@ -122,7 +121,6 @@ fn holds(folder: &Path, told: &Value, closed: bool) {
 
 #[test]
 fn recordings_of_the_makers_library_are_read_exactly() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let told = run("write", folder);
@@ -148,7 +146,6 @@ fn recordings_of_the_makers_library_are_read_exactly() {
 /// A file that the library wrote elsewhere, from made-up pictures (NOTICE).
 #[test]
 fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("elsewhere.mkv");
     let packed = concat!(
@@ -195,7 +192,6 @@ fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
 
 #[test]
 fn the_makers_library_reads_what_the_simulated_camera_records() {
-    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ours.mkv");
     let settings = K4aSettings {

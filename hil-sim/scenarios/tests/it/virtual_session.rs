@@ -3,26 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rig::motion::MotionSpec;
-use rig::motion::gesture::Gesture;
-use rig::phone::PhoneConfig;
-use rig::random::Seed;
-use rig::rig_config::RigConfig;
-use rig::wiring;
-use scenarios::virtual_session::Bench;
-use session::options::seconds;
-
-/// A rig whose person twists it all the time, with a phone of small pictures.
-fn twisted(seed: u64, out: &Path) -> Bench {
-    let config = RigConfig::published(Seed(seed)).with_motion(MotionSpec::always(Gesture::Twist));
-    let mut phone = PhoneConfig::draw(Seed(seed));
-    phone.camera.rows = 120;
-    phone.camera.columns = 16;
-    let board = wiring::board_of(config.board, None);
-    let mut bench = Bench::new(config, board, vec![phone], &[], out).unwrap();
-    bench.hurry();
-    bench
-}
+use crate::bench::Twisted;
 
 /// All files below a folder.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -46,15 +27,15 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 #[test]
 fn a_seed_is_one_recording_to_the_byte() {
     // The recording's log names its folder.
-    let out = tempfile::tempdir().unwrap();
-    let record = || {
-        let mut bench = twisted(1, out.path());
-        bench.has_recorder = true;
-        let mut options = bench.options("recording");
-        options.duration = Some(seconds(5));
+    let mut folder = None;
+    let mut record = || {
+        let mut rig = Twisted::new(1);
+        let place = folder.get_or_insert_with(|| tempfile::tempdir().unwrap());
+        rig.bench.out = place.path().to_owned();
+        rig.bench.has_recorder = true;
+        let mut options = rig.options("recording", 5);
         options.fetch_video = true;
-        let run = bench.run(&options);
-        let ended = run.good().unwrap();
+        let ended = rig.bench.run(&options).good().unwrap();
         let files = files(&ended.folder);
         std::fs::remove_dir_all(ended.folder).unwrap();
         files

@@ -6,7 +6,6 @@
 use std::process::Command;
 
 use crate::support;
-use crate::turn;
 use protocol::{BoardModel, ImuClock, TICK_HZ};
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
@@ -15,9 +14,9 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring::{self, BoardKind};
-use scenarios::beliefs::{Kind, Specimen};
 use scenarios::programs::Programs;
-use scenarios::whole_chain::{self, Plan, believed, calibration, evaluation, extraction};
+use scenarios::study::{Kind, Specimen};
+use scenarios::whole_chain::{self, Plan, calibration, evaluation, extraction, ranges};
 use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
@@ -26,13 +25,11 @@ pub(crate) fn programs() -> Programs {
     Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),
         elf: None,
-        speed: 20.0,
     }
 }
 
 #[test]
 fn every_timestamp_pair_and_dropped_frame_is_right() {
-    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let plan = Plan {
         drop_probability: 0.02,
@@ -65,7 +62,6 @@ fn each_camera_board_and_imu_gives_a_data_set() {
         ),
         (Family::Oak, BoardKind::Discovery, SensorModel::Icm42688P),
     ];
-    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     for (seed, (camera, board, imu)) in (31..).zip(RIGS) {
         let plan = Plan {
@@ -101,20 +97,19 @@ fn each_camera_board_and_imu_gives_a_data_set() {
     }
 }
 
-/// From the twist to the data set on a rig of which nothing is as believed.
+/// From the twist to the data set on a rig of which nothing is as modelled.
 #[test]
-fn what_is_stated_holds_on_a_rig_drawn_from_the_beliefs() {
-    let _turn = turn::beside_others();
+fn what_is_stated_holds_on_a_rig_drawn_from_the_ranges() {
     let out = tempfile::tempdir().unwrap();
     // Seed 1 draws 100 µs of jitter from pulse to flash, and `extract` then says that it
     // cannot tell which pulse made which frame.
     let rig = Specimen {
         seed: 2,
         kind: Kind::Drawn,
-        beliefs: ModelValues::drawn(Seed(2)),
+        values: ModelValues::drawn(Seed(2)),
     };
-    let plan = believed::plan(&rig, 12);
-    for figure in believed::figures(&plan, &programs(), out.path()).unwrap() {
+    let plan = ranges::plan(&rig, 12);
+    for figure in ranges::figures(&plan, &programs(), out.path()).unwrap() {
         println!("{figure:?}");
         let limit = figure.sigma.map_or(f64::INFINITY, |sigma| 4.0 * sigma);
         assert!(figure.error.abs() < limit, "{figure:?}");
@@ -123,7 +118,6 @@ fn what_is_stated_holds_on_a_rig_drawn_from_the_beliefs() {
 
 #[test]
 fn bias_and_drift_are_as_the_truth_says() {
-    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     for seed in [101, 102] {
         let found = evaluation::check(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
@@ -142,7 +136,6 @@ fn bias_and_drift_are_as_the_truth_says() {
 
 #[test]
 fn a_hidden_constant_is_gone_after_calibration() {
-    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let plan = Plan::new(5, 8);
     let hidden = SimDuration::from_millis(3);
@@ -154,7 +147,6 @@ fn a_hidden_constant_is_gone_after_calibration() {
 
 #[test]
 fn the_photodiode_gives_the_time_from_trigger_to_centre() {
-    let _turn = turn::beside_others();
     let config = RigConfig::published(Seed(9));
     let (board, camera) = (config.board_clock, config.depth_camera.unwrap());
     let pace = Pace {

@@ -1,7 +1,7 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
 use std::path::{Path, PathBuf};
-use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::support;
@@ -21,10 +21,6 @@ const PATIENCE: Duration = Duration::from_secs(300);
 /// lasts at least 10 s of it, a second for a busy machine.
 pub(crate) const SPEED: f64 = 10.0;
 
-/// By how much a recording may be longer than it was asked to be, s of board time: a session
-/// looks at the time at least every 2,000 messages, and 500 a second are samples.
-pub(crate) const OVERSHOOT_S: f64 = 4.0;
-
 /// A rig whose operator twists it all the time, with a folder for recordings.
 pub(crate) struct WholeRig {
     pub(crate) rig: RunningRig,
@@ -41,39 +37,19 @@ impl WholeRig {
         speed: f64,
         edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
     ) -> Self {
-        Self::with_phones(seed, speed, 1, edit)
-    }
-
-    /// With so many phones, of which only the first is edited.
-    pub(crate) fn with_phones(
-        seed: u64,
-        speed: f64,
-        phones: u64,
-        edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
-    ) -> Self {
         let folder = support::folder_in_memory();
         let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
-        let mut phones: Vec<(PhoneConfig, u16)> = (0..phones)
-            .map(|number| {
-                let mut phone = PhoneConfig::draw(Seed(seed + 1_000 * number));
-                // A small picture: videos are not what is tested here.
-                phone.camera.rows = 120;
-                phone.camera.columns = 16;
-                let storage = match number {
-                    0 => String::from("phone"),
-                    further => format!("phone_{further}"),
-                };
-                phone.storage = Some(folder.path().join(storage));
-                (phone, 0)
-            })
-            .collect();
-        edit(&mut config, &mut phones[0].0);
+        let mut phone = PhoneConfig::draw(Seed(seed));
+        // A small picture: videos are not what is tested here.
+        (phone.camera.rows, phone.camera.columns) = (120, 16);
+        phone.storage = Some(folder.path().join("phone"));
+        edit(&mut config, &mut phone);
         let pace = Pace {
             speed: Some(speed),
             wait_for_host: false,
         };
         let board = wiring::board_of(config.board, None).tolerate_failures();
-        let rig = RunningRig::with_phones(config, board, phones, pace).unwrap();
+        let rig = RunningRig::start(config, board, Some((phone, 0)), pace).unwrap();
         Self { rig, folder }
     }
 
@@ -84,21 +60,9 @@ impl WholeRig {
     /// The owner's profile, with a shorter twist and a faster way to the grid, and samples
     /// that the simulated board makes in half the time.
     pub(crate) fn profile(&self) -> String {
-        self.full_rate_profile() + "\n[imu]\nrate_hz = 200\nlow_pass_hz = 98\n"
-    }
-
-    /// The same with as many samples as is usual.
-    pub(crate) fn full_rate_profile(&self) -> String {
-        Self::hasty(&self.rig.profile().unwrap())
-    }
-
-    /// The same with all phones, by name.
-    pub(crate) fn profile_of(&self, names: &[&str]) -> String {
-        Self::hasty(&self.rig.profile_of(names).unwrap())
-    }
-
-    fn hasty(profile: &str) -> String {
-        profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n") + "\n[align]\nslew_us = 1000\n"
+        let profile = self.rig.profile().unwrap();
+        profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n")
+            + "\n[align]\nslew_us = 1000\n\n[imu]\nrate_hz = 200\nlow_pass_hz = 98\n"
     }
 
     /// Waits for so much board time.
@@ -156,23 +120,8 @@ pub(crate) struct Session(scenarios::process::Session);
 
 impl Session {
     pub(crate) fn start(command: &mut Command) -> Self {
-        Self::spawn(command.stdin(Stdio::null()))
-    }
-
-    /// With somebody there, whose lines are written to the second one.
-    pub(crate) fn at_keys(command: &mut Command) -> (Self, ChildStdin) {
-        let mut session = Self::spawn(command.stdin(Stdio::piped()));
-        let keys = session.0.child.stdin.take().unwrap();
-        (session, keys)
-    }
-
-    fn spawn(command: &mut Command) -> Self {
+        let command = command.stdin(Stdio::null());
         Self(scenarios::process::Session::start(command).unwrap())
-    }
-
-    /// The process's number.
-    pub(crate) fn id(&self) -> u32 {
-        self.0.child.id()
     }
 
     pub(crate) fn said(&self) -> String {

@@ -1,4 +1,4 @@
-//! Sessions on rigs of which other things may be true than what is believed, from the twist
+//! Sessions on rigs of which other things may be true than what its models have, from the twist
 //! to the data set: phase, drift and clocks against what the session states of them, the
 //! times of the data set against what `extract` states.
 
@@ -9,15 +9,15 @@ use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
 use super::{Plan, evaluation, extraction, record};
-use crate::beliefs::{Figure, Specimen};
 use crate::programs::Programs;
+use crate::study::{Figure, Specimen};
 
 /// The recording of so many seconds on a rig of the study.
 #[must_use]
 pub fn plan(rig: &Specimen, seconds: u32) -> Plan {
     let name = format!("{} {}", rig.seed, rig.kind);
     Plan {
-        beliefs: rig.beliefs,
+        values: rig.values,
         // A folder: no unit may divide it.
         name: name.replace('/', " per "),
         ..Plan::new(rig.seed, seconds)

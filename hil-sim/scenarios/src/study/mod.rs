@@ -1,12 +1,12 @@
-//! The figures of frame sync over what may be true instead of what is believed.
+//! The figures of frame sync over the ranges of the models.
 //!
-//! Rigs as believed, rigs drawn from the ranges of all beliefs at once, and rigs with one
-//! belief at an end of its range: each does [`sessions`](session::sessions) on the models,
-//! or one of the [whole chain](crate::whole_chain::believed).
+//! Rigs as modelled, rigs drawn from all ranges at once, and rigs with one value at an end of
+//! its range: each does [`sessions`](models::sessions) on the models,
+//! or one of the [whole chain](crate::whole_chain::ranges).
 //! A figure is given three times: nominal and over the draws as the 95th percentile of its
-//! size, and as the largest where one belief alone is moved, with that belief.
+//! size, and as the largest where one value alone is moved, with that value.
 
-pub mod session;
+pub mod models;
 
 use std::fmt;
 use std::fmt::Write as _;
@@ -21,12 +21,12 @@ use crate::workers;
 
 /// What is to be studied.
 #[derive(Clone, Copy, Debug)]
-pub struct BeliefOptions {
+pub struct RangeOptions {
     /// The first seed; the others follow it.
     pub first_seed: u64,
-    /// Rigs as believed, and rigs that are drawn.
+    /// Rigs as modelled, and rigs that are drawn.
     pub rigs: u32,
-    /// Rigs with each belief at each end of its range.
+    /// Rigs with each value at each end of its range.
     pub rigs_an_end: u32,
     /// No clock that is drawn warms up by more, ppm in ten minutes.
     pub most_warming_ppm: Option<f64>,
@@ -39,20 +39,20 @@ pub struct BeliefOptions {
 /// Which rig a result is of.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Kind {
-    /// As believed.
+    /// As modelled.
     Nominal,
-    /// All beliefs drawn by its seed.
+    /// All values drawn by its seed.
     Drawn,
-    /// One belief at an end of its range, in words.
+    /// One value at an end of its range, in words.
     Extreme(String),
 }
 
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Nominal => f.write_str("as believed"),
+            Self::Nominal => f.write_str("as modelled"),
             Self::Drawn => f.write_str("drawn"),
-            Self::Extreme(belief) => f.write_str(belief),
+            Self::Extreme(value) => f.write_str(value),
         }
     }
 }
@@ -65,7 +65,7 @@ pub struct Specimen<B = ModelValues> {
     /// Which.
     pub kind: Kind,
     /// What is true of it.
-    pub beliefs: B,
+    pub values: B,
 }
 
 /// A figure of a rig's sessions, the same ones in the same order for each rig.
@@ -105,7 +105,7 @@ impl fmt::Display for RigResult {
 
 /// All rigs.
 #[derive(Clone, Debug, Serialize)]
-pub struct BeliefStudy {
+pub struct RangeStudy {
     /// In the order of kinds and seeds.
     pub rigs: Vec<RigResult>,
 }
@@ -113,18 +113,14 @@ pub struct BeliefStudy {
 /// Runs the study with these sessions of each rig; `done` is called for every rig that is
 /// ready.
 pub fn run(
-    options: &BeliefOptions,
+    options: &RangeOptions,
     sessions: impl Fn(&Specimen) -> Result<Vec<Figure>> + Sync,
     done: impl Fn(&RigResult) + Sync,
-) -> BeliefStudy {
+) -> RangeStudy {
     let seeds = |count: u32| (0..count).map(|n| options.first_seed.wrapping_add(n.into()));
     let mut specimens = Vec::new();
-    let mut add = |seed, kind, beliefs| {
-        specimens.push(Specimen {
-            seed,
-            kind,
-            beliefs,
-        });
+    let mut add = |seed, kind, values| {
+        specimens.push(Specimen { seed, kind, values });
     };
     for seed in seeds(options.rigs) {
         let drawn = ModelValues::drawn(Seed(seed));
@@ -140,9 +136,9 @@ pub fn run(
         add(seed, Kind::Nominal, ModelValues::default());
         add(seed, Kind::Drawn, drawn);
     }
-    for (place, belief) in MODEL_RANGES.iter().enumerate() {
-        for end in belief.extremes() {
-            let kind = Kind::Extreme(format!("{}: {end} {}", belief.name, belief.unit));
+    for (place, range) in MODEL_RANGES.iter().enumerate() {
+        for end in range.extremes() {
+            let kind = Kind::Extreme(format!("{}: {end} {}", range.name, range.unit));
             for seed in seeds(options.rigs_an_end) {
                 add(seed, kind.clone(), ModelValues::default().with(place, end));
             }
@@ -157,7 +153,7 @@ pub(crate) fn each<B: Sync>(
     jobs: u32,
     sessions: impl Fn(&Specimen<B>) -> Result<Vec<Figure>> + Sync,
     done: impl Fn(&RigResult) + Sync,
-) -> BeliefStudy {
+) -> RangeStudy {
     let rigs = workers::each(specimens, jobs as usize, |specimen| {
         let result = RigResult {
             seed: specimen.seed,
@@ -167,10 +163,10 @@ pub(crate) fn each<B: Sync>(
         done(&result);
         result
     });
-    BeliefStudy { rigs }
+    RangeStudy { rigs }
 }
 
-impl BeliefStudy {
+impl RangeStudy {
     /// The figure at a place, of each rig that has one.
     fn at(&self, place: usize) -> impl Iterator<Item = (&Kind, &Figure)> {
         self.rigs.iter().filter_map(move |rig| {
@@ -218,10 +214,10 @@ impl BeliefStudy {
         out
     }
 
-    /// The largest error where one belief is at an end of its range, and that belief.
+    /// The largest error where one value is at an end of its range, and that value.
     fn worst(&self, place: usize) -> Option<(f64, &str)> {
         let sizes = self.at(place).filter_map(|(kind, figure)| match kind {
-            Kind::Extreme(belief) => Some((figure.error.abs(), belief.as_str())),
+            Kind::Extreme(value) => Some((figure.error.abs(), value.as_str())),
             Kind::Nominal | Kind::Drawn => None,
         });
         sizes.max_by(|a, b| a.0.total_cmp(&b.0))
@@ -250,7 +246,7 @@ fn over_sigma(figures: &[&Figure]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::session::sessions;
+    use super::models::sessions;
     use super::*;
 
     #[test]
@@ -288,7 +284,7 @@ mod tests {
             kind: kind.clone(),
             figures,
         };
-        let study = BeliefStudy {
+        let study = RangeStudy {
             rigs: vec![
                 rig(&Kind::Nominal, Ok(usual.figures())),
                 rig(&kind, Ok(warm.figures())),

@@ -131,13 +131,13 @@ struct Rig {
     profile: Profile,
 }
 
-/// The sessions on the rig of a seed with these beliefs.
+/// The sessions on the rig of a seed with these values of the models.
 ///
 /// # Errors
 ///
 /// Twists are refused, nothing can be learnt, or nothing can be aligned.
-pub fn sessions(seed: u64, beliefs: &ModelValues) -> Result<Sessions> {
-    let mut rig = Rig::new(Seed(seed), beliefs)?;
+pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
+    let mut rig = Rig::new(Seed(seed), values)?;
     // Of the cold rig: five twists, of which sessions use one, two or three.
     let mut at = 15.0;
     let mut twists: Vec<ClockModel> = Vec::new();
@@ -202,10 +202,10 @@ fn true_time(seconds: f64) -> TrueTime {
 }
 
 impl Rig {
-    fn new(seed: Seed, beliefs: &ModelValues) -> Result<Self> {
+    fn new(seed: Seed, values: &ModelValues) -> Result<Self> {
         let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
-        beliefs.apply(&mut config, &mut phone);
+        values.apply(&mut config, &mut phone);
         let parts = config.build()?;
         let settings = parts.config.imu.context("the rig has no IMU")?;
         let motion = std::sync::Arc::clone(&parts.motion);

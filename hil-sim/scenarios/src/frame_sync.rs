@@ -1,8 +1,8 @@
 //! How well frames coincide from launch to launch, by the truth.
 //!
 //! A launch is a rig of its own seed: clocks up to ±50 ppm and hours apart,
-//! sensors mounted at random. On each rig two sessions are run as a user runs
-//! them ([`super::stage`]): one with nothing learnt, from which the profile
+//! sensors mounted at random. On each rig two sessions are run on virtual time
+//! ([`crate::virtual_session`]): one with nothing learnt, from which the profile
 //! learns, and one with the learnt profile. The phase error of a session is the
 //! depth camera's middle of exposure minus the phone's, at the start of the
 //! recorded span; its drift is the change of that over the span.
@@ -12,12 +12,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use evaluate::stats::{mean, quantile, standard_deviation};
+use recording::profile::Profile;
 use recording::session_file::SessionFile;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::phone::PhoneConfig;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::wiring;
 use serde::Serialize;
+use session::options::seconds;
 
-use super::judge::{TwistVerdict, Verdict};
-use super::stage::{Stage, StageOptions};
-use crate::programs::Programs;
+use crate::judge::{Truth, TwistVerdict, Verdict};
+use crate::programs::{Programs, ask};
+use crate::virtual_session::Bench;
+use crate::whole_chain::new_folder;
 use crate::workers;
 
 /// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
@@ -243,18 +252,30 @@ pub fn run(options: &FrameSyncOptions, done: impl Fn(&Launch, &Launch) + Sync) -
 
 /// Both sessions on one rig.
 fn launch(options: &FrameSyncOptions, seed: u64) -> Result<(Launch, Launch)> {
-    let out = options.out.join(format!("seed_{seed}"));
-    let stage = Stage::start(StageOptions {
-        seed,
-        out: out.clone(),
-        programs: options.programs.clone(),
-        quiet: true,
-        recorder: None,
-    })?;
-    let fresh = stage.session("fresh", options.seconds, &["--second-twist"])?;
-    stage.learn(&fresh)?;
-    let learnt = stage.session("learnt", options.seconds, &["--second-twist"])?;
-    let truth = stage.end()?;
+    let out = new_folder(&options.out.join(format!("seed_{seed}")))?;
+    let config = RigConfig::published(Seed(seed)).with_motion(MotionSpec::always(Gesture::Twist));
+    let mut phone = PhoneConfig::draw(Seed(seed));
+    phone.storage = Some(out.join("phone"));
+    let board = wiring::board_of(config.board, options.programs.elf.as_deref());
+    let mut bench = Bench::new(config, board, vec![phone], &[], &out)?;
+    let session = |bench: &mut Bench, name: &str| -> Result<PathBuf> {
+        let mut wishes = bench.options(name);
+        wishes.duration = Some(seconds(options.seconds.into()));
+        wishes.second_twist = true;
+        Ok(bench.run(&wishes).good()?.folder)
+    };
+    let fresh = session(&mut bench, "fresh")?;
+    let profile = bench.write_profile()?;
+    let video = bench.with(|rig| rig.phones.first()?.videos().pop());
+    let timestamps = video.context("the phone has recorded no video")?.timestamps;
+    ask(
+        &options.programs,
+        &["profile", "learn", "--profile", &profile.to_string_lossy()],
+        &[Path::new("--timestamps"), &timestamps, &fresh],
+    )?;
+    bench.profile = Profile::load(&profile)?;
+    let learnt = session(&mut bench, "learnt")?;
+    let truth = Truth::of(bench.stop()?)?;
     let judge = |folder: &Path| -> Result<Launch> {
         let verdict = truth.judge(folder)?;
         Launch::of(seed, &verdict, &SessionFile::load(folder)?)
@@ -289,8 +310,8 @@ impl Launch {
 
 #[cfg(test)]
 mod tests {
-    use super::super::judge::OffsetError;
     use super::*;
+    use crate::judge::OffsetError;
 
     fn launch(seed: u64, phase_error_us: f64, drift_us_per_min: f64) -> Launch {
         Launch {

@@ -1,0 +1,459 @@
+//! Sessions in which something is missing, goes away or is stopped, in every state: how they
+//! end, and in which state they leave phone, trigger and files.
+
+use std::rc::Rc;
+
+use board::BoardError;
+use recording::finding::Severity;
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
+use scenarios::virtual_session::Run;
+use session::devices::{Choice, Wish};
+use session::error::SessionError;
+use session::event::{Prompt, SessionEvent, Step};
+
+use crate::bench::{
+    STATES, Twisted, is_fetching, is_recording, is_second_twist, ms, nth, outcome, problems,
+};
+
+/// Why a session failed.
+fn failure(run: &Run) -> &SessionError {
+    match &run.ended {
+        Err(error) => error,
+        Ok(Some(ended)) => ended.result.as_ref().unwrap_err(),
+        Ok(None) => panic!("it was interrupted"),
+    }
+}
+
+#[test]
+fn without_phone_or_board_nothing_is_made() {
+    let mut rig = Twisted::with(2, |_, phone| "v.0.2".clone_into(&mut phone.version));
+    let options = rig.options("none", 5);
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    assert!(matches!(error, SessionError::Phone { .. }), "{error}");
+
+    rig.bench.with(|rig| rig.phones[0].leave_network());
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    assert!(matches!(error, SessionError::Phone { .. }), "{error}");
+    rig.bench.with(|rig| rig.phones[0].join_network());
+
+    rig.bench.with(|rig| {
+        rig.sim.usb_unplug();
+        rig.pass(ms(100));
+    });
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    let is_open = matches!(error, SessionError::Board(BoardError::Open(_)));
+    assert!(is_open, "{error}");
+    assert!(!rig.recording("none").exists());
+}
+
+#[test]
+fn an_interrupt_ends_a_session_in_order_in_every_state() {
+    let mut rig = Twisted::new(3);
+    // Before anything was made: the phone does not answer.
+    rig.bench.with(|rig| rig.phones[0].set_silent(true));
+    let hands = rig.bench.hands();
+    rig.bench.with(|rig| {
+        let at = rig.now() + ms(3_000);
+        rig.at(at, move |_| hands.interrupt());
+    });
+    let options = rig.options("silent", 60);
+    let run = rig.bench.run(&options);
+    assert!(matches!(run.ended, Ok(None)), "{:?}", run.ended);
+    assert!(!rig.recording("silent").exists());
+    rig.bench.with(|rig| rig.phones[0].set_silent(false));
+
+    // The slow way to the grid, so that it lasts.
+    rig.bench.profile.align.slew_us = 20.0;
+    for (state, is_it) in STATES {
+        let hands = rig.bench.hands();
+        rig.soon_after(is_it, move |_| hands.interrupt());
+        let options = rig.options(state, 60);
+        let run = rig.bench.run(&options);
+        assert_eq!(outcome(&run), SessionOutcome::Interrupted, "{state}");
+        rig.readable(state, SessionOutcome::Interrupted);
+        rig.all_is_stopped(state);
+    }
+    rig.bench.hurry();
+
+    // After the recording: the rest is left out, what was recorded stays.
+    let hands = rig.bench.hands();
+    rig.soon_after(is_second_twist, move |_| hands.interrupt());
+    let mut options = rig.options("second_twist", 2);
+    options.second_twist = true;
+    rig.bench.run(&options);
+    let file = rig.readable("second_twist", SessionOutcome::Interrupted);
+    assert!(file.recorded.unwrap().to > file.recorded.unwrap().from);
+    rig.all_is_stopped("second twist");
+
+    // The download never ends.
+    let hands = rig.bench.hands();
+    rig.soon_after(is_fetching, move |rig| {
+        rig.phones[0].set_silent(true);
+        let at = rig.now() + ms(5_000);
+        rig.at(at, move |_| hands.interrupt());
+    });
+    let mut options = rig.options("fetch", 2);
+    options.fetch_video = true;
+    rig.bench.run(&options);
+    rig.bench.with(|rig| rig.phones[0].set_silent(false));
+    rig.readable("fetch", SessionOutcome::Interrupted);
+    for file in std::fs::read_dir(rig.recording("fetch")).unwrap() {
+        let name = file.unwrap().file_name().into_string().unwrap();
+        assert!(!name.ends_with(".mp4"), "{name}");
+    }
+    rig.all_is_stopped("fetch");
+}
+
+#[test]
+fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
+    let mut rig = Twisted::with(4, |_, phone| {
+        // Then a start takes 8 s, of at most 10 s.
+        phone.camera.first_frame_ms = (6_000.0, 6_000.0);
+    });
+    let states = STATES[1..].iter().copied();
+    for (state, is_it) in states.chain([("second twist", is_second_twist as _)]) {
+        rig.soon_after(is_it, |rig| rig.phones[0].leave_network());
+        let mut options = rig.options(state, 15);
+        options.second_twist = true;
+        let run = rig.bench.run(&options);
+        rig.bench.with(|rig| rig.phones[0].join_network());
+        rig.stop_phone();
+        // From the video on the board records on: the phone is missed when it is to be
+        // stopped.
+        let expected = match state {
+            "twist" | "trigger" => {
+                let error = failure(&run);
+                assert!(matches!(error, SessionError::Phone { .. }), "{error}");
+                SessionOutcome::Failed
+            }
+            _ => SessionOutcome::Loss,
+        };
+        let file = rig.readable(state, expected);
+        assert!(!problems(&file).is_empty(), "{state}");
+        rig.all_is_stopped(state);
+    }
+
+    // It comes back in time: a break between two requests costs nothing; nor one while it is
+    // to be stopped, which is after 2 s: it is asked again.
+    for (name, length, away) in [("back", 5, 500), ("late", 2, 5_000)] {
+        rig.soon_after(is_recording, move |rig| {
+            rig.phones[0].leave_network();
+            let back = rig.now() + ms(away);
+            rig.at(back, |rig| rig.phones[0].join_network());
+        });
+        rig.record(name, length);
+    }
+
+    // No download: the recording is there, the video is not.
+    rig.bench
+        .on(is_fetching, ms(0), |rig| rig.phones[0].leave_network());
+    let mut options = rig.options("short", 2);
+    options.fetch_video = true;
+    rig.bench.run(&options);
+    let file = rig.readable("short", SessionOutcome::Loss);
+    assert_eq!(problems(&file), ["video_not_fetched"]);
+}
+
+#[test]
+fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
+    let mut rig = Twisted::new(5);
+    for (state, is_it) in STATES {
+        rig.soon_after(is_it, |rig| {
+            rig.sim.usb_unplug();
+            let back = rig.now() + ms(500);
+            rig.at(back, |rig| rig.sim.usb_plug());
+        });
+        let options = rig.options(state, 10);
+        let run = rig.bench.run(&options);
+        let is_back = |event: &SessionEvent| matches!(event, SessionEvent::LinkBack { .. });
+        assert!(run.time_of(is_back).is_some(), "{state}");
+        let file = rig.readable(state, SessionOutcome::Loss);
+        assert_eq!(file.reconnects, 1, "{state}");
+        assert!(problems(&file).contains(&"link_lost"), "{state}");
+        // Board time went on: the recording has the length that was asked for.
+        let span = file.recorded.unwrap();
+        let length = (span.to - span.from).as_secs_f64();
+        assert!((10.0..10.5).contains(&length), "{state}: {length}");
+        rig.all_is_stopped(state);
+    }
+}
+
+#[test]
+fn a_board_that_is_reset_before_the_recording_ends_the_session() {
+    let mut rig = Twisted::new(6);
+    // The slow way to the grid, so that it lasts.
+    rig.bench.profile.align.slew_us = 20.0;
+    for (state, is_it) in &STATES[..5] {
+        rig.soon_after(is_it, |rig| rig.press_reset());
+        let options = rig.options(state, 60);
+        let run = rig.bench.run(&options);
+        let error = failure(&run);
+        assert!(
+            matches!(error, SessionError::BoardReset { .. }),
+            "{state}: {error}"
+        );
+        rig.readable(state, SessionOutcome::Failed);
+        rig.all_is_stopped(state);
+    }
+}
+
+#[test]
+fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
+    let mut rig = Twisted::new(7);
+    let hands = rig.bench.hands();
+    rig.soon_after(is_recording, move |rig| {
+        rig.sim.usb_unplug();
+        let at = rig.now() + ms(20_000);
+        rig.at(at, move |_| hands.interrupt());
+    });
+    let options = rig.options("away", 60);
+    rig.bench.run(&options);
+    let file = rig.readable("away", SessionOutcome::Interrupted);
+    for problem in ["link_lost", "trigger_not_stopped"] {
+        assert!(problems(&file).contains(&problem), "{problem}");
+    }
+    assert!(!rig.bench.with(|rig| rig.phones[0].is_recording()));
+
+    // The next session finds the train running and takes it over.
+    rig.bench.with(|rig| {
+        rig.sim.usb_plug();
+        rig.pass(ms(1_000));
+    });
+    rig.record("next", 2);
+}
+
+#[test]
+fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
+    let mut rig = Twisted::new(10);
+    let unplugged = Rc::<std::cell::Cell<f64>>::default();
+    let at = Rc::clone(&unplugged);
+    rig.bench.on(is_recording, ms(3_000), move |rig| {
+        at.set(rig.now().as_secs_f64());
+        rig.sim.usb_unplug();
+    });
+    let mut options = rig.options("never", 60);
+    options.link_patience = std::time::Duration::from_secs(2);
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    assert!(matches!(error, SessionError::LinkLost { .. }), "{error}");
+    let file = rig.readable("never", SessionOutcome::Failed);
+    assert!(problems(&file).contains(&"link_lost"));
+    assert!(!rig.bench.with(|rig| rig.phones[0].is_recording()));
+    // All that had come is there.
+    let samples = Reader::open(&rig.recording("never")).unwrap();
+    let samples = samples.filter_map(Result::ok);
+    let last = samples.filter(|entry| matches!(entry.item, Item::Imu(_)));
+    let last = last.last().unwrap().at.as_secs_f64();
+    let zero = rig.bench.stop().unwrap().zero.unwrap().as_secs_f64();
+    let missing = unplugged.get() - zero - last;
+    assert!((0.0..0.02).contains(&missing), "{missing}");
+}
+
+/// Whether a prompt asks for this step again.
+fn asks_again(event: &SessionEvent, wanted: Step) -> bool {
+    matches!(event, SessionEvent::Prompt { prompt: Prompt::Repeat { step, .. } } if *step == wanted)
+}
+
+fn asks_to_twist(event: &SessionEvent) -> bool {
+    let prompt = |prompt: &Prompt| matches!(prompt, Prompt::Twist { .. });
+    matches!(event, SessionEvent::Prompt { prompt: asked } if prompt(asked))
+}
+
+fn asks(wanted: Prompt) -> impl Fn(&SessionEvent) -> bool {
+    move |event| matches!(event, SessionEvent::Prompt { prompt } if *prompt == wanted)
+}
+
+#[test]
+fn a_person_tries_again_marks_and_leaves() {
+    let mut rig = Twisted::new(11);
+    rig.bench.seat_person();
+    rig.bench.with(|rig| rig.phones[0].leave_network());
+    let answer = |rig: &mut Twisted, choice: Choice| {
+        let hands = rig.bench.hands();
+        move |_: &mut rig::virtual_rig::VirtualRig| hands.answer(choice)
+    };
+    let hands = rig.bench.hands();
+    rig.soon_after(
+        |event| asks_again(event, Step::Connect),
+        move |rig| {
+            rig.phones[0].join_network();
+            hands.answer(Choice::Repeat);
+        },
+    );
+    let quit = answer(&mut rig, Choice::Quit);
+    rig.soon_after(asks_to_twist, quit);
+    let options = rig.options("asked", 60);
+    rig.bench.run(&options);
+    rig.readable("asked", SessionOutcome::Interrupted);
+
+    // Through a whole session, by the keys.
+    let begin = answer(&mut rig, Choice::Continue);
+    rig.soon_after(asks_to_twist, begin);
+    let go_on = answer(&mut rig, Choice::Continue);
+    rig.soon_after(asks(Prompt::TwistGood), go_on);
+    let hands = rig.bench.hands();
+    rig.soon_after(is_recording, move |rig| {
+        hands.wish(Wish::Mark(None));
+        hands.wish(Wish::Mark(Some(String::from("door"))));
+        let at = rig.now() + ms(2_000);
+        rig.at(at, move |_| hands.wish(Wish::Stop));
+    });
+    let options = rig.bench.options("marked");
+    rig.bench.run(&options).good().unwrap();
+    let file = rig.readable("marked", SessionOutcome::Good);
+    let labels: Vec<&str> = file.markers.iter().map(|m| m.label.as_str()).collect();
+    assert_eq!(labels, ["marker 1", "door"]);
+    rig.all_is_stopped("marked");
+}
+
+#[test]
+fn a_twist_that_is_needed_cannot_be_left_out() {
+    // At rest no twist relates the clocks.
+    let mut rig = Twisted::with(15, |config, _| config.motion = "rest".parse().unwrap());
+    rig.bench.seat_person();
+    let again = asks(Prompt::TwistAgain);
+    let is_again = move |event: &SessionEvent| again(event);
+    for (number, choice) in [(0, Choice::Skip), (1, Choice::Continue)] {
+        let hands = rig.bench.hands();
+        rig.soon_after(nth(number, asks_to_twist), move |_| hands.answer(choice));
+    }
+    let hands = rig.bench.hands();
+    rig.soon_after(nth(0, is_again), move |_| hands.answer(Choice::Skip));
+    let hands = rig.bench.hands();
+    let quits = asks(Prompt::TwistAgain);
+    rig.soon_after(nth(1, quits), move |_| hands.answer(Choice::Quit));
+    let options = rig.options("kept", 60);
+    let run = rig.bench.run(&options);
+    let refusals = run.events.iter().map(|seen| &seen.stamped.event);
+    let refusals = refusals.filter(|event| asks(Prompt::CannotSkip)(event));
+    assert_eq!(refusals.count(), 2);
+    let twisted = run.time_of(|event| matches!(event, SessionEvent::TwistStarted { .. }));
+    let refused = run.time_of(asks(Prompt::CannotSkip));
+    assert!(twisted > refused, "{twisted:?}");
+    rig.readable("kept", SessionOutcome::Interrupted);
+}
+
+/// Bytes come, but nothing that is understood: no sign of life.
+#[test]
+fn a_link_that_only_gives_damage_ends_the_recording_in_its_time() {
+    let mut rig = Twisted::new(14);
+    rig.soon_after(is_recording, |rig| rig.sim.usb_corrupt(1_000_000, 0));
+    // Its length does not end it.
+    let mut options = rig.options("damage", 6_000);
+    options.link_patience = std::time::Duration::from_secs(2);
+    let run = rig.bench.run(&options);
+    let is_quiet = |event: &SessionEvent| matches!(event, SessionEvent::BoardQuiet { .. });
+    assert!(run.time_of(is_quiet).is_some());
+    let error = failure(&run);
+    assert!(matches!(error, SessionError::LinkLost { .. }), "{error}");
+    let file = rig.readable("damage", SessionOutcome::Failed);
+    assert!(problems(&file).contains(&"link_lost"));
+}
+
+#[test]
+fn what_is_bad_before_a_recording_ends_it() {
+    let mut rig = Twisted::with(13, |config, _| config.imu = None);
+    let options = rig.options("no_imu", 2);
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    let is_imu = matches!(error, SessionError::Check { name, .. } if name == "IMU");
+    assert!(is_imu, "{error}");
+    let is_twist = |event: &SessionEvent| matches!(event, SessionEvent::TwistStarted { .. });
+    assert!(run.time_of(is_twist).is_none());
+    let file = SessionFile::load(&rig.recording("no_imu")).unwrap();
+    assert_eq!(file.outcome, Some(SessionOutcome::Failed));
+    let verdict = |name: &str| {
+        let check = file.preflight.iter().find(|check| check.kind == name);
+        check.unwrap_or_else(|| panic!("{name}")).severity
+    };
+    assert_eq!(verdict("IMU"), Severity::Bad);
+    assert_eq!(verdict("phone"), Severity::Good);
+    rig.all_is_stopped("no IMU");
+}
+
+#[test]
+fn a_depth_recorder_is_watched_and_stopped() {
+    let mut rig = Twisted::new(9);
+    rig.bench.has_recorder = true;
+    rig.record("good", 3);
+    assert!(rig.recording("good").join("depth.mkv").is_file());
+
+    let recorder = rig.bench.recorder();
+    rig.soon_after(is_recording, move |_| recorder.end());
+    let options = rig.options("gone", 5);
+    rig.bench.run(&options);
+    let file = rig.readable("gone", SessionOutcome::Loss);
+    assert_eq!(problems(&file), ["depth_recorder_gone"]);
+    rig.all_is_stopped("gone");
+
+    // It does not end when it is asked to.
+    let recorder = rig.bench.recorder();
+    rig.soon_after(is_recording, move |_| recorder.hang());
+    let options = rig.options("deaf", 3);
+    let run = rig.bench.run(&options);
+    let is_killed = |event: &SessionEvent| matches!(event, SessionEvent::RecorderKilled { .. });
+    assert!(run.time_of(is_killed).is_some());
+    rig.readable("deaf", SessionOutcome::Loss);
+    rig.all_is_stopped("deaf");
+}
+
+#[test]
+fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
+    let mut rig = Twisted::new(17);
+    let folder = rig.recording("gone");
+    rig.soon_after(is_recording, move |_| {
+        std::fs::remove_dir_all(folder).unwrap();
+    });
+    let options = rig.options("gone", 600);
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    let is_moved = matches!(error, SessionError::RecordingMoved { .. });
+    assert!(is_moved, "{error}");
+    rig.all_is_stopped("folder deleted");
+}
+
+/// An app takes a while to close its video; its sensors are busy until then.
+#[test]
+fn a_session_ends_well_whatever_time_a_stop_takes() {
+    for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
+        let mut rig = Twisted::with(seed, |_, phone| phone.app.stop_ms = stop_ms);
+        let mut options = rig.options("whole", 3);
+        options.second_twist = true;
+        options.fetch_video = true;
+        let ended = rig.bench.run(&options).good().unwrap();
+        assert_eq!(ended.file.phones[0].twists.len(), 2);
+        assert!(ended.file.files.iter().any(|name| name.ends_with(".mp4")));
+        rig.all_is_stopped("whole");
+    }
+}
+
+#[test]
+fn a_session_notices_that_the_video_has_ended() {
+    let mut rig = Twisted::new(88);
+    rig.bench
+        .on(is_recording, ms(1_000), |rig| rig.phones[0].press_record());
+    let options = rig.options("ended", 15);
+    rig.bench.run(&options);
+    let file = rig.readable("ended", SessionOutcome::Loss);
+    assert_eq!(problems(&file), ["video_ended"]);
+    assert_eq!(file.markers.len(), 1);
+    assert!(file.markers[0].label.contains("video ended"));
+}
+
+#[test]
+fn a_session_whose_video_does_not_start_stops_what_it_began() {
+    // The phase comes after the app's own timeout, and the video runs.
+    let mut rig = Twisted::with(89, |_, phone| phone.camera.frame_period_ns = 200e6);
+    let options = rig.options("slow", 5);
+    let run = rig.bench.run(&options);
+    let error = failure(&run);
+    assert!(matches!(error, SessionError::Phone { .. }), "{error}");
+    let is_undone = |event: &SessionEvent| matches!(event, SessionEvent::VideoUndone { .. });
+    assert!(run.time_of(is_undone).is_some());
+    assert_eq!(rig.bench.with(|rig| rig.phones[0].videos().len()), 1);
+    rig.all_is_stopped("slow");
+}
