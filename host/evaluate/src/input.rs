@@ -1,31 +1,22 @@
-//! Fields of a recording's `session.json` that help the evaluation.
-//!
-//! Only the few fields that are needed are read, so that a recording of another
-//! version of the program can still be evaluated.
+//! The video of a recording, and what its `session.json` says about the alignment.
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use recording::SESSION_FILE;
+use recording::session_file::SessionFile;
 
 use super::EvaluateError;
-use recording::SESSION_FILE;
-use recording::session_file::MAX_LENGTH;
 
 /// Endings of the videos that phones make.
 const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
 /// Alignment of a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Applied {
     /// The constant bias that was subtracted, µs.
     pub bias_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
-}
-
-#[derive(Deserialize)]
-struct SessionPart {
-    alignment: Option<Applied>,
 }
 
 /// An input made definite: a recording's folder stands for its video.
@@ -39,33 +30,28 @@ pub(crate) struct Input {
 
 /// Finds the video of a recording's folder, and the session of a video in one.
 pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
-    let own = path.join(SESSION_FILE);
-    if path.is_dir() && own.is_file() {
-        return Ok(Input {
-            path: video_in(path)?,
-            applied: read(&own)?,
-        });
-    }
-    let beside = path.parent().map(|p| p.join(SESSION_FILE));
-    let applied = match beside.filter(|f| f.is_file()) {
-        Some(file) => read(&file)?,
-        None => None,
-    };
+    let own = path.is_dir() && path.join(SESSION_FILE).is_file();
+    let folder = if own { Some(path) } else { path.parent() };
+    let session = folder.filter(|folder| folder.join(SESSION_FILE).is_file());
     Ok(Input {
-        path: path.to_owned(),
-        applied,
+        path: if own {
+            video_in(path)?
+        } else {
+            path.to_owned()
+        },
+        applied: session.map(applied).transpose()?.flatten(),
     })
 }
 
-fn read(file: &Path) -> Result<Option<Applied>, EvaluateError> {
-    let text = files::read_text(file, MAX_LENGTH).map_err(EvaluateError::io(file))?;
-    let part: SessionPart = serde_json::from_str(&text).map_err(|e| EvaluateError::Profile {
-        path: file.to_owned(),
-        message: format!("the recording's session was not understood: {e}"),
+fn applied(folder: &Path) -> Result<Option<Applied>, EvaluateError> {
+    let session = SessionFile::load(folder).map_err(|error| EvaluateError::Profile {
+        path: folder.join(SESSION_FILE),
+        message: format!("the recording's session was not understood: {error}"),
     })?;
-    Ok(part
-        .alignment
-        .filter(|a| a.bias_us.is_finite() && a.exposure_us.is_finite()))
+    Ok(session.alignment.map(|alignment| Applied {
+        bias_us: alignment.bias_us,
+        exposure_us: alignment.exposure_us,
+    }))
 }
 
 fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
@@ -98,18 +84,40 @@ fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
 
 #[cfg(test)]
 mod tests {
+    use recording::profile::Profile;
+    use recording::session_file::Alignment;
+
     use super::*;
+
+    fn alignment(bias_us: f64, exposure_us: f64) -> Alignment {
+        serde_json::from_value(serde_json::json!({
+            "exposure_us": exposure_us,
+            "middle_row_us": 0.0,
+            "center_offset_us": 0.0,
+            "bias_us": bias_us,
+            "frame_period_ns": 33e6,
+            "frame_period_sigma_ns": null,
+            "frame_period_source": "learnt",
+            "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0, "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
+            "anchor": 0,
+            "period_q32": 1_u64 << 32,
+            "phase_sigma_us": 1.0,
+            "drift_sigma_us_per_min": 1.0,
+            "arrival_pulse": null,
+            "arrival": null,
+        }))
+        .unwrap()
+    }
 
     #[test]
     fn a_recording_stands_for_its_video() {
         let dir = tempfile::tempdir().unwrap();
         let path = |name: &str| dir.path().join(name);
         assert_eq!(resolve(dir.path()).unwrap().applied, None);
-        std::fs::write(
-            path(SESSION_FILE),
-            r#"{"name": "x", "alignment": {"bias_us": -3.5, "exposure_us": 500, "other": 1}}"#,
-        )
-        .unwrap();
+        let profile = Profile::published().unwrap();
+        let mut session = SessionFile::new(String::from("walk"), profile);
+        session.alignment = Some(alignment(-3.5, 500.0));
+        session.save(dir.path()).unwrap();
         let e = resolve(dir.path()).unwrap_err().to_string();
         assert!(e.contains("no video"), "{e}");
         std::fs::write(path("VID_1.mp4"), "").unwrap();
@@ -129,7 +137,8 @@ mod tests {
         let e = resolve(dir.path()).unwrap_err().to_string();
         assert!(e.contains("more than one video"), "{e}");
 
-        std::fs::write(path(SESSION_FILE), "{}").unwrap();
+        session.alignment = None;
+        session.save(dir.path()).unwrap();
         assert_eq!(resolve(&path("VID_1.mp4")).unwrap().applied, None);
         std::fs::write(path(SESSION_FILE), "{").unwrap();
         assert!(resolve(&path("VID_1.mp4")).is_err());
