@@ -1,10 +1,6 @@
 //! The board's messages over a stretch of board time.
 
-use board::{BoardError, Event};
 use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pulse, Status, TICK_HZ, TickDelta};
-
-use crate::BringUpError;
-use crate::parts::Session;
 
 /// Ticks in a millisecond of board time.
 const TICKS_PER_MS: u32 = TICK_HZ / 1_000;
@@ -45,7 +41,7 @@ impl Heard {
         self.damaged += later.damaged;
     }
 
-    fn take(&mut self, message: DeviceToHost) {
+    pub(crate) fn take(&mut self, message: DeviceToHost) {
         match message {
             DeviceToHost::Status(status) => self.statuses.push(status),
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
@@ -56,39 +52,5 @@ impl Heard {
             DeviceToHost::Filler(filler) => self.filler += filler.payload.len() as u64,
             DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Pps(_) => {}
         }
-    }
-}
-
-impl Session<'_> {
-    /// Takes what the board says for `length` of board time.
-    pub(crate) fn hear(&mut self, length: TickDelta) -> Result<Heard, BringUpError> {
-        self.hear_until(length, |_| false)
-    }
-
-    /// Takes what the board says for `length` of board time, or until `done`.
-    pub(crate) fn hear_until(
-        &mut self,
-        length: TickDelta,
-        mut done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Heard, BringUpError> {
-        let mut heard = Heard::default();
-        let end = self.board.ping()?.0 + length;
-        let stop = self.operator.stop;
-        let listened = self.board.listen("any message", stop, |board, event| {
-            match event {
-                Some(Event::Message(message)) => heard.take(message),
-                Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
-                Some(Event::Disordered { .. }) => heard.lost += 1,
-                Some(Event::Damaged(_)) => heard.damaged += 1,
-                Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
-                Some(Event::OtherVersion { found }) => {
-                    return Err(BoardError::OtherVersion { found }.into());
-                }
-                Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
-            }
-            let is_over = board.conversation().latest() >= end || done(&heard);
-            Ok(is_over.then_some(()))
-        })?;
-        listened.map(|()| heard).ok_or(BringUpError::Stopped)
     }
 }

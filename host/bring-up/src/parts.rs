@@ -5,7 +5,7 @@ mod link;
 
 use std::time::Duration;
 
-use board::Board;
+use board::{Board, BoardError, Event};
 use protocol::{
     MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, SendFiller, TICK_HZ, TickDelta,
     TrainState, TriggerAlign, TriggerStart,
@@ -103,6 +103,38 @@ impl<'a> Session<'a> {
             (self.operator.say)(what);
         }
         self.operator.is_there
+    }
+
+    /// Takes what the board says for `length` of board time.
+    fn hear(&mut self, length: TickDelta) -> Result<Heard, BringUpError> {
+        self.hear_until(length, |_| false)
+    }
+
+    /// Takes what the board says for `length` of board time, or until `done`.
+    fn hear_until(
+        &mut self,
+        length: TickDelta,
+        mut done: impl FnMut(&Heard) -> bool,
+    ) -> Result<Heard, BringUpError> {
+        let mut heard = Heard::default();
+        let end = self.board.ping()?.0 + length;
+        let stop = self.operator.stop;
+        let listened = self.board.listen("any message", stop, |board, event| {
+            match event {
+                Some(Event::Message(message)) => heard.take(message),
+                Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
+                Some(Event::Disordered { .. }) => heard.lost += 1,
+                Some(Event::Damaged(_)) => heard.damaged += 1,
+                Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
+                Some(Event::OtherVersion { found }) => {
+                    return Err(BoardError::OtherVersion { found }.into());
+                }
+                Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
+            }
+            let is_over = board.conversation().latest() >= end || done(&heard);
+            Ok(is_over.then_some(()))
+        })?;
+        listened.map(|()| heard).ok_or(BringUpError::Stopped)
     }
 
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
