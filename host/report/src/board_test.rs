@@ -32,23 +32,16 @@ pub fn page(report: &Report) -> String {
         ("last reset", report.board.reset_cause),
     ]);
     page.section("Checks");
-    let rows: Vec<Vec<String>> = report
-        .checks
-        .iter()
-        .map(|check| {
-            vec![
-                check.finding.severity.word().to_owned(),
-                check.finding.kind.clone(),
-                check.finding.text.clone(),
-                check.limit.clone(),
-                check.finding.next_step.clone().unwrap_or_default(),
-            ]
-        })
-        .collect();
-    page.table(
-        &["", "check", "measured", "limit", "a miss points at"],
-        &rows,
-    );
+    let rows = report.checks.iter().map(|check| {
+        [
+            check.finding.severity.word().to_owned(),
+            check.finding.kind.clone(),
+            check.finding.text.clone(),
+            check.limit.clone(),
+            check.finding.next_step.clone().unwrap_or_default(),
+        ]
+    });
+    page.table(["", "check", "measured", "limit", "a miss points at"], rows);
     let intervals = &report.intervals;
     if !intervals.counts.is_empty() {
         page.section("Data-ready");

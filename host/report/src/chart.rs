@@ -86,15 +86,6 @@ impl Ink {
     }
 }
 
-/// A series of a drawing.
-#[derive(Clone, Debug)]
-pub struct Series {
-    /// Its name in the legend; without a name it is not there.
-    pub name: String,
-    /// What is drawn.
-    pub data: Data,
-}
-
 /// What is drawn.
 #[derive(Clone, Debug)]
 pub enum Data {
@@ -202,7 +193,10 @@ pub struct Chart {
     labels: [String; 2],
     xs: Option<Range<f64>>,
     least: Option<Range<f64>>,
-    series: Vec<(Series, Ink)>,
+    /// Names in the legend, where one without a name is not, and what is drawn.
+    series: Vec<(String, Data, Ink)>,
+    /// Values that cannot be drawn.
+    left_out: usize,
 }
 
 impl Chart {
@@ -227,7 +221,7 @@ impl Chart {
     /// Several charts of one range have one scale.
     #[must_use]
     pub fn xs(mut self, xs: Range<f64>) -> Self {
-        self.xs = Some(xs);
+        self.xs = Some(xs).filter(|xs| is_drawn(xs.start) && is_drawn(xs.end));
         self
     }
 
@@ -239,42 +233,32 @@ impl Chart {
         self
     }
 
-    /// Adds a series, over those before.
+    /// Adds a series with its name in the legend, over those before.
     #[must_use]
-    pub fn add(mut self, name: &str, data: Data, ink: Ink) -> Self {
-        let name = name.to_owned();
-        self.series.push((Series { name, data }, ink));
+    pub fn add(mut self, name: &str, mut data: Data, ink: Ink) -> Self {
+        self.left_out += data.leave_out_wild();
+        self.series.push((name.to_owned(), data, ink));
         self
     }
 
     /// Whether it has data of this kind.
     fn has(&self, kind: impl Fn(&Data) -> bool) -> bool {
-        self.series.iter().any(|(series, _)| kind(&series.data))
+        self.series.iter().any(|(_, data, _)| kind(data))
     }
 
-    /// Without what cannot be drawn; the title says how much that was.
-    fn tamed(&self) -> Self {
-        let mut chart = self.clone();
-        let series = chart.series.iter_mut();
-        let left_out: usize = series.map(|(s, _)| s.data.leave_out_wild()).sum();
-        if left_out > 0 {
-            let values = if left_out == 1 {
-                "value is"
-            } else {
-                "values are"
-            };
-            let note = format!("{left_out} {values} too large to be drawn and left out.");
-            chart.title = format!("{} {note}", chart.title).trim_start().to_owned();
-        }
-        chart
-            .xs
-            .take_if(|xs| !is_drawn(xs.start) || !is_drawn(xs.end));
-        chart
+    /// What stands above it: the title, and how much could not be drawn.
+    fn heading(&self) -> String {
+        let note = match self.left_out {
+            0 => return self.title.clone(),
+            1 => String::from("1 value is too large to be drawn and left out."),
+            many => format!("{many} values are too large to be drawn and left out."),
+        };
+        format!("{} {note}", self.title).trim_start().to_owned()
     }
 
     /// What the axes show; `None` if there is nothing.
     fn ranges(&self) -> Option<Bounds> {
-        let bounds = self.series.iter().filter_map(|(s, _)| s.data.bounds());
+        let bounds = self.series.iter().filter_map(|(_, data, _)| data.bounds());
         let shown = self.xs.clone().map(|xs| (xs, 0.0..1.0));
         let (mut xs, mut ys) = bounds.reduce(both).or(shown)?;
         if let Some(least) = &self.least {
@@ -300,19 +284,16 @@ impl Chart {
     }
 }
 
-/// A drawing of series over one pair of axes. `least` is the smallest range of values
+/// A drawing of named series over one pair of axes. `least` is the smallest range of values
 /// that is shown; if a drawing has nothing to show it is empty.
 #[must_use]
-pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -> String {
-    let inks = COLOURS.iter().copied().cycle();
+pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: Vec<(&str, Data)>) -> String {
+    let has_legend = all.len() > 1;
     let mut chart = Chart::new(x_label, y_label).least(least);
-    chart.series.extend(all.iter().cloned().zip(inks));
-    if let [(only, _)] = chart.series.as_mut_slice() {
-        only.name.clear();
+    for ((name, data), ink) in all.into_iter().zip(COLOURS.into_iter().cycle()) {
+        chart = chart.add(if has_legend { name } else { "" }, data, ink);
     }
-    let chart = chart.tamed();
-    // With a title, something was left out.
-    if chart.ranges().is_none() && chart.title.is_empty() {
+    if chart.ranges().is_none() && chart.left_out == 0 {
         return String::new();
     }
     stack(SIZE, &[chart])
@@ -337,7 +318,6 @@ pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u
 #[must_use]
 pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
     let mut svg = String::new();
-    let charts: Vec<Chart> = charts.iter().map(Chart::tamed).collect();
     let mut below = 0;
     let ends: Vec<i32> = charts
         .iter()
@@ -355,7 +335,7 @@ pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
         let root = SVGBackend::with_string(svg, (size.0, below as u32)).into_drawing_area();
         root.fill(&WHITE)?;
         let areas = root.split_by_breakpoints([0; 0], &ends[..ends.len().saturating_sub(1)]);
-        for (area, chart) in areas.iter().zip(&charts) {
+        for (area, chart) in areas.iter().zip(charts) {
             draw(chart, area)?;
         }
         root.present()?;
@@ -406,8 +386,8 @@ fn draw(chart: &Chart, area: &Area<'_>) -> Drawn<()> {
         .axis_desc_style(("sans-serif", LABEL))
         .light_line_style(WHITE)
         .draw()?;
-    for (series, ink) in &chart.series {
-        paint(&mut axes, &series.data, *ink, &ys)?;
+    for (_, data, ink) in &chart.series {
+        paint(&mut axes, data, *ink, &ys)?;
     }
     Ok(())
 }
@@ -490,16 +470,9 @@ mod tests {
 
     #[test]
     fn nothing_to_draw_gives_nothing() {
-        assert_eq!(series("x", "y", 0.0..0.0, &[]), "");
-        let svg = series(
-            "x",
-            "y",
-            0.0..1.0,
-            &[Series {
-                name: "<a>".into(),
-                data: Data::Line(vec![(1.0, 2.0)]),
-            }],
-        );
+        assert_eq!(series("x", "y", 0.0..0.0, vec![]), "");
+        let line = Data::Line(vec![(1.0, 2.0)]);
+        let svg = series("x", "y", 0.0..1.0, vec![("<a>", line)]);
         assert!(svg.starts_with("<svg"), "{svg}");
     }
 
@@ -545,11 +518,9 @@ mod tests {
     #[test]
     fn a_legend_stands_above_all_that_is_drawn() {
         // Error bars over the whole height, where a legend inside the axes would be.
-        let bars = |name: &str| Series {
-            name: name.to_owned(),
-            data: Data::Bars(vec![(0.02, 0.5, 0.5), (0.98, 0.5, 0.5)]),
-        };
-        let svg = series("x", "y", 0.0..1.0, &[bars("windows"), bars("others")]);
+        let bars = Data::Bars(vec![(0.02, 0.5, 0.5), (0.98, 0.5, 0.5)]);
+        let all = vec![("windows", bars.clone()), ("others", bars)];
+        let svg = series("x", "y", 0.0..1.0, all);
         let numbers = |from: &str| -> Vec<f64> {
             let parts = svg.split(from).skip(1);
             let texts = parts.map(|part| part.split('"').next().unwrap_or_default());

@@ -25,23 +25,19 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> Stri
     let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
     page.facts(&precision_facts(result));
     page.section("Recordings");
-    let rows: Vec<Vec<String>> = result
-        .recordings
-        .iter()
-        .map(|r| {
-            vec![
-                short(&r.path),
-                format!("{:.3}", r.bias_us),
-                format!("{:.3}", r.sigma_us),
-                format!("{:.2}", r.row),
-                format!("{:.4}", r.row_time_us),
-                String::from(if r.identity.unique { "decided" } else { "open" }),
-                format!("{} of {}", r.frames.used, r.frames.read),
-            ]
-        })
-        .collect();
+    let rows = result.recordings.iter().map(|r| {
+        [
+            short(&r.path),
+            format!("{:.3}", r.bias_us),
+            format!("{:.3}", r.sigma_us),
+            format!("{:.2}", r.row),
+            format!("{:.4}", r.row_time_us),
+            String::from(if r.identity.unique { "decided" } else { "open" }),
+            format!("{} of {}", r.frames.used, r.frames.read),
+        ]
+    });
     page.table(
-        &[
+        [
             "recording",
             "bias, µs",
             "1 σ, µs",
@@ -50,7 +46,7 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> Stri
             "which flash",
             "frames used",
         ],
-        &rows,
+        rows,
     );
     for r in &result.recordings {
         let name = short(&r.path);

@@ -12,7 +12,7 @@ use extract::report::{
 use serde_json::json;
 
 use crate::REPORT_FILE;
-use crate::chart::{self, Data, Series};
+use crate::chart::{self, Data};
 use crate::page::Page;
 use recording::finding::Severity;
 
@@ -39,12 +39,11 @@ fn page(report: &ExtractReport, samples: Option<&str>) -> String {
     page.facts(&lines(report));
     if !report.losses.is_empty() {
         page.section("Missing or damaged");
-        let rows: Vec<Vec<String>> = report
-            .losses
-            .iter()
-            .map(|loss| vec![loss.part.to_owned(), loss.what.clone()])
-            .collect();
-        page.table(&["part", "what is missing, and what that means"], &rows);
+        let losses = report.losses.iter();
+        page.table(
+            ["part", "what is missing, and what that means"],
+            losses.map(|loss| [loss.part.to_owned(), loss.what.clone()]),
+        );
     }
     if !report.remarks.is_empty() {
         page.section("Remarks");
@@ -86,38 +85,34 @@ fn page(report: &ExtractReport, samples: Option<&str>) -> String {
             page.figure(samples, SAMPLES);
         }
     }
-    if let Some(clock) = report.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+    let course = |clock: &Option<ClockReport>| {
+        let course = clock.as_ref().map(|clock| clock.course.as_slice());
+        course.filter(|course| course.len() > 1).map(course_svg)
+    };
+    if let Some(svg) = course(&report.clock) {
         page.section("Clock of the phone");
         page.figure(
-            &course_svg(&clock.course),
+            &svg,
             "What the two gyroscopes say in each window against the smoothed course, with \
              1-sigma of both.",
         );
     }
     for other in &report.phones {
-        if let Some(clock) = other.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+        if let Some(svg) = course(&other.clock) {
             page.section(&format!("Clock of phone {}", other.name));
             page.figure(
-                &course_svg(&clock.course),
+                &svg,
                 "As above, for this phone. The trigger does not follow its frames.",
             );
         }
     }
     if report.sequences.len() > 1 {
         page.section("Sequences");
-        let rows: Vec<Vec<String>> = report
-            .sequences
-            .iter()
-            .map(|part| {
-                vec![
-                    part.folder.clone(),
-                    part.color.to_string(),
-                    part.depth.to_string(),
-                    part.pairs.to_string(),
-                ]
-            })
-            .collect();
-        page.table(&["folder", "phone", "depth", "pairs"], &rows);
+        let rows = report.sequences.iter().map(|part| {
+            let [color, depth, pairs] = [part.color, part.depth, part.pairs].map(|n| n.to_string());
+            [part.folder.clone(), color, depth, pairs]
+        });
+        page.table(["folder", "phone", "depth", "pairs"], rows);
     }
     page.settings(
         "Settings: constants that went into the times, ns",
@@ -131,47 +126,30 @@ fn pairs_svg(course: &[(i64, i64)]) -> String {
     let points = course
         .iter()
         .map(|&(at, difference)| (at as f64 * 1e-9, difference as f64 / 1000.0));
-    let series = Series {
-        name: String::from("pairs"),
-        data: Data::Points(points.collect()),
-    };
-    chart::series("board time, s", "depth − phone, µs", -1.0..1.0, &[series])
+    let points = Data::Points(points.collect());
+    let all = vec![("pairs", points)];
+    chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all)
 }
 
 /// Windows against the course, with the course's own band.
 fn course_svg(course: &[WindowResult]) -> String {
     let band = |sign: f64| {
+        let course = course.iter();
         Data::Line(
             course
-                .iter()
-                .map(|window| (window.board_s, sign * window.course_sigma_s * 1e6))
+                .map(|w| (w.board_s, sign * w.course_sigma_s * 1e6))
                 .collect(),
         )
     };
     let windows = course
         .iter()
-        .map(|window| {
-            (
-                window.board_s,
-                window.residual_s * 1e6,
-                window.sigma_s * 1e6,
-            )
-        })
-        .collect();
-    let series = |name: &str, data| Series {
-        name: name.to_owned(),
-        data,
-    };
-    chart::series(
-        "board time, s",
-        "window − course, µs",
-        -1.0..1.0,
-        &[
-            series("windows", Data::Bars(windows)),
-            series("+1-sigma of the course", band(1.0)),
-            series("−1-sigma", band(-1.0)),
-        ],
-    )
+        .map(|w| (w.board_s, w.residual_s * 1e6, w.sigma_s * 1e6));
+    let all = vec![
+        ("windows", Data::Bars(windows.collect())),
+        ("+1-sigma of the course", band(1.0)),
+        ("−1-sigma", band(-1.0)),
+    ];
+    chart::series("board time, s", "window − course, µs", -1.0..1.0, all)
 }
 
 /// The report as text for a terminal.

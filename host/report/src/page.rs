@@ -98,52 +98,41 @@ impl Page {
         self.body.push_str("</table>\n");
     }
 
-    /// A table. Columns of numbers stand to the right.
-    pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) {
-        let number = |text: &str| {
-            text.chars().any(|c| c.is_ascii_digit())
-                && text
-                    .chars()
-                    .all(|c| c.is_ascii_digit() || "+-−.,± ".contains(c))
+    /// A table, if it has rows. Columns of numbers stand to the right.
+    pub fn table<const N: usize>(
+        &mut self,
+        head: [&str; N],
+        rows: impl IntoIterator<Item = [String; N]>,
+    ) {
+        let rows: Vec<[String; N]> = rows.into_iter().collect();
+        if rows.is_empty() {
+            return;
+        }
+        let is_number = |text: &str| {
+            text.chars()
+                .all(|c| c.is_ascii_digit() || "+-−.,± ".contains(c))
+                && (text.is_empty() || text.chars().any(|c| c.is_ascii_digit()))
         };
-        let numeric: Vec<bool> = (0..head.len())
-            .map(|column| {
-                !rows.is_empty()
-                    && rows
-                        .iter()
-                        .filter_map(|row| row.get(column))
-                        .all(|cell| cell.is_empty() || number(cell))
-            })
-            .collect();
-        let class = |column: usize| {
-            if numeric.get(column) == Some(&true) {
-                " class=\"n\""
-            } else {
-                ""
-            }
-        };
+        let columns: [(&str, String); N] = std::array::from_fn(|column| {
+            let mut cells = rows.iter().filter_map(|row| row.get(column));
+            let class = match cells.all(|cell| is_number(cell)) {
+                true => " class=\"n\"",
+                false => "",
+            };
+            (class, escape(head.get(column).copied().unwrap_or_default()))
+        });
         self.body
             .push_str("<div class=\"wide\"><table class=\"list\">\n<tr>");
-        for (column, cell) in head.iter().enumerate() {
-            let _ = write!(
-                self.body,
-                "<th scope=\"col\"{}>{}</th>",
-                class(column),
-                escape(cell)
-            );
+        for (class, heading) in &columns {
+            let _ = write!(self.body, "<th scope=\"col\"{class}>{heading}</th>");
         }
         self.body.push_str("</tr>\n");
-        for row in rows {
+        for row in &rows {
             self.body.push_str("<tr>");
-            for (column, cell) in row.iter().enumerate() {
-                // On a narrow screen each cell stands in a line behind its heading.
-                let heading = escape(head.get(column).copied().unwrap_or_default());
-                let _ = write!(
-                    self.body,
-                    "<td{} data-h=\"{heading}\">{}</td>",
-                    class(column),
-                    escape(cell)
-                );
+            // On a narrow screen each cell stands in a line behind its heading.
+            for ((class, heading), cell) in columns.iter().zip(row) {
+                let cell = escape(cell);
+                let _ = write!(self.body, "<td{class} data-h=\"{heading}\">{cell}</td>");
             }
             self.body.push_str("</tr>\n");
         }
@@ -281,7 +270,7 @@ mod tests {
         page.section(evil);
         page.text(evil);
         page.facts(&[(evil, evil)]);
-        page.table(&[evil], &[vec![evil.to_owned()]]);
+        page.table([evil], [[evil.to_owned()]]);
         page.figure("<svg></svg>", evil);
         page.note(Severity::Check, evil);
         page.settings(evil, &json!({ evil: [evil, {"x": evil}] }));
@@ -303,10 +292,10 @@ mod tests {
     fn columns_of_numbers_stand_to_the_right() {
         let mut page = Page::new("t", Severity::Good, "v");
         page.table(
-            &["name", "value", "text"],
-            &[
-                vec!["a".into(), "+1.5".into(), "2 left".into()],
-                vec!["-".into(), String::new(), "3".into()],
+            ["name", "value", "text"],
+            [
+                ["a".into(), "+1.5".into(), "2 left".into()],
+                ["-".into(), String::new(), "3".into()],
             ],
         );
         let html = page.html();

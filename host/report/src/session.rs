@@ -124,19 +124,17 @@ fn warnings(page: &mut Page, session: &SessionFile) {
         return;
     }
     page.section("What went wrong");
-    let rows: Vec<Vec<String>> = session
-        .problems
-        .iter()
-        .take(MAX_LISTED)
-        .map(|problem| {
-            vec![
+    let problems = session.problems.iter().take(MAX_LISTED);
+    page.table(
+        ["board time, s", "kind", "what"],
+        problems.map(|problem| {
+            [
                 problem.seconds(),
                 problem.kind.clone(),
                 problem.text.clone(),
             ]
-        })
-        .collect();
-    page.table(&["board time, s", "kind", "what"], &rows);
+        }),
+    );
     if session.problems.len() > MAX_LISTED {
         page.text(&format!(
             "And {} more, in session.json.",
@@ -160,15 +158,12 @@ fn streams(page: &mut Page, session: &SessionFile) {
     page.section("What came from the board");
     let counts = &session.counts;
     let row = |name: &str, count: StreamCount| {
-        vec![
-            name.to_owned(),
-            count.received.to_string(),
-            count.lost.to_string(),
-        ]
+        let [received, lost] = [count.received, count.lost].map(|n| n.to_string());
+        [name.to_owned(), received, lost]
     };
     page.table(
-        &["stream", "received", "lost"],
-        &[
+        ["stream", "received", "lost"],
+        [
             row("trigger pulses", counts.pulses),
             row("IMU samples", counts.imu),
             row("strobe edges", counts.captures),

@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use recording::finding::Severity;
-use report::chart::{self, Data, Series};
+use report::chart::{self, Data};
 use report::page::Page;
 use serde::Serialize;
 
@@ -280,15 +280,12 @@ fn phase_plot(verdict: &Verdict) -> String {
         "time since the first frame, s",
         "depth minus phone, µs",
         -1.0..1.0,
-        &[
-            Series {
-                name: "frames".into(),
-                data: Data::Points(points),
-            },
-            Series {
-                name: "drift".into(),
-                data: Data::Line(vec![(0.0, line(0.0)), (end, line(end))]),
-            },
+        vec![
+            ("frames", Data::Points(points)),
+            (
+                "drift",
+                Data::Line(vec![(0.0, line(0.0)), (end, line(end))]),
+            ),
         ],
     )
 }

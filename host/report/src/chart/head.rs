@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::{Area, Chart, Data, Drawn, Ink, LABEL, LEFT, LETTER, LINE, Series};
+use super::{Area, Chart, Data, Drawn, Ink, LABEL, LEFT, LETTER, LINE};
 
 /// Lines of title and legend that the size of a drawing has room for.
 pub(super) const USUAL_LINES: i32 = 2;
@@ -11,15 +11,15 @@ pub(super) const USUAL_LINES: i32 = 2;
 pub(super) struct Head<'chart> {
     title: Vec<String>,
     /// Each with its left end and its line of the legend.
-    legend: Vec<(i32, i32, &'chart (Series, Ink))>,
+    legend: Vec<(i32, i32, &'chart (String, Data, Ink))>,
 }
 
 impl<'chart> Head<'chart> {
     pub(super) fn of(chart: &'chart Chart, width: i32) -> Self {
         let (mut x, mut line) = (LEFT, 0);
-        let named = chart.series.iter().filter(|(s, _)| !s.name.is_empty());
+        let named = chart.series.iter().filter(|(name, ..)| !name.is_empty());
         let legend = named.map(|entry| {
-            let long = 48 + LETTER * entry.0.name.chars().count() as i32;
+            let long = 48 + LETTER * entry.0.chars().count() as i32;
             if x > LEFT && x + long > width {
                 (x, line) = (LEFT, line + 1);
             }
@@ -28,7 +28,7 @@ impl<'chart> Head<'chart> {
         });
         Self {
             legend: legend.collect(),
-            title: wrapped(&chart.title, (width - 2 * LEFT) / LETTER),
+            title: wrapped(&chart.heading(), (width - 2 * LEFT) / LETTER),
         }
     }
 
@@ -48,10 +48,10 @@ pub(super) fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> 
         area.draw(&text(line, LEFT, top))?;
         top += LINE;
     }
-    for &(x, line, (series, ink)) in &head.legend {
+    for &(x, line, (name, data, ink)) in &head.legend {
         let y = top + line * LINE;
         let middle = y + LABEL / 2;
-        match series.data {
+        match data {
             Data::Line(_) | Data::Upright(_) | Data::Marks(_) => {
                 area.draw(&PathElement::new(
                     [(x, middle), (x + 18, middle)],
@@ -66,7 +66,7 @@ pub(super) fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> 
                 area.draw(&Rectangle::new(corners, ink.fill()))?;
             }
         }
-        area.draw(&text(&series.name, x + 24, y))?;
+        area.draw(&text(name, x + 24, y))?;
     }
     let used = 10 + head.lines() * LINE;
     Ok(area.split_vertically(used.max(LINE / 2)).1)

@@ -4,7 +4,7 @@ use protocol::Ticks;
 
 use super::curves::Curves;
 use super::{MAX_LISTED, seconds, sigmas};
-use crate::chart::{self, Data, Envelope, Series};
+use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
 use recording::finding::Severity;
 use recording::session_file::{FramePeriodSource, SessionFile, Span};
@@ -27,36 +27,29 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
         page.facts(&[("phone minus board", offset), ("rate of the phone", rate)]);
     }
     let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.3}"));
-    let rows: Vec<Vec<String>> = phone
-        .twists
-        .iter()
-        .enumerate()
-        .map(|(index, twist)| {
-            vec![
-                (index + 1).to_string(),
-                format!("{:.1}", twist.span.from.as_secs_f64()),
-                format!("{:.1}", seconds(twist.span.from, twist.span.to)),
-                String::from(if twist.accepted { "used" } else { "refused" }),
-                number(twist.offset_sigma_us),
-                number(twist.clock.map(|clock| clock.skew * 1e6)),
-                number(twist.skew_sigma_ppm),
-            ]
-        })
-        .collect();
-    if !rows.is_empty() {
-        page.table(
-            &[
-                "twist",
-                "at, s",
-                "length, s",
-                "result",
-                "offset 1σ, µs",
-                "rate, ppm",
-                "rate 1σ, ppm",
-            ],
-            &rows,
-        );
-    }
+    let rows = phone.twists.iter().enumerate().map(|(index, twist)| {
+        [
+            (index + 1).to_string(),
+            format!("{:.1}", twist.span.from.as_secs_f64()),
+            format!("{:.1}", seconds(twist.span.from, twist.span.to)),
+            String::from(if twist.accepted { "used" } else { "refused" }),
+            number(twist.offset_sigma_us),
+            number(twist.clock.map(|clock| clock.skew * 1e6)),
+            number(twist.skew_sigma_ppm),
+        ]
+    });
+    page.table(
+        [
+            "twist",
+            "at, s",
+            "length, s",
+            "result",
+            "offset 1σ, µs",
+            "rate, ppm",
+            "rate 1σ, ppm",
+        ],
+        rows,
+    );
     if let (Some(clock), Some(span)) = (phone.clock, session.recorded) {
         let sigma_us = |at| clock.offset_at(at).sigma * 1e6;
         let svg = curve("offset", "1-sigma of the offset, µs", span, sigma_us);
@@ -137,34 +130,28 @@ pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
          measures it.",
         session.profile.phone.name
     ));
-    let rows: Vec<Vec<String>> = phones
-        .iter()
-        .map(|phone| {
-            let used = phone.twists.iter().filter(|twist| twist.accepted).count();
-            let mut row = vec![
-                phone.name.clone(),
-                format!("{used} of {}", phone.twists.len()),
-            ];
-            let unknown = || [String::from("-"), String::from("-")];
-            row.extend(phone.clock.map_or_else(unknown, |clock| {
-                let (offset_us, skew_ppm) = sigmas(&clock);
-                [
-                    format!("{:.6} ± {offset_us:.2} µs", clock.offset),
-                    format!("{:+.4} ± {skew_ppm:.4}", clock.skew * 1e6),
-                ]
-            }));
-            row.extend(phone.placement.map_or_else(unknown, |placed| {
-                let (drift, sigma) = (placed.drift_us_per_min, placed.drift_sigma_us_per_min);
-                [
-                    format!("{:+.1} ± {:.1}", placed.offset_us, placed.offset_sigma_us),
-                    format!("{drift:+.1} ± {sigma:.1}"),
-                ]
-            }));
-            row
-        })
-        .collect();
+    let rows = phones.iter().map(|phone| {
+        let used = phone.twists.iter().filter(|twist| twist.accepted).count();
+        let unknown = || [String::from("-"), String::from("-")];
+        let [offset, rate] = phone.clock.map_or_else(unknown, |clock| {
+            let (offset_us, skew_ppm) = sigmas(&clock);
+            [
+                format!("{:.6} ± {offset_us:.2} µs", clock.offset),
+                format!("{:+.4} ± {skew_ppm:.4}", clock.skew * 1e6),
+            ]
+        });
+        let [placed, drift] = phone.placement.map_or_else(unknown, |placed| {
+            let (drift, sigma) = (placed.drift_us_per_min, placed.drift_sigma_us_per_min);
+            [
+                format!("{:+.1} ± {:.1}", placed.offset_us, placed.offset_sigma_us),
+                format!("{drift:+.1} ± {sigma:.1}"),
+            ]
+        });
+        let twists = format!("{used} of {}", phone.twists.len());
+        [phone.name.clone(), twists, offset, rate, placed, drift]
+    });
     page.table(
-        &[
+        [
             "phone",
             "twists used",
             "phone minus board, s",
@@ -172,7 +159,7 @@ pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
             "frames after the depth images, µs",
             "moving, µs/min",
         ],
-        &rows,
+        rows,
     );
 }
 
@@ -187,27 +174,25 @@ pub(super) fn further_sensors(page: &mut Page, session: &SessionFile, curves: &C
         return;
     }
     page.section("Further sensors");
-    let mut rows = Vec::new();
     let known = profile.outputs.iter().map(|sensor| sensor.name.as_str());
     let others = curves.outputs.keys().map(String::as_str);
     let others = others.filter(|name| !known.clone().any(|known| known == *name));
-    for name in known.clone().chain(others) {
+    let rows = known.clone().chain(others).map(|name| {
         let set = profile.outputs.iter().find(|sensor| sensor.name == name);
+        let rule = set.map(|set| format!("output {}, {}", set.output, set.rule()));
         let seen = curves.outputs.get(name);
-        rows.push(vec![
+        let span = seen.map(|&(_, first, last)| {
+            format!("{:.3} to {:.3}", first.as_secs_f64(), last.as_secs_f64())
+        });
+        let unknown = || String::from("-");
+        [
             name.to_owned(),
-            set.map_or(String::from("-"), |set| {
-                format!("output {}, {}", set.output, set.rule())
-            }),
+            rule.unwrap_or_else(unknown),
             seen.map_or(0, |seen| seen.0).to_string(),
-            seen.map_or(String::from("-"), |&(_, first, last)| {
-                format!("{:.3} to {:.3}", first.as_secs_f64(), last.as_secs_f64())
-            }),
-        ]);
-    }
-    if !rows.is_empty() {
-        page.table(&["sensor", "trigger", "pulses", "board time, s"], &rows);
-    }
+            span.unwrap_or_else(unknown),
+        ]
+    });
+    page.table(["sensor", "trigger", "pulses", "board time, s"], rows);
     let name = profile
         .lidar
         .as_ref()
@@ -245,7 +230,12 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
     }
     page.section("The trigger");
     if let Some(series) = off_grid {
-        let svg = chart::series("board time, s", "off the grid, ticks", -2.0..2.0, &[series]);
+        let svg = chart::series(
+            "board time, s",
+            "off the grid, ticks",
+            -2.0..2.0,
+            vec![series],
+        );
         page.figure(
             &svg,
             "Each pulse against the grid it was sent to, in ticks of 20.83 ns. Zero everywhere: \
@@ -254,7 +244,12 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
     }
     match readback {
         Some(series) => {
-            let svg = chart::series("board time, s", "edge to wire, ticks", 0.0..10.0, &[series]);
+            let svg = chart::series(
+                "board time, s",
+                "edge to wire, ticks",
+                0.0..10.0,
+                vec![series],
+            );
             page.figure(
                 &svg,
                 "From the trigger's edge to the same edge behind the buffer, as the board measured \
@@ -271,8 +266,8 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
 }
 
 pub(super) fn motion(page: &mut Page, curves: &Curves) {
-    let gyro: Vec<Series> = ["x", "y", "z"]
-        .iter()
+    let gyro: Vec<(&str, Data)> = ["x", "y", "z"]
+        .into_iter()
         .zip(&curves.gyro)
         .filter_map(|(name, envelope)| range(name, envelope))
         .collect();
@@ -280,7 +275,7 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
         return;
     }
     page.section("Motion and board");
-    let svg = chart::series("board time, s", "rad/s", -0.1..0.1, &gyro);
+    let svg = chart::series("board time, s", "rad/s", -0.1..0.1, gyro);
     page.figure(
         &svg,
         "Gyroscope of the board: smallest and largest value in each stretch of time. The twist \
@@ -296,7 +291,7 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
         ),
     ] {
         if let Some(series) = range(name, envelope) {
-            let svg = chart::series("board time, s", unit, least, &[series]);
+            let svg = chart::series("board time, s", unit, least, vec![series]);
             page.figure(&svg, &format!("The {name}, in {unit}."));
         }
     }
@@ -308,27 +303,20 @@ pub(super) fn marks(page: &mut Page, session: &SessionFile) {
     }
     page.section("Marks");
     let from = session.recorded.map_or(Ticks::ZERO, |span| span.from);
-    let rows: Vec<Vec<String>> = session
-        .markers
-        .iter()
-        .take(MAX_LISTED)
-        .map(|marker| {
-            vec![
-                format!("{:.3}", marker.at.as_secs_f64()),
-                format!("{:.3}", seconds(from, marker.at)),
-                marker.label.clone(),
-            ]
-        })
-        .collect();
-    page.table(&["board time, s", "into the recording, s", "mark"], &rows);
+    let markers = session.markers.iter().take(MAX_LISTED);
+    page.table(
+        ["board time, s", "into the recording, s", "mark"],
+        markers.map(|marker| {
+            let at = format!("{:.3}", marker.at.as_secs_f64());
+            let into = format!("{:.3}", seconds(from, marker.at));
+            [at, into, marker.label.clone()]
+        }),
+    );
 }
 
-fn range(name: &str, envelope: &Envelope) -> Option<Series> {
+fn range<'a>(name: &'a str, envelope: &Envelope) -> Option<(&'a str, Data)> {
     let columns = envelope.columns();
-    (!columns.is_empty()).then(|| Series {
-        name: name.to_owned(),
-        data: Data::Range(columns, envelope.width()),
-    })
+    (!columns.is_empty()).then(|| (name, Data::Range(columns, envelope.width())))
 }
 
 /// A curve over a span, of a hundred points.
@@ -338,9 +326,6 @@ fn curve(name: &str, unit: &str, span: Span, value: impl Fn(BoardSeconds) -> f64
         let at = from + (to - from) * f64::from(step) / 100.0;
         (at, value(BoardSeconds(at)))
     });
-    let series = Series {
-        name: name.to_owned(),
-        data: Data::Line(points.collect()),
-    };
-    chart::series("board time, s", unit, 0.0..1.0, &[series])
+    let all = vec![(name, Data::Line(points.collect()))];
+    chart::series("board time, s", unit, 0.0..1.0, all)
 }
