@@ -49,7 +49,6 @@ fn main() {
             phone: args.phone,
             image: args.depth.unwrap_or((32, 18)),
             pixels: synthetic::scene,
-            link_frames: true,
             ..Synthetic::default()
         },
     );

@@ -20,6 +20,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 
+use protocol::Ticks;
 use recording::messages::{self, Imu, RosMessage, Temperature, TimeReference, from_cdr};
 use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
@@ -38,7 +39,7 @@ const MAX_FAULTS: usize = 50;
 
 /// Topics whose messages become nothing, and so are not even decoded.
 const PASSED_OVER: [Topic; 7] = [
-    Topic::Strobe,
+    Topic::ImuFlags,
     Topic::Capture,
     Topic::Status,
     Topic::Link,
@@ -78,6 +79,18 @@ pub(crate) enum Reference {
 }
 
 impl Reference {
+    /// Its place among the kinds; that of the trigger is the first.
+    const fn place(&self) -> usize {
+        match self {
+            Self::Cameras => 0,
+            Self::DepthOffset => 1,
+            Self::Lidar => 2,
+            Self::Phone => 3,
+            Self::Output(_) => 4,
+            Self::Sequences => 5,
+        }
+    }
+
     /// The sensor's name, if a sensor gets these pulses; `lidar` is that of the lidar.
     pub(crate) fn sensor<'a>(&'a self, lidar: Option<&'a str>) -> Option<&'a str> {
         match self {
@@ -93,7 +106,7 @@ impl Reference {
 pub(crate) struct TimePair {
     /// What it is of.
     pub(crate) of: Reference,
-    /// Counted by the publisher.
+    /// Its number among those of its kind in the file.
     pub(crate) seq: u32,
     /// Board time.
     pub(crate) stamp: BoardNanos,
@@ -131,8 +144,12 @@ struct Sorter {
     events: VecDeque<BoardEvent>,
     /// Samples whose temperature has not come yet.
     waiting: VecDeque<ImuRow>,
-    /// Messages of the published system: of each [`Reference`] but outputs, how many.
-    published: Option<[u32; 5]>,
+    /// How many pairs of times there were of each kind.
+    counts: [u32; 6],
+    /// The relation of the clocks that was known last.
+    clock: Option<ClockModel>,
+    /// The file is of the published system.
+    published: bool,
     faults: Faults,
 }
 
@@ -148,7 +165,9 @@ impl BoardStream {
             sorter: Sorter {
                 events: VecDeque::new(),
                 waiting: VecDeque::new(),
-                published: None,
+                counts: [0; 6],
+                clock: None,
+                published: false,
                 faults: Faults::new(MAX_FAULTS),
             },
         })
@@ -197,12 +216,11 @@ impl BoardStream {
 
 impl Sorter {
     fn message(&mut self, message: &Message<'_>) {
-        let seq = message.header.sequence;
         let read = match message.channel.known {
             Some(topic) if PASSED_OVER.contains(&topic) => Ok(()),
             Some(topic) => match topic.read(message.data) {
                 Ok(item) => {
-                    self.item(item, seq);
+                    self.item(item);
                     Ok(())
                 }
                 Err(error) => Err(error.to_string()),
@@ -217,37 +235,30 @@ impl Sorter {
     }
 
     /// A message of one of our topics.
-    fn item(&mut self, item: Item, seq: u32) {
+    fn item(&mut self, item: Item) {
         match item {
             Item::Imu(imu) => self.sample(&imu),
             Item::Temperature(value) => self.temperature(&value),
-            Item::Trigger(times) => self.times(Reference::Cameras, seq, &times),
-            Item::Pulse(pulse) => self.events.push_back(BoardEvent::Pulse(PulseTime {
-                train: pulse.train,
-                number: pulse.number,
-                at: stamp(&pulse.header),
-            })),
-            Item::Marker(times) => {
-                let mark = BoardEvent::Mark(stamp(&times.header));
-                self.events.push_back(mark);
-                self.times(Reference::Sequences, seq, &times);
+            Item::Pulse(pulse) => {
+                let at = stamp(&pulse.header);
+                let phone = |clock: ClockModel| clock.ticks_to_phone(Ticks(pulse.ticks)).0;
+                let phone = self.clock.map_or(0, phone);
+                self.pair(Reference::Cameras, at, phone);
+                self.pulse(pulse.train, pulse.number, at);
             }
+            Item::Marker(times) => self.mark(&times),
             Item::Output(pulse) => {
                 let at = stamp(&pulse.header);
-                self.pair(
-                    Reference::Output(pulse.header.frame_id.into()),
-                    seq,
-                    at,
-                    at.0,
-                );
+                self.pair(Reference::Output(pulse.header.frame_id.into()), at, at.0);
             }
-            Item::Gnss(times) => self.times(Reference::Lidar, seq, &times),
+            Item::Gnss(times) => self.times(Reference::Lidar, &times),
             Item::Exchange(exchange) => self.events.push_back(exchange_of(&exchange)),
             Item::Clock(model) => {
                 let relation = relation(&model);
                 let at = stamp(&model.header);
                 let phone = relation.to_phone(BoardSeconds(at.0 as f64 * 1e-9));
-                self.pair(Reference::Phone, seq, at, phone.nanos().0);
+                self.pair(Reference::Phone, at, phone.nanos().0);
+                self.clock = Some(relation);
                 self.events.push_back(BoardEvent::Clock(None, relation));
             }
             Item::PhoneClock(model) => {
@@ -255,7 +266,7 @@ impl Sorter {
                 let name = Some(model.header.frame_id);
                 self.events.push_back(BoardEvent::Clock(name, relation));
             }
-            Item::Strobe(_)
+            Item::ImuFlags(_)
             | Item::Capture(_)
             | Item::Status(_)
             | Item::Link(_)
@@ -269,41 +280,38 @@ impl Sorter {
     /// A message of the published system, or one of another topic, which is passed over.
     fn published(&mut self, message: &Message<'_>) -> Result<(), String> {
         let topic = &message.channel.described.topic;
-        let (of, place) = match topic.rsplit('/').next().unwrap_or(topic) {
-            "mcu_imu" => {
-                self.sample(&read(message)?);
-                return Ok(());
+        let name = topic.rsplit('/').next().unwrap_or(topic);
+        match name {
+            "mcu_imu" => self.sample(&read(message)?),
+            "mcu_imu_temp" => self.temperature(&read(message)?),
+            "mcu_cameras_ts" => {
+                let times: TimeReference = read(message)?;
+                let [number, ..] = self.counts;
+                self.pulse(0, number.into(), stamp(&times.header));
+                self.times(Reference::Cameras, &times);
             }
-            "mcu_imu_temp" => {
-                self.temperature(&read(message)?);
-                return Ok(());
-            }
-            "mcu_cameras_ts" => (Reference::Cameras, 0),
-            "mcu_lidar_ts" => (Reference::Lidar, 1),
-            "mcu_s10_ts" => (Reference::Phone, 2),
-            "depth_to_mcu_offset" => (Reference::DepthOffset, 3),
-            "sequences_ts" => (Reference::Sequences, 4),
+            "mcu_lidar_ts" => self.times(Reference::Lidar, &read(message)?),
+            "mcu_s10_ts" => self.times(Reference::Phone, &read(message)?),
+            "depth_to_mcu_offset" => self.times(Reference::DepthOffset, &read(message)?),
+            "sequences_ts" => self.mark(&read(message)?),
             _ => return Ok(()),
-        };
-        let times: TimeReference = read(message)?;
-        if self.published.is_none() {
+        }
+        if !self.published {
+            self.published = true;
             self.events.push_back(BoardEvent::Published);
         }
-        let next = &mut self.published.get_or_insert_default()[place];
-        let seq = *next;
-        *next = seq.wrapping_add(1);
-        let at = stamp(&times.header);
-        match of {
-            Reference::Cameras => self.events.push_back(BoardEvent::Pulse(PulseTime {
-                train: 0,
-                number: seq.into(),
-                at,
-            })),
-            Reference::Sequences => self.events.push_back(BoardEvent::Mark(at)),
-            _ => {}
-        }
-        self.times(of, seq, &times);
         Ok(())
+    }
+
+    fn pulse(&mut self, train: u32, number: u64, at: BoardNanos) {
+        let pulse = PulseTime { train, number, at };
+        self.events.push_back(BoardEvent::Pulse(pulse));
+    }
+
+    fn mark(&mut self, times: &TimeReference) {
+        let mark = BoardEvent::Mark(stamp(&times.header));
+        self.events.push_back(mark);
+        self.times(Reference::Sequences, times);
     }
 
     fn sample(&mut self, imu: &Imu) {
@@ -336,17 +344,20 @@ impl Sorter {
         self.events.extend(rows.map(BoardEvent::Imu));
     }
 
-    fn times(&mut self, of: Reference, seq: u32, times: &TimeReference) {
-        self.pair(of, seq, stamp(&times.header), times.time_ref.nanos());
+    fn times(&mut self, of: Reference, times: &TimeReference) {
+        self.pair(of, stamp(&times.header), times.time_ref.nanos());
     }
 
-    fn pair(&mut self, of: Reference, seq: u32, stamp: BoardNanos, other: i64) {
-        self.events.push_back(BoardEvent::Times(TimePair {
+    fn pair(&mut self, of: Reference, stamp: BoardNanos, other: i64) {
+        let seq = self.counts[of.place()];
+        self.counts[of.place()] = seq.wrapping_add(1);
+        let pair = TimePair {
             of,
             seq,
             stamp,
             other,
-        }));
+        };
+        self.events.push_back(BoardEvent::Times(pair));
     }
 }
 

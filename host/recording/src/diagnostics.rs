@@ -1,11 +1,54 @@
-//! The board's status as a ROS 2 diagnostic message.
+//! The board's status as a ROS 2 diagnostic message, and the counters that are read back of it.
 
 use std::fmt::Display;
+use std::str::FromStr;
 
-use protocol::{GnssStatus, ImuState, ImuStatus, Status};
+use protocol::{Dropped, GnssStatus, ImuState, ImuStatus, Status};
 
 use super::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use super::publish::header;
+
+/// Counters of the board, as a recorded status has them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BoardCounters {
+    /// The board's number of its run.
+    pub epoch: u32,
+    /// Messages that it dropped.
+    pub dropped: Dropped,
+    /// Samples that it read from the IMU.
+    pub imu_samples: u32,
+    /// The trigger's train.
+    pub train: u32,
+    /// Pulses of that train.
+    pub pulses: u64,
+}
+
+impl BoardCounters {
+    /// Reads them; `None` if one is missing.
+    #[must_use]
+    pub fn of(array: &DiagnosticArray) -> Option<Self> {
+        fn value<T: FromStr>(array: &DiagnosticArray, part: &str, key: &str) -> Option<T> {
+            let part = array.status.iter().find(|found| found.name == part)?;
+            let found = part.values.iter().find(|found| found.key == key)?;
+            found.value.parse().ok()
+        }
+        let board = |key| value(array, "board", key);
+        Some(Self {
+            epoch: board("epoch")?,
+            dropped: Dropped {
+                answers: board("dropped_answers")?,
+                pulses: board("dropped_pulses")?,
+                captures: board("dropped_captures")?,
+                imu: board("dropped_imu")?,
+                status: board("dropped_status")?,
+                outputs: board("dropped_outputs")?,
+            },
+            imu_samples: value(array, "imu", "samples")?,
+            train: value(array, "trigger", "train")?,
+            pulses: value(array, "trigger", "pulses")?,
+        })
+    }
+}
 
 pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
     DiagnosticArray {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! 2026-01-31_14-03-27/
-//!   recording.mcap   streams of the board, what was decided, raw link frames
+//!   recording.mcap   streams of the board, what was decided
 //!   session.json     everything that was decided, with versions and profile
 //!   metadata.yaml    makes the folder a rosbag2
 //!   ...              twists, the phone's and the depth recorder's files
@@ -14,6 +14,7 @@
 //! - [`kalibr`]: what Kalibr found, into the profile.
 //! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
+//! - [`diagnostics`]: the counters in the board's status.
 //! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
@@ -29,7 +30,7 @@
 pub mod bag;
 pub mod camera;
 pub mod chunks;
-mod diagnostics;
+pub mod diagnostics;
 pub mod finding;
 pub mod folder;
 pub mod grid;

@@ -125,6 +125,27 @@ impl RosMessage for Imu {
     const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME, QUATERNION, VECTOR3];
 }
 
+/// `smartdepthsync_msgs/msg/ImuFlags`: something was unusual about a sample of the IMU.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuFlags {
+    /// Time of the sample.
+    pub header: Header,
+    /// It was read so late that it may be the next one.
+    pub late: bool,
+    /// A value is at the end of its range.
+    pub saturated: bool,
+    /// It is the first after a set-up.
+    pub first: bool,
+    /// An edge of data-ready before it was lost.
+    pub after_loss: bool,
+}
+
+impl RosMessage for ImuFlags {
+    const TYPE: &'static str = "smartdepthsync_msgs/msg/ImuFlags";
+    const DEFINITION: &'static str =
+        "std_msgs/Header header\nbool late\nbool saturated\nbool first\nbool after_loss\n";
+}
+
 /// `sensor_msgs/msg/Temperature`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Temperature {

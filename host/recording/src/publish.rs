@@ -1,8 +1,6 @@
 //! What the board and the session say, as ROS 2 messages on their topics.
-//!
-//! Where they go is an [`Output`]: a recording's file, or a viewer that listens live.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::UNIX_EPOCH;
 
 use protocol::{CaptureChannel, Edge, Ticks};
 
@@ -11,89 +9,69 @@ use super::diagnostics::diagnostics;
 use super::finding::Severity;
 use super::grid::Grid;
 use super::messages::{
-    BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature,
-    Time, TimeReference, TriggerPeriod,
+    BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, ImuFlags, LinkFrame, Log, Pulse,
+    Temperature, Time, TimeReference, TriggerPeriod,
 };
-use super::topic::{Item, Topic};
+use super::topic::Item;
+use super::writer::Writer;
 use board::imu::Sample;
 use board::reset_cause;
 use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
 use timebase::runs::Joint;
 
-/// Where the messages of the topics go.
-pub trait Output {
-    /// Takes the CDR form of a message.
-    ///
-    /// # Errors
-    ///
-    /// It cannot be kept.
-    fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError>;
-
-    /// The time of day, which is told once a second and used for nothing.
-    fn time_of_day(&self) -> SystemTime {
-        SystemTime::now()
-    }
-}
-
-/// What the board and the session say, as ROS 2 messages on their topics.
-pub struct Publisher<O>(pub(crate) O);
-
-impl<O: Output> Publisher<O> {
-    /// Into this output.
-    pub const fn new(output: O) -> Self {
-        Self(output)
-    }
-
-    /// An IMU sample.
+impl Writer {
+    /// An IMU sample, with the board's number of it.
     ///
     /// # Errors
     ///
     /// The file cannot be written; so all of these.
-    pub fn imu(&mut self, sample: &Sample) -> Result<(), RecordingError> {
+    pub fn imu(&mut self, sample: &Sample, number: u32) -> Result<(), RecordingError> {
         let header = header(sample.at, "board_imu");
-        self.put(
-            sample.at,
-            Item::Imu(Imu {
+        let has = |flag| sample.flags.has(flag);
+        if sample.flags != protocol::ImuFlags::default() {
+            let flags = Item::ImuFlags(ImuFlags {
                 header: header.clone(),
-                orientation: [0.0, 0.0, 0.0, 1.0],
-                orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                angular_velocity: sample.gyro,
-                angular_velocity_covariance: [0.0; 9],
-                linear_acceleration: sample.accel,
-                linear_acceleration_covariance: [0.0; 9],
-            }),
-        )?;
-        self.put(
-            sample.at,
-            Item::Temperature(Temperature {
-                header,
-                temperature: sample.temperature,
-                variance: 0.0,
-            }),
-        )
+                late: has(protocol::ImuFlags::LATE),
+                saturated: has(protocol::ImuFlags::SATURATED),
+                first: has(protocol::ImuFlags::FIRST),
+                after_loss: has(protocol::ImuFlags::AFTER_LOSS),
+            });
+            self.put(sample.at, flags)?;
+        }
+        let imu = Item::Imu(Imu {
+            header: header.clone(),
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            angular_velocity: sample.gyro,
+            angular_velocity_covariance: [0.0; 9],
+            linear_acceleration: sample.accel,
+            linear_acceleration_covariance: [0.0; 9],
+        });
+        self.put_numbered(sample.at, number, imu)?;
+        let temperature = Item::Temperature(Temperature {
+            header,
+            temperature: sample.temperature,
+            variance: 0.0,
+        });
+        self.put(sample.at, temperature)
     }
 
-    /// A pulse of the trigger; `phone` is the same instant in the phone's time
-    /// as far as it is known.
+    /// A pulse of the trigger.
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
-    pub fn pulse(
-        &mut self,
-        pulse: &protocol::Pulse,
-        phone: Option<PhoneNanos>,
-    ) -> Result<(), RecordingError> {
-        self.time_reference(Item::Trigger, pulse.at, phone, "phone")?;
-        self.put(pulse.at, Item::Pulse(pulse_message(pulse, "trigger")))
+    /// As [`Writer::imu`].
+    pub fn pulse(&mut self, pulse: &protocol::Pulse) -> Result<(), RecordingError> {
+        let message = Item::Pulse(pulse_message(pulse, "trigger"));
+        self.put_numbered(pulse.at, pulse.seq, message)
     }
 
-    /// A pulse of one of the further outputs; `name` is the sensor's on it.
+    /// A pulse of one of the auxiliary outputs; `name` is the sensor's on it.
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn output_pulse(
         &mut self,
         pulse: &protocol::Pulse,
@@ -103,7 +81,11 @@ impl<O: Output> Publisher<O> {
             readback: None,
             ..*pulse
         };
-        self.put(pulse.at, Item::Output(pulse_message(&pulse, name)))
+        self.put_numbered(
+            pulse.at,
+            pulse.seq,
+            Item::Output(pulse_message(&pulse, name)),
+        )
     }
 
     /// A pulse per second: the UTC that begins with it for whoever takes the
@@ -111,10 +93,11 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn pps(&mut self, pps: &protocol::Pps, name: &str) -> Result<(), RecordingError> {
-        self.put(
+        self.put_numbered(
             pps.at,
+            pps.seq,
             Item::Gnss(TimeReference {
                 header: header(pps.at, "board"),
                 time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
@@ -127,19 +110,15 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
-    pub fn capture(
-        &mut self,
-        capture: &protocol::Capture,
-        phone: Option<PhoneNanos>,
-    ) -> Result<(), RecordingError> {
+    /// As [`Writer::imu`].
+    pub fn capture(&mut self, capture: &protocol::Capture) -> Result<(), RecordingError> {
         let rising = capture.edge == Edge::Rising;
-        self.time_reference(Item::Strobe, capture.at, phone, "phone")?;
         let channel = match capture.channel {
             CaptureChannel::Strobe => "strobe",
         };
-        self.put(
+        self.put_numbered(
             capture.at,
+            capture.seq,
             Item::Capture(Capture {
                 header: header(capture.at, channel),
                 ticks: capture.at.0,
@@ -154,16 +133,15 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn status(
         &mut self,
         status: &protocol::Status,
         board_id: &str,
     ) -> Result<(), RecordingError> {
-        self.put(status.at, Item::Status(diagnostics(status, board_id)))?;
-        let wall = self
-            .0
-            .time_of_day()
+        let message = Item::Status(diagnostics(status, board_id));
+        self.put_numbered(status.at, status.seq, message)?;
+        let wall = (self.wall)()
             .duration_since(UNIX_EPOCH)
             .ok()
             .and_then(|since| i64::try_from(since.as_nanos()).ok())
@@ -182,14 +160,19 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn marker(
         &mut self,
         at: Ticks,
         phone: Option<PhoneNanos>,
         label: &str,
     ) -> Result<(), RecordingError> {
-        self.time_reference(Item::Marker, at, phone, label)
+        let marker = TimeReference {
+            header: header(at, "board"),
+            time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
+            source: label.to_owned(),
+        };
+        self.put(at, Item::Marker(marker))
     }
 
     /// A relation of the clocks that holds from now on; `phone` is the name of a further
@@ -197,7 +180,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn clock_model(
         &mut self,
         at: Ticks,
@@ -230,7 +213,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn board_run(
         &mut self,
         since: Ticks,
@@ -256,7 +239,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn exchange(
         &mut self,
         at: Ticks,
@@ -272,7 +255,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn trigger_period(
         &mut self,
         grid: Grid,
@@ -295,7 +278,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn log(
         &mut self,
         at: Ticks,
@@ -322,7 +305,7 @@ impl<O: Output> Publisher<O> {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
         self.put(
             at,
@@ -333,28 +316,23 @@ impl<O: Output> Publisher<O> {
         )
     }
 
-    fn time_reference(
-        &mut self,
-        topic: fn(TimeReference) -> Item,
-        at: Ticks,
-        phone: Option<PhoneNanos>,
-        source: &str,
-    ) -> Result<(), RecordingError> {
-        let message = TimeReference {
-            header: header(at, "board"),
-            time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
-            source: source.to_owned(),
-        };
-        self.put(at, topic(message))
+    /// Writes a message, numbered on its topic.
+    fn put(&mut self, at: Ticks, item: Item) -> Result<(), RecordingError> {
+        self.write(at, None, item)
     }
 
-    fn put(&mut self, at: Ticks, item: Item) -> Result<(), RecordingError> {
+    /// Writes a message that the board has numbered.
+    fn put_numbered(&mut self, at: Ticks, number: u32, item: Item) -> Result<(), RecordingError> {
+        self.write(at, Some(number), item)
+    }
+
+    fn write(&mut self, at: Ticks, number: Option<u32>, item: Item) -> Result<(), RecordingError> {
         let topic = item.topic();
         let data = item.to_cdr().map_err(|source| RecordingError::Message {
             topic: topic.name().to_owned(),
             source,
         })?;
-        self.0.put(topic, at, &data)
+        self.put_cdr(topic, at, number, &data)
     }
 }
 

@@ -89,16 +89,28 @@ impl<'a> Bag<'a> {
     ///
     /// Writing fails.
     pub fn put(&mut self, topic: usize, nanos: u64, cdr: &[u8]) -> Result<(), McapError> {
+        let number = self.topics.get(topic).map_or(0, |&(_, next)| next);
+        self.put_numbered(topic, number, nanos, cdr)
+    }
+
+    /// The same with a number of the caller's; the next one follows on it.
+    pub(crate) fn put_numbered(
+        &mut self,
+        topic: usize,
+        number: u32,
+        nanos: u64,
+        cdr: &[u8],
+    ) -> Result<(), McapError> {
         let Some((channel_id, next)) = self.topics.get_mut(topic) else {
             return Ok(());
         };
+        *next = number.wrapping_add(1);
         let header = MessageHeader {
             channel_id: *channel_id,
-            sequence: *next,
+            sequence: number,
             log_time: nanos,
             publish_time: nanos,
         };
-        *next = next.wrapping_add(1);
         self.mcap.write_to_known_channel(&header, cdr)
     }
 

@@ -9,8 +9,9 @@ use protocol::{
     Readback, Status, TrainState, TriggerStatus, UsbCounters,
 };
 
+use super::diagnostics::BoardCounters;
 use super::finding::Severity;
-use super::reader::{Item, Reader, ticks_of_nanos};
+use super::reader::{Entry, Item, Reader, ticks_of_nanos};
 use super::session_file::{SessionFile, SessionOutcome};
 use super::writer::Writer;
 use super::*;
@@ -105,24 +106,25 @@ fn clock() -> ClockModel {
 fn everything_comes_back_as_it_was_written() {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = Writer::create(folder.path()).unwrap();
-    writer.imu(&sample(3)).unwrap();
-    writer
-        .pulse(&pulse(6), Some(PhoneNanos(94_000_000_000_001)))
-        .unwrap();
-    writer
-        .capture(
-            &protocol::Capture {
-                seq: 1,
-                channel: CaptureChannel::Strobe,
-                edge: Edge::Falling,
-                at: Ticks(55),
-                after_loss: true,
-            },
-            None,
-        )
-        .unwrap();
+    writer.imu(&sample(3), 41).unwrap();
+    let unusual = Sample {
+        flags: ImuFlags(ImuFlags::FIRST.0 | ImuFlags::SATURATED.0),
+        ..sample(4)
+    };
+    writer.imu(&unusual, 43).unwrap();
+    writer.pulse(&pulse(6)).unwrap();
+    let capture = protocol::Capture {
+        seq: 1,
+        channel: CaptureChannel::Strobe,
+        edge: Edge::Falling,
+        at: Ticks(55),
+        after_loss: true,
+    };
+    writer.capture(&capture).unwrap();
     writer.status(&status(Ticks(48_000_000)), "AB").unwrap();
-    writer.marker(Ticks(77), None, "door").unwrap();
+    writer
+        .marker(Ticks(77), Some(PhoneNanos(94_000_000_000_001)), "door")
+        .unwrap();
     writer
         .clock_model(Ticks(78), None, &clock(), "twist 1")
         .unwrap();
@@ -142,54 +144,82 @@ fn everything_comes_back_as_it_was_written() {
     let mut reader = Reader::open(folder.path()).unwrap();
     let entries: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
     assert!(!reader.broken_off());
-    assert_eq!(entries.len(), 14);
-    let Item::Output(output) = &entries[12].item else {
-        panic!("{:?}", entries[12]);
+    let mut items = entries.into_iter();
+    let mut next = || items.next().unwrap();
+
+    let first = next();
+    let Item::Imu(imu) = &first.item else {
+        panic!("{first:?}");
+    };
+    assert_eq!((first.at, first.sequence), (sample(3).at, 41));
+    assert_eq!(imu.angular_velocity, sample(3).gyro);
+    assert_eq!(imu.linear_acceleration, sample(3).accel);
+    assert_eq!(imu.orientation_covariance[0], -1.0);
+    assert!(matches!(next().item, Item::Temperature(value) if value.temperature == 31.25));
+    let Item::ImuFlags(flags) = next().item else {
+        panic!("no flags");
+    };
+    assert_eq!(
+        [flags.late, flags.saturated, flags.first, flags.after_loss],
+        [false, true, true, false]
+    );
+    assert_eq!(next().sequence, 43);
+    assert!(matches!(next().item, Item::Temperature(_)));
+
+    let Entry { item, sequence, .. } = next();
+    let Item::Pulse(back) = item else {
+        panic!("{item:?}");
+    };
+    assert_eq!(sequence, pulse(6).seq);
+    assert_eq!((back.ticks, back.number, back.train), (123_456_795, 6, 2));
+    assert_eq!((back.readback, back.readback_ticks), (true, -4));
+    let Item::Capture(capture) = next().item else {
+        panic!("no capture");
+    };
+    assert!(capture.after_loss && !capture.rising && capture.ticks == 55);
+    let Item::Status(diagnostics) = next().item else {
+        panic!("no status");
+    };
+    assert_eq!(diagnostics.status.len(), 5);
+    let status = status(Ticks(48_000_000));
+    assert_eq!(
+        BoardCounters::of(&diagnostics).unwrap(),
+        BoardCounters {
+            epoch: status.epoch,
+            dropped: status.dropped,
+            imu_samples: status.imu.samples,
+            train: status.trigger.train,
+            pulses: status.trigger.pulses,
+        }
+    );
+    assert!(matches!(next().item, Item::HostTime(_)));
+    let Item::Marker(marker) = next().item else {
+        panic!("no marker");
+    };
+    assert_eq!(marker.source, "door");
+    assert_eq!(marker.time_ref.nanos(), 94_000_000_000_001);
+    let Item::Clock(model) = next().item else {
+        panic!("no clock model");
+    };
+    assert_eq!(model.offset_s, 94_000.25);
+    assert_eq!(model.covariance, [1e-12, 2e-19, 2e-19, 1e-14]);
+    assert!(matches!(next().item, Item::Log(log) if log.function == "imu_gap" && log.level == 30));
+    assert!(matches!(next().item, Item::Link(frame) if frame.data == [1, 2, 255]));
+    let Item::Output(output) = next().item else {
+        panic!("no pulse of an output");
     };
     assert_eq!(
         (output.ticks, output.header.frame_id.as_str()),
         (pulse(7).at.0, "left")
     );
-    let Item::Gnss(second) = &entries[13].item else {
-        panic!("{:?}", entries[13]);
+    let last = next();
+    let Item::Gnss(second) = last.item else {
+        panic!("no pulse per second");
     };
-    assert_eq!(entries[13].at, pps.at);
+    assert_eq!((last.at, last.sequence), (pps.at, pps.seq));
     assert_eq!(second.time_ref.nanos(), pps.utc * 1_000_000_000);
     assert_eq!(second.source, "VLP-16");
-    let Item::Imu(imu) = &entries[0].item else {
-        panic!("{:?}", entries[0]);
-    };
-    assert_eq!(entries[0].at, sample(3).at);
-    assert_eq!(imu.angular_velocity, sample(3).gyro);
-    assert_eq!(imu.linear_acceleration, sample(3).accel);
-    assert_eq!(imu.orientation_covariance[0], -1.0);
-    let Item::Trigger(trigger) = &entries[2].item else {
-        panic!("{:?}", entries[2]);
-    };
-    assert_eq!(trigger.time_ref.nanos(), 94_000_000_000_001);
-    let Item::Pulse(back) = &entries[3].item else {
-        panic!("{:?}", entries[3]);
-    };
-    assert_eq!((back.ticks, back.number, back.train), (123_456_795, 6, 2));
-    assert_eq!((back.readback, back.readback_ticks), (true, -4));
-    let Item::Capture(capture) = &entries[5].item else {
-        panic!("{:?}", entries[5]);
-    };
-    assert!(capture.after_loss && !capture.rising && capture.ticks == 55);
-    let Item::Status(diagnostics) = &entries[6].item else {
-        panic!("{:?}", entries[6]);
-    };
-    assert_eq!(diagnostics.status.len(), 5);
-    assert!(matches!(&entries[8].item, Item::Marker(marker) if marker.source == "door"));
-    let Item::Clock(model) = &entries[9].item else {
-        panic!("{:?}", entries[9]);
-    };
-    assert_eq!(model.offset_s, 94_000.25);
-    assert_eq!(model.covariance, [1e-12, 2e-19, 2e-19, 1e-14]);
-    assert!(
-        matches!(&entries[10].item, Item::Log(log) if log.function == "imu_gap" && log.level == 30)
-    );
-    assert!(matches!(&entries[11].item, Item::Link(frame) if frame.data == [1, 2, 255]));
+    assert!(items.next().is_none());
 }
 
 #[test]
@@ -198,7 +228,7 @@ fn a_file_that_is_cut_anywhere_gives_all_whole_chunks() {
     let mut writer = Writer::create(folder.path()).unwrap();
     // 40 s at 500 Hz: 80 chunks of half a second.
     for number in 0..20_000 {
-        writer.imu(&sample(number)).unwrap();
+        writer.imu(&sample(number), number as u32).unwrap();
     }
     // Killed: no finish. What was not flushed is gone with the process.
     let path = folder.path().join(MCAP_FILE);
@@ -232,7 +262,7 @@ fn what_waits_is_written_after_half_a_second_of_the_callers_clock() {
     let entries = || Reader::open(folder.path()).unwrap().count();
     let begin = Duration::from_secs(77);
     writer.tick(begin).unwrap();
-    writer.imu(&sample(0)).unwrap();
+    writer.imu(&sample(0), 0).unwrap();
     writer.tick(begin + Duration::from_secs(9)).unwrap();
     writer.tick(begin + Duration::from_millis(9_499)).unwrap();
     assert_eq!(entries(), 0);

@@ -22,7 +22,6 @@ use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
 use super::chunks::Chunk;
-pub use super::publish::{Output, Publisher};
 use super::rosbag2::{self, Bag};
 use super::session_file::SessionFile;
 use super::topic::Topic;
@@ -39,10 +38,7 @@ const CHUNK_TIME: Duration = Duration::from_millis(500);
 const SYNC_TIME: Duration = Duration::from_secs(1);
 
 /// Writes a recording's file.
-pub type Writer = Publisher<McapFile>;
-
-/// The file that is being written.
-pub struct McapFile {
+pub struct Writer {
     /// With a topic for each of ours, in their order.
     bag: Bag<'static>,
     file: File,
@@ -52,7 +48,7 @@ pub struct McapFile {
     waits_since: Option<Duration>,
     synced: Instant,
     dirty: bool,
-    wall: WallClock,
+    pub(crate) wall: WallClock,
 }
 
 /// Tells the time of day.
@@ -70,7 +66,7 @@ impl Writer {
         let file = File::create_new(&path).map_err(&io)?;
         let copy = file.try_clone().map_err(io)?;
         let bag = bag_of_topics(BufWriter::with_capacity(1 << 20, file));
-        let mut file = McapFile {
+        let mut writer = Self {
             bag: bag.map_err(RecordingError::mcap(&path))?,
             file: copy,
             path,
@@ -81,14 +77,14 @@ impl Writer {
             dirty: true,
             wall: Box::new(SystemTime::now),
         };
-        file.flush()?;
-        Ok(Self::new(file))
+        writer.flush()?;
+        Ok(writer)
     }
 
     /// Takes the time of day, which is recorded once a second and used for nothing,
     /// from another clock than the system's.
     pub fn set_wall_clock(&mut self, wall: WallClock) {
-        self.0.wall = wall;
+        self.wall = wall;
     }
 
     /// Closes the chunk if it has waited long enough, by the clock that `now` is of,
@@ -97,14 +93,14 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn tick(&mut self, now: Duration) -> Result<(), RecordingError> {
-        if !self.0.dirty {
+        if !self.dirty {
             return Ok(());
         }
-        let since = *self.0.waits_since.get_or_insert(now);
+        let since = *self.waits_since.get_or_insert(now);
         if now.saturating_sub(since) >= CHUNK_TIME {
-            self.0.flush()?;
+            self.flush()?;
         }
         Ok(())
     }
@@ -113,9 +109,46 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn flush(&mut self) -> Result<(), RecordingError> {
-        self.0.flush()
+        let flushed = self.bag.mcap.flush();
+        flushed.map_err(RecordingError::mcap(&self.path))?;
+        self.chunk_from = None;
+        self.waits_since = None;
+        self.dirty = false;
+        if self.synced.elapsed() >= SYNC_TIME {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<(), RecordingError> {
+        self.synced = Instant::now();
+        let synced = self.file.sync_data();
+        synced.map_err(RecordingError::io("write", &self.path))
+    }
+
+    /// Writes the CDR form of a message, with its number on the topic if the caller has one.
+    pub(crate) fn put_cdr(
+        &mut self,
+        topic: Topic,
+        at: Ticks,
+        number: Option<u32>,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let (channel, nanos) = (topic as usize, at.as_nanos());
+        let put = match number {
+            Some(number) => self.bag.put_numbered(channel, number, nanos, data),
+            None => self.bag.put(channel, nanos, data),
+        };
+        put.map_err(RecordingError::mcap(&self.path))?;
+        self.dirty = true;
+        self.last = self.last.max(at);
+        let from = *self.chunk_from.get_or_insert(at);
+        if at.0.abs_diff(from.0) >= CHUNK_TICKS {
+            self.flush()?;
+        }
+        Ok(())
     }
 
     /// Attaches the session and its rig profile to the file and then finishes it, as
@@ -123,10 +156,9 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn finish_with(mut self, session: &SessionFile) -> Result<(), RecordingError> {
-        attach(&mut self.0.bag.mcap, self.0.last, session)
-            .map_err(RecordingError::mcap(&self.0.path))?;
+        attach(&mut self.bag.mcap, self.last, session).map_err(RecordingError::mcap(&self.path))?;
         self.finish()
     }
 
@@ -135,12 +167,12 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Publisher::imu`].
+    /// As [`Writer::imu`].
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        let summary = self.0.bag.mcap.finish();
-        let summary = summary.map_err(RecordingError::mcap(&self.0.path))?;
-        self.0.sync()?;
-        rosbag2::save(files::folder_of(&self.0.path), &summary)
+        let summary = self.bag.mcap.finish();
+        let summary = summary.map_err(RecordingError::mcap(&self.path))?;
+        self.sync()?;
+        rosbag2::save(files::folder_of(&self.path), &summary)
     }
 }
 
@@ -182,44 +214,6 @@ fn attachments(nanos: u64, session: &SessionFile) -> impl Iterator<Item = Attach
                 data: Cow::Owned(text?.into_bytes()),
             })
         })
-}
-
-impl McapFile {
-    fn flush(&mut self) -> Result<(), RecordingError> {
-        let flushed = self.bag.mcap.flush();
-        flushed.map_err(RecordingError::mcap(&self.path))?;
-        self.chunk_from = None;
-        self.waits_since = None;
-        self.dirty = false;
-        if self.synced.elapsed() >= SYNC_TIME {
-            self.sync()?;
-        }
-        Ok(())
-    }
-
-    fn sync(&mut self) -> Result<(), RecordingError> {
-        self.synced = Instant::now();
-        let synced = self.file.sync_data();
-        synced.map_err(RecordingError::io("write", &self.path))
-    }
-}
-
-impl Output for McapFile {
-    fn time_of_day(&self) -> SystemTime {
-        (self.wall)()
-    }
-
-    fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
-        let put = self.bag.put(topic as usize, at.as_nanos(), data);
-        put.map_err(RecordingError::mcap(&self.path))?;
-        self.dirty = true;
-        self.last = self.last.max(at);
-        let from = *self.chunk_from.get_or_insert(at);
-        if at.0.abs_diff(from.0) >= CHUNK_TICKS {
-            self.flush()?;
-        }
-        Ok(())
-    }
 }
 
 /// How recordings are written.

@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use protocol::{PROTOCOL_VERSION, Ticks};
+use protocol::Ticks;
 use recording::finding::{Finding, Severity};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::walk::{Damage, Event, FileReport, Walk};
@@ -87,7 +87,7 @@ impl Findings {
 /// A numbered stream of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct StreamReport {
-    /// Messages in the frames of the link.
+    /// Messages that can be read.
     pub received: u64,
     /// Missing by the board's numbers.
     pub missing: u64,
@@ -129,7 +129,7 @@ pub struct Report {
     pub file: FileReport,
     /// First and last board time, s.
     pub board_time_s: Option<[f64; 2]>,
-    /// Frames of the link that are no message.
+    /// Frames that came damaged over the link, by the log.
     pub damaged_frames: u64,
     /// The board's streams, by name.
     pub streams: BTreeMap<&'static str, StreamReport>,
@@ -198,12 +198,6 @@ pub(crate) fn walk(
     Ok(walk.report().clone())
 }
 
-/// Whether the board spoke the protocol of this program.
-fn reads_frames(session: &SessionFile) -> bool {
-    let board = session.board.as_ref();
-    board.is_none_or(|board| board.protocol == PROTOCOL_VERSION)
-}
-
 fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {
     match session.outcome {
         None => findings.check("not_finished", None, || {
@@ -223,14 +217,6 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
         let many = (problem.at, session.problems.len() as u64);
         findings.add(Severity::Good, "problems_recorded", many, || {
             format!("the session itself noted: {}", problem.text)
-        });
-    }
-    if !reads_frames(session) {
-        findings.check("frames_not_read", None, || {
-            format!(
-                "the board spoke another version of the protocol than {PROTOCOL_VERSION}, so its \
-                 numbers are not checked"
-            )
         });
     }
     let folder = path.parent().unwrap_or(Path::new("."));

@@ -106,7 +106,8 @@ pub(crate) fn connect<'a>(
     )?;
     let log = new_log(&sides, parts.events, parts.clock, options, profile)?;
     let scale = sides.imu.scale;
-    let link = BoardLink::new(sides.board, scale, parts.connector, options.link_patience);
+    let mut link = BoardLink::new(sides.board, scale, parts.connector, options.link_patience);
+    link.keep_frames(options.raw_link);
     let mut session = Session::new(
         profile,
         parts.clock,

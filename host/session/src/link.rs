@@ -43,12 +43,11 @@ impl<'a> BoardLink<'a> {
     /// A link that is there. A lost one is waited for as long as `patience`.
     #[must_use]
     pub fn new(
-        mut board: Board,
+        board: Board,
         scale: Scale,
         connector: &'a mut dyn Connector,
         patience: Duration,
     ) -> Self {
-        board.keep_frames(true);
         Self {
             id: protocol::usb::serial_number(&board.hello().board_id).to_string(),
             connector,
@@ -59,6 +58,11 @@ impl<'a> BoardLink<'a> {
             board,
             scale,
         }
+    }
+
+    /// Whether the frames of the link are given out too.
+    pub(crate) const fn keep_frames(&mut self, keep: bool) {
+        self.board.keep_frames(keep);
     }
 
     /// The board's ID in hex.

@@ -118,19 +118,17 @@ pub(crate) fn take_message(
     };
     monitors.message(&message);
     let profile = &log.file.profile;
-    let clock = log.file.clock();
-    let phone_time = |at| clock.map(|clock| clock.ticks_to_phone(at));
     let at = match message {
         DeviceToHost::Imu(raw) => {
             if let Some(sample) = sample {
                 monitors.sample(&raw, &sample);
-                writer.imu(&sample)?;
+                writer.imu(&sample, raw.seq)?;
             }
             raw.at
         }
         DeviceToHost::Pulse(mut pulse) if pulse.output.is_camera() => {
             pulse.aligned &= is_on_phone(&log.file, pulse.at);
-            writer.pulse(&pulse, phone_time(pulse.at))?;
+            writer.pulse(&pulse)?;
             pulse.at
         }
         DeviceToHost::Pulse(pulse) => {
@@ -138,7 +136,7 @@ pub(crate) fn take_message(
             pulse.at
         }
         DeviceToHost::Capture(capture) => {
-            writer.capture(&capture, phone_time(capture.at))?;
+            writer.capture(&capture)?;
             capture.at
         }
         DeviceToHost::Status(status) => {

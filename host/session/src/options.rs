@@ -28,6 +28,8 @@ pub struct Options {
     pub second_twist: bool,
     /// Download the phones' videos at the end.
     pub fetch_video: bool,
+    /// Record every frame of the link as it came, for the report of a fault.
+    pub raw_link: bool,
     /// Number of the first command to the board, for a simulation that is to repeat to the
     /// byte; any number if there is none.
     pub first_command: Option<u32>,
@@ -48,6 +50,7 @@ impl Options {
             twist_gap: seconds(60),
             second_twist: false,
             fetch_video: false,
+            raw_link: false,
             first_command: None,
         }
     }

@@ -72,8 +72,6 @@ pub(crate) struct Synthetic {
     pub(crate) pixels: fn(u64, &mut [u16]),
     /// Marks, in seconds of board time.
     pub(crate) marks: Vec<u64>,
-    /// Raw frames of the link in the board's file, as a session keeps them.
-    pub(crate) link_frames: bool,
 }
 
 impl Default for Synthetic {
@@ -90,7 +88,6 @@ impl Default for Synthetic {
             crashed: false,
             pixels: pattern,
             marks: Vec::new(),
-            link_frames: false,
         }
     }
 }
@@ -331,7 +328,7 @@ fn write_board(
     for tick in (24_000_017..end).step_by(96_000) {
         let at = Ticks(tick);
         while let Some(pulse) = pulses.next_if(|pulse| pulse.at <= at) {
-            writer.pulse(pulse, None).unwrap();
+            writer.pulse(pulse).unwrap();
         }
         while let Some(mark) = marks.next_if(|mark| **mark * u64::from(TICK_HZ) <= tick) {
             writer
@@ -343,24 +340,18 @@ fn write_board(
         let rate = gyro.sample(time, number, 1e-3, |t| view.angular_rate(t));
         let force = accel.sample(time, number, 1e-3, |t| view.specific_force(t));
         let quantised = |value: f64, lsb: f64| (value / lsb).round() * lsb;
-        writer
-            .imu(&Sample {
-                at,
-                flags: ImuFlags::default(),
-                gyro: rate.map(|value| quantised(value, lsb)),
-                accel: force.map(|value| quantised(value, 9.806_65 / 8192.0)),
-                temperature: 35.0,
-            })
-            .unwrap();
-        if config.link_frames {
-            // Of the length of a real sample's frame.
-            let frame: Vec<u8> = (0..34).map(|byte| (tick >> (byte % 8)) as u8 | 1).collect();
-            writer.frame(at, frame).unwrap();
-        }
+        let sample = Sample {
+            at,
+            flags: ImuFlags::default(),
+            gyro: rate.map(|value| quantised(value, lsb)),
+            accel: force.map(|value| quantised(value, 9.806_65 / 8192.0)),
+            temperature: 35.0,
+        };
+        writer.imu(&sample, truth.imu_samples as u32).unwrap();
         truth.imu_samples += 1;
     }
     for pulse in pulses {
-        writer.pulse(pulse, None).unwrap();
+        writer.pulse(pulse).unwrap();
     }
     writer.finish().unwrap();
 }

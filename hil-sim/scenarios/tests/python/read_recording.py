@@ -37,7 +37,7 @@ def summary(messages):
         if topic == "/board/imu":
             assert time == nanos(message.header.stamp)
             found["imu"].append(imu(message))
-        elif topic == "/board/trigger_pulse":
+        elif topic == "/board/trigger":
             assert (time * 6 + 62) // 125 == message.ticks
             found["pulses"].append([message.ticks, message.number, message.aligned])
         elif topic == "/session/markers":

@@ -85,6 +85,9 @@ pub(crate) struct Args {
     /// Download the phone's video at the end
     #[arg(long)]
     fetch_video: bool,
+    /// Record every frame of the USB link as it came too, for the report of a fault
+    #[arg(long)]
+    raw_link: bool,
     /// Record for 90 s between two twists, and write what that teaches about the phone's
     /// clocks into the rig profile
     #[arg(long)]
@@ -120,6 +123,7 @@ impl Args {
             twist_gap: self.twist_gap,
             second_twist: self.second_twist || self.calibrate,
             fetch_video: self.fetch_video,
+            raw_link: self.raw_link,
             first_command: None,
         }
     }

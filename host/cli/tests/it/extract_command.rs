@@ -25,30 +25,25 @@ fn recording(parent: &Path) -> PathBuf {
     let mut writer = Writer::create(&folder).unwrap();
     for number in 0..90_u64 {
         let at = Ticks(TICK + number * 1_600_000);
-        writer
-            .pulse(
-                &Pulse {
-                    output: protocol::Output::Camera,
-                    seq: number as u32,
-                    train: 1,
-                    number,
-                    at,
-                    aligned: true,
-                    readback: None,
-                },
-                None,
-            )
-            .unwrap();
+        let pulse = Pulse {
+            output: protocol::Output::Camera,
+            seq: number as u32,
+            train: 1,
+            number,
+            at,
+            aligned: true,
+            readback: None,
+        };
+        writer.pulse(&pulse).unwrap();
         for sample in 0..16 {
-            writer
-                .imu(&Sample {
-                    at: Ticks(at.0 + sample * 96_000),
-                    flags: ImuFlags::default(),
-                    gyro: [0.001, 0.002, -0.003],
-                    accel: [0.0, 0.0, 9.81],
-                    temperature: 36.5,
-                })
-                .unwrap();
+            let value = Sample {
+                at: Ticks(at.0 + sample * 96_000),
+                flags: ImuFlags::default(),
+                gyro: [0.001, 0.002, -0.003],
+                accel: [0.0, 0.0, 9.81],
+                temperature: 36.5,
+            };
+            writer.imu(&value, (number * 16 + sample) as u32).unwrap();
         }
     }
     writer.finish().unwrap();

@@ -74,7 +74,7 @@ const TIMES: &[u8] = &[
 #[test]
 fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
     let parent = tempfile::tempdir().unwrap();
-    for (name, topic) in [("marks", Topic::Marker), ("pairs", Topic::Trigger)] {
+    for (name, topic) in [("marks", Topic::Marker), ("pairs", Topic::Gnss)] {
         let folder = parent.path().join(name);
         // Within what a recording may unpack to.
         bomb(&folder, topic, TIMES, 20, (16 << 20) / 15);

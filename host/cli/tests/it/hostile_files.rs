@@ -188,7 +188,7 @@ fn numbers_beyond_all_reason_are_left_out_of_a_report() {
             accel: [0.0, 0.0, 9.8],
             temperature: 1e308,
         };
-        writer.imu(&sample).unwrap();
+        writer.imu(&sample, number as u32).unwrap();
     }
     writer.finish().unwrap();
     let mut session = synthetic::session();

@@ -5,15 +5,15 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use protocol::{ResetCause, TICK_HZ};
+use protocol::TICK_HZ;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use recording::finding::Severity;
 use recording::reader::Reader;
-use recording::session_file::{BoardInfo, SessionFile, SessionOutcome};
+use recording::session_file::{SessionFile, SessionOutcome};
 use report::repair::repair;
 use report::verify::{Report, verify};
 
-use crate::support::synthetic::{SECONDS, Wrong, make, session};
+use crate::support::synthetic::{SECONDS, Wrong, make};
 
 const MCAP: &str = "recording.mcap";
 
@@ -316,26 +316,4 @@ fn what_is_no_recording_is_refused() {
     for entry in Reader::open(&place).unwrap() {
         let _ = entry;
     }
-}
-
-#[test]
-fn frames_of_another_version_are_not_judged() {
-    let parent = tempfile::tempdir().unwrap();
-    let folder = make(parent.path(), Wrong::default());
-    let mut session = session();
-    session.board = Some(BoardInfo {
-        id: String::from("AB"),
-        firmware: String::from("0.1.0"),
-        git_revision: String::new(),
-        git_dirty: false,
-        model: protocol::BoardModel::Discovery,
-        protocol: 9,
-        tick_hz: TICK_HZ,
-        epoch: 7,
-        reset_cause: ResetCause::PowerOn,
-    });
-    session.save(&folder).unwrap();
-    let report = verify(&folder, &|| false).unwrap();
-    assert_eq!(report.streams["imu"].received, 0, "{report:?}");
-    assert_eq!(kinds(&report), ["frames_not_read"]);
 }

@@ -1,5 +1,5 @@
-//! A recording as the program writes it, of a board that is not there: frames and
-//! messages that fit each other, pulses on their grid, a session file.
+//! A recording as the program writes it, of a board that is not there: messages numbered as
+//! the board does, pulses on their grid, a session file.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
 
 use std::fs;
@@ -7,9 +7,8 @@ use std::path::{Path, PathBuf};
 
 use board::imu::Sample;
 use protocol::{
-    CaptureChannel, DeviceToHost, Dropped, Edge, ImuClock, ImuFlags, ImuSample, ImuState,
-    ImuStatus, LinkCounters, MAX_FRAME, Output, Period, Pulse, Readback, Status, TICK_HZ, Ticks,
-    TrainState, TriggerStatus, UsbCounters, encode,
+    CaptureChannel, Dropped, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, LinkCounters, Output,
+    Period, Pulse, Readback, Status, TICK_HZ, Ticks, TrainState, TriggerStatus, UsbCounters,
 };
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
@@ -37,21 +36,6 @@ pub(crate) struct Wrong {
     pub(crate) killed: bool,
     /// There is a further output, and these of its pulses never come.
     pub(crate) outputs_lost: &'static [u64],
-}
-
-/// A recording as the program writes it, of a board that is not there.
-struct Maker {
-    writer: Writer,
-    now: Ticks,
-}
-
-impl Maker {
-    fn frame(&mut self, message: &DeviceToHost) {
-        let mut buffer = [0; MAX_FRAME];
-        let frame = encode(message, &mut buffer).unwrap();
-        let body = frame[..frame.len() - 1].to_vec();
-        self.writer.frame(self.now, body).unwrap();
-    }
 }
 
 fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Status {
@@ -119,10 +103,7 @@ pub(crate) fn session() -> SessionFile {
 pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
     let folder = parent.join("walk");
     fs::create_dir(&folder).unwrap();
-    let mut maker = Maker {
-        writer: Writer::create(&folder).unwrap(),
-        now: ANCHOR,
-    };
+    let mut writer = Writer::create(&folder).unwrap();
     // All events in the order of their times.
     let mut events: Vec<(u64, u8, u64)> = Vec::new();
     for number in 0..SECONDS * 500 {
@@ -161,23 +142,14 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                 } else {
                     0
                 };
-                let raw = ImuSample {
-                    seq: (number - gone) as u32,
-                    at,
-                    flags: ImuFlags(0),
-                    accel: [0, 0, 8_192],
-                    temperature: 0,
-                    gyro: [(number % 600) as i16, -5, 9],
-                };
-                maker.frame(&DeviceToHost::Imu(raw));
                 let sample = Sample {
                     at,
-                    flags: raw.flags,
-                    gyro: [f64::from(raw.gyro[0]) * 1e-3, 0.1, 0.2],
+                    flags: ImuFlags(0),
+                    gyro: [(number % 600) as f64 * 1e-3, 0.1, 0.2],
                     accel: [0.0, 0.0, 9.8],
                     temperature: 31.0,
                 };
-                maker.writer.imu(&sample).unwrap();
+                writer.imu(&sample, (number - gone) as u32).unwrap();
             }
             1 => {
                 pulses += 1;
@@ -190,8 +162,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     aligned: true,
                     readback: Some(4),
                 };
-                maker.frame(&DeviceToHost::Pulse(pulse));
-                maker.writer.pulse(&pulse, None).unwrap();
+                writer.pulse(&pulse).unwrap();
             }
             2 => {
                 let lost = wrong
@@ -204,8 +175,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                         0
                     };
                 let status = status(number as u32, at, made, pulses, lost.into());
-                maker.frame(&DeviceToHost::Status(status.clone()));
-                maker.writer.status(&status, "AB").unwrap();
+                writer.status(&status, "AB").unwrap();
             }
             4 if wrong.outputs_lost.contains(&number) => {}
             4 => {
@@ -218,8 +188,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     aligned: false,
                     readback: None,
                 };
-                maker.frame(&DeviceToHost::Pulse(pulse));
-                maker.writer.output_pulse(&pulse, "left").unwrap();
+                writer.output_pulse(&pulse, "left").unwrap();
             }
             _ => {
                 let capture = protocol::Capture {
@@ -229,11 +198,9 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     at,
                     after_loss: false,
                 };
-                maker.frame(&DeviceToHost::Capture(capture));
-                maker.writer.capture(&capture, None).unwrap();
+                writer.capture(&capture).unwrap();
             }
         }
-        maker.now = at;
     }
     let mut session = session();
     if wrong.silence {
@@ -245,10 +212,10 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
             from: ANCHOR,
             to: ANCHOR,
         });
-        maker.writer.flush().unwrap();
-        std::mem::forget(maker);
+        writer.flush().unwrap();
+        std::mem::forget(writer);
     } else {
-        maker.writer.finish().unwrap();
+        writer.finish().unwrap();
     }
     fs::write(folder.join("twist_1_phone_gyro.csv"), "0,0,0,1\n").unwrap();
     session.files.push(String::from("twist_1_phone_gyro.csv"));

@@ -5,15 +5,19 @@
 
 use std::path::Path;
 
+use recording::diagnostics::BoardCounters;
 use recording::messages::Header;
 use recording::session_file::SessionFile;
 use recording::walk::{Event, FileReport, Message};
 use recording::{Item, Topic};
 
-use super::numbers::Numbers;
+use super::numbers::{Numbers, stream_of};
 use super::pulses::Pulses;
 use super::topics::Topics;
-use super::{FORM, Findings, Report, reads_frames};
+use super::{FORM, Findings, Report};
+
+/// Kind of the log's entry for a frame that came damaged.
+const DAMAGED: &str = "damaged";
 
 /// The checks while they run.
 pub(super) struct Content {
@@ -21,8 +25,6 @@ pub(super) struct Content {
     numbers: Numbers,
     pulses: Pulses,
     markers: usize,
-    /// The board spoke the protocol of this program.
-    reads_frames: bool,
     /// Something is missing in the file here, and anywhere.
     after_gap: bool,
     has_gaps: bool,
@@ -37,7 +39,6 @@ impl Content {
             numbers: Numbers::new(imu.map(|imu| imu.setup.interval.into())),
             pulses: Pulses::new(session),
             markers: 0,
-            reads_frames: session.is_none_or(reads_frames),
             after_gap: false,
             has_gaps: false,
         }
@@ -80,7 +81,7 @@ impl Content {
             });
         }
         let (counted, missing) = (session.counts.lost(), self.numbers.missing());
-        if counted > missing && self.reads_frames {
+        if counted > missing {
             findings.bad("losses_differ", None, || {
                 format!(
                     "the session counted {counted} lost messages, but by the board's numbers \
@@ -100,6 +101,7 @@ impl Content {
                     (self.after_gap, self.has_gaps) = (true, true);
                     self.pulses.forget();
                     self.numbers.forget();
+                    self.topics.gap();
                 }
             }
             Event::Schema(..) | Event::Channel(_) | Event::EndOfChunk | Event::Attachment(_) => {}
@@ -118,7 +120,7 @@ impl Content {
             None => {}
         }
         self.topics.place(name, topic, &message.header, findings);
-        self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log));
+        self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log | Topic::ImuFlags));
     }
 
     /// What a message says, against the ones before it.
@@ -133,15 +135,9 @@ impl Content {
             }
         };
         match item {
-            Item::Link(frame) if self.reads_frames => {
-                let numbers = &mut self.numbers;
-                let status = numbers.frame(&frame.data, at, self.after_gap, findings);
-                if let Some(status) = status.filter(|_| !self.after_gap) {
-                    self.pulses.count(&status, findings);
-                }
-            }
             Item::Imu(imu) => {
                 stamped(&imu.header, findings);
+                self.numbers.sample(message, self.after_gap, findings);
                 if imu.angular_velocity.iter().any(|rate| !rate.is_finite()) {
                     findings.bad("not_a_number", Some(at), || {
                         String::from("an IMU sample is not a number")
@@ -165,12 +161,35 @@ impl Content {
                     });
                 }
             }
-            Item::Status(status) => stamped(&status.header, findings),
+            Item::ImuFlags(flags) => {
+                stamped(&flags.header, findings);
+                self.numbers.flags(at, flags);
+            }
+            Item::Status(status) => {
+                stamped(&status.header, findings);
+                if let Some(counters) = BoardCounters::of(status) {
+                    self.numbers.status(counters, at, findings);
+                    if !self.after_gap {
+                        self.pulses.count(&counters, at, findings);
+                    }
+                } else {
+                    findings.bad("status_counters", Some(at), || {
+                        String::from("a status lacks counters of the board")
+                    });
+                }
+            }
+            Item::Log(log) if log.function == DAMAGED => {
+                self.numbers.damaged(&log.msg, at, findings);
+            }
             Item::Output(pulse) => stamped(&pulse.header, findings),
             Item::Gnss(pulse) => stamped(&pulse.header, findings),
             Item::Period(period) => self.pulses.follow(period),
             Item::Marker(_) => self.markers += 1,
             _ => {}
+        }
+        if let Some(stream) = stream_of(item.topic()) {
+            let number = message.header.sequence;
+            self.numbers.number(stream, number, at, findings);
         }
     }
 }

@@ -1,17 +1,33 @@
-//! The numbers that the board gave its messages, by the frames of the link, against what the
-//! board itself counts.
+//! The numbers that the board gave its messages against what the board itself counts.
 
 use std::collections::BTreeMap;
 
 use board::Stream;
-use protocol::{DeviceToHost, ImuFlags, ImuSample, Status, TICK_HZ, Ticks, decode_frame};
+use protocol::{TICK_HZ, Ticks};
+use recording::Topic;
+use recording::diagnostics::BoardCounters;
 use recording::finding::Severity;
+use recording::messages::ImuFlags;
+use recording::walk::Message;
 
 use super::{Findings, StreamReport};
 
 /// How many messages may be under way between a status and the streams that it
 /// counts: the queues of the board hold at most a few.
 const UNDER_WAY: u32 = 8;
+
+/// The stream whose numbers the messages of a topic have.
+pub(super) const fn stream_of(topic: Topic) -> Option<Stream> {
+    Some(match topic {
+        Topic::Status => Stream::Status,
+        Topic::Pulse => Stream::Pulses,
+        Topic::Capture => Stream::Captures,
+        Topic::Imu => Stream::Imu,
+        Topic::Output => Stream::Outputs,
+        Topic::Gnss => Stream::Pps,
+        _ => return None,
+    })
+}
 
 #[derive(Default)]
 struct Numbered {
@@ -33,13 +49,13 @@ pub(super) struct Numbers {
     /// Nominal ticks from sample to sample.
     imu_interval: Option<u64>,
     last_imu: Option<(Ticks, u32)>,
+    /// Time of a sample that the board gives a reason for a silence before.
+    has_reason: Option<Ticks>,
     epoch: Option<u32>,
     /// The first and the last status.
-    statuses: Option<(Status, Status)>,
+    statuses: Option<(BoardCounters, BoardCounters)>,
     /// At the first and the last status that came behind a sample.
     samples: Option<(Samples, Samples)>,
-    /// A frame could be read.
-    in_step: bool,
     damaged_frames: u64,
 }
 
@@ -51,54 +67,25 @@ impl Numbers {
         }
     }
 
-    /// Takes a frame; gives the status that it holds. In the part of a file behind a gap, no
-    /// silence is missed.
-    pub(super) fn frame(
-        &mut self,
-        data: &[u8],
-        at: Ticks,
-        after_gap: bool,
-        findings: &mut Findings,
-    ) -> Option<Status> {
-        let message = match decode_frame(data) {
-            Ok(message) => message,
-            Err(error) => {
-                // The stream may be joined in the middle of a frame.
-                if self.in_step {
-                    self.damaged_frames += 1;
-                    findings.check("frame_damaged", Some(at), || {
-                        format!("a frame of the link was damaged when it came: {error}")
-                    });
-                }
-                return None;
-            }
-        };
-        self.in_step = true;
-        match &message {
-            DeviceToHost::Hello(hello) => self.life(hello.epoch, at, findings),
-            DeviceToHost::Status(status) => self.life(status.epoch, at, findings),
-            DeviceToHost::Imu(sample) => self.sample(sample, after_gap, findings),
-            _ => {}
-        }
-        if let Some((of, number, at)) = Stream::of(&message) {
-            self.number(of, number, at, findings);
-        }
-        let DeviceToHost::Status(status) = message else {
-            return None;
-        };
-        self.status(&status);
-        Some(status)
-    }
-
-    fn status(&mut self, status: &Status) {
+    /// Takes the counters of a status.
+    pub(super) fn status(&mut self, status: BoardCounters, at: Ticks, findings: &mut Findings) {
+        self.life(status.epoch, at, findings);
         let imu = self.streams.get(Stream::Imu as usize);
         if let Some(next) = imu.and_then(|imu| imu.expected) {
-            let read = status.imu.samples;
+            let read = status.imu_samples;
             let now = Samples { read, next };
             self.samples = Some((self.samples.map_or(now, |(first, _)| first), now));
         }
-        let first = self.statuses.take().map(|(first, _)| first);
-        self.statuses = Some((first.unwrap_or_else(|| status.clone()), status.clone()));
+        let first = self.statuses.map_or(status, |(first, _)| first);
+        self.statuses = Some((first, status));
+    }
+
+    /// A frame of the link came damaged, for the reason `why`.
+    pub(super) fn damaged(&mut self, why: &str, at: Ticks, findings: &mut Findings) {
+        self.damaged_frames += 1;
+        findings.check("frame_damaged", Some(at), || {
+            format!("a frame of the link was damaged when it came: {why}")
+        });
     }
 
     /// Something is missing in the file here.
@@ -125,7 +112,8 @@ impl Numbers {
         }
     }
 
-    fn number(&mut self, of: Stream, number: u32, at: Ticks, findings: &mut Findings) {
+    /// The board's number of a message must follow on the one before.
+    pub(super) fn number(&mut self, of: Stream, number: u32, at: Ticks, findings: &mut Findings) {
         let Some(stream) = self.streams.get_mut(of as usize) else {
             return;
         };
@@ -141,21 +129,30 @@ impl Numbers {
         stream.report.received += 1;
     }
 
+    /// Takes what the board says of the sample that comes next.
+    pub(super) fn flags(&mut self, at: Ticks, flags: &ImuFlags) {
+        self.has_reason = Some(at).filter(|_| flags.after_loss || flags.first);
+    }
+
     /// Silence between samples must have a reason.
-    fn sample(&mut self, sample: &ImuSample, after_gap: bool, findings: &mut Findings) {
-        let (at, number) = (sample.at, sample.seq);
+    pub(super) fn sample(
+        &mut self,
+        message: &Message<'_>,
+        after_gap: bool,
+        findings: &mut Findings,
+    ) {
+        let (at, number) = (message.at(), message.header.sequence);
+        let has_reason = self.has_reason.take() == Some(at);
         let last = self.last_imu.replace((at, number));
         let (Some((last, before)), Some(interval)) = (last, self.imu_interval) else {
             return;
         };
         let steps = u64::from(number.wrapping_sub(before));
         let silence = at.0.saturating_sub(last.0);
-        if silence <= interval.saturating_mul(steps) + interval / 2 || after_gap {
+        if silence <= interval.saturating_mul(steps).saturating_add(interval / 2) || after_gap {
             return;
         }
         let ms = silence as f64 * 1e3 / f64::from(TICK_HZ);
-        let has_reason =
-            sample.flags.has(ImuFlags::AFTER_LOSS) || sample.flags.has(ImuFlags::FIRST);
         if has_reason {
             findings.check("imu_gap", Some(at), || {
                 format!("{ms:.1} ms without IMU samples, as the board itself says")
@@ -223,12 +220,12 @@ impl Numbers {
     /// Of what is missing, what the board dropped itself. Pulses per second are counted with
     /// the auxiliary outputs.
     fn share_drops(&mut self) {
-        let Some((first, last)) = &self.statuses else {
+        let Some((first, last)) = self.statuses else {
             return;
         };
         let mut left_of_outputs = 0;
         for (stream, of) in self.streams.iter_mut().zip(Stream::ALL) {
-            let counted = |status: &Status| of.dropped(&status.dropped).unwrap_or_default();
+            let counted = |status: BoardCounters| of.dropped(&status.dropped).unwrap_or_default();
             let dropped = match of {
                 Stream::Pps => left_of_outputs,
                 _ => u64::from(counted(last).wrapping_sub(counted(first))),
@@ -258,10 +255,11 @@ mod tests {
                 {
                     imu.expected = Some(next);
                 }
-                // All counters 0, the first of each enum.
-                let mut status: Status = postcard::from_bytes(&[0; 256]).unwrap();
-                status.imu.samples = samples;
-                numbers.status(&status);
+                let status = BoardCounters {
+                    imu_samples: samples,
+                    ..BoardCounters::default()
+                };
+                numbers.status(status, Ticks::ZERO, &mut Findings::default());
             };
             hear(1_385, None);
             hear(1_885, Some(1_885));

@@ -1,6 +1,7 @@
 //! The pulses of the trigger: numbers without a gap, on the grid of the alignment.
 
-use protocol::{Status, TICK_HZ, Ticks};
+use protocol::{TICK_HZ, Ticks};
+use recording::diagnostics::BoardCounters;
 use recording::finding::Severity;
 use recording::grid::{FollowedGrid, Grid};
 use recording::messages::{Pulse, TriggerPeriod};
@@ -58,12 +59,12 @@ impl Pulses {
     }
 
     /// The pulses that were made against those that came.
-    pub(super) fn count(&self, status: &Status, findings: &mut Findings) {
-        let (train, made) = (status.trigger.train, status.trigger.pulses);
+    pub(super) fn count(&self, counters: &BoardCounters, at: Ticks, findings: &mut Findings) {
+        let (train, made) = (counters.train, counters.pulses);
         if let Some(pulse) = self.last.as_ref().filter(|pulse| pulse.train == train)
-            && is_uncounted(pulse, made, status.at)
+            && is_uncounted(pulse, made, at)
         {
-            findings.bad("pulse_count", Some(status.at), || {
+            findings.bad("pulse_count", Some(at), || {
                 format!("pulse {} came, but the board counts {made}", pulse.number)
             });
         }

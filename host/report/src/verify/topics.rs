@@ -8,6 +8,7 @@ use recording::Topic;
 use recording::finding::Severity;
 use recording::reader::ticks_of_nanos;
 
+use super::numbers::stream_of;
 use super::{Findings, TopicReport};
 
 /// The most topics that are counted one by one.
@@ -26,6 +27,8 @@ struct TopicState {
     report: TopicReport,
     expected: Option<u32>,
     last: Option<u64>,
+    /// Something is missing in the file since its last message.
+    after_gap: bool,
 }
 
 /// The checks of the topics while they run.
@@ -36,6 +39,13 @@ pub(super) struct Topics {
 }
 
 impl Topics {
+    /// Something is missing in the file here.
+    pub(super) fn gap(&mut self) {
+        for state in self.topics.values_mut() {
+            state.after_gap = true;
+        }
+    }
+
     /// First and last board time.
     pub(super) const fn span(&self) -> Option<[Ticks; 2]> {
         self.span
@@ -61,7 +71,12 @@ impl Topics {
         }
         let state = self.topics.entry(name.to_owned()).or_default();
         state.report.messages += 1;
-        let missing = number.wrapping_sub(state.expected.unwrap_or(number));
+        // Of what the board numbers, what is missing was lost on the way, unless the file is
+        // damaged here.
+        let after_gap = std::mem::take(&mut state.after_gap);
+        let is_lost = topic.and_then(stream_of).is_some() && !after_gap;
+        let expected = state.expected.filter(|_| !is_lost);
+        let missing = number.wrapping_sub(expected.unwrap_or(number));
         if missing > u32::MAX / 2 {
             findings.bad("order", Some(at), || {
                 format!("message {number} of {name} comes twice or too late")
