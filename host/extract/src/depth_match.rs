@@ -9,6 +9,7 @@
 use std::path::Path;
 
 use super::board_data::Reference;
+use super::constants::Constants;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Ambiguity, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
@@ -16,7 +17,6 @@ use super::depth_clock::{
 use super::error::ExtractError;
 use super::gyro_clock;
 use super::progress::Progress;
-use super::report::Constants;
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::image_tables::ImagesError;
 use crate::inputs::InputsError;
-use crate::workplace::WorkplaceError;
+use crate::output_dir::OutputDirError;
 
 /// Why there is no data set, or a part of it is missing.
 #[derive(Debug, thiserror::Error)]
@@ -15,7 +15,7 @@ pub enum ExtractError {
     Inputs(#[from] InputsError),
     /// The output folder.
     #[error(transparent)]
-    Workplace(#[from] WorkplaceError),
+    OutputDir(#[from] OutputDirError),
     /// The board's recording.
     #[error(transparent)]
     Board(#[from] recording::RecordingError),

@@ -1,5 +1,4 @@
-//! The phone's frames: which timestamp belongs to which image, and when the
-//! middle of the middle row was exposed.
+//! The phone's frames: which timestamp belongs to which image.
 //!
 //! The app writes one timestamp a frame, and the encoder one image a frame. Where
 //! the counts agree, they belong together in order; a row that is left out (a frame that
@@ -15,29 +14,6 @@ use super::time::PhoneNanos;
 const MAX_SHIFT: usize = 600;
 /// Distances that agree to this are the same frame at two shifts, ns.
 const ALIKE: f64 = 200e3;
-
-/// When a frame was exposed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct FrameTiming {
-    /// Exposure of a row, ns.
-    pub(crate) exposure: Option<i64>,
-    /// From the first row's start of exposure to that of the row that is synchronised, ns.
-    pub(crate) middle_row: Option<i64>,
-}
-
-impl FrameTiming {
-    /// From the timestamp (start of exposure of the first row) to the middle of
-    /// exposure of the middle row. Parts that are not known count as 0.
-    pub(crate) fn to_middle(self) -> i64 {
-        let half_exposure = self.exposure.unwrap_or(0) / 2;
-        half_exposure.saturating_add(self.middle_row.unwrap_or(0))
-    }
-
-    /// Whether both parts are known.
-    pub(crate) fn is_known(self) -> bool {
-        self.exposure.is_some() && self.middle_row.is_some()
-    }
-}
 
 /// Which row of the timestamps each image has.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -45,22 +45,31 @@ pub enum ImagesError {
     Cancelled,
 }
 
-/// Where one depth frame goes.
+/// Files of one depth frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct DepthPlace {
+pub(crate) struct DepthPaths {
     /// Depth; `None` if the frame has no place in the data set.
     pub(crate) depth: Option<PathBuf>,
     /// Infrared.
     pub(crate) infrared: Option<PathBuf>,
 }
 
-/// Where the images of the depth camera go: one entry a frame.
+/// Files of the images of the depth camera: one entry a frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct CameraPlaces {
+pub(crate) struct CameraPaths {
     /// Depth and infrared.
-    pub(crate) depth: Vec<DepthPlace>,
+    pub(crate) depth: Vec<DepthPaths>,
     /// Colour, as JPEG files.
     pub(crate) color: Vec<Option<PathBuf>>,
+}
+
+/// How depth images are written.
+#[derive(Clone, Copy)]
+pub(crate) struct DepthImageView<'a> {
+    /// Width and height of the depth camera's own images.
+    pub(crate) size: (u32, u32),
+    /// Into the view of another camera.
+    pub(crate) registration: Option<&'a Registration>,
 }
 
 /// What the depth images were like.
@@ -91,13 +100,13 @@ pub(crate) struct DepthOutcome {
 /// Reading or writing fails, or it was stopped.
 pub(crate) fn write_depth(
     input: &DepthInput,
-    places: &CameraPlaces,
-    (size, registration): ((u32, u32), Option<&Registration>),
+    paths: &CameraPaths,
+    view: DepthImageView<'_>,
     layout: &dyn Layout,
     progress: &dyn Progress,
 ) -> Result<DepthOutcome, ImagesError> {
     let mut outcome = DepthOutcome::default();
-    progress.begin("writing depth images", places.depth.len() as u64);
+    progress.begin("writing depth images", paths.depth.len() as u64);
     let bytes = |image: &CameraImage| match image {
         CameraImage::Depth(image) => {
             image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len)
@@ -110,11 +119,11 @@ pub(crate) fn write_depth(
             .par_iter()
             .map(|image| match image {
                 CameraImage::Depth(image) => {
-                    let place = places.depth.get(image.index);
-                    write_one(image, place, (size, registration), layout)
+                    let place = paths.depth.get(image.index);
+                    write_one(image, place, view, layout)
                 }
                 CameraImage::Color(index, jpeg) => {
-                    let place = places.color.get(*index).and_then(Option::as_deref);
+                    let place = paths.color.get(*index).and_then(Option::as_deref);
                     write_jpeg(*index, place, jpeg)
                 }
             })
@@ -174,8 +183,8 @@ impl DepthOutcome {
 
 fn write_one(
     image: &DepthImage,
-    place: Option<&DepthPlace>,
-    (size, registration): ((u32, u32), Option<&Registration>),
+    place: Option<&DepthPaths>,
+    view: DepthImageView<'_>,
     layout: &dyn Layout,
 ) -> Result<DepthOutcome, ImagesError> {
     let its = |is_so: bool| Vec::from_iter(is_so.then_some(image.index));
@@ -190,15 +199,16 @@ fn write_one(
         return Ok(one);
     };
     if let Some(path) = place.depth.as_ref().filter(|_| !is_broken) {
+        let registration = view.registration;
         let seen = registration.map(|registration| registration.apply(&image.depth));
         let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
-        let size = registration.map_or(size, |registration| registration.out);
+        let size = registration.map_or(view.size, |registration| registration.out);
         write_png(path, size, Pixels::Gray16(&pixels))?;
         one.written = 1;
     }
     if let (Some(path), Some(pixels)) = (&place.infrared, &image.infrared) {
-        write_png(path, size, Pixels::Gray16(pixels))?;
+        write_png(path, view.size, Pixels::Gray16(pixels))?;
         one.infrared.push(image.index);
     }
     Ok(one)

@@ -4,49 +4,18 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::constants::{Constants, nanos};
 use super::depth::DepthInput;
-use super::geometry::{CameraFacts, View};
-use super::gyro_clock::prior;
+use super::geometry::CameraFacts;
+use super::options::Options;
 use super::ros2_depth::Ros2Bag;
 use phone::video_files::{self, FilesError, VideoFiles};
-use protocol::ImuSensor;
 use recording::RecordingError;
 use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
-use recording::profile::{Intrinsics, Phone, Pose, Profile};
-use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
-use twist_sync::Prior;
-
-/// Values that the user gives; they go before those of the session.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Options {
-    /// Exposure of a row of the phone, ns.
-    pub exposure_ns: Option<i64>,
-    /// From the first to the last row of the phone, ns.
-    pub readout_ns: Option<i64>,
-    /// From the trigger pulse to the depth timestamp, ns.
-    pub depth_center_ns: Option<i64>,
-    /// Low-pass delay of the board's IMU, ns.
-    pub board_imu_delay_ns: Option<i64>,
-    /// Low-pass delay of the phone's gyroscope, ns.
-    pub phone_imu_delay_ns: Option<i64>,
-    /// Index of the first depth frame's pulse.
-    pub first_pulse: Option<usize>,
-    /// The topic of depth in a bag of the camera's driver, if there are several.
-    pub depth_topic: Option<String>,
-    /// Whether infrared images are written too.
-    pub infrared: bool,
-    /// Exposure of the depth camera's colour images, ns.
-    pub camera_exposure_ns: Option<i64>,
-    /// The camera from whose place depth images are given.
-    pub view: Option<View>,
-    /// Depth frames are timed by the camera's own clock, whatever the trigger did.
-    pub free_running: bool,
-    /// Where the files of phones lie, by their names in the rig profile.
-    #[serde(skip)]
-    pub phones: Vec<(String, PathBuf)>,
-}
+use recording::profile::{Intrinsics, Phone, Pose};
+use recording::session_file::{PHONES_FOLDER, SessionFile};
 
 /// A phone and its files.
 #[derive(Clone, Debug, Default)]
@@ -55,8 +24,8 @@ pub(crate) struct PhoneInput {
     pub(crate) name: Option<String>,
     /// Its files.
     pub(crate) files: Option<VideoFiles>,
-    /// What the session says about it.
-    pub(crate) rig: RigFacts,
+    /// What goes into its times.
+    pub(crate) constants: Constants,
     /// What the profile says about it.
     pub(crate) profile: Option<Phone>,
     /// Its folder below the output; the output itself for the phone that the trigger
@@ -101,27 +70,6 @@ impl PhoneInput {
                 .map(|readout| (readout / last, phone.readout_direction)),
         }
     }
-}
-
-/// What is known about the rig of a recording.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct RigFacts {
-    /// The board's IMU.
-    pub(crate) board_sensor: ImuSensor,
-    /// Exposure of a row of the phone, ns.
-    pub(crate) exposure_ns: Option<i64>,
-    /// From the first row of the phone to the one that is synchronised, ns.
-    pub(crate) middle_row_ns: Option<i64>,
-    /// From the trigger pulse to the depth timestamp, ns.
-    pub(crate) depth_center_ns: Option<i64>,
-    /// 1-sigma of the constant between depth and phone, µs.
-    pub(crate) constant_sigma_us: Option<f64>,
-    /// Low-pass delay of the board's IMU, ns.
-    pub(crate) board_imu_delay_ns: Option<i64>,
-    /// Low-pass delay of the phone's gyroscope, ns.
-    pub(crate) phone_imu_delay_ns: Option<i64>,
-    /// What the session knows about the clocks.
-    pub(crate) prior: Option<Prior>,
 }
 
 /// Everything that is read.
@@ -203,8 +151,8 @@ fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {
     }
 }
 
-/// Finds everything. `phones` are places of phones by name, `phone` that of the phone
-/// that the trigger was aligned to.
+/// Finds everything: in the recording, or where the user says that it lies. `phone` is the
+/// place of the phone that the trigger was aligned to.
 ///
 /// # Errors
 ///
@@ -212,8 +160,8 @@ fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {
 pub(crate) fn find(
     recording: &Path,
     phone: Option<&Path>,
-    (depth, topic): (Option<&Path>, Option<&str>),
-    phones: &[(String, PathBuf)],
+    depth: Option<&Path>,
+    options: &Options,
 ) -> Result<Inputs, InputsError> {
     let folder = fs::metadata(recording)
         .map_err(unreadable(recording))?
@@ -227,16 +175,17 @@ pub(crate) fn find(
             None
         }
     };
-    let rig = session.as_ref().map_or_else(RigFacts::default, facts_of);
+    let constants = Constants::of(session.as_ref(), options);
+    let topic = options.depth_topic.as_deref();
     let own = folder.then_some(recording);
     let (phone, others) = match &session {
-        Some(session) => find_phones(session, own, rig, phone, phones)?,
+        Some(session) => find_phones(session, own, constants, phone, &options.phones)?,
         None => {
-            known_names(phones, &[])?;
+            known_names(&options.phones, &[])?;
             let files = find_phone(own, phone)?;
             let phone = PhoneInput {
                 files,
-                rig,
+                constants,
                 ..PhoneInput::default()
             };
             (phone, Vec::new())
@@ -290,7 +239,7 @@ fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), Inpu
 fn find_phones(
     session: &SessionFile,
     recording: Option<&Path>,
-    rig: RigFacts,
+    constants: Constants,
     phone: Option<&Path>,
     places: &[(String, PathBuf)],
 ) -> Result<(PhoneInput, Vec<PhoneInput>), InputsError> {
@@ -312,7 +261,7 @@ fn find_phones(
     let reference = PhoneInput {
         name: Some(session.profile.phone.name.clone()),
         files: files_of(&session.profile.phone.name, phone)?,
-        rig,
+        constants,
         profile: Some(session.profile.phone.clone()),
         folder: PathBuf::new(),
     };
@@ -322,33 +271,12 @@ fn find_phones(
         others.push(PhoneInput {
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
-            rig: facts_of_other(phone, said, &session.profile, rig),
+            constants: constants.of_other(phone, said, &session.profile),
             profile: Some(phone.clone()),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }
     Ok((reference, others))
-}
-
-/// What a session says about a further phone; what is the rig's is as in `rig`.
-fn facts_of_other(
-    phone: &Phone,
-    said: Option<&PhoneRecord>,
-    profile: &Profile,
-    rig: RigFacts,
-) -> RigFacts {
-    let reported = said
-        .and_then(|said| said.video?.exposure_ns)
-        .filter(|&exposure| exposure > 0)
-        .and_then(|exposure| i64::try_from(exposure).ok());
-    RigFacts {
-        exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
-        middle_row_ns: nanos(phone.middle_row_us()),
-        phone_imu_delay_ns: nanos(phone.gyro_delay_us),
-        prior: said.and_then(|said| said.clock).map(prior),
-        constant_sigma_us: Some(profile.other_constant_sigma_us(phone)),
-        ..rig
-    }
 }
 
 /// The phone's files in the place that the user names, with the video that the
@@ -371,44 +299,6 @@ fn find_phone(
             .or_else(|| fetched.and_then(|own| own.video)),
         ..found
     }))
-}
-
-/// What a session says, in whole nanoseconds. Values out of reason are left out.
-fn facts_of(session: &SessionFile) -> RigFacts {
-    let profile = &session.profile;
-    let alignment = session.alignment.as_ref();
-    let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
-    let bias = alignment.map_or(profile.frame_sync.bias_us, |a| a.bias_us);
-    let video = session.reference().and_then(|phone| phone.video);
-    let exposure = match (alignment, video.and_then(|video| video.exposure_ns)) {
-        (Some(alignment), _) => nanos(alignment.exposure_us),
-        (None, Some(exposure)) => i64::try_from(exposure).ok(),
-        (None, None) => nanos(profile.phone.exposure_us),
-    };
-    RigFacts {
-        board_sensor: session
-            .imu
-            .as_ref()
-            .map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
-        exposure_ns: exposure,
-        middle_row_ns: nanos(alignment.map_or(profile.phone.middle_row_us(), |a| a.middle_row_us)),
-        // A measured bias says that the depth image is exposed later than its
-        // nominal centre, against the phone's middle row.
-        depth_center_ns: nanos(center + bias),
-        constant_sigma_us: Some(profile.constant_sigma_us()),
-        board_imu_delay_ns: session
-            .imu
-            .as_ref()
-            .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
-        phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
-        prior: session.clock().map(prior),
-    }
-}
-
-/// Microseconds in whole nanoseconds, within ±1 s.
-fn nanos(us: f64) -> Option<i64> {
-    let within = us.is_finite() && us.abs() <= 1e6;
-    within.then(|| (us * 1000.0).round() as i64)
 }
 
 fn names(paths: &[PathBuf]) -> Vec<String> {
@@ -445,22 +335,5 @@ fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, 
             path: folder.to_owned(),
             names: names(several),
         }),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_row_is_the_profile_s_where_nothing_was_aligned() {
-        let facts = |text: &str| {
-            let profile = Profile::parse(text, None).unwrap();
-            facts_of(&SessionFile::new(String::from("walk"), profile))
-        };
-        let phone = "[phone]\nreadout_us = 10000\nrows = 1001\n";
-        assert_eq!(facts(phone).middle_row_ns, Some(5_000_000));
-        let row = format!("{phone}middle_row = 250\n");
-        assert_eq!(facts(&row).middle_row_ns, Some(2_500_000));
     }
 }

@@ -9,7 +9,7 @@ use super::error::ExtractError;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
 use super::progress::Progress;
-use super::report::{ClockReport, Constants, TrackedReport};
+use super::report::{ClockReport, TrackedReport};
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::tables::ColorFrame;
@@ -42,12 +42,12 @@ pub(crate) struct PhoneClock {
 
 /// What is known of a phone's clock before the gyroscopes are compared.
 ///
-/// Of a further phone it is what the recording says of that phone alone: pairs of times
+/// Of another phone it is what the recording says of that phone alone: pairs of times
 /// are of the one that the trigger was aligned to.
 fn prior(input: &PhoneInput, survey: &Survey) -> Option<Prior> {
     let name = input.other_name().map(str::to_owned);
     let recorded = survey.clocks.get(&name).copied();
-    let known = input.rig.prior.or(recorded.map(gyro_clock::prior));
+    let known = input.constants.prior.or(recorded.map(gyro_clock::prior));
     match input.is_other() {
         true => known,
         false => known.or_else(|| recorded_offset(survey)),
@@ -63,7 +63,6 @@ pub(crate) fn find(
     board: &Path,
     input: &PhoneInput,
     survey: &Survey,
-    constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<PhoneClock, ExtractError> {
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
@@ -81,8 +80,8 @@ pub(crate) fn find(
                 what: "relating the phone's clock",
                 open: &|| streams::phone(gyro),
                 options: Options {
-                    a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
-                    b_delay_s: constants.phone_imu_delay_ns as f64 * 1e-9,
+                    a_delay_s: input.constants.board_imu_delay_ns as f64 * 1e-9,
+                    b_delay_s: input.constants.phone_imu_delay_ns as f64 * 1e-9,
                     ..Options::of_windows()
                 },
                 prior,
@@ -101,7 +100,7 @@ pub(crate) fn find(
         Err(why) => PhoneClock::from_prior(prior, &why)?,
     };
     clock.middle = BoardNanos(first.midpoint(last));
-    // Of a further phone, no clock is followed.
+    // Of another phone, no clock is followed.
     if !input.is_other() {
         clock.follow(&survey.exchanges, prior);
     }
@@ -251,7 +250,7 @@ mod tests {
     use std::path::PathBuf;
 
     use super::super::board_data::TimePair;
-    use super::super::inputs::RigFacts;
+    use super::super::constants::Constants;
     use super::super::survey::PhoneClocks;
     use super::*;
     use timebase::{BoardSeconds, Wander};
@@ -273,9 +272,9 @@ mod tests {
     fn input(name: &str, folder: &str, prior: Option<Prior>) -> PhoneInput {
         PhoneInput {
             name: Some(String::from(name)),
-            rig: RigFacts {
+            constants: Constants {
                 prior,
-                ..RigFacts::default()
+                ..Constants::default()
             },
             folder: PathBuf::from(folder),
             ..PhoneInput::default()
@@ -333,7 +332,7 @@ mod tests {
         let clock = |survey: &Survey| {
             let phone = input("left", "", known(102.0));
             let silent = crate::progress::Silent;
-            find(board, &phone, survey, &Constants::default(), &silent).unwrap()
+            find(board, &phone, survey, &silent).unwrap()
         };
         let error_us = |clock: &PhoneClock| {
             let phone = PhoneNanos(((590.0 + offset(590.0)) * 1e9).round() as i64);
@@ -363,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn a_further_phone_never_takes_the_clock_of_the_first() {
+    fn another_phone_never_takes_the_clock_of_the_reference() {
         let right = Some(String::from("right"));
         let mut survey = Survey {
             times: vec![TimePair {
@@ -376,17 +375,17 @@ mod tests {
             ..Survey::default()
         };
         let first = |said| input("left", "", said);
-        let further = |said| input("right", "phones/right", said);
+        let other = |said| input("right", "phones/right", said);
         // The session's own word goes before what was recorded on the way.
         assert_eq!(prior(&first(known(103.0)), &survey), known(103.0));
         assert_eq!(prior(&first(None), &survey), known(102.0));
-        assert_eq!(prior(&further(None), &survey), known(202.0));
+        assert_eq!(prior(&other(None), &survey), known(202.0));
         survey.clocks.pop_last();
-        assert_eq!(prior(&further(None), &survey), None);
+        assert_eq!(prior(&other(None), &survey), None);
         // The first takes what there is.
         survey.clocks.clear();
         let pair = Some(Prior::Offset(7.0, RECORDED_MARGIN));
         assert_eq!(prior(&first(None), &survey), pair);
-        assert_eq!(prior(&further(None), &survey), None);
+        assert_eq!(prior(&other(None), &survey), None);
     }
 }

@@ -5,11 +5,12 @@
 
 use serde::Serialize;
 
+pub use super::constants::Constants;
 pub use super::grid::GridReport;
 pub use super::gyro_clock::WindowResult;
 use super::layout::Format;
 use super::pairs::{Histogram, Spread};
-pub use super::strip::FILE as SAMPLES_FILE;
+pub use super::sample_images::FILE as SAMPLES_FILE;
 use super::survey::ImuSpan;
 
 /// Something that is missing or damaged.
@@ -48,7 +49,7 @@ pub struct ExtractReport {
     /// Further phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
-    /// Sensors on further outputs, and a lidar.
+    /// Sensors on auxiliary outputs, and a lidar.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorReport>,
     /// The parts that marks divide the recording into.
@@ -59,21 +60,6 @@ pub struct ExtractReport {
     pub losses: Vec<Loss>,
     /// Worth knowing, but no loss.
     pub remarks: Vec<String>,
-}
-
-/// Constants that went into the times.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Constants {
-    /// Low-pass delay subtracted from the board's IMU times (not in the topics
-    /// layout), ns.
-    pub board_imu_delay_ns: i64,
-    /// The same of the phone, ns.
-    pub phone_imu_delay_ns: i64,
-    /// From the phone's frame timestamp to the middle of exposure of the middle
-    /// row, ns.
-    pub color_middle_ns: i64,
-    /// From the trigger pulse to the depth timestamp, ns.
-    pub depth_center_ns: i64,
 }
 
 /// The board's part.
@@ -237,7 +223,7 @@ pub struct PairsReport {
     pub course: Vec<(i64, i64)>,
 }
 
-/// A sensor on a further output, or a lidar.
+/// A sensor on a auxiliary output, or a lidar.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SensorReport {
     /// Its name.

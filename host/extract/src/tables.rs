@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::depth::DepthIndex;
 use super::depth_clock::{DepthMatch, FrameState, PulseTime};
-use super::frames::FrameTiming;
 use super::image::WholeFile;
 use super::pairs::{Pair, nearest};
 use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
@@ -63,17 +62,17 @@ impl DepthFrame {
     }
 }
 
-/// The phone's frames in board time. Frames that the clock does not map are left
-/// out (none, with a clock).
+/// The phone's frames in board time, each `to_middle` (ns) behind its timestamp. Frames that
+/// the clock does not map are left out (none, with a clock).
 pub(crate) fn color_frames(
     stamps: &[PhoneNanos],
     images: &[Option<usize>],
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
-    timing: FrameTiming,
+    to_middle: i64,
 ) -> Vec<ColorFrame> {
     let frame = |(row, &phone): (usize, &PhoneNanos)| {
         // Half of the exposure and the way to the row pass on the phone's clock.
-        let middle = PhoneNanos(phone.0.saturating_add(timing.to_middle()));
+        let middle = PhoneNanos(phone.0.saturating_add(to_middle));
         Some(ColorFrame {
             phone,
             start: clock.apply(phone)?,

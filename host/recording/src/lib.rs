@@ -48,6 +48,8 @@ pub mod writer;
 
 use std::path::{Path, PathBuf};
 
+use protocol::Ticks;
+
 pub use topic::{Item, Topic};
 
 /// Name of the MCAP file in the folder.
@@ -58,6 +60,15 @@ pub const SESSION_FILE: &str = "session.json";
 
 /// Name of the rig profile that is attached to the MCAP file.
 pub const PROFILE_FILE: &str = "profile.toml";
+
+/// Board time of a `log_time` or stamp, exactly.
+#[must_use]
+pub fn ticks_of_nanos(nanos: u64) -> Ticks {
+    // round(ns · 6 / 125); ticks are 20.83 ns apart, so rounding to nanoseconds
+    // and back is exact.
+    let ticks = (u128::from(nanos) * 6 + 62) / 125;
+    Ticks(u64::try_from(ticks).unwrap_or(u64::MAX))
+}
 
 /// The MCAP file of a recording: the one in its folder, or the file itself.
 #[must_use]

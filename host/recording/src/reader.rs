@@ -30,15 +30,6 @@ pub struct Reader {
     ended: bool,
 }
 
-/// Board time of a `log_time` or stamp, exactly.
-#[must_use]
-pub fn ticks_of_nanos(nanos: u64) -> Ticks {
-    // round(ns · 6 / 125); ticks are 20.83 ns apart, so rounding to nanoseconds
-    // and back is exact.
-    let ticks = (u128::from(nanos) * 6 + 62) / 125;
-    Ticks(u64::try_from(ticks).unwrap_or(u64::MAX))
-}
-
 impl Reader {
     /// Opens the recording in a folder, or an MCAP file.
     ///

@@ -13,10 +13,10 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use mcap::{McapError, Summary, WriteOptions};
+use mcap::{Compression, McapError, Summary, WriteOptions};
 
 use super::messages::RosMessage;
-use super::{MCAP_FILE, RecordingError, writer};
+use super::{MCAP_FILE, RecordingError};
 
 /// Bytes of a chunk of a bag of images.
 const CHUNK_BYTES: u64 = 4 << 20;
@@ -36,6 +36,17 @@ pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  d
     liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
     avoid_ros_namespace_conventions: false\n";
 
+/// Options of every file that this program writes.
+pub fn options() -> WriteOptions {
+    WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("smartdepthsync ", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Lz4))
+        // Chunks are closed by time.
+        .chunk_size(Some(16 << 20))
+        .disable_seeking(true)
+}
+
 /// A bag of any messages that is being written, packed by LZ4.
 pub struct Bag<'a> {
     pub(crate) mcap: mcap::Writer<NoSeek<Box<dyn io::Write + Send + 'a>>>,
@@ -50,7 +61,7 @@ impl<'a> Bag<'a> {
     ///
     /// Writing fails.
     pub fn create(to: impl io::Write + Send + 'a) -> Result<Self, McapError> {
-        Self::with_options(writer::options().chunk_size(Some(CHUNK_BYTES)), to)
+        Self::with_options(options().chunk_size(Some(CHUNK_BYTES)), to)
     }
 
     pub(crate) fn with_options(

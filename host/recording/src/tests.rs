@@ -11,7 +11,7 @@ use protocol::{
 
 use super::diagnostics::BoardCounters;
 use super::finding::Severity;
-use super::reader::{Entry, Item, Reader, ticks_of_nanos};
+use super::reader::{Entry, Item, Reader};
 use super::session_file::{SessionFile, SessionOutcome};
 use super::writer::Writer;
 use super::*;

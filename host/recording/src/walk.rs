@@ -31,10 +31,9 @@ use serde::Serialize;
 
 use super::chunks::{BadChunk, parse};
 use super::messages::CdrError;
-use super::reader::ticks_of_nanos;
 use super::scan::{Piece, Scan};
 use super::topic::{Item, Topic};
-use super::{RecordingError, bag, writer};
+use super::{RecordingError, bag, ticks_of_nanos, writer};
 
 /// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
 const NAME: usize = 1_000;

@@ -18,11 +18,11 @@ use std::io::{BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use mcap::{Attachment, Compression, WriteOptions};
+use mcap::Attachment;
 use protocol::{TICK_HZ, Ticks};
 
 use super::chunks::Chunk;
-use super::rosbag2::{self, Bag};
+use super::rosbag2::{self, Bag, options};
 use super::session_file::SessionFile;
 use super::topic::Topic;
 use super::{MCAP_FILE, PROFILE_FILE, RecordingError, SESSION_FILE};
@@ -214,17 +214,6 @@ fn attachments(nanos: u64, session: &SessionFile) -> impl Iterator<Item = Attach
                 data: Cow::Owned(text?.into_bytes()),
             })
         })
-}
-
-/// How recordings are written.
-pub fn options() -> WriteOptions {
-    WriteOptions::new()
-        .profile("ros2")
-        .library(concat!("smartdepthsync ", env!("CARGO_PKG_VERSION")))
-        .compression(Some(Compression::Lz4))
-        // Chunks are closed by time.
-        .chunk_size(Some(16 << 20))
-        .disable_seeking(true)
 }
 
 /// What describes the topics of every recording, as the writer makes it: records of types

@@ -227,11 +227,11 @@ fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
         ));
     }
     for other in &report.phones {
-        lines.push(("further phone", other_phone_line(other)));
+        lines.push(("other phone", other_phone_line(other)));
     }
     for sensor in &report.sensors {
         let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
-        lines.push(("further sensor", line));
+        lines.push(("auxiliary sensor", line));
     }
     lines
 }

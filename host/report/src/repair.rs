@@ -20,11 +20,11 @@ use serde::Serialize;
 use crate::verify::{Findings, Report, session_of, verify, walk};
 use recording::chunks::parse;
 use recording::finding::Finding;
-use recording::rosbag2::{self, METADATA_FILE};
+use recording::rosbag2::{self, METADATA_FILE, options};
 use recording::scan::Scan;
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::walk::{Channel, Event, FileReport, Message};
-use recording::writer::{attach, options};
+use recording::writer::attach;
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic, mcap_of};
 
 /// The result of a repair.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use extract::error::ExtractError;
-use extract::inputs::Options;
 use extract::layout::Format;
+use extract::options::Options;
 use extract::progress::{Progress, Silent};
 use extract::report::ExtractReport;
 use extract::run::{Job, run};

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use crate::extract_vendor::Case;
 use crate::synthetic::Synthetic;
-use extract::inputs::Options;
 use extract::layout::Format;
+use extract::options::Options;
 use test_support::python;
 
 /// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives. One of

@@ -5,8 +5,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::synthetic::{Synthetic, Truth, make};
-use extract::inputs::Options;
 use extract::layout::Format;
+use extract::options::Options;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};

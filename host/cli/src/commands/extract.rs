@@ -12,11 +12,12 @@ use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};
 use extract::error::ExtractError;
 use extract::geometry::View;
-use extract::inputs::{InputsError, Options};
+use extract::inputs::InputsError;
 use extract::layout::Format;
+use extract::options::Options;
+use extract::output_dir::OutputDirError;
 use extract::progress::Progress;
 use extract::run::{Job, run as extract};
-use extract::workplace::WorkplaceError;
 use phone::video_files::FilesError;
 
 /// The formats as the command line names them.
@@ -225,7 +226,7 @@ impl From<ExtractError> for Failure {
             ExtractError::Inputs(
                 InputsError::Io { error, .. } | InputsError::Phone(FilesError::Io { error, .. }),
             )
-            | ExtractError::Workplace(WorkplaceError::Io { error, .. }) => {
+            | ExtractError::OutputDir(OutputDirError::Io { error, .. }) => {
                 (ExitStatus::Storage, file_step(error.kind()))
             }
             ExtractError::Inputs(InputsError::Phone(_)) => {
@@ -239,11 +240,11 @@ impl From<ExtractError> for Failure {
                 "give --phone NAME=PATH as the phone is called in the profile",
             ),
             ExtractError::Inputs(_) => (ExitStatus::Usage, "name the depth recording with --depth"),
-            ExtractError::Workplace(WorkplaceError::Other { .. }) => (
+            ExtractError::OutputDir(OutputDirError::Other { .. }) => (
                 ExitStatus::Usage,
                 "replace it with --overwrite, or give another folder with --out",
             ),
-            ExtractError::Workplace(_) => (
+            ExtractError::OutputDir(_) => (
                 ExitStatus::Usage,
                 "give another folder with --out, or remove this one",
             ),

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use mcap::records::MessageHeader;
 use protocol::HostToDevice;
+use recording::rosbag2::options;
 use recording::session_file::SessionFile;
-use recording::writer::options;
 use recording::{MCAP_FILE, Topic};
 
 use super::hostile_files::{command, limited, utf8};

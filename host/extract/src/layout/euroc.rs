@@ -17,7 +17,7 @@ use std::path::Path;
 use recording::profile::{DistortionModel, Pose};
 
 use super::noise::Noise;
-use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
 use crate::image::write_whole;
 use crate::tables::write_rows;
@@ -46,17 +46,22 @@ impl Layout for Euroc {
         Some(ImuTable::plain("mav0/imu1/data.csv", IMU_HEADER))
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()> {
         let base = folder.join("mav0");
-        super::further::write(&base, tables)?;
+        super::auxiliary::write(&base, tables)?;
         let middle = format!(
             "phone camera; times are the middle of exposure of the middle row, {} ns after the phone's \
              frame timestamp",
-            facts.color_middle
+            facts.constants.color_middle_ns
         );
         let center = format!(
             "depth in mm, 0 is none; times are the centre of exposure, {} ns after the trigger pulse",
-            facts.depth_center
+            facts.constants.depth_center_ns
         );
         images(
             &base.join("cam0"),
@@ -88,12 +93,12 @@ impl Layout for Euroc {
         )?;
         let board = format!(
             "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
-            facts.board_imu_delay
+            facts.constants.board_imu_delay_ns
         );
         let phone = format!(
             "IMU of the phone in board time; accelerations interpolated to the gyroscope's times, \
              low-pass delay of {} ns subtracted",
-            facts.phone_imu_delay
+            facts.constants.phone_imu_delay_ns
         );
         for ((name, rate, noise), comment) in facts.imus().into_iter().zip([board, phone]) {
             if let Some(rate) = rate {

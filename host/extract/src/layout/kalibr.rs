@@ -19,7 +19,7 @@ use std::path::Path;
 
 use super::noise::Noise;
 use super::offset::{moved, write_offset};
-use super::{Facts, ImageKind, ImuTable, Layout, SequenceTables, number};
+use super::{DataSetInfo, ImageKind, ImuTable, Layout, SequenceTables, number};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::{BoardNanos, in_name};
@@ -65,9 +65,14 @@ impl Layout for Kalibr {
         Some(imu("kalibr/imu1.csv"))
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()> {
         let base = folder.join("kalibr");
-        super::further::write(folder, tables)?;
+        super::auxiliary::write(folder, tables)?;
         for (name, rate, noise) in facts.imus() {
             if let Some(rate) = rate {
                 let text = imu_yaml(name, rate, &noise);

@@ -4,8 +4,8 @@
 //! nothing about time. Paths are relative to a sequence's folder. Index files
 //! list only images that were written.
 
+mod auxiliary;
 mod euroc;
-mod further;
 mod kalibr;
 mod lerobot;
 mod noise;
@@ -20,10 +20,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use protocol::ImuSensor;
-
 use self::noise::Noise;
 use super::board_data::{ImuRow, Reference, TimePair};
+use super::constants::Constants;
 use super::geometry::{Cameras, View};
 use super::time::{BoardNanos, in_name};
 
@@ -123,15 +122,13 @@ pub(crate) struct ImageRow {
 
 /// What is known about the data, for the files beside it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Facts {
+pub(crate) struct DataSetInfo {
     /// Phone frames a second.
     pub(crate) color_rate: Option<f64>,
     /// Depth frames a second.
     pub(crate) depth_rate: Option<f64>,
     /// Samples a second of the board's IMU.
     pub(crate) board_imu_rate: Option<f64>,
-    /// Which sensor that is.
-    pub(crate) board_sensor: ImuSensor,
     /// Samples a second of the phone's gyroscope.
     pub(crate) phone_imu_rate: Option<f64>,
     /// Width and height of the phone's images.
@@ -148,21 +145,19 @@ pub(crate) struct Facts {
     pub(crate) camera_rate: Option<f64>,
     /// Width and height of them.
     pub(crate) camera_size: Option<(u32, u32)>,
-    /// Low-pass delay that is subtracted from the board's IMU times, ns.
-    pub(crate) board_imu_delay: i64,
-    /// The same of the phone.
-    pub(crate) phone_imu_delay: i64,
-    /// From the pulse to the depth timestamp, ns.
-    pub(crate) depth_center: i64,
-    /// From the phone's frame timestamp to the image's time, ns.
-    pub(crate) color_middle: i64,
+    /// What went into its times.
+    pub(crate) constants: Constants,
 }
 
-impl Facts {
+impl DataSetInfo {
     /// The IMUs of board and phone, as most formats call them: samples a second, and noise.
     fn imus(&self) -> [(&'static str, Option<f64>, Noise); 2] {
         [
-            ("imu0", self.board_imu_rate, Noise::of(&self.board_sensor)),
+            (
+                "imu0",
+                self.board_imu_rate,
+                Noise::of(&self.constants.board_sensor),
+            ),
             ("imu1", self.phone_imu_rate, noise::PHONE),
         ]
     }
@@ -233,7 +228,12 @@ pub(crate) trait Layout: Sync {
     /// # Errors
     ///
     /// Writing fails.
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()>;
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()>;
 }
 
 /// The camera's calibration goes beside the depth images.

@@ -24,7 +24,7 @@ use recording::profile::{DistortionModel, Intrinsics};
 use recording::rosbag2::{Bag, METADATA_FILE};
 
 use super::offset::{moved, write_offset};
-use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::board_data::ImuRow;
 use crate::image::{Decoded, WholeFile, read_png, write_whole};
 use crate::time::BoardNanos;
@@ -57,8 +57,13 @@ impl Layout for Ros2 {
         Some(ImuTable::plain(PHONE_IMU, ""))
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
-        super::further::write(folder, tables)?;
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()> {
+        super::auxiliary::write(folder, tables)?;
         write_offset(folder)?;
         let path = folder.join("ros2").join(MCAP_FILE);
         parts::join(folder, &path, tables, || {
@@ -71,7 +76,7 @@ fn write_bag(
     path: &Path,
     folder: &Path,
     tables: &SequenceTables<'_>,
-    facts: &Facts,
+    facts: &DataSetInfo,
 ) -> io::Result<()> {
     let mut file = WholeFile::create(path)?;
     let mut bag = Bag::create(&mut file).map_err(io::Error::other)?;
@@ -129,7 +134,7 @@ fn fill(
     bag: &mut Bag<'_>,
     folder: &Path,
     tables: &SequenceTables<'_>,
-    facts: &Facts,
+    facts: &DataSetInfo,
 ) -> io::Result<()> {
     let mut topics = 0;
     let cameras = add_cameras(bag, &mut topics, tables, facts)?;
@@ -182,7 +187,7 @@ fn add_cameras<'a>(
     bag: &mut Bag<'_>,
     topics: &mut usize,
     tables: &'a SequenceTables<'_>,
-    facts: &'a Facts,
+    facts: &'a DataSetInfo,
 ) -> io::Result<Vec<Camera<'a>>> {
     let (gray, depth) = (Form::Png("mono16"), Form::Png("16UC1"));
     let jpeg = Form::Jpeg(facts.camera_size);
@@ -232,7 +237,7 @@ fn add_imus(
     bag: &mut Bag<'_>,
     topics: &mut usize,
     folder: &Path,
-    facts: &Facts,
+    facts: &DataSetInfo,
 ) -> io::Result<Vec<Samples>> {
     let mut imus = Vec::new();
     let both = facts.imus().into_iter().zip([BOARD_IMU, PHONE_IMU]);

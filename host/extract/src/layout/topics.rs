@@ -17,7 +17,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::{ImuRow, Reference};
 use crate::tables::write_rows;
 
@@ -69,7 +69,12 @@ impl Layout for Topics {
         })
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        _facts: &DataSetInfo,
+    ) -> io::Result<()> {
         transformation(folder, &tables.color)?;
         transformation(folder, &tables.depth)?;
         transformation(folder, &tables.infrared)?;

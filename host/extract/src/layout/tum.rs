@@ -11,7 +11,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
 use crate::board_data::ImuRow;
 use crate::image::{depth_to_tum, write_whole};
 use crate::pairs;
@@ -67,8 +67,13 @@ impl Layout for Tum {
         None
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
-        super::further::write(folder, tables)?;
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()> {
+        super::auxiliary::write(folder, tables)?;
         let (color, size) = if self.of_camera {
             (&tables.camera, facts.camera_size)
         } else {

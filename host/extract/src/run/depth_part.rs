@@ -2,13 +2,16 @@
 
 use super::geometry_part::DepthView;
 use super::{Extraction, rate_of};
+use crate::constants::{CenterSource, Constants};
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
 use crate::error::ExtractError;
-use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
-use crate::layout::{Facts, ImageKind, calibration_path, number};
-use crate::report::{Constants, DepthReport};
+use crate::image_tables::{
+    CameraPaths, DepthImageView, DepthOutcome, DepthPaths, ImagesError, write_depth,
+};
+use crate::layout::{DataSetInfo, ImageKind, calibration_path, number};
+use crate::report::DepthReport;
 use crate::ros2_depth::Ros2Bag;
 use crate::sequence::Sequences;
 use crate::survey::Survey;
@@ -151,7 +154,7 @@ impl Extraction<'_> {
             );
         }
         let exposure = self.job.options.camera_exposure_ns;
-        let path = self.place.out.join("camera_frames.csv");
+        let path = self.output.out.join("camera_frames.csv");
         tables::write_camera(&path, frames, exposure).map_err(|error| self.failed(error))
     }
 
@@ -159,18 +162,16 @@ impl Extraction<'_> {
     /// Else it is the profile's, or the nominal one of the mode, made to fit to what the
     /// file says: its mode, its delays, and a colour camera that exposes longer.
     fn set_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        if self.job.options.depth_center_ns.is_some() {
-            return;
-        }
-        match self.inputs.phone.rig.depth_center_ns {
-            Some(_) => self.compare_mode(index, constants),
-            None => self.nominal_center(index, constants),
+        match constants.center_source {
+            CenterSource::Given => return,
+            CenterSource::Session => self.compare_mode(index, constants),
+            CenterSource::Unknown => self.nominal_center(index, constants),
         }
         // Without colour the recorder's library refuses a delay of depth behind it.
         let behind_color = index.depth_delay * i64::from(index.color.is_some());
         let delay = index.subordinate_delay.saturating_add(behind_color);
         if index.subordinate_delay != 0 || behind_color != 0 {
-            constants.depth_center_ns = constants.depth_center_ns.saturating_add(delay);
+            constants.delay_depth(delay);
             self.remarks.push(format!(
                 "the depth camera's file has delays that the profile does not know: \
                  {} µs behind the trigger (K4A_SUBORDINATE_DELAY_NS) and {} µs of depth behind colour \
@@ -200,7 +201,7 @@ impl Extraction<'_> {
             return;
         };
         let later = (exposure / 2 - half_train).max(0);
-        constants.depth_center_ns = constants.depth_center_ns.saturating_add(later);
+        constants.delay_depth(later);
         if later > 0 {
             self.remarks.push(format!(
                 "depth is timed {} µs later, because the camera exposed colour for {} µs",
@@ -234,7 +235,7 @@ impl Extraction<'_> {
                 "the time from pulse to centre of exposure is the profile's; give --depth-center-us",
             ),
         };
-        constants.depth_center_ns += change.unwrap_or(0);
+        constants.delay_depth(change.unwrap_or(0));
         self.remarks.push(format!(
             "the depth camera recorded in mode {file} and the profile says {profile}: {what}"
         ));
@@ -293,33 +294,36 @@ impl Extraction<'_> {
         };
         let layout = self.layout();
         let path = |kind, at| {
-            let folder = self.place.out.join(sequences.folder(sequences.at(at)));
+            let folder = self.output.out.join(sequences.folder(sequences.at(at)));
             Some(folder.join(layout.image_path(kind, at)?))
         };
-        let place_of = |frame: &DepthFrame| match frame.at.filter(|_| frame.is_used()) {
-            None => DepthPlace::default(),
-            Some(at) => DepthPlace {
+        let paths_of = |frame: &DepthFrame| match frame.at.filter(|_| frame.is_used()) {
+            None => DepthPaths::default(),
+            Some(at) => DepthPaths {
                 depth: path(ImageKind::Depth, at),
                 infrared: path(ImageKind::Infrared, at).filter(|_| self.job.options.infrared),
             },
         };
         let is_jpeg = depth.index.color.as_ref().is_some_and(ColorTrack::is_jpeg);
-        let color_place = |frame: &CameraFrame| {
+        let color_path = |frame: &CameraFrame| {
             let at = frame.at.filter(|_| is_jpeg)?;
             path(ImageKind::Camera, at)
         };
-        let places = CameraPlaces {
-            depth: frames.iter().map(place_of).collect(),
-            color: depth.color.iter().map(color_place).collect(),
+        let paths = CameraPaths {
+            depth: frames.iter().map(paths_of).collect(),
+            color: depth.color.iter().map(color_path).collect(),
         };
-        let outcome = match self.place.done::<DepthOutcome>("depth") {
+        let outcome = match self.output.done::<DepthOutcome>("depth") {
             Some(outcome) => outcome,
             None => {
-                let size = (depth.index.size, registration);
-                let written = write_depth(&input, &places, size, layout, self.progress);
+                let view = DepthImageView {
+                    size: depth.index.size,
+                    registration,
+                };
+                let written = write_depth(&input, &paths, view, layout, self.progress);
                 match written {
                     Ok(outcome) => {
-                        self.place
+                        self.output
                             .keep("depth", &outcome)
                             .map_err(|error| self.failed(error))?;
                         outcome
@@ -383,19 +387,19 @@ fn micros(nanos: i64) -> String {
 
 impl Depth {
     /// What is known about its data, seen like this.
-    pub(super) fn facts(&self, view: &DepthView) -> Facts {
+    pub(super) fn facts(&self, view: &DepthView) -> DataSetInfo {
         let size = match view {
             DepthView::Other(registration) => registration.out,
             _ => self.index.size,
         };
-        Facts {
+        DataSetInfo {
             depth_rate: rate_of(self.frames.iter().filter_map(|frame| frame.at)),
             depth_size: Some(size),
             infrared_size: Some(self.index.size),
             registered: matches!(view, DepthView::Other(_)),
             camera_rate: rate_of(self.color.iter().filter_map(|frame| frame.at)),
             camera_size: self.index.color.as_ref().map(|color| color.size),
-            ..Facts::default()
+            ..DataSetInfo::default()
         }
     }
 

@@ -6,11 +6,11 @@ use super::Extraction;
 use crate::board_data::{Reference, TimePair};
 use crate::error::ExtractError;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
-use crate::layout::{Facts, ImageKind, ImageRow, SequenceTables, file_names};
+use crate::layout::{DataSetInfo, ImageKind, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;
 use crate::report::SequenceReport;
+use crate::sample_images;
 use crate::sequence::Sequences;
-use crate::strip;
 use crate::tables::{CameraFrame, ColorFrame, DepthFrame};
 
 /// What there is for all sequences.
@@ -31,7 +31,7 @@ impl Extraction<'_> {
         below: &Path,
         sequences: &Sequences,
         written: &Written<'_>,
-        facts: &Facts,
+        facts: &DataSetInfo,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
         let layout = self.layout();
         let references = written.times.iter().map(|pair| &pair.of).collect();
@@ -50,7 +50,7 @@ impl Extraction<'_> {
             let here = names.iter().filter(|(of, _)| here(of));
             tables.names = here.map(|(&of, name)| (of, name.clone())).collect();
             let folder = sequences.folder(sequence);
-            let data = self.place.out.join(below).join(&folder);
+            let data = self.output.out.join(below).join(&folder);
             // Before the format may do away with the images, and of the sequence that has most.
             if tables.pairs.len() > drawn_from && self.draw_samples(&data, &tables)? {
                 drawn_from = tables.pairs.len();
@@ -79,12 +79,12 @@ impl Extraction<'_> {
         data: &Path,
         tables: &SequenceTables<'_>,
     ) -> Result<bool, ExtractError> {
-        let pairs = strip::samples(data, tables);
+        let pairs = sample_images::samples(data, tables);
         if pairs.iter().any(|(color, _)| !color.exists()) {
             return Ok(false);
         }
-        match strip::draw(&pairs) {
-            Ok(svg) => self.write(strip::FILE, svg.as_bytes())?,
+        match sample_images::draw(&pairs) {
+            Ok(svg) => self.write(sample_images::FILE, svg.as_bytes())?,
             // The images are right or wrong by themselves; the report does without.
             Err(error) => self
                 .remarks

@@ -26,34 +26,30 @@ use index_files::Written;
 use phone_part::Phone;
 
 use super::board_data::BoardEvent;
+use super::constants::Constants;
 use super::depth::DepthInput;
 use super::error::ExtractError;
-use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image::write_whole;
 use super::imu_tables::TableWriter;
-use super::inputs::{Inputs, Options, PhoneInput};
-use super::layout::{Facts, Format, Layout};
+use super::inputs::{Inputs, PhoneInput};
+use super::layout::{DataSetInfo, Format, Layout};
+use super::options::Options;
+use super::output_dir::{FileMark, OutputDir, check_outside};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
-use super::report::{
-    BoardReport, ClockReport, Constants, ExtractReport, Loss, PairsReport, SensorReport,
-};
+use super::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
 use super::sequence::Sequences;
 use super::streams::each_event;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame, Shutter};
 use super::time::BoardNanos;
-use super::workplace::{FileMark, Workplace, check_outside};
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
 
 /// The most pairs whose difference is drawn over time.
 const DRAWN_PAIRS: usize = 1_000;
-
-/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
-const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
 /// Version of the report's form.
 const REPORT_VERSION: u32 = 3;
@@ -81,7 +77,7 @@ pub struct Job {
 struct Extraction<'a> {
     job: &'a Job,
     inputs: Inputs,
-    place: Workplace,
+    output: OutputDir,
     progress: &'a dyn Progress,
     losses: Vec<Loss>,
     remarks: Vec<String>,
@@ -101,9 +97,9 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     run.note_published(&survey);
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
-    let mut constants = run.constants(&input);
+    let mut constants = input.constants;
 
-    let phone = run.read_phone(&input, &survey, &constants)?;
+    let phone = run.read_phone(&input, &survey)?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
 
@@ -119,24 +115,19 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     run.write_cameras(&cameras)?;
     let images = run.write_depth_images(depth.as_ref(), &view, &sequences, depth_frames)?;
     let camera = depth.as_ref().map_or(&[][..], |depth| &depth.color);
-    let (board_delay, phone_delay) = (constants.board_imu_delay_ns, constants.phone_imu_delay_ns);
-    run.write_board_imu(&sequences, board_delay)?;
-    let phone_imu = run.write_phone_imu(&input, phone.as_ref(), &sequences, phone_delay)?;
+    run.write_board_imu(&sequences, constants.board_imu_delay_ns)?;
+    let phone_imu = run.write_phone_imu(&input, phone.as_ref(), &sequences)?;
 
-    let facts = Facts {
+    let facts = DataSetInfo {
         color_rate: rate_of(color.iter().map(|frame| frame.at)),
         board_imu_rate: survey.imu.rate(),
-        board_sensor: input.rig.board_sensor,
         phone_imu_rate: phone_imu.rate,
         color_size: size,
         cameras,
-        board_imu_delay: board_delay,
-        phone_imu_delay: phone_delay,
-        depth_center: constants.depth_center_ns,
-        color_middle: constants.color_middle_ns,
+        constants,
         ..depth
             .as_ref()
-            .map_or_else(Facts::default, |depth| depth.facts(&view))
+            .map_or_else(DataSetInfo::default, |depth| depth.facts(&view))
     };
     let written = Written {
         times: &survey.times,
@@ -156,7 +147,8 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     let clock = phone.as_ref().and_then(Phone::clock_report);
     let mut phones = Vec::new();
     for other in run.inputs.others.clone() {
-        phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
+        let center = constants.depth_center_ns;
+        phones.push(run.other_phone(&other, &survey, &sequences, depth_frames, center)?);
     }
 
     let report = ExtractReport {
@@ -207,17 +199,17 @@ impl<'a> Extraction<'a> {
         let inputs = super::inputs::find(
             &job.recording,
             job.phone.as_deref(),
-            (job.depth.as_deref(), job.options.depth_topic.as_deref()),
-            &job.options.phones,
+            job.depth.as_deref(),
+            &job.options,
         )?;
         check_outside(&job.out, &job.recording)?;
         let marks = file_marks(&inputs);
-        let place = Workplace::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
+        let output = OutputDir::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
         Ok(Self {
             job,
             remarks: inputs.remarks.clone(),
             inputs,
-            place,
+            output,
             progress,
             losses: Vec::new(),
             unfinished: false,
@@ -239,13 +231,13 @@ impl Extraction<'_> {
 
     fn failed(&self, error: io::Error) -> ExtractError {
         ExtractError::Write {
-            path: self.place.out.clone(),
+            path: self.output.out.clone(),
             error,
         }
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {
-        write_whole(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
+        write_whole(&self.output.out.join(name), bytes).map_err(|error| self.failed(error))
     }
 
     fn write_report(&self, report: &ExtractReport) -> Result<(), ExtractError> {
@@ -283,11 +275,10 @@ impl Extraction<'_> {
         }
     }
 
-    /// Takes what is known of the published system's settings, which its bags do not say.
+    /// Takes what is known of the published system's settings, if the recording is its bag.
     fn note_published(&mut self, survey: &Survey) {
-        let rig = &mut self.inputs.phone.rig;
-        if survey.published && rig.board_imu_delay_ns.is_none() {
-            rig.board_imu_delay_ns = Some(PUBLISHED_DELAY_NS);
+        let constants = &mut self.inputs.phone.constants;
+        if survey.published && constants.take_published(&self.job.options) {
             self.remarks.push(String::from(
                 "a bag of the published system says nothing about its settings: the IMU's low-pass \
                  delay is taken as 1.9 ms, its register setting; exposure and readout of the phone are \
@@ -326,37 +317,6 @@ impl Extraction<'_> {
         }
     }
 
-    /// Options before what the session says; those of the phone are the phone's that
-    /// the trigger was aligned to.
-    fn constants(&self, phone: &PhoneInput) -> Constants {
-        let (options, rig) = (&self.job.options, &phone.rig);
-        let timing = self.timing(phone);
-        Constants {
-            board_imu_delay_ns: options
-                .board_imu_delay_ns
-                .or(rig.board_imu_delay_ns)
-                .unwrap_or(0),
-            phone_imu_delay_ns: options
-                .phone_imu_delay_ns
-                .filter(|_| !phone.is_other())
-                .or(rig.phone_imu_delay_ns)
-                .unwrap_or(0),
-            color_middle_ns: timing.to_middle(),
-            // The mode's own value is filled in when the depth recording is read.
-            depth_center_ns: options.depth_center_ns.or(rig.depth_center_ns).unwrap_or(0),
-        }
-    }
-
-    fn timing(&self, phone: &PhoneInput) -> FrameTiming {
-        let given = |option: Option<i64>| option.filter(|_| !phone.is_other());
-        FrameTiming {
-            exposure: given(self.job.options.exposure_ns).or(phone.rig.exposure_ns),
-            middle_row: given(self.job.options.readout_ns)
-                .map(|readout| readout / 2)
-                .or(phone.rig.middle_row_ns),
-        }
-    }
-
     /// Measures a phone's frames against the trigger's grid, over the recorded span.
     fn against_grid(
         &self,
@@ -386,8 +346,7 @@ impl Extraction<'_> {
         let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
         let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
         // How well a user knows what is given instead is not said.
-        let constant =
-            (phone.rig.constant_sigma_us).filter(|_| self.job.options.depth_center_ns.is_none());
+        let constant = phone.constants.constant_sigma_us;
         Some(PairsReport {
             spread,
             sigma_us: clock
@@ -407,7 +366,7 @@ impl Extraction<'_> {
         depth: &[DepthFrame],
         pairs: &[Pair],
     ) -> Result<(), ExtractError> {
-        let out = &self.place.out;
+        let out = &self.output.out;
         let write = || -> io::Result<()> {
             tables::write_pulses(&out.join("pulses.csv"), &survey.pulses, depth)?;
             if !depth.is_empty() {
@@ -420,7 +379,7 @@ impl Extraction<'_> {
 
     fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
         let table = self.layout().board_imu();
-        let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
+        let mut writer = TableWriter::new(table, &self.output.out, sequences, delay);
         let board = &self.inputs.board;
         let what = "writing the board's IMU";
         each_event(board, what, self.progress, |event| match event {
@@ -452,7 +411,7 @@ fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Ve
     pairs::find(&phone, &centres, period / 2)
 }
 
-/// What was on the further outputs, and the lidar, with their pulses.
+/// What was on the auxiliary outputs, and the lidar, with their pulses.
 fn sensors(survey: &Survey, lidar: Option<&str>) -> Vec<SensorReport> {
     let mut pulses = BTreeMap::<&str, usize>::new();
     for pair in &survey.times {

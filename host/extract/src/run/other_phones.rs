@@ -4,48 +4,51 @@
 use super::index_files::Written;
 use super::phone_part::Phone;
 use super::{Extraction, find_pairs, rate_of};
+use crate::constants::Constants;
 use crate::error::ExtractError;
 use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
-use crate::layout::Facts;
+use crate::layout::DataSetInfo;
 use crate::report::OtherReport;
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, DepthFrame};
 
 impl Extraction<'_> {
-    /// Extracts one of them.
+    /// Extracts one of them. `depth_center` (ns) is from pulse to depth timestamp.
     pub(super) fn other_phone(
         &mut self,
         input: &PhoneInput,
         survey: &Survey,
         sequences: &Sequences,
         depth: &[DepthFrame],
+        depth_center: i64,
     ) -> Result<OtherReport, ExtractError> {
-        let constants = self.constants(input);
-        let phone = self.read_phone(input, survey, &constants)?;
+        let constants = Constants {
+            depth_center_ns: depth_center,
+            ..input.constants
+        };
+        let phone = self.read_phone(input, survey)?;
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = find_pairs(color, depth, survey);
-        let folder = self.place.out.join(&input.folder);
+        let folder = self.output.out.join(&input.folder);
         let known = input.camera(None, None);
         tables::write_phone(&folder, (color, known.shutter), &pairs, depth)
             .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let size = video.as_ref().and_then(|video| video.size);
-        let delay = constants.phone_imu_delay_ns;
-        let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;
+        let imu = self.write_phone_imu(input, phone.as_ref(), sequences)?;
         if phone.is_some() {
-            let facts = Facts {
+            let facts = DataSetInfo {
                 color_rate: rate_of(color.iter().map(|frame| frame.at)),
                 phone_imu_rate: imu.rate,
                 color_size: size,
-                phone_imu_delay: delay,
-                color_middle: constants.color_middle_ns,
+                constants,
                 cameras: Cameras {
                     phone: input.camera(size, None),
                     ..Cameras::default()
                 },
-                ..Facts::default()
+                ..DataSetInfo::default()
             };
             // Depth, board and the pairs of images stand with the first phone.
             let written = Written {

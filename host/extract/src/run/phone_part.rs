@@ -15,7 +15,7 @@ use crate::inputs::PhoneInput;
 use crate::layout::ImageKind;
 use crate::phone_clock::{self, PhoneClock};
 use crate::phone_rows::PhoneRows;
-use crate::report::{ClockReport, Constants, Loss, PhoneReport};
+use crate::report::{ClockReport, Loss, PhoneReport};
 use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
@@ -45,7 +45,6 @@ impl Extraction<'_> {
         &mut self,
         input: &PhoneInput,
         survey: &Survey,
-        constants: &Constants,
     ) -> Result<Option<Phone>, ExtractError> {
         let Some(files) = input.files.clone() else {
             let how = match input.other_name() {
@@ -78,7 +77,7 @@ impl Extraction<'_> {
         }
         let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
-        let clock = match phone_clock::find(board, input, survey, constants, self.progress) {
+        let clock = match phone_clock::find(board, input, survey, self.progress) {
             Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
@@ -90,8 +89,8 @@ impl Extraction<'_> {
                 None
             }
         };
-        let timing = self.timing(input);
-        if !timing.is_known() && !stamps.is_empty() {
+        let constants = &input.constants;
+        if !constants.is_middle_known && !stamps.is_empty() {
             self.remarks.push(input.about(
                 "exposure or readout of the phone is not known: its images' times are earlier than the \
                  middle of exposure by half of what is missing; give --exposure-us and --readout-us",
@@ -105,7 +104,7 @@ impl Extraction<'_> {
             }
         }
         let frames = clock.as_ref().map_or_else(Vec::new, |clock| {
-            tables::color_frames(&stamps, &images, &clock.map, timing)
+            tables::color_frames(&stamps, &images, &clock.map, constants.color_middle_ns)
         });
         Ok(Some(Phone {
             name: files.name.clone(),
@@ -167,30 +166,30 @@ impl Extraction<'_> {
             return Ok(None);
         }
         let last = phone.frames.iter().filter_map(|frame| frame.image).max();
-        let mut places: Vec<Option<PathBuf>> = vec![None; last.map_or(0, |last| last + 1)];
+        let mut paths: Vec<Option<PathBuf>> = vec![None; last.map_or(0, |last| last + 1)];
         for frame in &phone.frames {
-            if let Some(place) = frame.image.and_then(|image| places.get_mut(image)) {
+            if let Some(slot) = frame.image.and_then(|image| paths.get_mut(image)) {
                 let folder = self
-                    .place
+                    .output
                     .out
                     .join(&input.folder)
                     .join(sequences.folder(sequences.at(frame.at)));
                 let path = layout.image_path(ImageKind::Color, frame.at);
-                *place = path.map(|path| folder.join(path));
+                *slot = path.map(|path| folder.join(path));
             }
         }
         let step = match input.other_name() {
             Some(name) => format!("video-{name}"),
             None => String::from("video"),
         };
-        let outcome = match self.place.done::<VideoOutcome>(&step) {
+        let outcome = match self.output.done::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
             None => match Video::open(&video, Pixels::Rgb) {
                 Ok(decoder) => {
-                    let outcome = write_video(decoder, &places, self.progress)?;
+                    let outcome = write_video(decoder, &paths, self.progress)?;
                     // With an error the next run tries again.
                     if outcome.error.is_none() {
-                        self.place
+                        self.output
                             .keep(&step, &outcome)
                             .map_err(|error| self.failed(error))?;
                     }
@@ -231,7 +230,6 @@ impl Extraction<'_> {
         input: &PhoneInput,
         phone: Option<&Phone>,
         sequences: &Sequences,
-        delay: i64,
     ) -> Result<PhoneImu, ExtractError> {
         let clock = phone.and_then(|phone| phone.clock.as_ref());
         let files = input.files.clone().unwrap_or_default();
@@ -249,8 +247,9 @@ impl Extraction<'_> {
             }
         };
         self.progress.begin("writing the phone's IMU", 0);
-        let out = self.place.out.join(&input.folder);
-        let mut writer = TableWriter::new(table, &out, sequences, delay);
+        let out = self.output.out.join(&input.folder);
+        let mut writer =
+            TableWriter::new(table, &out, sequences, input.constants.phone_imu_delay_ns);
         let mut span = ImuSpan::default();
         let mut joiner = Joiner::new(|| accel.next_sample());
         let read_error = loop {

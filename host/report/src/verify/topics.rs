@@ -6,7 +6,7 @@ use mcap::records::MessageHeader;
 use protocol::Ticks;
 use recording::Topic;
 use recording::finding::Severity;
-use recording::reader::ticks_of_nanos;
+use recording::ticks_of_nanos;
 
 use super::numbers::stream_of;
 use super::{Findings, TopicReport};

@@ -26,7 +26,7 @@ use self::stats::Stats;
 use self::table::{Column, Table};
 use super::euroc::IMU_HEADER;
 use super::ros::IMAGES_AT_A_TIME;
-use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::image::{Decoded, decode_png, read_png, write_whole};
 
 pub(super) struct Lerobot;
@@ -58,8 +58,13 @@ impl Layout for Lerobot {
         Some(ImuTable::plain("imu/phone.csv", IMU_HEADER))
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
-        super::further::write(folder, tables)?;
+    fn finish(
+        &self,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &DataSetInfo,
+    ) -> io::Result<()> {
+        super::auxiliary::write(folder, tables)?;
         let pairs = tables.pairs.iter();
         let pairs: Vec<Pair<'_>> = pairs
             .filter_map(|&(color, depth)| {
@@ -78,7 +83,7 @@ impl Layout for Lerobot {
 /// Images of phone and depth camera.
 type Pair<'a> = (&'a ImageRow, &'a ImageRow);
 
-fn write(folder: &Path, pairs: &[Pair<'_>], facts: &Facts) -> io::Result<()> {
+fn write(folder: &Path, pairs: &[Pair<'_>], facts: &DataSetInfo) -> io::Result<()> {
     let fps = facts
         .color_rate
         .map_or(30, |rate| rate.round().max(1.0) as u32);

@@ -21,7 +21,7 @@ const FOLDER: &str = ".extraction";
 
 /// Why the output folder cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub enum WorkplaceError {
+pub enum OutputDirError {
     /// It cannot be read or written.
     #[error("using the output folder {path}: {error}")]
     Io {
@@ -85,7 +85,7 @@ impl FileMark {
 
 /// An output folder in use.
 #[derive(Debug)]
-pub(crate) struct Workplace {
+pub(crate) struct OutputDir {
     /// The folder.
     pub(crate) out: PathBuf,
 }
@@ -97,20 +97,20 @@ struct Job<'a, T> {
     options: T,
 }
 
-impl Workplace {
+impl OutputDir {
     /// Takes the folder for an extraction of these files with these options. With
     /// `overwrite`, an extraction of others in it is removed first; nothing else ever is.
     ///
     /// # Errors
     ///
-    /// See [`WorkplaceError`].
+    /// See [`OutputDirError`].
     pub(crate) fn open<T: Serialize>(
         out: &Path,
         files: &[FileMark],
         options: T,
         overwrite: bool,
-    ) -> Result<Self, WorkplaceError> {
-        let fail = |error| WorkplaceError::Io {
+    ) -> Result<Self, OutputDirError> {
+        let fail = |error| OutputDirError::Io {
             path: out.to_owned(),
             error,
         };
@@ -143,13 +143,13 @@ impl Workplace {
                 write_whole(&mark, &job).map_err(fail)?;
             }
             Ok(_) => {
-                return Err(WorkplaceError::Other {
+                return Err(OutputDirError::Other {
                     path: out.to_owned(),
                 });
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 if fs::read_dir(out).map_err(fail)?.next().is_some() {
-                    return Err(WorkplaceError::NotEmpty {
+                    return Err(OutputDirError::NotEmpty {
                         path: out.to_owned(),
                     });
                 }
@@ -187,7 +187,7 @@ impl Workplace {
 /// # Errors
 ///
 /// It does.
-pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), WorkplaceError> {
+pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), OutputDirError> {
     let Ok(recording) = recording.canonicalize() else {
         return Ok(());
     };
@@ -201,7 +201,7 @@ pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), Workplac
         path.canonicalize().ok()
     });
     if recording.is_dir() && existing.is_some_and(|path| path.starts_with(&recording)) {
-        return Err(WorkplaceError::InInputs {
+        return Err(OutputDirError::InInputs {
             path: out.to_owned(),
         });
     }
@@ -219,32 +219,32 @@ mod tests {
         let input = folder.path().join("input");
         fs::write(&input, "x").unwrap();
         let files = [FileMark::of(&input).unwrap()];
-        let place = Workplace::open(&out, &files, 1, false).unwrap();
-        assert_eq!(place.done::<u32>("depth"), None);
-        place.keep("depth", &7).unwrap();
+        let output = OutputDir::open(&out, &files, 1, false).unwrap();
+        assert_eq!(output.done::<u32>("depth"), None);
+        output.keep("depth", &7).unwrap();
         assert_eq!(
-            Workplace::open(&out, &files, 1, true)
+            OutputDir::open(&out, &files, 1, true)
                 .unwrap()
                 .done::<u32>("depth"),
             Some(7)
         );
         assert!(matches!(
-            Workplace::open(&out, &files, 2, false),
-            Err(WorkplaceError::Other { .. })
+            OutputDir::open(&out, &files, 2, false),
+            Err(OutputDirError::Other { .. })
         ));
         assert!(matches!(
-            Workplace::open(&out, &[], 1, false),
-            Err(WorkplaceError::Other { .. })
+            OutputDir::open(&out, &[], 1, false),
+            Err(OutputDirError::Other { .. })
         ));
         // Only a former extraction is replaced, and all of it.
-        let taken = Workplace::open(folder.path(), &files, 1, true);
-        assert!(matches!(taken, Err(WorkplaceError::NotEmpty { .. })));
+        let taken = OutputDir::open(folder.path(), &files, 1, true);
+        assert!(matches!(taken, Err(OutputDirError::NotEmpty { .. })));
         fs::create_dir(out.join("mav0")).unwrap();
         fs::write(out.join("mav0/data.csv"), "old").unwrap();
-        let place = Workplace::open(&out, &files, 2, true).unwrap();
-        assert_eq!(place.done::<u32>("depth"), None);
+        let output = OutputDir::open(&out, &files, 2, true).unwrap();
+        assert_eq!(output.done::<u32>("depth"), None);
         assert!(!out.join("mav0").exists());
-        assert!(Workplace::open(&out, &files, 2, false).is_ok());
+        assert!(OutputDir::open(&out, &files, 2, false).is_ok());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Pulses of the further outputs and of the pulse per second, for the layouts that
+//! Pulses of the auxiliary outputs and of the pulse per second, for the layouts that
 //! have no folders of topics.
 //!
 //! `outputs/NAME.csv` with the board time of each pulse; a lidar's also has the UTC that

@@ -1,0 +1,347 @@
+//! A small recording of four seconds, made here, in every format.
+//!
+//! Times and a few rows are spelt out. All that is written is held against
+//! `small_recording.txt`: for each folder and ending the number of files and a checksum
+//! of their names and contents (of images the pixels, of bags the messages). With
+//! SMARTDEPTHSYNC_BLESS in the environment that file is written anew.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use board::imu::Sample;
+use extract::layout::Format;
+use extract::options::Options;
+use extract::progress::Silent;
+use extract::report::ExtractReport;
+use extract::run::{Job, run};
+use protocol::{ImuFlags, Output, Pps, Pulse, TICK_HZ, Ticks};
+use recording::RecordingError;
+use recording::messages::camera::Image;
+use recording::messages::{Header, Time, to_cdr};
+use recording::profile::Profile;
+use recording::rosbag2::{Bag, METADATA_FILE};
+use recording::session_file::SessionFile;
+use recording::walk::{Event, Walk};
+use recording::writer::Writer;
+use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+
+const SECONDS: u64 = 4;
+const SECOND_NS: i64 = 1_000_000_000;
+const FIRST: u64 = 48_000_011;
+/// Phone − board.
+const OFFSET_NS: i64 = 900_000 * SECOND_NS;
+/// From the pulse to the centre of exposure of the published rig's depth camera.
+const CENTER_NS: i64 = 6_362_500;
+
+/// The trigger's edges: a second on its grid, then a move by 100 µs a pulse, then on a grid
+/// again, so that the depth frames tell which pulse is whose.
+fn edges() -> Vec<Ticks> {
+    let step = |number: u64| 1_600_000 + if (30..60).contains(&number) { 4_800 } else { 0 };
+    let mut at = FIRST;
+    let mut next = |number| {
+        let edge = Ticks(at);
+        at += step(number);
+        edge
+    };
+    (0..SECONDS * 30).map(&mut next).collect()
+}
+
+fn nanos(at: Ticks) -> i64 {
+    i64::try_from(at.as_nanos()).unwrap()
+}
+
+fn relation() -> ClockModel {
+    ClockModel {
+        reference: BoardSeconds(2.0),
+        offset: 900_000.0,
+        skew: 0.0,
+        covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+        wander: Wander::default(),
+    }
+}
+
+fn write_board(folder: &Path) {
+    let mut writer = Writer::create(folder).unwrap();
+    let edges = edges();
+    let mut pulses = (0..).zip(edges.iter().copied()).peekable();
+    for number in 0..SECONDS * 250 {
+        let at = Ticks(FIRST - 5_000 + number * 192_000);
+        while let Some((number, at)) = pulses.next_if(|(_, edge)| *edge <= at) {
+            let pulse = Pulse {
+                output: Output::Camera,
+                seq: number as u32,
+                train: 1,
+                number,
+                at,
+                aligned: true,
+                readback: None,
+            };
+            writer.pulse(&pulse).unwrap();
+            if number % 30 == 0 {
+                let pulse = Pulse {
+                    output: Output::Two,
+                    seq: (number / 30) as u32,
+                    at: Ticks(at.0 + 4_800),
+                    ..pulse
+                };
+                writer.output_pulse(&pulse, "left").unwrap();
+                let second = number / 30;
+                let pps = Pps {
+                    seq: second as u32,
+                    at: Ticks((second + 2) * u64::from(TICK_HZ)),
+                    utc: 1_800_000_000 + second as i64,
+                };
+                writer.pps(&pps, "VLP-16").unwrap();
+            }
+        }
+        if number == 250 {
+            let clock = relation();
+            writer.clock_model(at, None, &clock, "twist 1").unwrap();
+        }
+        if number == 500 {
+            writer.marker(at, None, "door").unwrap();
+        }
+        let wave = (number % 50) as f64 * 1e-4;
+        let sample = Sample {
+            at,
+            flags: ImuFlags::default(),
+            gyro: [wave, -wave, 1e-3],
+            accel: [0.0, wave, 9.81],
+            temperature: 36.5,
+        };
+        writer.imu(&sample, number as u32).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut session = SessionFile::new("walk".into(), Profile::published().unwrap());
+    session.phones[0].clock = Some(relation());
+    session.save(folder).unwrap();
+}
+
+/// Depth frames from the fourth pulse on, without three, on a clock that is 300 ppm fast.
+fn depth_frames() -> Vec<(usize, i64)> {
+    let edges = edges();
+    let stamp = |edge: Ticks| {
+        let since = nanos(edge) - nanos(edges[0]);
+        let stamp = 1_600_000_000 * SECOND_NS + since + since * 3 / 10_000;
+        stamp - stamp % 11_111
+    };
+    let numbered = edges.iter().enumerate().skip(3);
+    let kept = numbered.filter(|(number, _)| ![20, 21, 75].contains(number));
+    kept.map(|(number, &edge)| (number, stamp(edge))).collect()
+}
+
+fn write_depth(folder: &Path) {
+    fs::create_dir(folder).unwrap();
+    let file = fs::File::create(folder.join("depth_0.mcap")).unwrap();
+    let mut bag = Bag::create(file).unwrap();
+    bag.add_topic::<Image>("/camera/depth/image_raw").unwrap();
+    for (number, stamp) in depth_frames() {
+        let pixels = (0..6 * 4_u16).map(|pixel| 1_000 + 7 * number as u16 + pixel);
+        let image = Image {
+            header: Header {
+                stamp: Time::from_nanos(stamp),
+                frame_id: String::from("depth"),
+            },
+            height: 4,
+            width: 6,
+            encoding: String::from("16UC1"),
+            is_bigendian: 0,
+            step: 12,
+            data: pixels.flat_map(u16::to_le_bytes).collect(),
+        };
+        let cdr = to_cdr(&image).unwrap();
+        bag.put(0, stamp.unsigned_abs(), &cdr).unwrap();
+    }
+    let metadata = bag.finish("depth_0.mcap").unwrap();
+    fs::write(folder.join(METADATA_FILE), metadata).unwrap();
+}
+
+fn write_phone(folder: &Path) {
+    fs::create_dir_all(folder).unwrap();
+    let rows = |first: i64, step: i64, count: i64, row: &dyn Fn(i64) -> String| -> String {
+        let times = (0..count).map(|number| OFFSET_NS + first + number * step);
+        times.map(|at| format!("{}{at}\n", row(at))).collect()
+    };
+    let name = "VID_20260131_140327";
+    let path = |ending: &str| folder.join(format!("{name}{ending}.csv"));
+    let frames = rows(SECOND_NS, 33_333_333, 110, &|_| String::new());
+    fs::write(path("_imu_timestamps"), frames).unwrap();
+    let gyro = rows(SECOND_NS, 10_000_000, 350, &|_| "0.001,0,-0.5,".into());
+    fs::write(path("gyro"), gyro).unwrap();
+    let accel = rows(SECOND_NS, 25_000_000, 140, &|at| {
+        format!("0.5,{},9.75,", at % 7)
+    });
+    fs::write(path("accel"), accel).unwrap();
+}
+
+/// The recording's folder, in `parent`.
+fn make(parent: &Path) -> PathBuf {
+    let folder = parent.join("walk");
+    fs::create_dir(&folder).unwrap();
+    write_board(&folder);
+    write_depth(&folder.join("depth"));
+    write_phone(&folder.join("20260131_140327"));
+    folder
+}
+
+fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
+    let out = recording.with_file_name(format.name());
+    let job = Job {
+        recording: recording.to_owned(),
+        phone: None,
+        depth: None,
+        format,
+        out: out.clone(),
+        options: Options {
+            depth_center_ns: Some(CENTER_NS),
+            ..Options::default()
+        },
+        overwrite: false,
+    };
+    (run(&job, &Silent).unwrap(), out)
+}
+
+fn lines(path: &Path) -> Vec<String> {
+    let text = fs::read_to_string(path).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn times_are_those_of_the_edges() {
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    let (report, out) = extract(&recording, Format::Euroc);
+    assert_eq!(report.board.pulses, 120);
+    assert_eq!(report.board.imu.samples, 1_000);
+    assert_eq!(report.board.marks_ns.len(), 1);
+    let depth = report.depth.unwrap();
+    assert_eq!((depth.frames, depth.matched), (114, 114), "{depth:?}");
+    assert_eq!(depth.missing, [20, 21, 75]);
+    let parts: Vec<_> = report.losses.iter().map(|loss| loss.part).collect();
+    assert_eq!(parts, ["phone", "depth"], "{:#?}", report.losses);
+
+    // Depth: edge and centre, to the nanosecond, each picture its own.
+    let centres: Vec<i64> = depth_frames()
+        .iter()
+        .map(|&(number, _)| nanos(edges()[number]) + CENTER_NS)
+        .collect();
+    let listed: Vec<String> = ["seq_0", "seq_1"]
+        .iter()
+        .flat_map(|part| lines(&out.join(part).join("mav0/depth0/data.csv")).split_off(1))
+        .collect();
+    let expected: Vec<String> = centres
+        .iter()
+        .map(|at| format!("{at:019},{at:019}.png"))
+        .collect();
+    assert_eq!(listed, expected);
+    let picture = out.join(format!("seq_0/mav0/depth0/data/{:019}.png", centres[0]));
+    let pixels = image::open(picture).unwrap().into_luma16().into_raw();
+    assert_eq!(pixels, Vec::from_iter(1_021..1_045));
+
+    // The phone: half of the profile's exposure and readout behind the timestamp.
+    let middle = (10_000_000 + 11_006_000) / 2;
+    let frames = lines(&out.join("phone_frames.csv"));
+    let row: Vec<&str> = frames[1].split(',').take(4).collect();
+    let expected = [0, OFFSET_NS + SECOND_NS, SECOND_NS, SECOND_NS + middle];
+    assert_eq!(row, expected.map(|at| at.to_string()));
+
+    // Sensors that the board triggers.
+    let left = lines(&out.join("seq_0/mav0/outputs/left.csv"));
+    assert_eq!(left[1], (nanos(edges()[0]) + 100_000).to_string());
+    let lidar = lines(&out.join("seq_0/mav0/outputs/gnss.csv"));
+    assert_eq!(lidar[1], "2000000000,1800000000000000000");
+
+    // In the published layout each pulse has the phone's time, from when that was known.
+    let (_, out) = extract(&recording, Format::Topics);
+    let times: Vec<String> = ["seq_0", "seq_1"]
+        .iter()
+        .flat_map(|part| lines(&out.join(part).join("_mcu_cameras_ts/time_ref.csv")))
+        .collect();
+    let row = |number: usize, phone: i64| format!("{number},{},{phone}", nanos(edges()[number]));
+    assert_eq!(times.len(), 120);
+    assert_eq!(times[0], row(0, 0));
+    let PhoneNanos(phone) = relation().ticks_to_phone(edges()[100]);
+    assert_eq!(times[100], row(100, phone));
+}
+
+#[test]
+fn every_format_is_as_it_was() {
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    let mut text = String::new();
+    for format in [
+        Format::Euroc,
+        Format::Tum,
+        Format::Topics,
+        Format::Kalibr,
+        Format::Ros2,
+    ] {
+        let (_, out) = extract(&recording, format);
+        text.push_str(&format!("{}\n", format.name()));
+        for ((folder, ending), (files, crc)) in checksums(&out) {
+            text.push_str(&format!("  {folder}/*.{ending} {files} {crc:08x}\n"));
+        }
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/small_recording.txt");
+    if std::env::var_os("SMARTDEPTHSYNC_BLESS").is_some() {
+        fs::write(&path, &text).unwrap();
+    }
+    assert_eq!(text, fs::read_to_string(&path).unwrap());
+}
+
+/// Of each folder and ending, how many files there are and a checksum over them.
+fn checksums(out: &Path) -> BTreeMap<(String, String), (u32, u32)> {
+    let mut paths = Vec::new();
+    let mut folders = vec![out.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => paths.push(path),
+            }
+        }
+    }
+    paths.sort();
+    let mut sums = BTreeMap::new();
+    for path in paths {
+        let name = path.strip_prefix(out).unwrap();
+        // What it was made from has times of change; the report says how, not what.
+        if name.starts_with(".extraction") || name == Path::new("report.json") {
+            continue;
+        }
+        let folder = name.parent().unwrap().to_string_lossy().into_owned();
+        let ending = path.extension().unwrap().to_string_lossy().into_owned();
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(name.to_string_lossy().as_bytes());
+        hasher.update(&content(&path, &ending));
+        let sum: &mut (u32, u32) = sums.entry((folder, ending)).or_default();
+        *sum = (sum.0 + 1, sum.1.rotate_left(1) ^ hasher.finalize());
+    }
+    sums
+}
+
+fn content(path: &Path, ending: &str) -> Vec<u8> {
+    match ending {
+        "png" => image::open(path).unwrap().into_bytes(),
+        "mcap" => {
+            let mut all = Vec::new();
+            let mut walk = Walk::open(path).unwrap();
+            while walk
+                .next_part::<RecordingError>(&mut |event| {
+                    if let Event::Message(message) = event {
+                        all.extend(message.channel.described.topic.as_bytes());
+                        all.extend(message.header.log_time.to_le_bytes());
+                        all.extend(message.data);
+                    }
+                    Ok(())
+                })
+                .unwrap()
+            {}
+            all
+        }
+        _ => fs::read(path).unwrap(),
+    }
+}
