@@ -25,20 +25,9 @@ pub struct Scale {
     /// Delay of the accelerometer's low-pass, µs.
     pub accel_delay_us: u32,
     /// °C of one count of the thermometer.
-    #[serde(default = "mpu_9150_celsius")]
     pub temperature_c: f64,
     /// °C at a count of zero.
-    #[serde(default = "mpu_9150_zero")]
     pub temperature_zero_c: f64,
-}
-
-/// Of recordings of boards that took an MPU-9150 alone (register map, 4.18).
-fn mpu_9150_celsius() -> f64 {
-    1.0 / 340.0
-}
-
-fn mpu_9150_zero() -> f64 {
-    35.0
 }
 
 /// Bandwidths of the gyroscope's low-pass, Hz.
@@ -503,16 +492,6 @@ mod tests {
     }
 
     /// The scale of a session file from before there were other sensors.
-    #[test]
-    fn an_older_scale_is_that_of_an_mpu_9150() {
-        let mut older = serde_json::to_value(Scale::of(&setup()).unwrap()).unwrap();
-        let fields = older.as_object_mut().unwrap();
-        assert!(fields.remove("temperature_c").is_some());
-        assert!(fields.remove("temperature_zero_c").is_some());
-        let scale: Scale = serde_json::from_value(older).unwrap();
-        assert_eq!(scale, Scale::of(&setup()).unwrap());
-    }
-
     #[test]
     fn intervals_across_a_gap_or_a_recovery_are_left_out() {
         let scale = Scale::of(&setup()).unwrap();

@@ -272,7 +272,6 @@ impl Sorter {
             | Item::Link(_)
             | Item::HostTime(_)
             | Item::Period(_)
-            | Item::Run(_)
             | Item::Log(_) => {}
         }
     }

@@ -320,30 +320,6 @@ impl RosMessage for ClockModel {
         float64 offset_s\nfloat64 skew\nfloat64[4] covariance\nfloat64 wander\nstring source\n";
 }
 
-/// `smartdepthsync_msgs/msg/BoardRun`: the board was reset, and how its time goes
-/// on in the recording from here.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BoardRun {
-    /// Tick 0 of the run in recorded time: all of the run lies behind it.
-    pub header: Header,
-    /// The board's number of this run.
-    pub epoch: u32,
-    /// Why it was reset, in words.
-    pub reset_cause: String,
-    /// Recorded ticks less the board's own in this run.
-    pub shift_ticks: u64,
-    /// 1-sigma of the shift, in seconds.
-    pub shift_sigma_s: f64,
-    /// The last recorded tick of the run before.
-    pub last_ticks: u64,
-}
-
-impl RosMessage for BoardRun {
-    const TYPE: &'static str = "smartdepthsync_msgs/msg/BoardRun";
-    const DEFINITION: &'static str = "std_msgs/Header header\nuint32 epoch\nstring reset_cause\n\
-        uint64 shift_ticks\nfloat64 shift_sigma_s\nuint64 last_ticks\n";
-}
-
 /// `smartdepthsync_msgs/msg/ClockExchange`: a clock was asked for its time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockExchange {

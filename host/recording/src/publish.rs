@@ -9,16 +9,14 @@ use super::diagnostics::diagnostics;
 use super::finding::Severity;
 use super::grid::Grid;
 use super::messages::{
-    BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, ImuFlags, LinkFrame, Log, Pulse,
-    Temperature, Time, TimeReference, TriggerPeriod,
+    Capture, ClockExchange, ClockModel, Header, Imu, ImuFlags, LinkFrame, Log, Pulse, Temperature,
+    Time, TimeReference, TriggerPeriod,
 };
 use super::topic::Item;
 use super::writer::Writer;
 use board::imu::Sample;
-use board::reset_cause;
 use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
-use timebase::runs::Joint;
 
 impl Writer {
     /// An IMU sample, with the board's number of it.
@@ -204,33 +202,6 @@ impl Writer {
                 None => Item::Clock(message),
                 Some(_) => Item::PhoneClock(message),
             },
-        )
-    }
-
-    /// The board was reset: a later run begins. `since` is tick 0 of it, `last` the
-    /// last tick of the run before, both recorded; `joint` says how they hang
-    /// together.
-    ///
-    /// # Errors
-    ///
-    /// As [`Writer::imu`].
-    pub fn board_run(
-        &mut self,
-        since: Ticks,
-        hello: &protocol::Hello,
-        joint: &Joint,
-        last: Ticks,
-    ) -> Result<(), RecordingError> {
-        self.put(
-            since,
-            Item::Run(BoardRun {
-                header: header(since, "board"),
-                epoch: hello.epoch,
-                reset_cause: reset_cause(hello.reset_cause).to_owned(),
-                shift_ticks: joint.shift,
-                shift_sigma_s: joint.sigma_s,
-                last_ticks: last.0,
-            }),
         )
     }
 

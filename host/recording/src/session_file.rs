@@ -54,9 +54,6 @@ pub struct SessionFile {
     pub phones: Vec<PhoneRecord>,
     /// How the trigger was aligned.
     pub alignment: Option<Alignment>,
-    /// The board's runs after the first: each begins with a reset.
-    #[serde(default)]
-    pub runs: Vec<BoardRun>,
     /// How the phone's clock was followed while it recorded; nothing if it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tracking: Option<TrackInfo>,
@@ -112,7 +109,6 @@ pub struct BoardInfo {
     /// Built from changed files.
     pub git_dirty: bool,
     /// Which board it is.
-    #[serde(default = "discovery")]
     pub model: BoardModel,
     /// Version of the protocol.
     pub protocol: u16,
@@ -122,11 +118,6 @@ pub struct BoardInfo {
     pub epoch: u32,
     /// Why it last reset.
     pub reset_cause: ResetCause,
-}
-
-/// The only board that there was when session files did not say so.
-fn discovery() -> BoardModel {
-    BoardModel::Discovery
 }
 
 /// The board's IMU.
@@ -249,7 +240,7 @@ pub struct Alignment {
     /// The constant bias that was subtracted, µs.
     pub bias_us: f64,
     /// 1-sigma of the constant between the two exposures, µs
-    /// ([`Profile::constant_sigma_us`]); older sessions have none.
+    /// ([`Profile::constant_sigma_us`]).
     #[serde(default)]
     pub constant_sigma_us: Option<f64>,
     /// Distance of phone frames in the phone's time, ns.
@@ -321,27 +312,6 @@ pub enum FramePeriodSource {
     VideoStart,
 }
 
-/// A run of the board after a reset within the recording. All times are recorded
-/// ones: the board's own plus `shift`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BoardRun {
-    /// The board's number of the run.
-    pub epoch: u32,
-    /// Why it was reset.
-    pub reset_cause: ResetCause,
-    /// The last time known of the run before.
-    pub last: Ticks,
-    /// Tick 0 of this run.
-    pub from: Ticks,
-    /// Recorded ticks less the board's.
-    pub shift: u64,
-    /// 1-sigma of the shift, µs: the phase of the trigger against the phone's
-    /// frames is uncertain by as much in this run.
-    pub shift_sigma_us: f64,
-    /// The edge from which the trigger was on its grid again, once it was.
-    pub anchor: Option<Ticks>,
-}
-
 /// A marker of the user.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Marker {
@@ -375,7 +345,6 @@ impl SessionFile {
             preflight: Vec::new(),
             phones,
             alignment: None,
-            runs: Vec::new(),
             tracking: None,
             recorded: None,
             markers: Vec::new(),

@@ -6,9 +6,8 @@
 //! board numbers them, so that a gap shows what was lost anywhere on the way.
 
 use super::messages::{
-    BoardRun, Capture, CdrError, ClockExchange, ClockModel, DiagnosticArray, Imu, ImuFlags,
-    LinkFrame, Log, Pulse, RosMessage as _, Temperature, TimeReference, TriggerPeriod, from_cdr,
-    to_cdr,
+    Capture, CdrError, ClockExchange, ClockModel, DiagnosticArray, Imu, ImuFlags, LinkFrame, Log,
+    Pulse, RosMessage as _, Temperature, TimeReference, TriggerPeriod, from_cdr, to_cdr,
 };
 
 macro_rules! topics {
@@ -114,8 +113,6 @@ topics! {
     Output: Pulse = "/board/output_pulse",
     /// Pulses per second; `time_ref` is the UTC that a lidar was told.
     Gnss: TimeReference = "/board/gnss",
-    /// The board was reset: how its time goes on.
-    Run: BoardRun = "/session/board_run",
     /// The relation of the clocks of a further phone; `frame_id` says whose.
     PhoneClock: ClockModel = "/session/phone_clock_model",
     /// Board and phone were asked for their time, while the phone's clock is followed.

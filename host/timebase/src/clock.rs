@@ -54,12 +54,6 @@ impl ClockModel {
         (*self).into()
     }
 
-    /// The same relation where all of the board's times are later by `seconds`.
-    #[must_use]
-    pub fn with_board_later(self, seconds: f64) -> Self {
-        self.relation().with_a_later(seconds).into()
-    }
-
     /// The offset (phone − board) at a board time, with a sigma that grows with
     /// the distance from the reference.
     #[must_use]

@@ -6,7 +6,6 @@
 //! other is [`ClockModel`].
 
 mod clock;
-pub mod runs;
 mod tracks;
 
 pub use clock::ClockModel;
