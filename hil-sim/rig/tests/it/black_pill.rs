@@ -1,7 +1,7 @@
 //! The firmware of the WeAct Black Pill on a simulated STM32F411CE: what the tests of the
 //! STM32F4DISCOVERY hold in length, in short.
 
-use crate::board_host::{Board, train};
+use crate::board_host::{Board, GNSS, train};
 use crate::imu_bench::Bench;
 use crate::trigger::check_train;
 use protocol::*;
@@ -98,16 +98,7 @@ fn what_it_does_not_have_is_refused() {
         let start = train(Period::from_ticks(TICK_HZ / 30), MIN_OUTPUT_WIDTH);
         assert_eq!(board.ask(StartTrigger { output, start }), Err(refused));
     }
-    let settings = GnssSettings {
-        utc_at_zero: 1_795_234_567,
-        baud: Baud::B9600,
-        line_inverted: false,
-        sentences: Sentences::Rmc,
-        delay_ms: 50,
-        pulse_width: TICK_HZ / 50,
-        pulse_inverted: false,
-    };
-    assert_eq!(board.ask(StartGnss(settings)), Err(refused));
+    assert_eq!(board.ask(StartGnss(GNSS)), Err(refused));
     assert!(board.ask(QueryTrigger(Output::Camera)).is_ok());
 }
 

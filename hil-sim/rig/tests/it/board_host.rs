@@ -218,6 +218,17 @@ impl Board {
     }
 }
 
+/// Settings for a Velodyne.
+pub(crate) const GNSS: GnssSettings = GnssSettings {
+    utc_at_zero: 1_795_234_567,
+    baud: Baud::B9600,
+    line_inverted: true,
+    sentences: Sentences::Rmc,
+    delay_ms: 50,
+    pulse_width: 20 * (TICK_HZ / 1_000),
+    pulse_inverted: false,
+};
+
 /// A train from now on.
 pub(crate) const fn train(period: Period, width: u32) -> TriggerStart {
     TriggerStart {

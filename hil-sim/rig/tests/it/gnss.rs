@@ -3,24 +3,13 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, train};
+use crate::board_host::{Board, GNSS, UNITS_PER_TICK, train};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::{SimDuration, SimTime};
-
-/// A Velodyne's.
-const SETTINGS: GnssSettings = GnssSettings {
-    utc_at_zero: 1_795_234_567,
-    baud: Baud::B9600,
-    line_inverted: true,
-    sentences: Sentences::Rmc,
-    delay_ms: 50,
-    pulse_width: 20 * (TICK_HZ / 1_000),
-    pulse_inverted: false,
-};
 
 struct Bench {
     board: Board,
@@ -109,7 +98,7 @@ fn a_lidar_takes_its_time_from_the_board() {
     // 2026-12-31 23:59:40 at tick 0.
     let settings = GnssSettings {
         utc_at_zero: 1_798_761_580,
-        ..SETTINGS
+        ..GNSS
     };
     let mut bench = Bench::new(LidarConfig::default());
     let report = bench.start(settings);
@@ -145,7 +134,7 @@ fn every_rate_and_polarity_is_read() {
                 pulse_inverted: !line_inverted,
                 sentences: Sentences::RmcZda,
                 pulse_width: MIN_OUTPUT_WIDTH,
-                ..SETTINGS
+                ..GNSS
             };
             bench.start(settings);
             bench.board.run(1_000);
@@ -166,7 +155,7 @@ fn a_line_without_its_inverting_gate_is_not_understood() {
         gate_inverts: false,
         ..LidarConfig::default()
     });
-    bench.start(SETTINGS);
+    bench.start(GNSS);
     bench.board.run(4_000);
     let seconds = lock(&bench.lidar).take_seconds();
     assert!(seconds.len() >= 2);
@@ -177,7 +166,7 @@ fn a_line_without_its_inverting_gate_is_not_understood() {
 #[test]
 fn no_second_is_lost_under_full_load() {
     let mut bench = Bench::new(LidarConfig::default());
-    bench.start(SETTINGS);
+    bench.start(GNSS);
     for output in Output::FURTHER {
         let start = train(Period::from_picos(1_500_000_000).unwrap(), MIN_OUTPUT_WIDTH);
         bench.board.ask(StartTrigger { output, start }).unwrap();
@@ -189,7 +178,7 @@ fn no_second_is_lost_under_full_load() {
         bench.board.send(QueryGnss);
         bench.board.run(20);
     }
-    assert!(bench.check(&SETTINGS).len() >= 8);
+    assert!(bench.check(&GNSS).len() >= 8);
     assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
     let status = bench.board.next_status();
     assert_eq!((status.gnss.missed, status.gnss.late), (0, 0));
@@ -201,11 +190,11 @@ fn no_second_is_lost_under_full_load() {
 #[test]
 fn a_stop_finishes_what_it_began() {
     let mut bench = Bench::new(LidarConfig::default());
-    bench.start(SETTINGS);
+    bench.start(GNSS);
     bench.board.run(2_000);
     let other = GnssSettings {
-        utc_at_zero: SETTINGS.utc_at_zero + 1_000,
-        ..SETTINGS
+        utc_at_zero: GNSS.utc_at_zero + 1_000,
+        ..GNSS
     };
     let refused = bench.board.ask(StartGnss(other));
     assert_eq!(refused, Err(Refusal::GnssRunning));
@@ -219,18 +208,18 @@ fn a_stop_finishes_what_it_began() {
         let ms = (stop_at - bench.board.rig.now()).as_nanos() / 1_000_000;
         bench.board.run(ms);
         bench.stop();
-        let refused = bench.board.ask(StartGnss(SETTINGS));
+        let refused = bench.board.ask(StartGnss(GNSS));
         assert_eq!(refused, Err(Refusal::GnssStopping));
         bench.board.run(1_500);
         assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
         let edges = bench.board.rig.edge_count(Pin::PE9);
         bench.board.run(2_000);
         assert_eq!(bench.board.rig.edge_count(Pin::PE9), edges);
-        bench.check(&SETTINGS);
-        bench.start(SETTINGS);
+        bench.check(&GNSS);
+        bench.start(GNSS);
         bench.board.run(2_500);
     }
-    bench.check(&SETTINGS);
+    bench.check(&GNSS);
 }
 
 #[test]
@@ -240,14 +229,14 @@ fn what_the_board_cannot_keep_is_refused() {
         (
             GnssSettings {
                 utc_at_zero: 0,
-                ..SETTINGS
+                ..GNSS
             },
             Refusal::GnssDateOutOfRange,
         ),
         (
             GnssSettings {
                 pulse_width: 0,
-                ..SETTINGS
+                ..GNSS
             },
             Refusal::WidthOutOfRange {
                 min: MIN_OUTPUT_WIDTH,
@@ -257,7 +246,7 @@ fn what_the_board_cannot_keep_is_refused() {
         (
             GnssSettings {
                 delay_ms: 450,
-                ..SETTINGS
+                ..GNSS
             },
             Refusal::GnssWindowExceeded { ends_us: 525_000 },
         ),

@@ -5,7 +5,8 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, train};
+use crate::board_host::{Board, GNSS, UNITS_PER_TICK, train};
+use crate::trigger::check_aligns;
 use crate::trigger_rig::Strobe;
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
@@ -148,13 +149,8 @@ impl Bench {
             self.trains.push(Train::new(pin, &status));
         }
         let gnss = GnssSettings {
-            utc_at_zero: 1_795_234_567,
-            baud: Baud::B9600,
-            line_inverted: true,
             sentences: Sentences::RmcZda,
-            delay_ms: 50,
-            pulse_width: 20 * (TICK_HZ / 1_000),
-            pulse_inverted: false,
+            ..GNSS
         };
         let Ok(_) = self.board.ask(StartGnss(gnss)) else {
             panic!("refused");
@@ -383,69 +379,13 @@ fn a_multiple_stays_on_every_sixth_pulse() {
     assert_eq!(sixths[..slow.len()], slow[..]);
 }
 
-/// From random phases, with fractions: arrives at 0 ticks where it said, within
-/// the slew, without losing or doubling a pulse.
 #[test]
 fn every_align_of_an_output_arrives_on_its_grid() {
     let mut bench = Bench::new();
     let period = picos(50_000_123_457);
-    let start = train(period, OUTPUT_WIDTH);
-    bench.start(Output::Three, start);
-    bench.board.run(100);
-    let mut random = 0x2545_F491_4F6C_DD1D_u64;
-    let mut next = || {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        random
-    };
-    let mut previous: Option<Pulse> = None;
-    for round in 0..40_u32 {
-        let now = bench.board.now();
-        let to = TriggerAlign {
-            anchor: Ticks(now.0 + next() % (1_800 * u64::from(TICK_HZ))),
-            anchor_fraction: next() as u32,
-            period,
-            slew: if round % 5 == 4 { 0 } else { 400_000 },
-        };
-        let output = Output::Three;
-        let id = bench.board.send(AlignTrigger { output, to });
-        bench
-            .board
-            .wait(2_000, |board| board.arrived.iter().any(|a| a.command == id));
-        let arrived = *bench.board.arrived.last().unwrap();
-        assert_eq!(
-            (arrived.output, arrived.remaining),
-            (Output::Three, TickDelta::ZERO)
-        );
-        // anchor + j · period for a whole j, exactly.
-        let anchor = (u128::from(to.anchor.0) << 32) | u128::from(to.anchor_fraction);
-        let away = arrived.at - to.anchor;
-        let j = (away.as_secs_f64() / period.as_secs_f64()).round() as i128;
-        let exact = anchor as i128 + j * i128::from(period.0);
-        assert_eq!(i128::from(arrived.at.0), exact >> 32, "round {round}");
-        for pulse in bench.board.output_pulses.drain(..) {
-            if let Some(previous) = previous {
-                assert_eq!(pulse.number, previous.number + 1, "lost or doubled");
-                let moved = (pulse.at - previous.at).0 - i64::from(period.ticks());
-                let most = if to.slew == 0 {
-                    period.ticks()
-                } else {
-                    to.slew
-                };
-                assert!(
-                    moved.unsigned_abs() <= u64::from(most) + 1,
-                    "moved by {moved}"
-                );
-            }
-            previous = Some(pulse);
-        }
-    }
-    let status = bench.board.next_status();
-    assert_eq!(status.outputs[1].late, 0);
-    // Each pulse that was reported was made.
-    let pulses = bench.board.rig.edge_count(Pin::PE13) / 2;
-    assert!(pulses.abs_diff(previous.unwrap().number + 1) <= 30);
+    bench.start(Output::Three, train(period, OUTPUT_WIDTH));
+    check_aligns(&mut bench.board, (Output::Three, Pin::PE13), period, 40);
+    assert_eq!(bench.board.next_status().outputs[1].late, 0);
 }
 
 #[test]

@@ -124,26 +124,6 @@ fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
 }
 
 #[test]
-fn with_the_external_clock_a_sample_comes_every_96_000_ticks() {
-    let mut bench = running(SimImuConfig::ideal(), "rest");
-    bench.run(SimDuration::from_secs(10));
-    let edges = bench.times(Pin::PA1, Drive::High);
-    assert!(edges.len() > 4970, "{}", edges.len());
-    assert!(intervals(&edges).iter().all(|i| *i == 96_000 * TICK));
-    let logged: Vec<_> = bench.model.log().iter().filter(|r| r.edge).collect();
-    assert_eq!(logged.len(), edges.len());
-    assert!(logged.iter().zip(&edges).all(|(r, t)| r.at == *t));
-    // Falling edges 50 µs later.
-    let falls = bench.times(Pin::PA1, Drive::Low);
-    assert!(
-        edges
-            .iter()
-            .zip(&falls[1..])
-            .all(|(up, down)| *down - *up == PULSE)
-    );
-}
-
-#[test]
 fn the_divider_and_the_reference_set_the_rate() {
     for (config, divider, hz, ticks) in [
         (1, 0, 19_200_000, 48_000),
