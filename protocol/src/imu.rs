@@ -204,9 +204,7 @@ pub struct ImuSetup {
     pub accel_delay_us: u32,
     /// How it fares.
     pub status: ImuStatus,
-    /// Which sensor it is. Recordings of boards up to version 3, which took an MPU-9150
-    /// alone, do not have it.
-    #[serde(default)]
+    /// The sensor that was found.
     pub sensor: ImuSensor,
 }
 

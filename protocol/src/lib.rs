@@ -28,23 +28,6 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
-/// Constants of registers, and a function from their numbers to their names.
-macro_rules! registers {
-    ($($(#[$doc:meta])* $name:ident = $number:expr;)*) => {
-        $($(#[$doc])* pub const $name: u8 = $number;)*
-
-        /// The name of a register in the register map, if it is one of these.
-        #[must_use]
-        pub const fn register_name(register: u8) -> Option<&'static str> {
-            match register {
-                $($name => Some(stringify!($name)),)*
-                _ => None,
-            }
-        }
-    };
-}
-use registers;
-
 pub mod board;
 pub mod capture;
 pub mod commands;

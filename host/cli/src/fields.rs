@@ -20,7 +20,11 @@ fn line(line: &str) -> Option<String> {
         "}" | "]" => return None,
         "{" | "[" if line == value => return None,
         "{" | "[" => String::new(),
-        value => serde_json::from_str(value).unwrap_or_else(|_| value.to_owned()),
+        // A text of several lines stays as it is in JSON: no line of it looks like a field.
+        value => serde_json::from_str(value)
+            .ok()
+            .filter(|text: &String| !text.contains('\n'))
+            .unwrap_or_else(|| value.to_owned()),
     };
     Some(format!("{indent}{name}{value}").trim_end().to_owned())
 }
@@ -34,12 +38,12 @@ mod tests {
     #[test]
     fn a_field_a_line_and_lists_with_dashes() {
         let value = json!({
-            "a": "x \": y\n{", "b": { "c": -1.5, "d": null }, "e": [1, "two"],
+            "a": "x \": y{", "z": "1\nb: 2", "b": { "c": -1.5, "d": null }, "e": [1, "two"],
             "f": [{ "g": true }, { "g": false }], "h": [],
         });
         let json = serde_json::to_string_pretty(&value).unwrap();
-        let expected = "a: x \": y\n{\nb:\n  c: -1.5\n  d: null\ne:\n  - 1\n  - two\n\
-                        f:\n  -\n    g: true\n  -\n    g: false\nh: []";
+        let expected = "a: x \": y{\nb:\n  c: -1.5\n  d: null\ne:\n  - 1\n  - two\n\
+                        f:\n  -\n    g: true\n  -\n    g: false\nh: []\nz: \"1\\nb: 2\"";
         assert_eq!(text(&json), expected);
         assert_eq!(text("{}"), "- {}");
     }

@@ -44,7 +44,7 @@ pub(crate) struct Args {
 
 /// The checks of a rig, and what could not be checked.
 #[derive(Debug, Default, Serialize)]
-pub(crate) struct Found {
+struct Found {
     #[serde(flatten)]
     pub(crate) checks: Checks,
     /// The exit code of the first failure, where no bad check came before it.
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 }
 
 /// Makes the checks.
-pub(crate) fn look(args: &Args, context: &Context) -> Found {
+fn look(args: &Args, context: &Context) -> Found {
     let mut found = Found::default();
     let profile = match args.profile.load() {
         Ok((mut profile, place)) => {

@@ -7,7 +7,6 @@
 use std::io::{BufRead, IsTerminal as _};
 use std::path::PathBuf;
 
-use serde::Serialize;
 use toml_edit::{Array, value};
 
 use super::doctor;
@@ -121,16 +120,6 @@ fn parse_exposure(text: &str) -> Result<f64, String> {
     number_in(1.0..=200_000.0, text, "1 to 200000 (µs)")
 }
 
-/// What `--json` prints.
-#[derive(Debug, Serialize)]
-struct PrintedSetup {
-    profile: PathBuf,
-    #[serde(flatten)]
-    found: doctor::Found,
-    /// The next command.
-    next: String,
-}
-
 /// The answers.
 #[derive(Clone, Debug)]
 struct Answers {
@@ -176,8 +165,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         no_trigger: args.no_trigger,
         no_phone: false,
     };
-    let found = doctor::look(&doctor, context);
-    let is_ready = found.checks.result().is_ok();
+    let status = doctor::run(&doctor, context)?;
     let port = args.port.port.as_deref().map_or(String::new(), |port| {
         format!(" --port {}", files::shell_word(port.as_ref()))
     });
@@ -185,24 +173,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         true => String::new(),
         false => format!(" --profile {}", files::shell_word(&args.profile)),
     };
-    let next = match is_ready {
-        true => format!("smartdepthsync record --calibrate{port}{profile}"),
-        false => format!("smartdepthsync doctor{port}{profile}"),
-    };
-    let printed = PrintedSetup {
-        profile: args.profile.clone(),
-        found,
-        next,
-    };
-    context.print_checks(&printed, || {
-        let what = match is_ready {
-            true => "next, with the phone and the rig in your hands",
-            false => "mend what is BAD above; then",
-        };
-        let checks = crate::checks::text(&printed.found.checks.checks);
-        format!("{checks}\n{what}\n  {}", printed.next)
-    })?;
-    Ok(printed.found.outcome())
+    context.say(match status {
+        ExitStatus::Good => format!(
+            "next, with the phone and the rig in your hands\n  smartdepthsync record \
+             --calibrate{port}{profile}"
+        ),
+        _ => format!("mend what is BAD above; then\n  smartdepthsync doctor{port}{profile}"),
+    });
+    Ok(status)
 }
 
 /// Asks the person at the terminal, or whoever writes to standard input.

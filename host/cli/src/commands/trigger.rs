@@ -4,8 +4,7 @@ mod latency;
 
 use clap::Subcommand;
 use protocol::{
-    AlignPlan, Arrived, DeviceToHost, Output, Period, Readback, TICK_HZ, Ticks, TrainState,
-    TriggerAlign, TriggerStart, TriggerStatus,
+    Output, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
 };
 use serde::Serialize;
 
@@ -13,9 +12,7 @@ use crate::context::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use board::{Board, BoardError, Event};
 use evaluate::train::TrainGeometry;
-use session::steps::PlannedArrival;
 
 /// Options of `trigger`.
 #[derive(Debug, clap::Args)]
@@ -44,7 +41,8 @@ enum Action {
         #[arg(long, value_name = "TICK")]
         first_edge: Option<u64>,
     },
-    /// Move the running train so that an edge falls exactly on a tick
+    /// Move the running train so that an edge falls exactly on a tick; `trigger status` shows
+    /// when it has arrived
     Align {
         /// A tick of 48 MHz on which an edge must fall; at most an hour away
         #[arg(long, value_name = "TICK")]
@@ -54,9 +52,6 @@ enum Action {
         /// Move at most this many µs a frame; 0 jumps at once
         #[arg(long, value_name = "US", default_value = "100", value_parser = parse_us_ticks)]
         slew_us: u32,
-        /// Do not wait for the train to arrive
-        #[arg(long)]
-        no_wait: bool,
     },
     /// Change the period from the next edge on
     Period {
@@ -145,7 +140,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             anchor,
             period,
             slew_us,
-            no_wait,
         } => {
             let period = match period.given() {
                 Some(period) => period,
@@ -157,7 +151,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
                 period,
                 slew: slew_us,
             };
-            return align(&mut board, output, context, to, !no_wait);
+            context.show(&board.align(output, to)?)?;
+            return Ok(ExitStatus::Good);
         }
         Action::Period { period } => match period.given() {
             Some(period) => board.set_period(output, period)?,
@@ -214,60 +209,5 @@ impl Train {
             },
             readback,
         }
-    }
-}
-
-/// A planned move of a train, in ticks, and its end.
-#[derive(Debug, Serialize)]
-struct Move {
-    #[serde(flatten)]
-    plan: AlignPlan,
-    arrived: Option<Arrived>,
-}
-
-/// Moves the train, and waits for it to arrive if that is wanted.
-fn align(
-    board: &mut Board,
-    output: Output,
-    context: &Context,
-    to: TriggerAlign,
-    wait: bool,
-) -> Result<ExitStatus, Failure> {
-    let plan = board.align(output, to)?;
-    let (arrived, outcome) = match wait {
-        true => wait_for_arrival(board, output, context, &plan)?,
-        false => (None, ExitStatus::Good),
-    };
-    context.show(&Move { plan, arrived })?;
-    Ok(outcome)
-}
-
-/// Waits for the arrival of the last align, in board time.
-fn wait_for_arrival(
-    board: &mut Board,
-    output: Output,
-    context: &Context,
-    plan: &AlignPlan,
-) -> Result<(Option<Arrived>, ExitStatus), Failure> {
-    let planned = PlannedArrival::from(plan);
-    let command = "arrival of the align";
-    let stop = context.interrupt.question();
-    let listened = board.listen(command, &stop, |board, event| {
-        if let Some(Event::Message(DeviceToHost::Arrived(arrived))) = event
-            && (arrived.output, arrived.pulse, arrived.at) == (output, planned.pulse, planned.at)
-        {
-            return Ok(Some(Some(arrived)));
-        }
-        let is_overdue = planned.is_overdue(board.conversation().latest());
-        Ok::<_, Failure>(is_overdue.then_some(None))
-    })?;
-    match listened {
-        None => Ok((None, ExitStatus::Interrupted)),
-        Some(Some(arrived)) => Ok((Some(arrived), ExitStatus::Good)),
-        Some(None) if planned.has_come(&board.output(output)?) => {
-            tracing::warn!("the train runs on its grid, but its arrival was not reported");
-            Ok((None, ExitStatus::Loss))
-        }
-        Some(None) => Err(BoardError::NoAnswer { command }.into()),
     }
 }

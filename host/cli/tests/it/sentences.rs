@@ -88,7 +88,7 @@ const CASES: &str = "\
 13 | profile learn nothing --profile wrong.toml --timestamps gyro.csv | nothing | check the
 13 | profile import-kalibr nothing.toml wrong.toml | nothing.toml | the path
 # Recordings.
-13 | extract nothing | nothing | a bag
+13 | extract nothing | nothing | folder of a recording
 2 | extract folder | recording.mcap | `record` made
 13 | extract broken.mcap | broken.mcap | copied in full
 2 | extract broken.mcap --out folder/text | not empty | --out
@@ -104,9 +104,9 @@ const CASES: &str = "\
 2 | verify | which recording | smartdepthsync record
 2 | verify many | 2 recordings | many/
 2 | extract many | 2 recordings | many/
-2 | verify wrong.toml | another kind of file | `record` made
-2 | extract wrong.toml | another kind of file | `record` made
-2 | report wrong.toml | another kind of file | `record` made
+2 | verify wrong.toml | found neither | `record` made
+2 | extract wrong.toml | found neither | `record` made
+2 | report wrong.toml | found neither | `record` made
 # What is there is not overwritten.
 13 | imu --csv text.txt | not overwritten | --overwrite
 13 | evaluate precision folder --report text.txt | not overwritten | --overwrite

@@ -6,10 +6,10 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run};
 use protocol::{
-    AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost, HostToDevice,
-    ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
-    QueryImu, QueryTrigger, Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks,
-    TrainState, TriggerStatus,
+    AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, HostToDevice, ImuFlags,
+    ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong, QueryImu,
+    QueryTrigger, Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks, TrainState,
+    TriggerStatus,
 };
 use serde_json::Value;
 
@@ -48,18 +48,7 @@ impl Behaviour for TriggerStandIn {
             return polite(command);
         }
         self.commands.send(command.command.clone()).unwrap();
-        let mut bytes = answer(command.id, (self.result)(&command.command));
-        if let Command::AlignTrigger(align) = command.command {
-            bytes.extend(frame(&DeviceToHost::Arrived(Arrived {
-                output: align.output,
-                command: command.id,
-                train: 1,
-                pulse: 44,
-                at: Ticks(48_000_000 * 92),
-                remaining: TickDelta(0),
-            })));
-        }
-        bytes
+        answer(command.id, (self.result)(&command.command))
     }
 }
 
@@ -105,7 +94,7 @@ fn a_period_in_microseconds_reaches_the_board_exactly() {
 }
 
 #[test]
-fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
+fn an_align_keeps_the_period_unless_told() {
     let (board, received) = trigger(|command| match command {
         Command::QueryTrigger(_) => Ok(QueryTrigger::wrap(status(
             Period(0x1234_5678_9ABC_DEF0 >> 8),
@@ -143,8 +132,7 @@ fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
     assert_eq!(align.slew, 480);
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["shift"], -480);
-    assert_eq!(report["arrived"]["pulse"], 44);
-    assert_eq!(report["arrived"]["remaining"], 0);
+    assert_eq!(report["arrival_pulse"], 44);
 }
 
 /// Streams IMU samples at 500 Hz, a hundred at a time, with one missing; says that it sets
@@ -175,7 +163,7 @@ impl ImuStandIn {
                 },
                 ..setup.status
             },
-            sensor: ImuSensor::default(),
+            sensor: ImuSensor::MPU_9150,
             ..setup
         }
     }
