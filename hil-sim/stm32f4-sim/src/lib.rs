@@ -45,6 +45,7 @@
 #![warn(missing_docs)]
 
 mod backtrace;
+mod bus;
 mod chip;
 pub mod clock;
 pub mod cpu;

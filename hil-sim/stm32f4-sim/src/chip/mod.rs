@@ -30,8 +30,8 @@ mod tim_dma;
 pub(crate) mod uart;
 mod waits;
 
+use crate::bus::Bus;
 use crate::clock::{Clock, Rate};
-use crate::cpu::access::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
 use crate::random::{BUS_ERROR_STREAM, RNG_STREAM, Random, Seed};

@@ -3,26 +3,11 @@
 use super::decode::extend_load;
 use super::op::Kind;
 use super::state::Fast;
+use crate::bus::Bus;
 use crate::chip::memory::{Memory, is_flash};
 
 /// Cycles of a load or a store that waits for nothing.
 pub(super) const ACCESS: u64 = 2;
-
-/// Connections of the core.
-pub(crate) trait Bus {
-    /// Flash and RAM.
-    fn memory(&mut self) -> &mut Memory;
-    /// Reads a peripheral at the given core cycle; nothing if there is none.
-    fn io_read(&mut self, addr: u32, bytes: u32, cycle: u64) -> Option<u32>;
-    /// Writes a peripheral at the given core cycle; false if there is none.
-    fn io_write(&mut self, addr: u32, bytes: u32, value: u32, cycle: u64) -> bool;
-    /// Cycles that an access to a peripheral takes beyond those of one to memory.
-    fn io_waits(&self, addr: u32) -> u64;
-    /// Cycles that a line of the flash takes.
-    fn flash_waits(&self) -> u64;
-    /// Core cycle at which the interpreter has to stop; it may move with every access.
-    fn limit(&self) -> u64;
-}
 
 /// True if an address is a peripheral that the interpreter reaches itself
 /// (the bit-band alias is rsemu's).

@@ -7,10 +7,10 @@ use rsemu::core::error::BusError;
 use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, xpsr};
 
-use super::access::Bus;
 use super::code::Code;
 use super::exec::{Stop, run};
 use super::state::Fast;
+use crate::bus::Bus;
 use crate::chip::memory::{FLASH_BASE, Memory, SRAM_BASE};
 use crate::random::{Random, Seed};
 

@@ -9,12 +9,13 @@
 //! flash and of the buses ([`Bus`]).
 
 use super::access::{
-    ACCESS, Bus, bytes_of, flash_lines, load, load_multi, multi_start, store, store_multi,
+    ACCESS, bytes_of, flash_lines, load, load_multi, multi_start, store, store_multi,
 };
 use super::alu::{bitfield, data_proc, extend, misc, mul_long, mul_top, shift};
 use super::code::Code;
 use super::op::Op;
 use super::state::Fast;
+use crate::bus::Bus;
 
 /// Why the interpreter stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

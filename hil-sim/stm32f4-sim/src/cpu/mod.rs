@@ -35,9 +35,9 @@ use rsemu::core::error::BusError;
 use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
 
+use crate::bus::Bus;
 use crate::chip::Soc;
 use crate::shared::lock;
-use access::Bus;
 use code::Code;
 use exec::Stop;
 use float::Float;
