@@ -28,8 +28,7 @@
 //! // What a rig's owner knows, and where its port is: enough for a session.
 //! std::fs::write("rig.toml", rig.profile()?)?;
 //! println!("smartdepthsync record --port {} --profile rig.toml", rig.port().display());
-//! // … run the session; make things go wrong meanwhile with `rig.unplug()`,
-//! // `rig.press_reset()`, `rig.phone()` and the models in `rig.parts()` …
+//! // … run the session …
 //! let truth = rig.stop()?;
 //! println!("{} depth frames", truth.depth.len());
 //! # Ok(())
@@ -45,7 +44,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::owner_profile::owner_profile_of;
+use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings};
 use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
@@ -91,9 +90,6 @@ pub struct Pace {
 /// What the running board is told.
 enum Order {
     Unplug,
-    Plug,
-    Reset,
-    Corrupt(u32),
     Speed(f64),
     Stop,
 }
@@ -110,8 +106,8 @@ struct Shared {
 pub struct RunningRig {
     parts: RigParts,
     clock: TrueClock,
-    /// Dropped before the board's thread is joined: they wait for true time.
-    phones: Vec<SimPhone>,
+    /// Dropped before the board's thread is joined: it waits for true time.
+    phone: Option<SimPhone>,
     port: PathBuf,
     orders: Sender<Order>,
     shared: Arc<Shared>,
@@ -133,31 +129,15 @@ impl RunningRig {
         phone: Option<(PhoneConfig, u16)>,
         pace: Pace,
     ) -> Result<Self> {
-        Self::with_phones(config, board, phone.into_iter().collect(), pace)
-    }
-
-    /// The same with any number of phones, each with its port.
-    ///
-    /// # Errors
-    ///
-    /// As [`RunningRig::start`].
-    pub fn with_phones(
-        config: RigConfig,
-        board: SimBuilder,
-        phones: Vec<(PhoneConfig, u16)>,
-        pace: Pace,
-    ) -> Result<Self> {
         let parts = config.build()?;
         let clock = TrueClock::new();
-        let mut running = Vec::new();
-        for (config, port) in phones {
-            let surroundings = Surroundings {
-                clock: clock.clone(),
-                motion: Arc::clone(&parts.motion),
-                light: Arc::new(parts.flashes.clone()),
-            };
-            running.push(SimPhone::start(config, surroundings, port)?);
-        }
+        let surroundings = Surroundings {
+            clock: clock.clone(),
+            motion: Arc::clone(&parts.motion),
+            light: Arc::new(parts.flashes.clone()),
+        };
+        let phone = phone.map(|(config, port)| SimPhone::start(config, surroundings, port));
+        let phone = phone.transpose()?;
         let folder = tempfile::Builder::new()
             .prefix("simulated-rig-")
             .tempdir()
@@ -195,7 +175,7 @@ impl RunningRig {
         let rig = Self {
             parts,
             clock,
-            phones: running,
+            phone,
             port,
             orders,
             shared,
@@ -216,13 +196,7 @@ impl RunningRig {
     /// The phone.
     #[must_use]
     pub fn phone(&self) -> Option<&SimPhone> {
-        self.phones.first()
-    }
-
-    /// All phones.
-    #[must_use]
-    pub fn phones(&self) -> &[SimPhone] {
-        &self.phones
+        self.phone.as_ref()
     }
 
     /// The profile that this rig's owner would have, for
@@ -232,17 +206,8 @@ impl RunningRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self) -> Result<String> {
-        self.profile_of(&[])
-    }
-
-    /// The same with all phones, by these names; the trigger is aligned to the first.
-    ///
-    /// # Errors
-    ///
-    /// As [`RunningRig::profile`].
-    pub fn profile_of(&self, names: &[&str]) -> Result<String> {
-        let phones = self.phones.iter().map(SimPhone::handset);
-        owner_profile_of(&self.parts.config, phones, names)
+        let phones: Vec<_> = self.phone.iter().map(SimPhone::handset).collect();
+        owner_profile(&self.parts.config, &phones)
     }
 
     /// The parts and their clocks.
@@ -271,35 +236,16 @@ impl RunningRig {
 
     /// Pulls the board's USB plug, and waits until the port is gone.
     pub fn unplug(&self) {
-        self.order(Order::Unplug, false);
-    }
-
-    /// Puts the plug in again, and waits until the port is there.
-    pub fn plug(&self) {
-        self.order(Order::Plug, true);
-    }
-
-    /// Flips a bit in so many of a million bytes that the board sends.
-    pub fn corrupt(&self, ppm: u32) {
-        let _ = self.orders.send(Order::Corrupt(ppm));
-    }
-
-    /// Presses the board's reset button.
-    pub fn press_reset(&self) {
-        let _ = self.orders.send(Order::Reset);
+        if self.orders.send(Order::Unplug).is_ok() {
+            while self.is_running() && self.shared.plugged.load(Ordering::SeqCst) {
+                std::thread::sleep(PATIENCE);
+            }
+        }
     }
 
     /// From now on true time passes at most `speed` times as fast as real time.
     pub fn set_speed(&self, speed: f64) {
         let _ = self.orders.send(Order::Speed(speed));
-    }
-
-    fn order(&self, order: Order, plugged: bool) {
-        if self.orders.send(order).is_ok() {
-            while self.is_running() && self.shared.plugged.load(Ordering::SeqCst) != plugged {
-                std::thread::sleep(PATIENCE);
-            }
-        }
     }
 
     /// Switches the rig off and tells the truth.
@@ -310,7 +256,7 @@ impl RunningRig {
     pub fn stop(mut self) -> Result<RunTruth> {
         let ended = self.end();
         let mut phones = Vec::new();
-        for phone in &self.phones {
+        if let Some(phone) = &self.phone {
             phone
                 .wait_saved()
                 .map_err(|e| anyhow!("the simulated phone: {e}"))?;
@@ -459,13 +405,7 @@ impl Runner {
             match self.inbox.try_recv() {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
-                Ok(Order::Plug) => rig.usb_plug(),
-                Ok(Order::Corrupt(ppm)) => rig.usb_corrupt(ppm, 0),
                 Ok(Order::Speed(speed)) => pacer = Pacer::new(Some(speed), rig.now()),
-                Ok(Order::Reset) => {
-                    lock(&self.shared.noted).was_reset();
-                    rig.press_reset();
-                }
                 Err(TryRecvError::Empty) => {}
             }
             self.follow_usb(&mut rig, &mut port)?;

@@ -8,7 +8,6 @@ pub(crate) mod frame_phase;
 pub mod frame_sync;
 pub mod judge;
 pub mod long_run;
-pub mod process;
 pub mod programs;
 pub mod study;
 pub mod tracking;

@@ -16,27 +16,17 @@ use crate::judge::Verdict;
 /// The figures of one run, as `--json` writes them. All are of the simulated rig.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figures {
-    /// Error of the clock offset at the start, µs.
-    pub offset_error_us: f64,
-    /// Its stated 1-sigma, µs.
-    pub offset_sigma_us: f64,
+    /// The session that is shown.
+    #[serde(flatten)]
+    pub session: SessionFigures,
     /// Error of the clock offset at the end, µs.
     pub offset_error_end_us: f64,
     /// Its stated 1-sigma, µs.
     pub offset_sigma_end_us: f64,
-    /// Middle of exposure of the depth camera minus that of the phone at the
-    /// start, µs.
-    pub phase_error_us: f64,
-    /// Change of that, µs a minute.
-    pub drift_us_per_min: f64,
     /// Pulses in the recording.
     pub pulses: u64,
     /// IMU samples in the recording.
     pub imu_samples: u64,
-    /// What is missing.
-    pub lost: u64,
-    /// Length of the recorded span, seconds of board time.
-    pub recorded_s: f64,
     /// Virtual time of the whole run, seconds.
     pub virtual_s: f64,
     /// Wall time of the whole run, seconds.
@@ -45,12 +35,12 @@ pub struct Figures {
     pub seed: u64,
     /// The session before it, from which the rig profile has learnt.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub before_learning: Option<Before>,
+    pub before_learning: Option<SessionFigures>,
 }
 
-/// The figures of a session with nothing learnt.
+/// The figures of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Before {
+pub struct SessionFigures {
     /// Error of the clock offset at the start, µs.
     pub offset_error_us: f64,
     /// Its stated 1-sigma, µs.
@@ -76,7 +66,7 @@ fn with_sigma(error: f64, sigma: f64) -> String {
     format!("{error:+.2} µs (stated 1-sigma {sigma:.2} µs)")
 }
 
-impl Before {
+impl SessionFigures {
     /// Name and value of each line of the table.
     fn lines(&self) -> Vec<(&'static str, String)> {
         vec![
@@ -121,53 +111,34 @@ impl Figures {
         seed: u64,
     ) -> Self {
         Self {
-            offset_error_us: verdict.offset_start.error_us,
-            offset_sigma_us: verdict.offset_start.sigma_us,
+            session: SessionFigures::of(verdict),
             offset_error_end_us: verdict.offset_end.error_us,
             offset_sigma_end_us: verdict.offset_end.sigma_us,
-            phase_error_us: verdict.phase.start_us,
-            drift_us_per_min: verdict.phase.drift_us_per_min,
             pulses: verdict.pulses,
             imu_samples: verdict.imu_samples,
-            lost: verdict.lost,
-            recorded_s: verdict.recorded_s,
             virtual_s,
             wall_s,
             seed,
-            before_learning: before.map(Before::of),
+            before_learning: before.map(SessionFigures::of),
         }
     }
 
     /// Name and value of each line of the table.
     fn lines(&self) -> Vec<(&'static str, String)> {
-        vec![
-            (
-                "clock offset at the start, error",
-                with_sigma(self.offset_error_us, self.offset_sigma_us),
-            ),
-            (
-                "clock offset at the end, error",
-                with_sigma(self.offset_error_end_us, self.offset_sigma_end_us),
-            ),
-            (
-                "phase between the middles of exposure at the start",
-                format!("{:+.2} µs", self.phase_error_us),
-            ),
-            ("its drift", format!("{:+.2} µs/min", self.drift_us_per_min)),
+        let mut lines = self.session.lines();
+        let at_end = with_sigma(self.offset_error_end_us, self.offset_sigma_end_us);
+        lines.insert(1, ("clock offset at the end, error", at_end));
+        lines.extend([
             ("trigger pulses recorded", self.pulses.to_string()),
             ("IMU samples recorded", self.imu_samples.to_string()),
-            ("lost", self.lost.to_string()),
-            (
-                "recorded span, board time",
-                format!("{:.1} s", self.recorded_s),
-            ),
             (
                 "whole run, virtual time",
                 format!("{:.1} s", self.virtual_s),
             ),
             ("whole run, wall time", format!("{:.1} s", self.wall_s)),
             ("seed", self.seed.to_string()),
-        ]
+        ]);
+        lines
     }
 
     /// The table for the terminal.
@@ -196,21 +167,21 @@ pub fn page(
     data: &DataSet,
     twist_svg: Option<&str>,
 ) -> String {
-    let level = if figures.lost == 0 {
+    let level = if figures.session.lost == 0 {
         Severity::Good
     } else {
         Severity::Check
     };
-    let lost = match figures.lost {
+    let lost = match figures.session.lost {
         0 => "Nothing was lost.".to_owned(),
         lost => format!("Lost: {lost} pulses, samples or frames."),
     };
     let said = format!(
         "The frames of phone and depth camera were {:.2} µs apart at the start and drifted by \
          {:+.2} µs a minute, over {:.1} s. {lost}",
-        figures.phase_error_us.abs(),
-        figures.drift_us_per_min,
-        figures.recorded_s,
+        figures.session.phase_error_us.abs(),
+        figures.session.drift_us_per_min,
+        figures.session.recorded_s,
     );
     let title = format!("A session on the simulated rig, seed {}", figures.seed);
     let mut page = Page::new(&title, level, &said);

@@ -22,7 +22,6 @@ mod imu_csv;
 mod json_objects;
 mod live_view;
 mod long_run;
-mod moving_thing;
 mod phone_bench;
 mod phone_command;
 mod phone_rude;

@@ -1,7 +1,10 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::support;
@@ -10,7 +13,7 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use stm32f4_sim::time::SimDuration;
 use test_support::python;
 
@@ -115,25 +118,49 @@ impl WholeRig {
     }
 }
 
-/// A session that runs, with what it says as it says it.
-pub(crate) struct Session(scenarios::process::Session);
+/// A program that runs, with what it says as it says it. It is ended when dropped.
+pub(crate) struct Session {
+    child: Child,
+    said: Arc<Mutex<String>>,
+    readers: Vec<JoinHandle<()>>,
+}
 
 impl Session {
     pub(crate) fn start(command: &mut Command) -> Self {
         let command = command.stdin(Stdio::null());
-        Self(scenarios::process::Session::start(command).unwrap())
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let said = Arc::new(Mutex::new(String::new()));
+        let out = listen(child.stdout.take().unwrap(), &said);
+        let err = listen(child.stderr.take().unwrap(), &said);
+        Self {
+            child,
+            said,
+            readers: vec![out, err],
+        }
     }
 
     pub(crate) fn said(&self) -> String {
-        self.0.said()
+        self.said.lock().unwrap().clone()
+    }
+
+    /// The same of one that has ended: what it said last may still be on its way.
+    fn all_said(&mut self) -> String {
+        for reader in self.readers.drain(..) {
+            reader.join().unwrap();
+        }
+        self.said()
     }
 
     /// Waits until it says something; fails when it ends before.
     pub(crate) fn wait_for(&mut self, words: &str) {
         let begun = Instant::now();
         while !self.said().contains(words) {
-            if let Some(status) = self.0.ended().unwrap() {
-                let said = self.0.all_said();
+            if let Some(status) = self.child.try_wait().unwrap() {
+                let said = self.all_said();
                 assert!(
                     said.contains(words),
                     "ended ({status}) before {words:?}: {said}"
@@ -150,13 +177,19 @@ impl Session {
     }
 
     pub(crate) fn signal(&self, signal: Signal) {
-        self.0.signal(signal).unwrap();
+        kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
     /// Waits for its end: status, and all that it said.
     pub(crate) fn end(mut self) -> (ExitStatus, String) {
-        let status = self.0.wait(PATIENCE, || true).unwrap();
-        (status, self.0.all_said())
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return (status, self.all_said());
+            }
+            assert!(begun.elapsed() < PATIENCE, "no end: {}", self.said());
+            std::thread::sleep(Duration::from_millis(2));
+        }
     }
 
     /// Waits for its end, which must be this exit code.
@@ -165,6 +198,26 @@ impl Session {
         assert_eq!(status.code(), Some(code), "{said}");
         said
     }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        // It has ended, or nobody wants it any more.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Adds all that comes out of a pipe to what was said.
+fn listen(mut pipe: impl Read + Send + 'static, said: &Arc<Mutex<String>>) -> JoinHandle<()> {
+    let said = Arc::clone(said);
+    std::thread::spawn(move || {
+        let mut buffer = [0; 1024];
+        while let Ok(count @ 1..) = pipe.read(&mut buffer) {
+            let text = String::from_utf8_lossy(&buffer[..count]);
+            said.lock().unwrap().push_str(&text);
+        }
+    })
 }
 
 /// Runs a script beside the tests and gives what it prints.
