@@ -11,7 +11,6 @@ use super::camera::FrameTimes;
 use super::config::{PhoneConfig, StorageAccess, VideoMode};
 use super::files::{Names, csv_line, name_of};
 use super::java;
-use super::recorder::Phase;
 use super::request::ImuRequest;
 use super::sensors::{Kind, Sensors};
 use crate::flash_log::FlashSource;
@@ -95,6 +94,16 @@ pub(super) enum Request {
         /// It has waited before.
         waited: bool,
     },
+}
+
+/// Report of the app about its frames when a recording has begun.
+pub(super) struct Phase {
+    /// Timestamp of frame 60.
+    pub(super) stamp_ns: i64,
+    /// Mean duration of the frames before it.
+    pub(super) period_ns: f64,
+    /// Exposure of a row.
+    pub(super) exposure_ns: u64,
 }
 
 /// A recording of the sensors alone.

@@ -4,7 +4,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::app::{App, Due, Recorder, Recording, State, VideoTruth};
+use super::app::{App, Due, Phase, Recorder, Recording, State, VideoTruth};
 use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
@@ -15,16 +15,6 @@ use stm32f4_sim::time::UNITS_PER_SECOND;
 /// A press of the record button so soon after a start is ignored, in milliseconds
 /// (`Preview.java`:5020).
 const PRESS_IGNORED_MS: u64 = 500;
-
-/// Report of the app about its frames when a recording has begun.
-pub(super) struct Phase {
-    /// Timestamp of frame 60.
-    pub(super) stamp_ns: i64,
-    /// Mean duration of the frames before it.
-    pub(super) period_ns: f64,
-    /// Exposure of a row.
-    pub(super) exposure_ns: u64,
-}
 
 impl App {
     /// The phase in the app's queue, by the `deadline` at the latest, however late this thread
