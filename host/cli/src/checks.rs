@@ -24,7 +24,7 @@ const OLD_DAYS: i32 = 90;
 /// Name of the check of the depth camera's settings.
 const CHECK_CAMERA: &str = "depth camera";
 
-/// What stands at the beginning of a check's line.
+/// Marks at the beginnings of checks' lines.
 pub(crate) const MARKS: [&str; 3] = ["good ", "check", "BAD  "];
 
 pub(crate) const fn mark(severity: Severity) -> &'static str {

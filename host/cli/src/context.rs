@@ -191,12 +191,12 @@ impl Interrupt {
     }
 }
 
-/// Whether standard output shows colours, and its user wants them (no-color.org).
+/// Tells whether standard output shows colours, and its user wants them (no-color.org).
 fn is_coloured() -> bool {
     io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Whether the terminal was closed: there is nobody to tell it to.
+/// Tells whether the terminal was closed: there is nobody to tell it to.
 fn is_closed_terminal(error: &io::Error) -> bool {
     rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
 }

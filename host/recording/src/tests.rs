@@ -298,6 +298,12 @@ fn the_session_file_comes_back_and_another_form_is_refused() {
     fs::write(&path, text.replace("\"format\": 2", "\"format\": 77")).unwrap();
     let error = SessionFile::load(folder.path()).unwrap_err().to_string();
     assert!(error.contains("found 77"), "{error}");
+
+    // Its phones are those of its profile.
+    session.phones.clear();
+    session.save(folder.path()).unwrap();
+    let error = SessionFile::load(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("its phones are []"), "{error}");
 }
 
 proptest! {

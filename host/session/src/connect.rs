@@ -157,7 +157,7 @@ fn reach(
     })
 }
 
-/// Whether the profile says where its phones are.
+/// Tells whether the profile says where its phones are.
 ///
 /// # Errors
 ///

@@ -95,7 +95,7 @@ impl Phone for PhoneTask {
 pub trait PhoneClock {
     /// The phone's name in what reads it.
     fn device(&self) -> &str;
-    /// Whether it is read through a network, and not by a cable.
+    /// Tells whether it is read through a network, and not by a cable.
     fn is_by_network(&self) -> bool;
     /// The readings since the last call. Their times are on the link's clock.
     fn exchanges(&mut self) -> Vec<PhoneExchange>;
@@ -103,7 +103,7 @@ pub trait PhoneClock {
 
 /// Starts what reads the phone's clock.
 pub trait PhoneClockStarter {
-    /// Whether there is anything that could read it.
+    /// Tells whether there is anything that could read it.
     fn is_possible(&self) -> bool;
 
     /// Starts it.
@@ -150,7 +150,7 @@ pub struct RecorderEnd {
     pub program: String,
     /// How it ended, as the system says it.
     pub status: String,
-    /// Whether a program ends like this that was asked to stop.
+    /// True if a program ends like this that was asked to stop.
     pub is_as_asked: bool,
 }
 
@@ -211,7 +211,7 @@ pub enum Wish {
 
 /// The person at the rig. No method waits.
 pub trait Operator {
-    /// Whether somebody is there to be asked. Where nobody is, each prompt is answered with
+    /// Tells whether somebody is there to be asked. Where nobody is, each prompt is answered with
     /// [`Choice::Continue`], and [`Self::answer`] is not called.
     fn is_present(&self) -> bool;
 
@@ -224,7 +224,7 @@ pub trait Operator {
     /// A wish while it records, if there is one.
     fn wish(&mut self) -> Option<Wish>;
 
-    /// Whether the session is to end: Ctrl-C, or a termination signal.
+    /// Tells whether the session is to end: Ctrl-C, or a termination signal.
     fn interrupted(&self) -> bool;
 }
 

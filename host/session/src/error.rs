@@ -142,7 +142,7 @@ pub enum SessionError {
 }
 
 impl SessionError {
-    /// Whether trying the same step again may help.
+    /// Tells whether trying the same step again may help.
     #[must_use]
     pub fn is_repeatable(&self) -> bool {
         match self {
@@ -158,7 +158,7 @@ impl SessionError {
         }
     }
 
-    /// Whether nothing more can be written.
+    /// Tells whether nothing more can be written.
     #[must_use]
     pub const fn is_storage(&self) -> bool {
         matches!(
@@ -171,7 +171,7 @@ impl SessionError {
     }
 }
 
-/// Whether it is the phone that failed, and not the request or this computer's disk.
+/// Tells whether it is the phone that failed, and not the request or this computer's disk.
 #[must_use]
 pub fn is_of_phone(error: &PhoneError) -> bool {
     !matches!(

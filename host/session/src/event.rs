@@ -73,7 +73,7 @@ pub enum Phase {
 pub struct PhoneName {
     /// Its name in the profile.
     pub name: String,
-    /// Whether it is the only one, which needs no name.
+    /// True if it is the only one, which needs no name.
     pub is_only: bool,
 }
 
@@ -123,14 +123,14 @@ pub enum Prompt {
     Repeat {
         /// The step.
         step: Step,
-        /// Whether it can be left out.
+        /// True if it can be left out.
         can_skip: bool,
     },
     /// Begin a twist?
     Twist {
         /// How long it will take, s.
         length_s: u32,
-        /// Whether it can be left out.
+        /// True if it can be left out.
         can_skip: bool,
     },
     /// The twist was good: go on, or twist once more?
@@ -161,7 +161,7 @@ pub struct Tracked {
     pub sigma_us: f64,
     /// Temperature of the phone's battery, °C.
     pub temperature: Option<f64>,
-    /// Whether both clocks are read.
+    /// True if both clocks are read.
     pub holds: bool,
 }
 
@@ -423,7 +423,7 @@ pub enum SessionEvent {
     Arrived {
         /// What it triggers.
         name: String,
-        /// Whether it is the camera's.
+        /// True if it is the camera's.
         is_camera: bool,
         /// The first pulse on the grid.
         pulse: u64,
@@ -729,7 +729,7 @@ impl SessionEvent {
         }
     }
 
-    /// Whether something is missing or wrong in the recording, which makes the outcome
+    /// Tells whether something is missing or wrong in the recording, which makes the outcome
     /// "with loss".
     #[must_use]
     pub const fn is_problem(&self) -> bool {
@@ -741,7 +741,7 @@ impl SessionEvent {
         }
     }
 
-    /// Whether it comes many times a second, and is told by [`SessionEvent::Counted`] too.
+    /// Tells whether it comes many times a second, and is counted by [`SessionEvent::Counted`] too.
     #[must_use]
     pub const fn is_frequent(&self) -> bool {
         matches!(self, Self::Board { .. } | Self::Downloading { .. })

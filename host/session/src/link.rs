@@ -34,7 +34,7 @@ pub struct BoardLink<'a> {
     epoch: u32,
     /// When the board was heard last, on the link's clock.
     last_sign: Duration,
-    /// Whether it was reported that no message comes.
+    /// True if it was reported that no message comes.
     is_quiet: bool,
     scale: Scale,
 }
@@ -60,7 +60,7 @@ impl<'a> BoardLink<'a> {
         }
     }
 
-    /// Whether the frames of the link are given out too.
+    /// Tells whether the frames of the link are given out too.
     pub(crate) const fn keep_frames(&mut self, keep: bool) {
         self.board.keep_frames(keep);
     }
@@ -117,7 +117,7 @@ impl<'a> BoardLink<'a> {
         })
     }
 
-    /// Whether the board is in another run than at the beginning of the session.
+    /// Tells whether the board is in another run than at the beginning of the session.
     pub(crate) fn is_other_run(&self) -> bool {
         self.board.hello().epoch != self.epoch
     }

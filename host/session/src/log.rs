@@ -80,7 +80,7 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Whether anything went wrong so far.
+    /// Tells whether anything went wrong so far.
     #[must_use]
     pub const fn has_problems(&self) -> bool {
         self.has_problems

@@ -91,7 +91,7 @@ impl Monitors {
     }
 }
 
-/// Whether the trigger had arrived on the phone's frames. The board says of any grid that a
+/// Tells whether the trigger had arrived on the phone's frames. The board says of any grid that a
 /// pulse is on it.
 fn is_on_phone(session: &SessionFile, at: Ticks) -> bool {
     let arrival = session.alignment.and_then(|alignment| alignment.arrival);

@@ -166,7 +166,7 @@ fn start(
         .spawn()
 }
 
-/// Whether it ended as a program does that was asked to.
+/// Tells whether it ended as a program does that was asked to.
 fn is_as_asked(status: ExitStatus, stop: Signal) -> bool {
     let number = stop.as_raw();
     status.success() || status.signal() == Some(number) || status.code() == Some(128 + number)

@@ -58,7 +58,7 @@ impl Link {
     }
 }
 
-/// Whether both clocks were heard lately, at a time of the computer.
+/// Tells whether both clocks were heard lately, at a time of the computer.
 #[must_use]
 pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
     [Asked::A, Asked::B].into_iter().all(|clock| {

@@ -203,13 +203,13 @@ impl From<&AlignPlan> for PlannedArrival {
 }
 
 impl PlannedArrival {
-    /// Whether the board should have reported it by now.
+    /// Tells whether the board should have reported it by now.
     #[must_use]
     pub const fn is_overdue(&self, now: Ticks) -> bool {
         now.0 > self.at.0.saturating_add(ARRIVAL_MARGIN)
     }
 
-    /// Whether the train is on its grid: the report may have been lost on the link, the
+    /// Tells whether the train is on its grid: the report may have been lost on the link, the
     /// state of the train was not.
     #[must_use]
     pub fn has_come(&self, train: &TriggerStatus) -> bool {
@@ -337,7 +337,7 @@ fn twist_temperature(twists: &[Twist]) -> Option<f64> {
     last.board_temperature_c
 }
 
-/// Whether the phase is known less well by now than a twist must know it.
+/// Tells whether the phase is known less well by now than a twist must know it.
 fn is_twist_due(session: &Session<'_>) -> bool {
     let Some(alignment) = &session.log.file.alignment else {
         return false;

@@ -41,7 +41,7 @@ struct Asking {
 }
 
 impl Asking {
-    /// Whether it is time to ask again.
+    /// Tells whether it is time to ask again.
     fn is_due(&self, now: Duration) -> bool {
         self.out.is_none() && now.saturating_sub(self.last) >= ASK_EVERY
     }

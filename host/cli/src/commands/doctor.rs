@@ -53,7 +53,7 @@ struct Found {
 }
 
 impl Found {
-    /// How a command ends that prints them: as the first bad one says.
+    /// Exit code of a command that prints them: as the first bad one says.
     pub(crate) fn outcome(&self) -> ExitStatus {
         match (self.failed, self.checks.result()) {
             (Some(status), _) => status,

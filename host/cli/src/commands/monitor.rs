@@ -23,7 +23,7 @@ use session::devices::Connector as _;
 use session::event::{SessionEvent, Stamped};
 use session::hardware::SerialConnector;
 
-/// How often a plain line is written where there is no terminal, board time.
+/// Interval of the plain lines where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
 
 /// Look at the board: trigger, gyroscope, rates, losses. Nothing is changed and
@@ -46,7 +46,7 @@ pub(crate) struct Args {
     plain: bool,
 }
 
-/// What `--json` prints.
+/// The object of `--json`.
 #[derive(Debug, Serialize)]
 struct PrintedState<'a> {
     state: String,
@@ -222,7 +222,7 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    /// Whether so many ticks have passed since the first board time.
+    /// Tells whether so many ticks have passed since the first board time.
     fn is_over(&mut self, now: Ticks, duration: Option<u64>) -> bool {
         if now == Ticks::ZERO && self.begun.is_none() {
             return false;

@@ -30,8 +30,8 @@ use session::recorder_process::RecorderProcess;
 use session::run::{Ended, run as run_session};
 use timebase::PhoneNanos;
 
-/// How long a calibration records between its twists: a minute is the least that a rate is
-/// learnt from.
+/// Length of a calibration between its twists: a minute is the least that a rate is learnt
+/// from.
 const CALIBRATION_TICKS: u64 = seconds(90);
 
 /// Options of `record`.
@@ -129,13 +129,13 @@ impl Args {
     }
 }
 
-/// What `--json` prints.
+/// The object of `--json`.
 #[derive(Debug, Serialize)]
 struct PrintedSession<'a> {
     folder: PathBuf,
     report: Option<PathBuf>,
     verdict: Judgement,
-    /// What to type next.
+    /// Commands to type next.
     next: Vec<String>,
     /// With `--calibrate`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -277,7 +277,7 @@ fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     }
 }
 
-/// What to type next, ready to be pasted. `to_teach` is a profile that could not be taught
+/// Gives what to type next, ready to be pasted. `to_teach` is a profile that could not be taught
 /// yet.
 fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) -> Vec<String> {
     if !has_recorded(session) {

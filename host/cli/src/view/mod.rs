@@ -28,10 +28,10 @@ use screen::{Key, Screen, SharedState, lock};
 use sentences::sentence;
 use state::State;
 
-/// How often a plain line is said, ticks.
+/// Interval of the plain lines, ticks.
 const LINE_TICKS: u64 = 10 * TICK_HZ as u64;
 
-/// How often in a twist, ticks.
+/// Their interval in a twist, ticks.
 const TWIST_LINE_TICKS: u64 = 2 * TICK_HZ as u64;
 
 /// The listener of a session: shows its events on the terminal, or says them in plain lines,
@@ -40,7 +40,7 @@ pub(crate) struct View<'a> {
     context: &'a Context,
     state: SharedState,
     screen: Option<Screen>,
-    /// Whether events are printed.
+    /// True if events are printed.
     prints_events: bool,
     last_line: Ticks,
 }

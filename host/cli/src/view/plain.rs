@@ -6,7 +6,7 @@ use session::event::Tracked;
 
 use super::state::State;
 
-/// Whether the phone's clock is read, and the phone's temperature.
+/// Tells whether the phone's clock is read, and the phone's temperature.
 pub(super) fn lock(tracked: &Tracked) -> String {
     let lock = match tracked.holds {
         true => "locked",

@@ -20,10 +20,10 @@ use super::text::draw;
 use crate::context::Interrupt;
 use crate::log;
 
-/// How often a new picture is made.
+/// Interval of the pictures.
 pub(crate) const PERIOD: Duration = Duration::from_millis(100);
 
-/// How long the terminal is waited for at the end; one that takes nothing must not
+/// Longest wait for the terminal at the end; one that takes nothing must not
 /// keep the program.
 const PATIENCE: Duration = Duration::from_secs(1);
 
@@ -58,7 +58,7 @@ pub(crate) struct Screen {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Whether there is a terminal that can show the view, and a person at its keys.
+/// Tells whether there is a terminal that can show the view, and a person at its keys.
 pub(crate) fn is_possible() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
     stderr().is_terminal() && stdin().is_terminal() && !dumb

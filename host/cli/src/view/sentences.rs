@@ -5,7 +5,7 @@ use session::event::{Prompt, SessionEvent, Step};
 
 use crate::outcome::Failure;
 
-/// What is said of an event, if anything is.
+/// Gives the sentence that is said of an event, if one is.
 pub(crate) fn sentence(event: &SessionEvent) -> Option<String> {
     match event {
         SessionEvent::Prompt { prompt } => Some(question(prompt)),

@@ -16,7 +16,7 @@ use twist_sync::coach::Coach;
 use super::sentences::sentence;
 use crate::advice::remedy;
 
-/// How much of the gyroscope is shown, ticks.
+/// Length of the gyroscope that is shown, ticks.
 const SHOWN: u64 = 10 * TICK_HZ as u64;
 
 /// Interval of the points that are shown, ticks: 40 ms.
@@ -25,7 +25,7 @@ const POINT: u64 = TICK_HZ as u64 / 25;
 /// Rates are those over this time, ticks.
 const RATE_TIME: u64 = 2 * TICK_HZ as u64;
 
-/// How many warnings and sentences are kept.
+/// The most warnings and sentences that are kept.
 const KEPT: usize = 8;
 
 /// The growth of a recording is judged after so much of it, ticks.
@@ -38,7 +38,7 @@ pub(crate) struct State {
     pub(crate) board: String,
     /// Latest board time.
     pub(crate) now: Ticks,
-    /// Whether somebody is asked.
+    /// True if somebody is asked.
     pub(crate) asks: bool,
     pub(crate) trigger: Trigger,
     pub(crate) losses: Losses,
@@ -52,14 +52,14 @@ pub(crate) struct State {
     pub(crate) said: VecDeque<String>,
     /// The board's gyroscope over the last seconds.
     pub(crate) gyro: VecDeque<(Ticks, [f64; 3])>,
-    /// Whether the board says that its IMU gives samples.
+    /// True if the board says that its IMU gives samples.
     pub(crate) imu_runs: Option<bool>,
     /// The part of a session that runs; none where the board is only monitored.
     phase: Option<Phase>,
     is_link_lost: bool,
     /// Bytes of a download that are there, and in all.
     download: Option<(u64, u64)>,
-    /// How long is recorded, s; until stopped if there is none.
+    /// Length of the recording, s; until stopped if there is none.
     length_s: Option<f64>,
     twist: Option<(Coach, u32, f64)>,
     alignment: Option<Alignment>,
@@ -105,7 +105,7 @@ pub(crate) struct PhaseNow {
     /// 1-sigma of the grid against the phone's frames now, µs, without that of the constant
     /// between the cameras.
     pub(crate) sigma_us: f64,
-    /// Whether that is more than a twist may have.
+    /// True if that is more than a twist may have.
     pub(crate) is_twist_due: bool,
     /// Where the phone's clock is followed.
     pub(crate) tracked: Option<Tracked>,
@@ -185,7 +185,7 @@ pub(crate) struct Losses {
     pub(crate) dropped: u64,
     /// Damaged frames.
     pub(crate) damaged: u64,
-    /// How often the link was lost.
+    /// Losses of the link.
     pub(crate) reconnects: u32,
 }
 
@@ -194,16 +194,16 @@ pub(crate) struct Losses {
 pub(crate) struct Disk {
     /// Free, bytes.
     pub(crate) free: u64,
-    /// How long it lasts at the rate so far, s.
+    /// Time for which it lasts at the rate so far, s.
     pub(crate) left_s: Option<f64>,
 }
 
 /// A twist that runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Twist {
-    /// How long it has run, s.
+    /// Time that it has run, s.
     pub(crate) elapsed_s: f64,
-    /// How long it will, s.
+    /// Its length, s.
     pub(crate) length_s: f64,
     /// Expected 1-sigma of the offset from the motion so far, µs.
     pub(crate) sigma_us: Option<f64>,
@@ -214,12 +214,12 @@ pub(crate) struct Twist {
 }
 
 impl Twist {
-    /// Whether the motion so far suffices.
+    /// Tells whether the motion so far suffices.
     pub(crate) fn is_enough(&self) -> bool {
         self.sigma_us.is_some_and(|sigma| sigma <= self.enough_us)
     }
 
-    /// What to do, in words.
+    /// Advice to the person, in words.
     pub(crate) fn advice(&self) -> &'static str {
         let mut sorted = self.rms;
         sorted.sort_by(f64::total_cmp);
@@ -297,7 +297,7 @@ struct Connected {
 }
 
 impl Connected {
-    /// What is shown of it, if there is anything to it.
+    /// Gives its picture, if there is anything to it.
     fn shown(&self, place: usize, now: Ticks) -> Option<Sensor> {
         let runs = self.state.is_some_and(|state| state != TrainState::Stopped);
         if self.name.is_none() && self.pulse.is_none() && !runs {
@@ -513,7 +513,7 @@ impl State {
         self.disk = Some(Disk { free, left_s });
     }
 
-    /// What is done, in a word or two.
+    /// Names what is done, in a word or two.
     pub(crate) fn doing(&self) -> String {
         if self.is_link_lost {
             return String::from("link lost");
@@ -539,7 +539,7 @@ impl State {
         word.to_owned()
     }
 
-    /// How long the recording has run, and is to, s.
+    /// Time that the recording has run, and its length, s.
     pub(crate) fn recorded_s(&self) -> Option<(f64, Option<f64>)> {
         let Some(Phase::Recording { since }) = self.phase else {
             return None;
@@ -603,7 +603,7 @@ impl State {
         })
     }
 
-    /// What the further trigger outputs and the lidar do.
+    /// Gives what the further trigger outputs and the lidar do.
     pub(crate) fn sensors(&self) -> Vec<Sensor> {
         let sensors = (0..).zip(&self.sensors);
         sensors
@@ -623,7 +623,7 @@ impl State {
     }
 }
 
-/// Whether the person is warned of an event until the end: of what is wrong in the
+/// Tells whether the person is warned of an event until the end: of what is wrong in the
 /// recording, and of what they can do something about.
 fn is_warned_of(event: &SessionEvent) -> bool {
     event.is_problem()

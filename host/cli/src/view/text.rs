@@ -271,7 +271,7 @@ fn warnings(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
         .collect()
 }
 
-/// What was said, the newest last, each in its lines.
+/// The sentences, the newest last, each in its lines.
 fn said(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
     let lines = |text: &String| wrapped(" ", text, width).into_iter().map(Line::raw);
     state

@@ -151,7 +151,7 @@ fn a_playlist_reads_no_other_file() {
     ] {
         let parent = tempfile::tempdir().unwrap();
         let folder = with_session(parent.path(), |session| {
-            session["clock"] = session["alignment"]["clock"].clone();
+            session["phones"][0]["clock"] = session["alignment"]["clock"].clone();
         });
         let _ = playlists(parent.path());
         let video = folder.join("VID_20260131_140327.mp4");
