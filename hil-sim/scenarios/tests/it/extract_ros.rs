@@ -35,7 +35,10 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
             let refused = case.try_extract(Format::Euroc, Some(&bag), &refused, Options::default());
             let refusal = match refused {
                 Err(error) => error.to_string(),
-                Ok(report) => report.losses[0].what.clone(),
+                Ok(report) => {
+                    let mut losses = report.losses.into_iter();
+                    losses.find(|loss| loss.part == "depth").unwrap().what
+                }
             };
             python::run_conversion(&refusal);
             bag.set_file_name(format!("{form}-mcap"));

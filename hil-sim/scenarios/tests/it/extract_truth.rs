@@ -316,7 +316,7 @@ fn damaged_and_missing_parts_leave_the_rest() {
     std::fs::remove_dir_all(case.out()).unwrap();
     let part = case.extract(Options::default());
     said(&part, "board", "was not closed");
-    said(&part, "board", "the chunk from second");
+    said(&part, "board", "the chunk at byte");
     said(&part, "depth", "there is no depth recording");
     let (all, left) = (whole.board.imu.samples, part.board.imu.samples);
     assert!(left > all / 2 && left < all * 2 / 3, "{left} of {all}");
