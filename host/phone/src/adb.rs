@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use timebase::PhoneNanos;
 
-use super::client::StopSignal;
+use super::settings::StopSignal;
 use super::video_files::{Part, classify};
 
 /// Where the app saves, on the phone (`StorageUtils.java`:323).

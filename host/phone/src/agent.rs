@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use phone_agent::{ANSWER, Answer, PATIENCE_S, question};
 
 use crate::adb::{Adb, AdbError};
-use crate::client::StopSignal;
+use crate::settings::StopSignal;
 
 /// Where a program may lie on a phone that is not rooted.
 const FOLDER: &str = "/data/local/tmp";

@@ -5,8 +5,8 @@ use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
 use super::answer::{self, Lines, MalformedAnswer, ServerVersion};
-use super::client::{Settings, StopSignal};
 use super::error::PhoneError;
+use super::settings::{Settings, StopSignal};
 
 /// Bytes read at once.
 const BUFFER: usize = 64 * 1024;

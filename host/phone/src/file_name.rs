@@ -59,6 +59,21 @@ fn is_device_name(stem: &str) -> bool {
             && base.ends_with(|c: char| c.is_ascii_digit()))
 }
 
+/// A file's name without its extension and without the number that the app puts behind
+/// a name that is taken: `gyro_1` or, through the storage access framework, `gyro (1)`.
+pub(crate) fn without_number(name: &str) -> &str {
+    let open = name.strip_suffix(')');
+    let split = open.map_or_else(|| name.rsplit_once('_'), |open| open.rsplit_once(" ("));
+    match split {
+        Some((bare, number)) if number.len() < 3 && is_number(number) => bare,
+        _ => name,
+    }
+}
+
+fn is_number(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

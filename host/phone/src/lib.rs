@@ -31,15 +31,17 @@ pub mod gyro_csv;
 pub mod requests;
 pub mod rows;
 pub mod samples;
+mod settings;
 pub mod task;
 pub mod video_files;
 
 pub use answer::ServerVersion;
-pub use client::{PhoneClient, Settings, StopSignal};
+pub use client::PhoneClient;
 pub use download::SavedVideo;
 pub use error::PhoneError;
 pub use requests::{ImuRequest, VideoStart};
 pub use samples::{PhoneSample, save_samples};
+pub use settings::{Settings, StopSignal};
 
 /// TCP port of the app.
 pub(crate) const DEFAULT_PORT: u16 = 6969;

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use super::answer::MalformedAnswer;
 use super::error::PhoneError;
-use super::samples::{PhoneSample, SAMPLE_LINE, parse_sample, without_number};
+use super::file_name::without_number;
+use super::samples::{PhoneSample, SAMPLE_LINE, parse_sample};
 use timebase::PhoneNanos;
 
 /// Longest IMU recording that may be asked for. The app keeps the whole answer

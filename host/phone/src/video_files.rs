@@ -12,7 +12,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::samples::without_number;
+use super::file_name::without_number;
 
 /// Most directory entries that are looked at.
 const MAX_ENTRIES: usize = 100_000;
