@@ -112,7 +112,7 @@ fn faults_of_the_link_are_named() {
     let endless = run(&imu, Some(LinkFault::Endless));
     fails(&endless, 12, "damaged");
     let silent = run(&imu, Some(LinkFault::Silent));
-    fails(&silent, 12, "an empty request within 2s");
+    fails(&silent, 12, "finish its answer within 2s");
 
     assert_eq!(run(&["start"], None).status.code(), Some(0));
     assert_eq!(run(&["stop"], None).status.code(), Some(0));
