@@ -18,9 +18,6 @@ use recording::writer::WallClock;
 use serde::Serialize;
 use timebase::PhoneNanos;
 
-use crate::checks::Checks;
-use crate::event::Stamped;
-
 /// Opens links to the board, the first time and after a loss.
 pub trait Connector {
     /// A link to the board; to the one with this ID, if it is given.
@@ -282,25 +279,4 @@ impl PhoneClockStarter for NoPhoneClock {
     fn start(&mut self) -> Result<Box<dyn PhoneClock>, PhoneError> {
         Err(PhoneError::NotConnected)
     }
-}
-
-/// All devices of a session, and who listens to it.
-pub struct Devices<'a> {
-    /// Reaches the board.
-    pub connector: &'a mut dyn Connector,
-    /// The phones, in the profile's order: the first is the reference.
-    pub phones: Vec<Box<dyn Phone>>,
-    /// Reads the reference phone's clock while it records.
-    pub phone_clock: &'a mut dyn PhoneClockStarter,
-    /// Records the depth camera.
-    pub recorder: &'a mut dyn DepthRecorder,
-    /// Checks the computer and the profile: before the session, and when the checks are
-    /// repeated.
-    pub host_checks: &'a mut dyn FnMut() -> Checks,
-    /// All time but the board link's.
-    pub clock: &'a dyn Clock,
-    /// The person at the rig.
-    pub operator: &'a mut dyn Operator,
-    /// Takes the events, as they happen.
-    pub events: &'a mut dyn FnMut(&Stamped),
 }

@@ -5,14 +5,36 @@ use std::path::PathBuf;
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, SessionOutcome};
 
+use crate::checks::Checks;
 use crate::close::close;
 use crate::connect::{Parts, connect};
-use crate::devices::Devices;
+use crate::devices::{Clock, Connector, DepthRecorder, Operator, Phone, PhoneClockStarter};
 use crate::error::{SessionError, Stop};
-use crate::event::{Phase, SessionEvent};
+use crate::event::{Phase, SessionEvent, Stamped};
 use crate::options::Options;
 use crate::phones::Phones;
 use crate::steps;
+
+/// All devices of a session, and who listens to it.
+pub struct Devices<'a> {
+    /// Reaches the board.
+    pub connector: &'a mut dyn Connector,
+    /// The phones, in the profile's order: the first is the reference.
+    pub phones: Vec<Box<dyn Phone>>,
+    /// Reads the reference phone's clock while it records.
+    pub phone_clock: &'a mut dyn PhoneClockStarter,
+    /// Records the depth camera.
+    pub recorder: &'a mut dyn DepthRecorder,
+    /// Checks the computer and the profile: before the session, and when the checks are
+    /// repeated.
+    pub host_checks: &'a mut dyn FnMut() -> Checks,
+    /// All time but the board link's.
+    pub clock: &'a dyn Clock,
+    /// The person at the rig.
+    pub operator: &'a mut dyn Operator,
+    /// Takes the events, as they happen.
+    pub events: &'a mut dyn FnMut(&Stamped),
+}
 
 /// A session that has ended, with whatever it left.
 #[derive(Debug)]

@@ -20,11 +20,11 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 use ::session::checks::Checks;
-use ::session::devices::{Choice, DepthRecorder, Devices, NoRecorder, Operator, Phone, Wish};
+use ::session::devices::{Choice, DepthRecorder, NoRecorder, Operator, Phone, Wish};
 use ::session::error::SessionError;
 use ::session::event::{Phase, SessionEvent, Stamped};
 use ::session::options::Options;
-use ::session::run::{Ended, run};
+use ::session::run::{Devices, Ended, run};
 use anyhow::{Context, Result, anyhow, ensure};
 use recording::profile::Profile;
 use recording::session_file::SessionOutcome;

@@ -23,11 +23,11 @@ use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
 use report::session::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
-use session::devices::{Devices, Phone, SystemClock};
+use session::devices::{Phone, SystemClock};
 use session::hardware::{AdbClockStarter, SerialConnector};
 use session::options::{Options, Track, seconds};
 use session::recorder_process::RecorderProcess;
-use session::run::{Ended, run as run_session};
+use session::run::{Devices, Ended, run as run_session};
 use timebase::PhoneNanos;
 
 /// Length of a calibration between its twists: a minute is the least that a rate is learnt
