@@ -185,7 +185,7 @@ fn a_board_in_use_is_left_alone() {
     let said = Session::start(&mut bench.command(&[])).ends_with(3);
     assert!(said.contains("the trigger is running"), "{said}");
     assert!(said.contains("trigger stop"), "{said}");
-    assert!(trigger(&["status"]).contains("running"));
+    assert!(trigger(&["status", "--json"]).contains("\"Running\""));
     assert!(!bench.out().join("bring-up.json").exists());
 }
 
