@@ -1,6 +1,6 @@
 """Writes a ROS 2 bag (MCAP, MCAP with chunks packed with Zstandard, or sqlite3) with depth
 images as a camera's driver publishes them, by `rosbags`: stamps of the camera's clock in the
-headers, times of arrival that say nothing.
+headers, times of arrival that say nothing but the order.
 
 usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER mcap|zstd|sqlite3
 
@@ -42,8 +42,9 @@ with writer:
     depth = writer.add_connection("/camera/depth/image_raw", KIND, typestore=store)
     color = writer.add_connection("/camera/color/image_raw", KIND, typestore=store)
     over = writer.add_connection("/camera/aligned_depth_to_color/image_raw", KIND, typestore=store)
+    arrived = 0
     for frame, stamp in enumerate(stamps):
-        arrived = stamp + 10**18 + random.randrange(40_000_000)
+        arrived = max(arrived + 1, stamp + 10**18 + random.randrange(40_000_000))
         pixels = (1000 + 7 * frame + np.arange(6 * 4, dtype=np.uint16)).reshape(4, 6)
         writer.write(color, arrived, image(stamp, "color", "rgb8", np.zeros((4, 6, 3), np.uint8)))
         writer.write(depth, arrived, image(stamp, "depth", "16UC1", pixels.astype(np.uint16)))
