@@ -64,9 +64,9 @@ enum Command {
         #[arg(long)]
         no_book: bool,
     },
-    /// Run the readers that are too large for every run of the tests (Open3D, Rerun,
-    /// LeRobot; 5.3 GB are downloaded the first time) and ROS 1's own on data sets of the
-    /// simulated rig.
+    /// Run the readers that are too large for every run of the tests (Open3D, Rerun;
+    /// 0.7 GB are downloaded the first time) and ROS 1's own on data sets of the simulated
+    /// rig.
     Readers,
     /// Measure a part of the host. Compare figures within one run only. The simulator
     /// measures itself: `hil-sim bench`.

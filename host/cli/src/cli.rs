@@ -58,7 +58,7 @@ enum Command {
     Record(commands::record::Args),
     /// Check a recording: checksums, losses, the pulses' grid, times
     Verify(commands::verify::Args),
-    /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, ROS, LeRobot, ...
+    /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, ROS, ...
     Extract(commands::extract::Args),
     /// Measure frame sync from the depth camera's strobes on the phone's video
     Evaluate(commands::evaluate::Args),

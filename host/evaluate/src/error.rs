@@ -156,9 +156,7 @@ impl EvaluateError {
             message,
         };
         match error {
-            VideoError::Missing(_) | VideoError::Run { .. } | VideoError::Encode(_) => {
-                Self::Ffmpeg(error)
-            }
+            VideoError::Missing(_) | VideoError::Run { .. } => Self::Ffmpeg(error),
             VideoError::NotAVideo(message) => not_a_video(message),
             VideoError::Decode(said) => not_a_video(format!(
                 "no frame could be decoded; the file may be truncated, copy it again. ffmpeg says: {said}"

@@ -5,7 +5,7 @@
 //! extraction that is repeated gives the same files.
 
 use std::fs::{self, File};
-use std::io::{self, BufRead, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
@@ -54,15 +54,7 @@ pub(crate) struct Decoded {
 ///
 /// It cannot be read, or is none.
 pub(crate) fn read_png(path: &Path) -> io::Result<Decoded> {
-    decode_png(io::BufReader::new(File::open(path)?))
-}
-
-/// The same of a file that is open or in memory.
-///
-/// # Errors
-///
-/// As [`read_png`].
-pub(crate) fn decode_png(file: impl BufRead + Seek) -> io::Result<Decoded> {
+    let file = io::BufReader::new(File::open(path)?);
     let mut reader = png::Decoder::new(file)
         .read_info()
         .map_err(io::Error::other)?;

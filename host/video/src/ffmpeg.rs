@@ -1,7 +1,7 @@
 //! `ffmpeg` while it runs.
 
 use std::io::{self, Read};
-use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
 use super::{VideoError, run_error};
@@ -35,11 +35,6 @@ impl Ffmpeg {
     /// What it writes to, if that is a pipe.
     pub(super) fn output(&mut self) -> Option<ChildStdout> {
         self.child.stdout.take()
-    }
-
-    /// What it reads from, if that is a pipe.
-    pub(super) fn input(&mut self) -> Option<ChildStdin> {
-        self.child.stdin.take()
     }
 
     /// Waits until it has ended; returns what it complained about.

@@ -5,10 +5,9 @@
 //! pipe, and memory is one frame whatever the length of the video. Each coded frame
 //! comes once (nothing is dropped or doubled to reach a constant rate), and it is not
 //! turned upright: rows stay the sensor's rows, which is what a rolling shutter is
-//! about. [`Encoder`] writes one.
+//! about.
 
 mod decode;
-mod encode;
 mod ffmpeg;
 mod probe;
 
@@ -18,7 +17,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 pub use decode::{Pixels, Video};
-pub use encode::Encoder;
 pub use probe::{Info, parse_presentation_times, parse_probe, presentation_times, probe};
 
 /// Longest side of a frame, pixels: a damaged head of a file must not allocate
@@ -56,9 +54,6 @@ pub enum VideoError {
     /// `ffmpeg` complained, in these words. The frames before are good.
     #[error("ffmpeg cannot decode the video to its end: {0}")]
     Decode(String),
-    /// `ffmpeg` cannot write a video, in these words.
-    #[error("ffmpeg cannot write the video: {0}")]
-    Encode(String),
 }
 
 /// The formats that hold their video themselves, by ffmpeg's names: what phones and

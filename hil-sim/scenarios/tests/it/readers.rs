@@ -1,5 +1,5 @@
 //! One recording of the whole simulated chain, with depth of full size by the camera maker's
-//! own library, in the field's own readers: bags of images and samples, LeRobot's tables,
+//! own library, in the field's own readers: bags of images and samples,
 //! registered depth.
 //!
 //! Its depth pictures are made up: a wall that comes nearer by a millimetre a frame.
@@ -95,7 +95,7 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
 #[ignore = "its readers take gigabytes: `cargo xtask readers` installs and runs them"]
 fn large_readers_find_the_same() {
     let chain = record();
-    let [euroc, ros2, lerobot] = extracted(&chain);
+    let [euroc, ros2] = extracted(&chain);
     let (calibration, color) = in_color(&chain);
     let check_large = |reader: &str, script, arguments: &[&Path]| {
         let python = target().join(format!("readers/{reader}/bin/python3"));
@@ -109,7 +109,6 @@ fn large_readers_find_the_same() {
     let converted = chain.case.path("ros1.bag");
     convert(&ros2.join("ros2"), &converted);
     check_with(debian, "check_rosbag.py", &[&euroc, &converted]);
-    check_large("lerobot", "check_lerobot_dataset.py", &[&euroc, &lerobot]);
 }
 
 /// A depth recording of full size with these device times, beside colour.
@@ -122,8 +121,8 @@ fn full_size(case: &Case, device: &[i64]) -> PathBuf {
     case.vendor("depth", device, more)
 }
 
-/// The extraction as EuRoC, ROS 2 and LeRobot, with what Kalibr found of the phone.
-fn extracted(chain: &Chain) -> [PathBuf; 3] {
+/// The extraction as EuRoC and ROS 2, with what Kalibr found of the phone.
+fn extracted(chain: &Chain) -> [PathBuf; 2] {
     let Chain { case, depth, .. } = chain;
     let mut session = SessionFile::load(&case.path("recording")).unwrap();
     let (_, found) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
@@ -131,19 +130,12 @@ fn extracted(chain: &Chain) -> [PathBuf; 3] {
     session.profile.phone.from_imu = Some(found.from_imu);
     session.save(&case.path("recording")).unwrap();
 
-    let formats = [
-        (Format::Euroc, "euroc"),
-        (Format::Ros2, "ros2"),
-        (Format::Lerobot, "lerobot"),
-    ];
+    let formats = [(Format::Euroc, "euroc"), (Format::Ros2, "ros2")];
     formats.map(|(format, out)| {
         let report = case.extract_as(format, Some(depth), out, chain.options.clone());
         let phone = report.phone.unwrap();
         assert_eq!(phone.images, chain.video as u64, "{:#?}", report.losses);
-        let colored = report.depth.unwrap().color;
-        let has_place = format != Format::Lerobot;
-        let all = FRAMES as u64;
-        assert_eq!(colored, if has_place { all } else { 0 });
+        assert_eq!(report.depth.unwrap().color, FRAMES as u64);
         case.path(out)
     })
 }
@@ -155,12 +147,11 @@ fn bags_and_tables(chain: &Chain) {
         options,
         ..
     } = chain;
-    let [euroc, ros2, lerobot] = &extracted(chain);
+    let [euroc, ros2] = &extracted(chain);
     // ROS 1 takes the same bag, converted.
     let converted = case.path("ros1.bag");
     convert(&ros2.join("ros2"), &converted);
     check("check_ros.py", &[euroc, ros2, &converted]);
-    check("check_lerobot.py", &[euroc, lerobot]);
     // The camera in the frame of the board's IMU: the inverse of Kalibr's T_cam_imu.
     let yaml = std::fs::read_to_string(euroc.join("mav0/cam0/sensor.yaml")).unwrap();
     assert!(yaml.contains("data: [0, 0, 1, -0.001"), "{yaml}");
@@ -171,9 +162,7 @@ fn bags_and_tables(chain: &Chain) {
     let before = written();
     let report = case.extract_as(Format::Ros2, Some(depth), "ros2", options.clone());
     assert_eq!(written(), before);
-    for out in [ros2, lerobot] {
-        assert!(!out.join(".parts").exists());
-    }
+    assert!(!ros2.join(".parts").exists());
     // Sample pairs stay in the report when their images are gone.
     let samples = std::fs::read_to_string(euroc.join("sample_pairs.svg")).unwrap();
     assert_eq!(samples.matches("<image ").count(), 12);

@@ -33,8 +33,6 @@ enum FormatArg {
     Kalibr,
     /// A ROS 2 bag (MCAP) of images and samples: `ros2/data.mcap`
     Ros2,
-    /// LeRobot v3: `videos`, depth and times in `data`, `meta`
-    Lerobot,
 }
 
 impl From<FormatArg> for Format {
@@ -45,7 +43,6 @@ impl From<FormatArg> for Format {
             FormatArg::Topics => Self::Topics,
             FormatArg::Kalibr => Self::Kalibr,
             FormatArg::Ros2 => Self::Ros2,
-            FormatArg::Lerobot => Self::Lerobot,
         }
     }
 }

@@ -7,7 +7,6 @@
 mod auxiliary;
 mod euroc;
 mod kalibr;
-mod lerobot;
 mod noise;
 mod offset;
 mod parts;
@@ -40,8 +39,6 @@ pub enum Format {
     Kalibr,
     /// A ROS 2 bag (MCAP) of images and samples.
     Ros2,
-    /// LeRobot v3: a video of the phone's images, a table of depth images and times.
-    Lerobot,
 }
 
 impl Format {
@@ -53,7 +50,6 @@ impl Format {
             Self::Topics => "topics",
             Self::Kalibr => "kalibr",
             Self::Ros2 => "ros2",
-            Self::Lerobot => "lerobot",
         }
     }
 
@@ -66,7 +62,6 @@ impl Format {
             Self::Topics => &topics::Topics,
             Self::Kalibr => &kalibr::Kalibr,
             Self::Ros2 => &ros::Ros2,
-            Self::Lerobot => &lerobot::Lerobot,
         }
     }
 }
@@ -243,7 +238,7 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
         Format::Kalibr => "kalibr/depth0/calibration.json",
-        Format::Ros2 | Format::Lerobot => "calibration.json",
+        Format::Ros2 => "calibration.json",
     }
 }
 

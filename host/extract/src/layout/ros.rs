@@ -33,7 +33,7 @@ const BOARD_IMU: &str = ".parts/imu0.csv";
 const PHONE_IMU: &str = ".parts/imu1.csv";
 const MCAP_FILE: &str = "data.mcap";
 /// Images that are unpacked at a time.
-pub(super) const IMAGES_AT_A_TIME: usize = 4;
+const IMAGES_AT_A_TIME: usize = 4;
 /// Messages that are made at a time.
 const MESSAGES_AT_A_TIME: usize = 512;
 

@@ -267,12 +267,6 @@ impl Extraction<'_> {
                  (the pairs are in pairs.csv)",
             );
         }
-        if self.job.format == Format::Lerobot && pairs.is_empty() {
-            self.lose(
-                "pairs",
-                "a LeRobot dataset is made of pairs of phone and depth images, and there are none",
-            );
-        }
     }
 
     /// Takes what is known of the published system's settings, if the recording is its bag.
