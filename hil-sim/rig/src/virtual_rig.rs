@@ -115,6 +115,13 @@ impl VirtualRig {
         }
     }
 
+    /// Lets time pass while the host takes nothing from the board.
+    pub fn pass_unread(&mut self, length: SimDuration) {
+        self.sim.usb_set_buffer_limit(0);
+        self.pass(length);
+        self.sim.usb_set_buffer_limit(usize::MAX);
+    }
+
     /// Lets time pass until something is so; false if `patience` is over before.
     pub fn pass_until(
         &mut self,

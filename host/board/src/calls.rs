@@ -145,6 +145,11 @@ impl Board {
         self.wire.link.now()
     }
 
+    /// Leaves the board unread for so long.
+    pub fn pause(&mut self, time: Duration) {
+        self.wire.link.pause(time);
+    }
+
     /// The next event that has come already.
     pub fn queued_event(&mut self) -> Option<Event> {
         let wire = &mut self.wire;
@@ -317,6 +322,7 @@ impl Link for HungUp {
     fn receive(&mut self, _: &mut Vec<u8>, _: Duration) -> std::result::Result<(), LinkError> {
         Err(Self::gone())
     }
+    fn pause(&mut self, _: Duration) {}
 }
 
 /// A conversation on its link.

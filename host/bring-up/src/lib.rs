@@ -17,6 +17,7 @@ mod bench;
 mod parts;
 mod train;
 
+use std::fmt;
 use std::time::Duration;
 
 use board::BoardError;
@@ -54,12 +55,40 @@ impl Part {
     ];
 }
 
+/// What the person at the board reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Prompt {
+    /// The part that is measured now.
+    Measures(Part),
+    /// To put the wire at PA2 from PA5 to PE11.
+    MoveStrobeWire,
+    /// To unplug SDA of the IMU.
+    UnplugSda,
+    /// To plug SDA in again.
+    PlugSdaIn,
+}
+
+impl fmt::Display for Prompt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Measures(Part::Trigger) => "trigger: edges, widths, aligns ...",
+            Self::Measures(Part::Outputs) => "output 2 ...",
+            Self::Measures(Part::Imu) => "IMU: data-ready ...",
+            Self::Measures(Part::Link) => "USB: throughput, a host that does not read ...",
+            Self::Measures(Part::Clock) => "crystal ...",
+            Self::MoveStrobeWire => "-> move the wire at PA2 from PA5 to PE11",
+            Self::UnplugSda => "-> unplug SDA of the IMU (PB7)",
+            Self::PlugSdaIn => "-> plug SDA in again",
+        })
+    }
+}
+
 /// Whoever is at the board. Whether something was done is seen in what the board measures;
 /// nobody has to confirm it.
 #[derive(Clone, Copy)]
 pub struct Operator<'a> {
     /// Tells them what is measured, and what to do.
-    pub say: &'a dyn Fn(&str),
+    pub say: &'a dyn Fn(Prompt),
     /// Whether anybody is there to do it.
     pub is_there: bool,
     /// Whether to stop.

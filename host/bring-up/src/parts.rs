@@ -15,7 +15,7 @@ use recording::finding::{Finding, Severity};
 
 use crate::bench::{Heard, millis};
 use crate::train::{Extent, Grid, Trains};
-use crate::{BringUpError, Check, Histogram, Operator, Part};
+use crate::{BringUpError, Check, Histogram, Operator, Part, Prompt};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
@@ -81,13 +81,7 @@ impl<'a> Session<'a> {
 
     pub(crate) fn measure(&mut self, part: Part, clock: Duration) -> Result<(), BringUpError> {
         self.part = part;
-        (self.operator.say)(match part {
-            Part::Trigger => "trigger: edges, widths, aligns ...",
-            Part::Outputs => "output 2 ...",
-            Part::Imu => "IMU: data-ready ...",
-            Part::Link => "USB: throughput, a host that does not read ...",
-            Part::Clock => "crystal ...",
-        });
+        (self.operator.say)(Prompt::Measures(part));
         match part {
             Part::Trigger => self.trigger(),
             Part::Outputs => self.outputs(),
@@ -98,7 +92,7 @@ impl<'a> Session<'a> {
     }
 
     /// Asks for something to be done at the board; false if nobody is there.
-    fn asks(&self, what: &str) -> bool {
+    fn asks(&self, what: Prompt) -> bool {
         if self.operator.is_there {
             (self.operator.say)(what);
         }
@@ -303,7 +297,7 @@ impl<'a> Session<'a> {
             self.skip(NAME, "this board has no output 2", REASON);
             return Ok(());
         }
-        if !self.asks("-> move the wire at PA2 from PA5 to PE11") {
+        if !self.asks(Prompt::MoveStrobeWire) {
             self.skip(NAME, "nobody there to move the wire", REASON);
             return Ok(());
         }

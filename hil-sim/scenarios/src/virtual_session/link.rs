@@ -62,12 +62,20 @@ impl Link for VirtualLink {
             false => Ok(()),
         }
     }
+
+    fn pause(&mut self, time: Duration) {
+        self.rig.with(|rig| rig.pass_unread(duration(time)));
+    }
 }
 
 impl Drop for VirtualLink {
     fn drop(&mut self) {
         self.rig.with(|rig| rig.close(self.connection));
     }
+}
+
+fn duration(time: Duration) -> SimDuration {
+    SimDuration::from_secs_f64(time.as_secs_f64())
 }
 
 impl Clock for SharedRig {
@@ -94,6 +102,6 @@ impl Clock for SharedRig {
     }
 
     fn wait(&self, time: Duration) {
-        self.with(|rig| rig.pass(SimDuration::from_secs_f64(time.as_secs_f64())));
+        self.with(|rig| rig.pass(duration(time)));
     }
 }

@@ -51,7 +51,7 @@ pub const POWER_ON_S: i64 = 1_800_000_000;
 
 /// A rig in the hands of all its devices.
 #[derive(Clone)]
-struct SharedRig {
+pub struct SharedRig {
     rig: Rc<RefCell<VirtualRig>>,
     /// Virtual time as the computer's clock counts it, for whoever has no rig, ns.
     now_ns: Arc<AtomicI64>,
@@ -59,8 +59,23 @@ struct SharedRig {
 }
 
 impl SharedRig {
+    /// Lets a rig boot until its board's serial port is there.
+    ///
+    /// # Errors
+    ///
+    /// The port does not come.
+    pub fn boot(mut rig: VirtualRig) -> Result<Self> {
+        let booted = rig.pass_until(BOOT, |rig| rig.is_plugged());
+        ensure!(booted, "the board's serial port does not come");
+        Ok(Self {
+            rig: Rc::new(RefCell::new(rig)),
+            now_ns: Arc::default(),
+            hands: Rc::default(),
+        })
+    }
+
     /// Does something with the rig.
-    fn with<T>(&self, work: impl FnOnce(&mut VirtualRig) -> T) -> T {
+    pub fn with<T>(&self, work: impl FnOnce(&mut VirtualRig) -> T) -> T {
         let mut rig = self.rig.borrow_mut();
         let done = work(&mut rig);
         let now = i64::try_from(rig.now().as_nanos()).unwrap_or(i64::MAX);
@@ -224,16 +239,10 @@ impl Bench {
         names: &[&str],
         out: &Path,
     ) -> Result<Self> {
-        let mut rig = VirtualRig::new(config, board, phones)?;
-        let booted = rig.pass_until(BOOT, |rig| rig.is_plugged());
-        ensure!(booted, "the board's serial port does not come");
-        let profile = Profile::parse(&rig.profile(names)?, None)?;
+        let rig = SharedRig::boot(VirtualRig::new(config, board, phones)?)?;
+        let profile = Profile::parse(&rig.with(|rig| rig.profile(names))?, None)?;
         Ok(Self {
-            rig: SharedRig {
-                rig: Rc::new(RefCell::new(rig)),
-                now_ns: Arc::default(),
-                hands: Rc::default(),
-            },
+            rig,
             cues: Vec::new(),
             profile,
             out: out.to_owned(),

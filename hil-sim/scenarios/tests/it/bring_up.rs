@@ -1,124 +1,147 @@
-//! `smartdepthsync bring-up` as a process on the simulated board: it passes with the
-//! wires as the book says, and names what is wrong with them where they are not.
+//! The board test on the simulated board, on virtual time: it passes with the wires as the
+//! book says, and names what is wrong with them where they are not.
 
-use std::path::Path;
-use std::process::Command;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
-use crate::support;
-use crate::whole_rig::Session;
-use protocol::{Failure, SELF_TEST_KEY, SelfTest};
+use ::bring_up::{BringUpError, Check, Operator, Part, Prompt, Report, run};
+use ::session::devices::Connector;
+use board::Board;
+use board::transport::{Link, LinkError};
+use protocol::{
+    Failure, MIN_PULSE_WIDTH, Output, Period, SELF_TEST_KEY, SelfTest, TrainState, TriggerStart,
+};
+use recording::finding::Severity;
 use rig::imu::Fault;
 use rig::jumpers::Jumpers;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::virtual_rig::VirtualRig;
 use rig::wiring;
-use serde_json::Value;
+use scenarios::virtual_session::SharedRig;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 
+/// A board with its wires, and whoever is at it.
 struct Bench {
-    rig: RunningRig,
+    rig: SharedRig,
     jumpers: Arc<Mutex<Jumpers>>,
-    folder: tempfile::TempDir,
+    board: Board,
 }
 
 impl Bench {
     fn new(seed: u64, jumpers: Jumpers) -> Self {
-        Self::at_speed(seed, jumpers, 10.0)
+        Self::with_clock(seed, jumpers, 1.0)
     }
 
-    fn at_speed(seed: u64, jumpers: Jumpers, speed: f64) -> Self {
+    /// The computer's clock runs at `rate` of the board's.
+    fn with_clock(seed: u64, jumpers: Jumpers, rate: f64) -> Self {
         let mut config = RigConfig::published(Seed(seed));
         config.depth_camera = None;
         let jumpers = Arc::new(Mutex::new(jumpers));
         let board = wiring::board().model(Arc::clone(&jumpers));
-        let pace = Pace {
-            speed: Some(speed),
-            wait_for_host: false,
-        };
+        let rig = VirtualRig::new(config, board, Vec::new()).unwrap();
+        let mut rig = SharedRig::boot(rig).unwrap();
+        let link = rig.connect(None).unwrap();
+        let board = Board::connect_from(Box::new(OffClock { link, rate }), 1).unwrap();
         Self {
-            rig: RunningRig::start(config, board, None, pace).unwrap(),
+            rig,
             jumpers,
-            folder: tempfile::tempdir().unwrap(),
+            board,
         }
     }
 
-    fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(support::smartdepthsync());
-        command
-            .args(["bring-up", "--port"])
-            .arg(self.rig.port())
-            .arg("--out")
-            .arg(self.out())
-            .args(arguments);
-        command
+    /// Measures with nobody at the board.
+    fn measure(&mut self, parts: &[Part], clock: Duration) -> Result<Report, BringUpError> {
+        let nobody = Operator {
+            say: &|_| {},
+            is_there: false,
+            stop: &|| false,
+        };
+        run(&mut self.board, nobody, parts, clock)
     }
 
-    fn out(&self) -> &Path {
-        self.folder.path()
-    }
-
-    fn sensor(&self, fault: Fault) {
-        let imu = self.rig.parts().imu.as_ref().unwrap();
-        lock(imu).schedule(self.rig.now(), fault);
-    }
-
-    fn report(&self) -> Value {
-        let text = std::fs::read_to_string(self.out().join("bring-up.json")).unwrap();
-        serde_json::from_str(&text).unwrap()
+    /// Measures with somebody who does what they are asked for.
+    fn measure_attended(&mut self, parts: &[Part]) -> Report {
+        let (rig, jumpers) = (&self.rig, &self.jumpers);
+        let obeys = |prompt| match prompt {
+            Prompt::MoveStrobeWire => lock(jumpers).strobe = Some(Pin::PE11),
+            Prompt::UnplugSda => sensor(rig, Fault::HoldSda(None)),
+            Prompt::PlugSdaIn => sensor(rig, Fault::ReleaseSda),
+            Prompt::Measures(_) => {}
+        };
+        let somebody = Operator {
+            say: &obeys,
+            is_there: true,
+            stop: &|| false,
+        };
+        run(&mut self.board, somebody, parts, Duration::ZERO).unwrap()
     }
 }
 
-/// Verdict and measurement of each check of this name.
-fn verdicts(report: &Value, name: &str) -> Vec<(String, String)> {
-    let all = report["checks"].as_array().unwrap().iter();
-    let found: Vec<_> = all
-        .filter(|check| check["kind"] == name)
-        .map(|check| {
-            let text = |key: &str| check[key].as_str().unwrap().to_owned();
-            (text("severity"), text("text"))
-        })
-        .collect();
-    assert!(!found.is_empty(), "no check {name} in {report:#}");
-    found
+fn sensor(rig: &SharedRig, fault: Fault) {
+    rig.with(|rig| {
+        let imu = rig.parts().imu.as_ref().unwrap();
+        lock(imu).schedule(rig.now(), fault);
+    });
+}
+
+/// A link of a computer whose clock is off.
+struct OffClock {
+    link: Box<dyn Link>,
+    rate: f64,
+}
+
+impl Link for OffClock {
+    fn now(&self) -> Duration {
+        self.link.now().mul_f64(self.rate)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.link.send(bytes)
+    }
+
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
+        self.link.receive(into, wait)
+    }
+
+    fn pause(&mut self, time: Duration) {
+        self.link.pause(time);
+    }
+}
+
+/// The check of this name.
+fn check<'a>(report: &'a Report, name: &str) -> &'a Check {
+    let mut found = report.checks.iter().filter(|c| c.finding.kind == name);
+    let check = found.next();
+    assert!(found.next().is_none(), "{name} twice in {report:#?}");
+    check.unwrap_or_else(|| panic!("no check {name} in {report:#?}"))
+}
+
+fn assert_severities(report: &Report, expected: &[(&str, Severity)]) {
+    for &(name, severity) in expected {
+        let found = check(report, name);
+        assert_eq!(found.finding.severity, severity, "{found:?}");
+    }
 }
 
 #[test]
 fn a_board_in_order_passes_with_somebody_at_its_wires() {
-    let bench = Bench::new(31, Jumpers::default());
-    let parts = ["trigger", "outputs", "imu", "link"];
-    let mut session = Session::start(
-        &mut bench.command(
-            &parts
-                .map(|p| format!("--part={p}"))
-                .each_ref()
-                .map(String::as_str),
-        ),
-    );
-    session.wait_for("move the wire at PA2 from PA5 to PE11");
-    bench.jumpers.lock().unwrap().strobe = Some(Pin::PE11);
-    session.wait_for("unplug SDA");
-    bench.sensor(Fault::HoldSda(None));
-    session.wait_for("plug SDA in again");
-    bench.sensor(Fault::ReleaseSda);
-    let said = session.ends_with(0);
-    let report = bench.report();
-    for check in report["checks"].as_array().unwrap() {
-        assert_eq!(check["severity"], "good", "{check:#}\n{said}");
-    }
+    let mut bench = Bench::new(31, Jumpers::default());
+    let report = bench.measure_attended(&[Part::Trigger, Part::Outputs, Part::Imu, Part::Link]);
     for name in [
         "edges on their ticks",
         "slew",
         "read-back",
         "strobe input",
         "pulse width",
+        "output 2 on the strobe input",
         "pulse width of output 2",
         "output 2 beside the trigger",
         "sample rate",
         "data-ready",
         "recovery of the IMU",
+        "trigger beside a failed IMU",
         "throughput",
         "a host that does not read",
         "handlers",
@@ -126,10 +149,14 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         "handler of the outputs",
         "handler of the hand-over",
         "handler of USB",
+        "core and stack",
     ] {
-        assert_eq!(verdicts(&report, name).len(), 1, "{name}");
+        check(&report, name);
     }
-    let page = std::fs::read_to_string(bench.out().join("bring-up.html")).unwrap();
+    for check in &report.checks {
+        assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
+    }
+    let page = report::board_test::page(&report);
     assert!(
         page.contains("checks passed") && page.contains("<svg"),
         "{page}"
@@ -137,101 +164,77 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
 }
 
 #[test]
-fn a_broken_wire_and_a_held_bus_fail_with_what_to_look_at() {
-    let bench = Bench::new(
-        32,
-        Jumpers {
-            readback: false,
-            ..Jumpers::default()
-        },
-    );
-    let arguments = [
-        "--part=trigger",
-        "--part=imu",
-        "--part=outputs",
-        "--hands-off",
-    ];
+fn a_broken_wire_and_a_held_bus_fail() {
+    let jumpers = Jumpers {
+        readback: false,
+        ..Jumpers::default()
+    };
+    let mut bench = Bench::new(32, jumpers);
     // Without its pull-ups the bus stays low.
-    bench.sensor(Fault::HoldSda(None));
-    let said = Session::start(&mut bench.command(&arguments)).ends_with(3);
-    let report = bench.report();
-    assert_eq!(verdicts(&report, "read-back")[0].0, "bad");
-    assert_eq!(verdicts(&report, "strobe input")[0].0, "good");
-    assert_eq!(verdicts(&report, "edges on their ticks")[0].0, "good");
-    assert_eq!(
-        verdicts(&report, "output 2 on the strobe input")[0].0,
-        "check"
+    sensor(&bench.rig, Fault::HoldSda(None));
+    let parts = [Part::Trigger, Part::Imu, Part::Outputs];
+    let report = bench.measure(&parts, Duration::ZERO).unwrap();
+    assert_severities(
+        &report,
+        &[
+            ("read-back", Severity::Bad),
+            ("strobe input", Severity::Good),
+            ("edges on their ticks", Severity::Good),
+            ("output 2 on the strobe input", Severity::Check),
+            ("data-ready", Severity::Bad),
+        ],
     );
-    let (verdict, measured) = &verdicts(&report, "data-ready")[0];
-    assert_eq!(verdict, "bad");
-    assert!(measured.contains("BusHeld"), "{measured}");
-    assert!(said.contains("the wire from PA5 to PA3"), "{said}");
-    assert!(said.contains("pull-ups"), "{said}");
 }
 
 #[test]
 fn a_board_in_use_is_left_alone() {
-    let bench = Bench::new(33, Jumpers::default());
-    let trigger = |action: &[&str]| {
-        let mut command = Command::new(support::smartdepthsync());
-        command
-            .arg("trigger")
-            .args(action)
-            .arg("--port")
-            .arg(bench.rig.port());
-        Session::start(&mut command).ends_with(0)
+    let mut bench = Bench::new(33, Jumpers::default());
+    let start = TriggerStart {
+        period: Period::from_picos(33_333_333_333).unwrap(),
+        width: MIN_PULSE_WIDTH,
+        first_edge: None,
+        first_fraction: 0,
     };
-    trigger(&["start", "--fps", "30"]);
-    let said = Session::start(&mut bench.command(&[])).ends_with(3);
-    assert!(said.contains("the trigger is running"), "{said}");
-    assert!(said.contains("trigger stop"), "{said}");
-    assert!(trigger(&["status", "--json"]).contains("\"Running\""));
-    assert!(!bench.out().join("bring-up.json").exists());
+    bench.board.start_trigger(Output::Camera, start).unwrap();
+    let refused = bench.measure(&Part::ALL, Duration::ZERO);
+    assert!(matches!(refused, Err(BringUpError::InUse)), "{refused:?}");
+    assert_eq!(bench.board.trigger().unwrap().state, TrainState::Running);
 }
 
 /// Slower than the gap between two pulses leaves it, though no edge comes late by it.
 #[test]
 fn a_slow_handler_fails() {
-    let bench = Bench::new(34, Jumpers::default());
-    let mut board = board::Board::open(bench.rig.port().to_str()).unwrap();
+    let mut bench = Bench::new(34, Jumpers::default());
     let (key, failure) = (SELF_TEST_KEY, Failure::SlowHandler);
-    board.call(SelfTest { key, failure }).unwrap();
-    drop(board);
-    let said = Session::start(&mut bench.command(&["--part=link", "--hands-off"])).ends_with(3);
-    let report = bench.report();
-    for name in ["handlers", "handler of the trigger"] {
-        assert_eq!(verdicts(&report, name)[0].0, "bad", "{said}");
-    }
-    for name in ["handler of the outputs", "handler of USB", "throughput"] {
-        assert_eq!(verdicts(&report, name)[0].0, "good", "{said}");
-    }
-    assert!(said.contains("a handler of higher priority that takes too long"));
+    bench.board.call(SelfTest { key, failure }).unwrap();
+    let report = bench.measure(&[Part::Link], Duration::ZERO).unwrap();
+    assert_severities(
+        &report,
+        &[
+            ("handlers", Severity::Bad),
+            ("handler of the trigger", Severity::Bad),
+            ("handler of the outputs", Severity::Good),
+            ("handler of USB", Severity::Good),
+            ("throughput", Severity::Good),
+        ],
+    );
 }
 
-/// At the speed of time, so that the computer's clock is the board's; as well as a busy
-/// computer keeps it, which costs the board a millisecond now and then, so the longer the better.
+/// The limit is 100 ppm; a look at the port every millisecond adds some 20 over a minute.
 #[test]
 fn the_crystal_is_compared_with_the_computers_clock() {
-    let compare = |speed, seconds| {
-        let bench = Bench::at_speed(35, Jumpers::default(), speed);
-        let length = format!("--clock-time={seconds}s");
-        let arguments = ["--part=clock", &length, "--hands-off"];
-        let (status, said) = Session::start(&mut bench.command(&arguments)).end();
-        let (found, measured) = verdicts(&bench.report(), "crystal").swap_remove(0);
-        assert!(measured.contains("the chip at 36."), "{measured}");
-        (found, status.code(), said)
-    };
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            let (verdict, code, said) = compare(1.01, 4);
-            assert_eq!((verdict.as_str(), code), ("bad", Some(3)), "{said}");
-        });
-        let mut said = String::new();
-        let passes = [8, 16, 32].into_iter().any(|seconds| {
-            let (verdict, code, last) = compare(1.0, seconds);
-            said = last;
-            (verdict.as_str(), code) == ("good", Some(0))
-        });
-        assert!(passes, "{said}");
-    });
+    for (ppm, severity) in [
+        (0.0, Severity::Good),
+        (150.0, Severity::Bad),
+        (-150.0, Severity::Bad),
+    ] {
+        let mut bench = Bench::with_clock(35, Jumpers::default(), 1.0 + ppm * 1e-6);
+        let report = bench
+            .measure(&[Part::Clock], Duration::from_secs(30))
+            .unwrap();
+        let crystal = check(&report, "crystal");
+        assert_eq!(crystal.finding.severity, severity, "{crystal:?}");
+        let text = &crystal.finding.text;
+        assert!(text.contains("the chip at 36."), "{text}");
+    }
 }

@@ -64,6 +64,8 @@ impl Link for Scripted {
         into.append(&mut self.to_host);
         Ok(())
     }
+
+    fn pause(&mut self, _: Duration) {}
 }
 
 /// The gap between what a former program left behind and what the board sends now

@@ -32,6 +32,9 @@ pub trait Link {
     ///
     /// The link is gone. What had arrived before was given out before.
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError>;
+
+    /// Lets time pass in which nothing that arrives is taken from the board.
+    fn pause(&mut self, time: Duration);
 }
 
 /// The link broke.

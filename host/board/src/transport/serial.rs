@@ -33,7 +33,7 @@ const MOST_WAITING: usize = 32 << 20;
 /// takes them looks at the clock in between.
 const MOST_AT_ONCE: usize = 1 << 20;
 
-/// Pause of the reading thread while the queue is full.
+/// How long the reading thread waits while the queue is full or it is asked to pause.
 const PAUSE: Duration = Duration::from_millis(5);
 
 /// How long a write may take.
@@ -83,8 +83,16 @@ pub struct SerialLink {
     /// Bytes in the queue.
     waiting: Arc<AtomicUsize>,
     gone: Option<LinkError>,
-    stop: Arc<AtomicBool>,
+    /// What the reading thread is asked for.
+    asked: Arc<Asked>,
     reader: Option<JoinHandle<()>>,
+}
+
+/// What the reading thread is asked for.
+#[derive(Default)]
+struct Asked {
+    stop: AtomicBool,
+    pause: AtomicBool,
 }
 
 impl SerialLink {
@@ -105,20 +113,20 @@ impl SerialLink {
             reason: error,
         };
         let reading = port.try_clone().map_err(|error| other(error.to_string()))?;
-        let stop = Arc::new(AtomicBool::new(false));
+        let asked = Arc::new(Asked::default());
         let (sender, received) = channel();
         let waiting = Arc::new(AtomicUsize::new(0));
-        let (stopped, queued) = (Arc::clone(&stop), Arc::clone(&waiting));
+        let (orders, queued) = (Arc::clone(&asked), Arc::clone(&waiting));
         let reader = std::thread::Builder::new()
             .name(String::from("link reader"))
-            .spawn(move || read_until_stopped(reading, &stopped, &queued, &sender))
+            .spawn(move || read_until_stopped(reading, &orders, &queued, &sender))
             .map_err(|error| other(error.to_string()))?;
         Ok(Self {
             port,
             received,
             waiting,
             gone: None,
-            stop,
+            asked,
             reader: Some(reader),
         })
     }
@@ -194,11 +202,17 @@ impl Link for SerialLink {
             _ => Ok(()),
         }
     }
+
+    fn pause(&mut self, time: Duration) {
+        self.asked.pause.store(true, Ordering::Relaxed);
+        std::thread::sleep(time);
+        self.asked.pause.store(false, Ordering::Relaxed);
+    }
 }
 
 impl Drop for SerialLink {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
+        self.asked.stop.store(true, Ordering::Relaxed);
         if let Some(reader) = self.reader.take() {
             // It ends within one POLL; a panic in it has nothing to say here.
             let _ = reader.join();
@@ -208,13 +222,14 @@ impl Drop for SerialLink {
 
 fn read_until_stopped(
     mut port: Box<dyn SerialPort>,
-    stop: &AtomicBool,
+    asked: &Asked,
     waiting: &AtomicUsize,
     sender: &Sender<io::Result<Vec<u8>>>,
 ) {
     let mut buffer = vec![0; 16 * 1024];
-    while !stop.load(Ordering::Relaxed) {
-        if waiting.load(Ordering::Relaxed) >= MOST_WAITING {
+    while !asked.stop.load(Ordering::Relaxed) {
+        let is_full = waiting.load(Ordering::Relaxed) >= MOST_WAITING;
+        if is_full || asked.pause.load(Ordering::Relaxed) {
             std::thread::sleep(PAUSE);
             continue;
         }

@@ -8,7 +8,7 @@ use protocol::{
 use super::{HANDS_TIME, PERIOD, Session};
 use crate::bench::{Heard, millis};
 use crate::train::{Extent, Trains};
-use crate::{BringUpError, Histogram};
+use crate::{BringUpError, Histogram, Prompt};
 
 /// How long samples must come again without a break, at 500 a second.
 const IMU_BACK: TickDelta = millis(1_000);
@@ -98,7 +98,7 @@ impl Session<'_> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        if !self.asks("-> unplug SDA of the IMU (PB7)") {
+        if !self.asks(Prompt::UnplugSda) {
             self.stop(Output::Camera)?;
             self.skip(NAME, "nobody there to unplug SDA", REASON);
             return Ok(());
@@ -110,7 +110,7 @@ impl Session<'_> {
             self.skip(NAME, "SDA was not unplugged within two minutes", REASON);
             return Ok(());
         }
-        self.asks("-> plug SDA in again");
+        self.asks(Prompt::PlugSdaIn);
         heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
         let back = self.hear(IMU_BACK)?;
         let runs = back.statuses.last().is_some_and(|status| !failed(status));

@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let mut board = args.port.open()?;
     std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
     let operator = Operator {
-        say: &|text| context.say(text),
+        say: &|prompt| context.say(prompt.to_string()),
         is_there: !args.hands_off,
         stop: &context.interrupt.question(),
     };
