@@ -5,7 +5,7 @@
 use peak_alloc::PeakAlloc;
 use std::process::Command;
 
-use twist_scenarios::{Twist, TwistSpec};
+use twist_scenarios::{Grip, Motion, Twist, TwistSpec};
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 #[global_allocator]
@@ -65,6 +65,18 @@ fn measured() {
             let twist = twist_scenarios::twist(&scenario.spec, 52_000);
             check(scenario.name, (twist.a, twist.b), MULTIPLE);
         }
+    }
+    // Minutes of being carried around: 156,000 samples each.
+    for grip in [Grip::Firm, Grip::Slip(5.0, 5.0)] {
+        let mut minutes = TwistSpec {
+            motion: Motion::Natural(0.8, 1.6),
+            duration_s: 780.0,
+            grip,
+            ..TwistSpec::default()
+        };
+        (minutes.a.rate_hz, minutes.b.rate_hz) = (200.0, 200.02);
+        let twist = twist_scenarios::twist(&minutes, 54_000);
+        check("13 min of 200 Hz", (twist.a, twist.b), MULTIPLE);
     }
     let long = TwistSpec {
         duration_s: 40.0,

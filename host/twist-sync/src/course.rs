@@ -2,57 +2,155 @@
 //! Rauch–Tung–Striebel smoother over the state (offset, skew), where the skew walks
 //! at random with the given [`Wander`].
 //!
-//! Limits: a jump of a clock within the recording is not modelled; estimates that
-//! contradict the others by more than [`CONTRADICTION`] sigmas are left out and
-//! counted.
+//! A clock may step, and an estimate may be wrong. So the estimates are cut into segments,
+//! each with a relation of its own, such that as little as possible stays unexplained: the
+//! squares of the innovations, [`CONTRADICTION`]² for an estimate that is left out, and
+//! [`STEP_COST`] for a segment (optimal partitioning, Jackson et al. 2005). A segment has
+//! two estimates at least; what only one estimate says is not believed against the rest.
 
-use crate::clock::{ClockRelation, State, Wander};
+use crate::clock::{ClockRelation, State, Wander, WithSigma};
 
 /// Innovation beyond which an estimate is left out, in sigmas.
 pub(crate) const CONTRADICTION: f64 = 6.0;
+/// Cost of a segment, as a sum of squares: more than one estimate that is left out, less than
+/// two.
+const STEP_COST: f64 = 60.0;
+/// With more estimates than this a segment begins only where one contradicts the one before
+/// it by [`NOTABLE`], a square.
+const MOST_BEGINNINGS: usize = 1000;
+const NOTABLE: f64 = 6.0;
+/// A stretch that nothing supports may hold a step: 1-sigma in seconds for each second of
+/// distance from what is supported.
+const UNSUPPORTED: f64 = 100e-6;
 
-/// The clock relation over a whole recording.
+/// A step of one clock against the other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClockStep {
+    /// It is no earlier than this time of clock a, seconds.
+    pub from_s: f64,
+    /// It is no later than this time of clock a, seconds.
+    pub to_s: f64,
+    /// Change of b − a, seconds.
+    pub by: WithSigma,
+}
+
+/// Estimates of a stretch of time in which no clock stepped, at least one.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ClockCourse {
+struct Segment {
     /// Filtered (past only) states at the estimates, in time order.
     filtered: Vec<ClockRelation>,
     /// Smoothed (all data) states at the same times.
     smoothed: Vec<ClockRelation>,
+}
+
+/// The clock relation over a whole recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClockCourse {
+    segments: Vec<Segment>,
+    /// Steps between the segments, in order of time.
+    pub steps: Vec<ClockStep>,
+    /// Stretches (from, to) of clock a, seconds, over which the relation is not supported:
+    /// there is motion, but nothing that could be related. The sigma grows within them.
+    pub unsupported: Vec<(f64, f64)>,
     /// Number of estimates that are used.
     pub used: usize,
     /// Number of estimates that contradict the rest.
     pub contradicting: usize,
 }
 
-impl ClockCourse {
-    /// Joins estimates of one pair of clocks (windows, or a few twists).
-    ///
-    /// `None` if there are none.
-    #[must_use]
-    pub fn from_estimates(estimates: &[ClockRelation], wander: Wander) -> Option<Self> {
-        let mut sorted = estimates.to_vec();
-        sorted.sort_by(|a, b| a.reference.total_cmp(&b.reference));
-        let base = sorted.first()?.offset;
-        let mut filtered: Vec<(f64, State)> = Vec::new();
-        let mut contradicting = 0;
-        for estimate in &sorted {
-            let at = estimate.reference;
-            let measured = State::of(estimate, base);
-            let next = match filtered.last() {
-                None => measured,
-                Some((before, last)) => {
-                    let forward = last.predicted(at - before, wander);
-                    let Some((updated, square)) = forward.updated(&measured) else {
-                        continue;
-                    };
-                    if square.is_nan() || square > CONTRADICTION * CONTRADICTION {
-                        contradicting += 1;
-                        continue;
-                    }
-                    updated
-                }
-            };
-            filtered.push((at, next));
+/// A segment while it grows, from the estimate `begin` on.
+struct Growing {
+    begin: usize,
+    /// Cost of all before it.
+    before: f64,
+    cost: f64,
+    used: usize,
+    last: (f64, State),
+}
+
+impl Growing {
+    fn new(begin: usize, before: f64, estimate: &ClockRelation, base: f64) -> Self {
+        Self {
+            begin,
+            before,
+            cost: STEP_COST,
+            used: 1,
+            last: (estimate.reference, State::of(estimate, base)),
+        }
+    }
+
+    /// Takes the next estimate; false if it contradicts.
+    fn take(&mut self, estimate: &ClockRelation, base: f64, wander: Wander) -> bool {
+        let (at, state) = self.last;
+        let forward = state.predicted(estimate.reference - at, wander);
+        let updated = forward.updated(&State::of(estimate, base));
+        let limit = CONTRADICTION * CONTRADICTION;
+        match updated.filter(|(_, square)| *square <= limit) {
+            Some((next, square)) => {
+                self.cost += square;
+                self.used += 1;
+                self.last = (estimate.reference, next);
+                true
+            }
+            None => {
+                self.cost += limit;
+                false
+            }
+        }
+    }
+}
+
+/// Cuts estimates, in order of time, into segments: begin and end of each.
+fn partition(sorted: &[ClockRelation], base: f64, wander: Wander) -> Vec<(usize, usize)> {
+    let may_begin = |k: usize| {
+        k == 0 || sorted.len() <= MOST_BEGINNINGS || {
+            let before = Growing::new(k - 1, 0.0, &sorted[k - 1], base);
+            let (at, state) = before.last;
+            let forward = state.predicted(sorted[k].reference - at, wander);
+            let updated = forward.updated(&State::of(&sorted[k], base));
+            updated.is_none_or(|(_, square)| square > NOTABLE)
+        }
+    };
+    // Cheapest way to explain all before each estimate, and the segment that ends there.
+    let mut cheapest: Vec<(f64, Option<usize>)> = vec![(0.0, None)];
+    let mut growing: Vec<Growing> = Vec::new();
+    for (k, estimate) in sorted.iter().enumerate() {
+        let before = cheapest[k].0;
+        // Whoever costs more already will not become cheaper than a segment from here.
+        growing.retain(|own| own.before + own.cost <= before + 2.0 * STEP_COST);
+        for own in &mut growing {
+            own.take(estimate, base, wander);
+        }
+        if may_begin(k) {
+            growing.push(Growing::new(k, before, estimate, base));
+        }
+        let ends = growing.iter().filter(|own| own.used > 1);
+        let best = ends.map(|own| (own.before + own.cost, Some(own.begin)));
+        let left_out = (before + CONTRADICTION * CONTRADICTION, None);
+        cheapest.push(best.fold(left_out, |x, y| if y.0 < x.0 { y } else { x }));
+    }
+    let mut segments = Vec::new();
+    let mut end = sorted.len();
+    while end > 0 {
+        if let Some(begin) = cheapest[end].1 {
+            segments.push((begin, end));
+            end = begin;
+        } else {
+            end -= 1;
+        }
+    }
+    segments.reverse();
+    segments
+}
+
+impl Segment {
+    fn new(estimates: &[ClockRelation], base: f64, wander: Wander) -> Option<Self> {
+        let mut growing = Growing::new(0, 0.0, estimates.first()?, base);
+        let mut filtered = vec![growing.last];
+        for estimate in &estimates[1..] {
+            if growing.take(estimate, base, wander) {
+                filtered.push(growing.last);
+            }
         }
         let mut smoothed = filtered.clone();
         for i in (0..filtered.len() - 1).rev() {
@@ -68,35 +166,21 @@ impl ClockCourse {
         Some(Self {
             filtered: relations(&filtered),
             smoothed: relations(&smoothed),
-            used: filtered.len(),
-            contradicting,
         })
     }
 
-    /// The same course, but where the clocks were followed ([`crate::tracker::followed`]):
-    /// there it is what came of that, which knows all estimates.
-    #[must_use]
-    pub fn with_followed(mut self, knots: &[ClockRelation]) -> Self {
-        let (Some(first), Some(last)) = (knots.first(), knots.last()) else {
-            return self;
-        };
-        let is_beyond =
-            |own: &ClockRelation| own.reference < first.reference || own.reference > last.reference;
-        for own in [&mut self.filtered, &mut self.smoothed] {
-            own.retain(is_beyond);
-            let place = own.partition_point(|own| own.reference < first.reference);
-            own.splice(place..place, knots.iter().copied());
-        }
-        self
+    fn first(&self) -> &ClockRelation {
+        &self.smoothed[0]
     }
 
-    /// The relation at a time of clock a, from all data: between the estimates the
-    /// bridge of the two nearest, outside a prediction.
-    #[must_use]
-    pub fn at(&self, at: f64) -> ClockRelation {
+    fn last(&self) -> &ClockRelation {
+        &self.smoothed[self.smoothed.len() - 1]
+    }
+
+    fn at(&self, at: f64) -> ClockRelation {
         let after = self.smoothed.partition_point(|m| m.reference <= at);
         match (after.checked_sub(1), self.smoothed.get(after)) {
-            (None, _) => self.smoothed[0].referenced_at(at),
+            (None, _) => self.first().referenced_at(at),
             (Some(last), None) => self.smoothed[last].referenced_at(at),
             (Some(before), Some(next)) => {
                 let (base, wander) = (next.offset, next.wander);
@@ -106,12 +190,113 @@ impl ClockCourse {
             }
         }
     }
+}
+
+impl ClockCourse {
+    /// Joins estimates of one pair of clocks (windows, or a few twists).
+    ///
+    /// `None` if there are none, or if as many contradict as agree.
+    #[must_use]
+    pub fn from_estimates(estimates: &[ClockRelation], wander: Wander) -> Option<Self> {
+        let mut sorted = estimates.to_vec();
+        sorted.sort_by(|a, b| a.reference.total_cmp(&b.reference));
+        let base = sorted.first()?.offset;
+        let parts = match sorted.len() {
+            1 => vec![(0, 1)],
+            _ => partition(&sorted, base, wander),
+        };
+        let segment =
+            |&(begin, end): &(usize, usize)| Segment::new(&sorted[begin..end], base, wander);
+        let segments: Vec<Segment> = parts.iter().filter_map(segment).collect();
+        let used = segments.iter().map(|segment| segment.filtered.len()).sum();
+        let contradicting = sorted.len() - used;
+        if contradicting >= used {
+            return None;
+        }
+        let step = |pair: &[Segment]| {
+            let (from_s, to_s) = (pair[0].last().reference, pair[1].first().reference);
+            let middle = 0.5 * (from_s + to_s);
+            let [before, after] = [0, 1].map(|k| pair[k].at(middle).offset_here());
+            ClockStep {
+                from_s,
+                to_s,
+                by: WithSigma {
+                    value: after.value - before.value,
+                    sigma: after.sigma.hypot(before.sigma),
+                },
+            }
+        };
+        Some(Self {
+            steps: segments.windows(2).map(step).collect(),
+            segments,
+            unsupported: Vec::new(),
+            used,
+            contradicting,
+        })
+    }
+
+    /// The same course, but where the clocks were followed ([`crate::tracker::followed`]):
+    /// there it is what came of that, which knows all estimates. Steps are not followed: with
+    /// one, the course stays what it is.
+    #[must_use]
+    pub fn with_followed(mut self, knots: &[ClockRelation]) -> Self {
+        let (Some(first), Some(last), [segment]) =
+            (knots.first(), knots.last(), &mut self.segments[..])
+        else {
+            return self;
+        };
+        let is_beyond =
+            |own: &ClockRelation| own.reference < first.reference || own.reference > last.reference;
+        for own in [&mut segment.filtered, &mut segment.smoothed] {
+            own.retain(is_beyond);
+            let place = own.partition_point(|own| own.reference < first.reference);
+            own.splice(place..place, knots.iter().copied());
+        }
+        self
+    }
+
+    /// The relation at a time of clock a, from all data: between the estimates the
+    /// bridge of the two nearest, outside a prediction. Amid a step that of the nearer side.
+    #[must_use]
+    pub fn at(&self, at: f64) -> ClockRelation {
+        let middle = |step: &ClockStep| 0.5 * (step.from_s + step.to_s);
+        let segment = self.steps.partition_point(|step| middle(step) <= at);
+        let mut relation = self.segments[segment.min(self.segments.len() - 1)].at(at);
+        let inside = |&&(from, to): &&(f64, f64)| from < at && at < to;
+        if let Some(&(from, to)) = self.unsupported.iter().find(inside) {
+            let distance = (at - from).min(to - at);
+            relation.covariance[0][0] += (UNSUPPORTED * distance).powi(2);
+        }
+        relation
+    }
+
+    /// The segments between the steps: the relation in the middle of each, with first and last
+    /// time of clock a with data.
+    pub fn segments(&self) -> impl Iterator<Item = (f64, f64, ClockRelation)> {
+        self.segments.iter().map(|segment| {
+            let (from, to) = (segment.first().reference, segment.last().reference);
+            (from, to, segment.at(0.5 * (from + to)))
+        })
+    }
 
     /// The same course where all times of clock a are later by `a_s` and offsets larger by
     /// `between_s`.
     pub(crate) fn moved(mut self, a_s: f64, between_s: f64) -> Self {
-        for relation in self.filtered.iter_mut().chain(&mut self.smoothed) {
-            *relation = relation.moved(a_s, between_s);
+        for segment in &mut self.segments {
+            for relation in segment.filtered.iter_mut().chain(&mut segment.smoothed) {
+                *relation = relation.moved(a_s, between_s);
+            }
+        }
+        let times = self
+            .steps
+            .iter_mut()
+            .flat_map(|s| [&mut s.from_s, &mut s.to_s]);
+        let stretches = self
+            .unsupported
+            .iter_mut()
+            .flat_map(|(from, to)| [from, to]);
+        for time in times.chain(stretches) {
+            *time += a_s;
         }
         self
     }
@@ -120,7 +305,7 @@ impl ClockCourse {
     #[must_use]
     pub fn b_to_a(&self, b: f64) -> f64 {
         // Twice: the offset changes by the skew, at most 10⁻³, times the first one's error.
-        let near = self.smoothed[0].b_to_a(b);
+        let near = self.segments[0].first().b_to_a(b);
         let near = b - self.at(near).offset;
         b - self.at(near).offset
     }
@@ -128,10 +313,8 @@ impl ClockCourse {
     /// First and last time of clock a with data.
     #[must_use]
     pub fn span(&self) -> (f64, f64) {
-        (
-            self.smoothed[0].reference,
-            self.smoothed[self.smoothed.len() - 1].reference,
-        )
+        let last = &self.segments[self.segments.len() - 1];
+        (self.segments[0].first().reference, last.last().reference)
     }
 }
 
@@ -179,6 +362,53 @@ mod tests {
         let course = ClockCourse::from_estimates(&estimates, Wander::from_ppm(0.02)).unwrap();
         assert_eq!((course.used, course.contradicting), (19, 1));
         assert!((course.at(110.0).offset - 5.0).abs() < 5e-6);
+    }
+
+    /// Windows of 10 s about a line with these offsets on top of it.
+    fn windows(offsets: &[f64]) -> Vec<ClockRelation> {
+        let at = |k: usize| 10.0 * k as f64;
+        let line = |k: usize| 5.0 + 20e-6 * at(k);
+        let each = offsets.iter().enumerate();
+        each.map(|(k, offset)| estimate(at(k), line(k) + offset, 20e-6))
+            .collect()
+    }
+
+    #[test]
+    fn a_step_parts_the_course_and_a_few_wrong_windows_do_not() {
+        let wander = Wander::from_ppm(0.05);
+        let step =
+            |before: usize, after: usize, by: f64| [vec![0.0; before], vec![by; after]].concat();
+        for (before, after, by) in [
+            (2, 7, 10e-3),
+            (5, 4, -1.0),
+            (7, 2, 0.3e-3),
+            (20, 20, 0.2e-3),
+        ] {
+            let course = ClockCourse::from_estimates(&windows(&step(before, after, by)), wander);
+            let course = course.unwrap();
+            assert_eq!((course.used, course.contradicting), (before + after, 0));
+            let [found] = course.steps[..] else {
+                panic!("{before} {after} {by}: {:?}", course.steps);
+            };
+            assert!(
+                (found.by.value - by).abs() < 4.0 * found.by.sigma,
+                "{found:?}"
+            );
+            assert_eq!(found.from_s, 10.0 * (before - 1) as f64);
+            assert_eq!(found.to_s, 10.0 * before as f64);
+            let first = course.at(0.0);
+            assert!((first.offset - 5.0).abs() < 4.0 * first.covariance[0][0].sqrt());
+        }
+        // The first window is wrong, and two others.
+        let mut offsets = vec![0.0; 12];
+        (offsets[0], offsets[5], offsets[8]) = (5e-3, -2e-3, 40e-3);
+        let course = ClockCourse::from_estimates(&windows(&offsets), wander).unwrap();
+        assert_eq!((course.used, course.contradicting), (9, 3));
+        assert_eq!(course.steps, []);
+        assert!((course.at(0.0).offset - 5.0).abs() < 60e-6);
+        // No two agree.
+        assert!(ClockCourse::from_estimates(&windows(&[0.0, 1e-3]), wander).is_none());
+        assert!(ClockCourse::from_estimates(&windows(&[0.0, 1e-3, -4e-3]), wander).is_none());
     }
 
     #[test]

@@ -109,6 +109,14 @@ pub struct Refusal {
     pub report: Report,
 }
 
+impl Refusal {
+    /// True if the two move, but were not found to belong together at any lag.
+    pub(crate) fn is_of_lag(&self) -> bool {
+        let of_lag = |gate: &Gate| !gate.passed && Gate::OF_LAG.contains(&gate.name);
+        self.report.gates.iter().any(of_lag)
+    }
+}
+
 /// Figures on which an estimate or a refusal is based.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {

@@ -55,6 +55,15 @@ impl Gate {
     /// lag in doubt.
     pub(crate) const MOSTLY_EXPLAINED: f64 = UNEXPLAINED_AT_FIRST;
 
+    /// Gates that fail where the lag is another one than those that were looked at.
+    pub(crate) const OF_LAG: [&'static str; 5] = [
+        "overlap",
+        "explained",
+        "unique_peak",
+        "one_body",
+        "one_relation",
+    ];
+
     fn at_least(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
         Self {
             name,

@@ -13,6 +13,8 @@ use crate::rigid::{self, Stretch};
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;
+/// Nodes of a quick fit at most: those of a minute.
+const MOST_NODES: usize = 6000;
 
 /// A lag that was tried.
 struct Tried {
@@ -52,8 +54,14 @@ pub(crate) fn chosen(
     settings: &Settings,
     report: &mut Report,
 ) -> Option<(Link, Vec<Stretch>)> {
-    let data = signals.data.sampled(coarse::BIN_S);
-    let noise_span = (settings.fit.oversampling * settings.step_s / coarse::BIN_S).max(1.0);
+    // Over minutes every bin is more than the choice needs.
+    let mut data = signals.data.sampled(coarse::BIN_S);
+    let every = data.len().div_ceil(MOST_NODES).max(1);
+    let node_s = coarse::BIN_S * every as f64;
+    if every > 1 {
+        data = data.into_iter().step_by(every).collect();
+    }
+    let noise_span = (settings.fit.oversampling * settings.step_s / node_s).max(1.0);
     let quick = FitOptions {
         iterations: 8,
         settled_s: 1e-6,
@@ -73,7 +81,7 @@ pub(crate) fn chosen(
     };
     let tried = distinct(&candidates(pair, options), |lag_s| at(&data, lag_s));
     let nodes = tried.first().map_or(0, |best| best.fit.nodes.len());
-    let overlap_s = nodes as f64 * coarse::BIN_S;
+    let overlap_s = nodes as f64 * node_s;
     report.judge(Gate::overlap(overlap_s, options.min_overlap_s))?;
     let best = tried.first()?;
     let lags: Vec<f64> = tried.iter().map(|t| t.fit.link.lag_s()).collect();

@@ -42,11 +42,12 @@ mod track;
 pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
-pub use course::ClockCourse;
+pub use course::{ClockCourse, ClockStep};
 pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
 pub use gates::Gate;
 pub use recording::{
-    GyroOpener, Prior, RecordingClock, RecordingError, course_of_tracks, estimate_course,
+    GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
+    estimate_course,
 };
 pub use track::{GyroSample, GyroStream, GyroTrack};

@@ -7,6 +7,10 @@
 //! hours needs no more than one of minutes. The windows of a batch are estimated in
 //! parallel.
 //!
+//! A window that is refused is looked at again over a wide range of offsets, because a clock
+//! may have stepped. Two neighbours that are refused are estimated together, and two of
+//! those again, up to [`LONGEST`]: what is too weak alone adds up.
+//!
 //! The offset is expected somewhere ([`Prior`]), or a first one is found by
 //! [`crate::search`].
 
@@ -19,7 +23,8 @@ use std::{panic, thread};
 
 use crate::clock::ClockRelation;
 use crate::course::ClockCourse;
-use crate::estimate::{Estimate, Options, Refusal, estimate_offset};
+use crate::estimate::{Estimate, Options, Refusal, Warning, estimate_offset};
+use crate::gates::Gate;
 use crate::search;
 use crate::track::{GyroSample, GyroStream, GyroTrack};
 
@@ -33,6 +38,12 @@ const BATCH: usize = 8;
 const LEAST_MARGIN_S: f64 = 0.1;
 /// Largest half-width, seconds.
 const MOST_MARGIN_S: f64 = 5.0;
+/// So many windows are estimated as one at most, which is 320 s.
+const LONGEST: usize = 32;
+/// Windows that are no farther apart follow each other, seconds.
+const FOLLOWS_S: f64 = 0.5;
+/// A stretch of motion without any estimate that is as long is not supported, seconds.
+const UNSUPPORTED_S: f64 = 25.0;
 /// Two clocks are this far apart in rate at most.
 const MOST_SKEW: f64 = 500e-6;
 /// Most samples of one window: a stream with more of them in that time is damaged.
@@ -55,10 +66,23 @@ pub enum Prior {
 pub struct RecordingClock {
     /// Offset and skew over time.
     pub course: ClockCourse,
-    /// Windows of recording a.
+    /// Windows of recording a that were taken.
     pub windows: usize,
-    /// The estimates that were accepted.
+    /// The estimates that were accepted; one may be of several windows.
     pub estimates: Vec<ClockRelation>,
+    /// Windows that are in no estimate, by the gate that refused them.
+    pub refused: Vec<RefusedWindows>,
+    /// Warnings of the estimates, the first of each kind, and of how many estimates.
+    pub warnings: Vec<(Warning, usize)>,
+}
+
+/// Windows of a recording that one gate refused.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RefusedWindows {
+    /// The gate, with the figures of the first of them.
+    pub gate: Gate,
+    /// Their number.
+    pub count: usize,
 }
 
 /// Why there is no relation over a recording.
@@ -109,38 +133,27 @@ pub fn estimate_course<E: Error + Send + 'static>(
         b: b()?.fuse(),
         b_waiting: VecDeque::new(),
         count: 0,
+        taken: 0,
     };
-    let mut estimates: Vec<ClockRelation> = Vec::new();
-    let mut refusal = None;
+    let mut found = Found::default();
     loop {
         // Until the first estimate each window is judged before the next: its
         // result makes the search of all others narrow.
-        let size = if estimates.is_empty() { 1 } else { BATCH };
+        let size = if found.estimates.is_empty() { 1 } else { BATCH };
         let (batch, ended) = windows.batch(size, every, &expected, progress)?;
-        for result in estimated(&batch, options) {
-            match result {
-                Ok(estimate) => {
-                    expected = Prior::Relation(estimate.clock);
-                    estimates.push(estimate.clock);
-                }
-                Err(error) => refusal = refusal.or(Some(error)),
-            }
+        let results = estimated(&batch, options);
+        for (window, result) in batch.into_iter().zip(results) {
+            found.take(window, result, options);
+        }
+        if let Some(latest) = found.estimates.last() {
+            expected = Prior::Relation(*latest);
         }
         if ended {
             break;
         }
     }
-    let course = ClockCourse::from_estimates(&estimates, options.wander).ok_or_else(|| {
-        RecordingError::NoRelation(refusal.map_or_else(
-            || "they have no time in common".into(),
-            |refusal| refusal.to_string(),
-        ))
-    })?;
-    Ok(RecordingClock {
-        course,
-        windows: windows.count,
-        estimates,
-    })
+    found.join_all(options);
+    found.clock(windows.taken, options)
 }
 
 /// [`estimate_course`] of recordings in memory, each window taken. Times are taken to the
@@ -191,19 +204,192 @@ impl Prior {
 /// A window of a, and what of b may belong to it.
 struct Window {
     a: GyroTrack,
+    /// Of [`MOST_MARGIN_S`] on either side of the search, or more.
     b: GyroTrack,
     /// Expected offset and half-width of the search, seconds.
     search: (f64, f64),
+    /// So many windows are joined in it.
+    count: usize,
 }
 
 impl Window {
-    fn estimated(&self, options: &Options) -> Result<Estimate, Refusal> {
-        let options = Options {
-            search: Some(self.search),
-            ..*options
-        };
-        estimate_offset(&self.a, &self.b, &options)
+    /// First and last time of a, seconds.
+    fn span(&self) -> (f64, f64) {
+        let last = self.a.t.last().copied().unwrap_or(0.0);
+        (self.a.epoch_s, self.a.epoch_s + last)
     }
+
+    fn estimated(&self, options: &Options) -> Result<Estimate, Refusal> {
+        let within = |margin: f64| {
+            let (from, to) = self.span();
+            let offset = self.search.0;
+            let b = self.b.between(from + offset - margin, to + offset + margin);
+            let search = Some((offset, margin));
+            estimate_offset(&self.a, &b, &Options { search, ..*options })
+        };
+        let narrow = within(self.search.1);
+        match &narrow {
+            // Where a clock has stepped, the lag is another one.
+            Err(refusal) if refusal.is_of_lag() && self.search.1 < MOST_MARGIN_S => {
+                within(MOST_MARGIN_S).or(narrow)
+            }
+            _ => narrow,
+        }
+    }
+
+    /// This one and a later one; `None` if that does not follow.
+    fn joined(&self, later: &Self) -> Option<Self> {
+        let follows = later.span().0 - self.span().1 < FOLLOWS_S;
+        follows.then(|| Self {
+            a: self.a.followed_by(&later.a),
+            b: self.b.followed_by(&later.b),
+            search: later.search,
+            count: self.count + later.count,
+        })
+    }
+}
+
+/// Estimates, and windows that wait for their neighbours.
+#[derive(Default)]
+struct Found {
+    estimates: Vec<ClockRelation>,
+    /// Refused windows, and why; each waits for another one of its size.
+    waiting: Vec<(Window, Refusal)>,
+    refused: Vec<RefusedWindows>,
+    /// Stretches of a with motion that nothing could relate.
+    unrelated: Vec<(f64, f64)>,
+    warnings: Vec<(Warning, usize)>,
+}
+
+impl Found {
+    fn take(&mut self, window: Window, result: Result<Estimate, Refusal>, options: &Options) {
+        match result {
+            Ok(estimate) => self.accept(&estimate),
+            Err(refusal) => {
+                self.waiting.push((window, refusal));
+                self.join(false, options);
+            }
+        }
+    }
+
+    fn accept(&mut self, estimate: &Estimate) {
+        self.estimates.push(estimate.clock);
+        for warning in &estimate.report.warnings {
+            let kind = std::mem::discriminant(warning);
+            let known = self.warnings.iter_mut();
+            match known
+                .into_iter()
+                .find(|own| std::mem::discriminant(&own.0) == kind)
+            {
+                Some(own) => own.1 += 1,
+                None => self.warnings.push((*warning, 1)),
+            }
+        }
+    }
+
+    /// Estimates waiting neighbours together: those of one size, or all.
+    fn join(&mut self, all: bool, options: &Options) {
+        while let [.., (early, _), (late, _)] = &self.waiting[..]
+            && (all || early.count == late.count)
+        {
+            let both = early.joined(late);
+            let both = both.filter(|both| both.count <= LONGEST);
+            let Some(both) = both else {
+                let at = self.waiting.len() - if all { 1 } else { 2 };
+                let (window, refusal) = self.waiting.remove(at);
+                self.give_up(&window, &refusal);
+                continue;
+            };
+            let last = self.waiting.pop();
+            let first = self.waiting.pop();
+            match both.estimated(options) {
+                Ok(estimate) => self.accept(&estimate),
+                // Of two refusals the one of more data says more.
+                Err(refusal) => {
+                    drop((first, last));
+                    self.waiting.push((both, refusal));
+                }
+            }
+        }
+    }
+
+    fn join_all(&mut self, options: &Options) {
+        self.join(true, options);
+        for (window, refusal) in std::mem::take(&mut self.waiting) {
+            self.give_up(&window, &refusal);
+        }
+    }
+
+    fn give_up(&mut self, window: &Window, refusal: &Refusal) {
+        let failed = refusal.report.gates.iter().find(|gate| !gate.passed);
+        let Some(gate) = failed else {
+            return;
+        };
+        if refusal.is_of_lag() {
+            self.unrelated.push(window.span());
+        }
+        match self
+            .refused
+            .iter_mut()
+            .find(|own| own.gate.name == gate.name)
+        {
+            Some(own) => own.count += window.count,
+            None => self.refused.push(RefusedWindows {
+                gate: gate.clone(),
+                count: window.count,
+            }),
+        }
+    }
+
+    fn clock<E: Error>(
+        mut self,
+        windows: usize,
+        options: &Options,
+    ) -> Result<RecordingClock, RecordingError<E>> {
+        let of = |key: &ClockRelation| key.reference;
+        self.estimates.sort_by(|x, y| of(x).total_cmp(&of(y)));
+        let Some(mut course) = ClockCourse::from_estimates(&self.estimates, options.wander) else {
+            let most = self.refused.iter().max_by_key(|own| own.count);
+            return Err(RecordingError::NoRelation(if self.estimates.is_empty() {
+                most.map_or_else(
+                    || "they have no time in common".into(),
+                    |most| most.gate.to_string(),
+                )
+            } else {
+                format!(
+                    "{} windows give relations that contradict each other",
+                    self.estimates.len()
+                )
+            }));
+        };
+        course.unsupported = unsupported(self.unrelated, &self.estimates);
+        Ok(RecordingClock {
+            course,
+            windows,
+            estimates: self.estimates,
+            refused: self.refused,
+            warnings: self.warnings,
+        })
+    }
+}
+
+/// Long stretches of windows that could not be related, without any estimate in them.
+fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> Vec<(f64, f64)> {
+    unrelated.sort_by(|x, y| x.0.total_cmp(&y.0));
+    let is_parted = |from: f64, to: f64| {
+        estimates
+            .iter()
+            .any(|estimate| (from..to).contains(&estimate.reference))
+    };
+    let mut stretches: Vec<(f64, f64)> = Vec::new();
+    for (from, to) in unrelated {
+        match stretches.last_mut() {
+            Some(last) if !is_parted(last.0, from) => last.1 = to,
+            _ => stretches.push((from, to)),
+        }
+    }
+    stretches.retain(|(from, to)| to - from > UNSUPPORTED_S);
+    stretches
 }
 
 /// The estimates of a batch, on all cores. One estimate stays on one thread: it takes some
@@ -236,6 +422,8 @@ struct Windows<'a, E> {
     b_waiting: VecDeque<GyroSample>,
     /// Windows of a so far.
     count: usize,
+    /// Those of them that were taken.
+    taken: usize,
 }
 
 impl<E> Windows<'_, E> {
@@ -256,8 +444,14 @@ impl<E> Windows<'_, E> {
             progress(nanos(a.epoch_s + a.t.last().copied().unwrap_or(0.0)));
             if (self.count - 1).is_multiple_of(every.max(1)) {
                 let search = expected.at(&a);
-                let b = self.b_around(&a, search)?;
-                batch.push(Window { a, b, search });
+                self.taken += 1;
+                let b = self.b_around(&a, (search.0, search.1.max(MOST_MARGIN_S)))?;
+                batch.push(Window {
+                    a,
+                    b,
+                    search,
+                    count: 1,
+                });
             }
         }
         Ok((batch, false))
@@ -288,7 +482,7 @@ impl<E> Windows<'_, E> {
         let last = window.t.last().copied().unwrap_or(0.0);
         let to = nanos(window.epoch_s + last + offset + margin);
         // The next window may look back by as much as its own margin.
-        let keep = from.saturating_sub(nanos(2.0 * MOST_MARGIN_S));
+        let keep = from.saturating_sub(nanos(MOST_MARGIN_S));
         while self.b_waiting.back().is_none_or(|sample| sample.at < to)
             && let Some(sample) = self.b.next().transpose()?
         {

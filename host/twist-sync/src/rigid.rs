@@ -21,8 +21,12 @@ use crate::fit::{self, Fit, FitOptions, Link, Node};
 use crate::interpolant::Vec3;
 use crate::signal::Signal;
 
-/// Blocks of time that are explained or not, seconds.
+/// Blocks of time that are explained or not, seconds; longer ones where that would be more
+/// than [`MOST_BLOCKS`].
 const BLOCK_S: f64 = 0.25;
+const MOST_BLOCKS: f64 = 240.0;
+/// Windows from which the search starts, at most.
+const MOST_WINDOWS: usize = 20;
 /// Blocks of a window from which the search starts: 1.5 s.
 const WINDOW: usize = 6;
 /// Part of the motion's rms that may stay unexplained in a block: so many times what a
@@ -100,17 +104,19 @@ impl Part {
 #[derive(Debug, Clone, Copy)]
 struct Blocks {
     from: f64,
+    /// Length of each, seconds.
+    length: f64,
     count: usize,
 }
 
 impl Blocks {
     fn of(self, t: f64) -> Option<usize> {
-        let at = (t - self.from) / BLOCK_S;
+        let at = (t - self.from) / self.length;
         (at >= 0.0 && at < self.count as f64).then_some(at as usize)
     }
 
     fn begin(self, block: usize) -> f64 {
-        self.from + BLOCK_S * block as f64
+        self.from + self.length * block as f64
     }
 
     fn kept(self, data: &[(f64, Vec3)], kept: &[bool]) -> Vec<(f64, Vec3)> {
@@ -178,9 +184,11 @@ pub(crate) fn is_whole(fit: &Fit, noise_variance: f64) -> bool {
 
 fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
     let (first, last) = (nodes.first()?.t, nodes.last()?.t);
+    let length = ((last - first) / MOST_BLOCKS).max(BLOCK_S);
     Some(Blocks {
         from: first,
-        count: ((last - first) / BLOCK_S) as usize + 1,
+        length,
+        count: ((last - first) / length) as usize + 1,
     })
 }
 
@@ -222,24 +230,24 @@ pub(crate) fn part(
 impl Search<'_> {
     fn best(&self, start: Link) -> Option<Consensus> {
         let count = self.blocks.count;
-        let whole = self.consensus(start, vec![true; count]);
-        let windows = (0..count.saturating_sub(WINDOW - 1))
-            .step_by(WINDOW / 2)
-            .map(|from| {
-                let mut kept = vec![false; count];
-                kept[from..from + WINDOW].fill(true);
-                kept
-            })
-            .filter(|kept| {
-                let moving = kept.iter().zip(&self.moving).filter(|(k, m)| **k && **m);
-                2 * moving.count() > WINDOW
-            });
-        let mut found: Vec<Consensus> = windows
+        let is_moving = |from: &usize| {
+            let moving = self.moving[*from..from + WINDOW].iter().filter(|m| **m);
+            2 * moving.count() > WINDOW
+        };
+        let windows = (0..count.saturating_sub(WINDOW - 1)).step_by(WINDOW / 2);
+        let windows: Vec<usize> = windows.filter(is_moving).collect();
+        let every = windows.len().div_ceil(MOST_WINDOWS).max(1);
+        let starts = windows.into_iter().step_by(every).map(|from| {
+            let mut kept = vec![false; count];
+            kept[from..from + WINDOW].fill(true);
+            kept
+        });
+        let mut found: Vec<Consensus> = starts
             .filter_map(|window| self.consensus(start, window))
             .collect();
         let least = found.iter().map(|c| c.usual).fold(f64::INFINITY, f64::min);
         let best = least.max(LEAST_TOLERANCE / TIMES_USUAL);
-        found.extend(whole);
+        found.extend(self.consensus(start, vec![true; count]));
         found
             .into_iter()
             .filter(|c| c.usual <= MUCH_BETTER * best)
@@ -324,7 +332,7 @@ impl Search<'_> {
         let errors = self.errors(&found.fit);
         for (block, _) in found.kept.iter().enumerate().filter(|(_, kept)| !**kept) {
             let begin = self.blocks.begin(block);
-            let (mut from, mut to) = (begin - MARGIN_S, begin + BLOCK_S + MARGIN_S);
+            let (mut from, mut to) = (begin - MARGIN_S, begin + self.blocks.length + MARGIN_S);
             if block == 0 {
                 from = f64::NEG_INFINITY;
             }
@@ -350,11 +358,14 @@ impl Search<'_> {
         }
         // A knock is a block a little above the limit: its weight is lowered later.
         stretches.retain(|stretch| {
-            let block = self.blocks.of(stretch.to - MARGIN_S - 0.5 * BLOCK_S);
+            let block = self
+                .blocks
+                .of(stretch.to - MARGIN_S - 0.5 * self.blocks.length);
             let is_loud = |block: usize| {
                 errors[block] > 3.0 * (found.usual * TIMES_USUAL * self.motion[block] + noise)
             };
-            stretch.to - stretch.from > 1.5 * BLOCK_S + 2.0 * MARGIN_S || block.is_none_or(is_loud)
+            stretch.to - stretch.from > 1.5 * self.blocks.length + 2.0 * MARGIN_S
+                || block.is_none_or(is_loud)
         });
         for stretch in &mut stretches {
             stretch.why = self.why(stretch, &found.fit);

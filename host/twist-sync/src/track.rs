@@ -105,6 +105,20 @@ impl GyroTrack {
         )
     }
 
+    /// This track and what a later one has after its end.
+    pub(crate) fn followed_by(&self, later: &Self) -> Self {
+        let mut out = self.clone();
+        let between_s = later.epoch_s - self.epoch_s;
+        let last = self.t.last().copied().unwrap_or(f64::NEG_INFINITY);
+        for (t, w) in later.t.iter().zip(&later.w) {
+            if t + between_s > last {
+                out.t.push(t + between_s);
+                out.w.push(*w);
+            }
+        }
+        out
+    }
+
     /// Number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
