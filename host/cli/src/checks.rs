@@ -1,14 +1,11 @@
 //! The checks of this computer and of the rig profile, which `doctor` and a session make
-//! beside those of the rig ([`session::checks`]); and checks in words.
+//! beside those of the rig ([`session::checks`]).
 
-use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use recording::finding::{Finding, Severity};
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
-use report::session::Judgement;
 use session::checks::{Checks, Fault};
 use session::housekeeping::free_space;
 
@@ -23,41 +20,6 @@ const OLD_DAYS: i32 = 90;
 
 /// Name of the check of the depth camera's settings.
 const CHECK_CAMERA: &str = "depth camera";
-
-/// Marks at the beginnings of checks' lines.
-pub(crate) const MARKS: [&str; 3] = ["good ", "check", "BAD  "];
-
-pub(crate) const fn mark(severity: Severity) -> &'static str {
-    let [good, warning, bad] = MARKS;
-    match severity {
-        Severity::Good => good,
-        Severity::Check => warning,
-        Severity::Bad => bad,
-    }
-}
-
-/// A line a check, and what to do below it.
-pub(crate) fn text<'a>(checks: impl IntoIterator<Item = &'a Finding>) -> String {
-    let mut text = String::new();
-    for check in checks {
-        let _ = writeln!(
-            text,
-            "{}  {:<18} {}",
-            mark(check.severity),
-            check.kind,
-            check.text
-        );
-        if let Some(step) = &check.next_step {
-            let _ = writeln!(text, "       {:<18} -> {step}", "");
-        }
-    }
-    text
-}
-
-/// The verdict over a recording with its parts.
-pub(crate) fn text_of_judgement(judged: &Judgement) -> String {
-    format!("{}\n{}", judged.text, text(&judged.parts))
-}
 
 /// Checks what does not need the board: profile, disk, ffmpeg, depth recorder. `place` says
 /// where the profile is from, `out` where recordings are to go.

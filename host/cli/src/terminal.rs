@@ -11,7 +11,7 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-use crate::checks::MARKS;
+use report::summary::MARKS;
 
 /// How a character is shown that a terminal would obey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

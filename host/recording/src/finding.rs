@@ -110,11 +110,17 @@ impl Finding {
         }
     }
 
-    /// Seconds of board time of the first, in words; empty without them.
+    /// What was found, with how often and since when.
     #[must_use]
-    pub fn seconds(&self) -> String {
-        self.at
-            .map_or(String::new(), |at| format!("{:.3}", at.as_secs_f64()))
+    pub fn words(&self) -> String {
+        let mut words = self.text.clone();
+        if self.count > 1 {
+            words += &format!(" (and {} more of this kind)", self.count - 1);
+        }
+        if let Some(at) = self.at {
+            words += &format!(" [{:.3} s]", at.as_secs_f64());
+        }
+        words
     }
 
     /// In one line, with what to do.
@@ -122,6 +128,6 @@ impl Finding {
     pub fn line(&self) -> String {
         let next = self.next_step.as_deref().unwrap_or_default();
         let arrow = if next.is_empty() { "" } else { " -> " };
-        format!("{}: {}{arrow}{next}", self.kind, self.text)
+        format!("{}: {}{arrow}{next}", self.kind, self.words())
     }
 }

@@ -5,43 +5,57 @@ use serde_json::json;
 
 use crate::chart;
 use crate::page::Page;
-use recording::finding::Severity;
+use crate::summary::Summary;
+use recording::finding::{Finding, Severity};
 
-/// The report as a self-contained HTML page.
+/// The checks with their limits.
 #[must_use]
-pub fn page(report: &Report) -> String {
-    let failed = report.count(Severity::Bad);
-    let skipped = report.count(Severity::Check);
-    let passed = report.count(Severity::Good);
-    let (level, verdict) = match (failed, skipped) {
+pub fn summary(report: &Report) -> Summary {
+    let count = |severity| report.count(severity);
+    let (failed, skipped) = (count(Severity::Bad), count(Severity::Check));
+    let (passed, all) = (count(Severity::Good), report.checks.len());
+    let (severity, text) = match (failed, skipped) {
         (0, 0) => (Severity::Good, format!("All {passed} checks passed.")),
         (0, _) => (
             Severity::Check,
             format!("{passed} checks passed; {skipped} could not be made."),
         ),
-        _ => (
-            Severity::Bad,
-            format!("{failed} of {} checks failed.", report.checks.len()),
-        ),
+        _ => (Severity::Bad, format!("{failed} of {all} checks failed.")),
     };
-    let mut page = Page::new("Bring-up of a board", level, &verdict);
-    page.facts(&[
-        ("board", report.board.id.as_str()),
-        ("firmware", report.board.firmware.as_str()),
-        ("revision", report.board.revision.as_str()),
-        ("last reset", report.board.reset_cause),
-    ]);
-    page.section("Checks");
-    let rows = report.checks.iter().map(|check| {
-        [
-            check.finding.severity.word().to_owned(),
-            check.finding.kind.clone(),
-            check.finding.text.clone(),
-            check.limit.clone(),
-            check.finding.next_step.clone().unwrap_or_default(),
-        ]
+    let parts = report.checks.iter().map(|check| {
+        let finding = &check.finding;
+        let text = match check.limit.as_str() {
+            "" => finding.text.clone(),
+            limit => format!("{} (must be: {limit})", finding.text),
+        };
+        // A reason that a check may fail for is of no use once it has passed.
+        let is_good = finding.severity == Severity::Good;
+        let next_step = finding.next_step.clone().filter(|_| !is_good);
+        Finding {
+            text,
+            next_step,
+            ..finding.clone()
+        }
     });
-    page.table(["", "check", "measured", "limit", "a miss points at"], rows);
+    let board = &report.board;
+    Summary {
+        title: String::from("Bring-up of a board"),
+        severity,
+        text,
+        parts: parts.collect(),
+        facts: vec![
+            ("board", board.id.clone()),
+            ("firmware", board.firmware.clone()),
+            ("revision", board.revision.clone()),
+            ("last reset", board.reset_cause.to_owned()),
+        ],
+    }
+}
+
+/// The report as a self-contained HTML page.
+#[must_use]
+pub fn page(report: &Report) -> String {
+    let mut page = Page::new(&summary(report));
     let intervals = &report.intervals;
     if !intervals.counts.is_empty() {
         page.section("Data-ready");

@@ -16,84 +16,86 @@ use evaluate::precision::{Precision, Spread};
 use evaluate::shown::Shown;
 
 use crate::page::Page;
-use recording::finding::Severity;
+use crate::summary::{Facts, Summary};
+use recording::finding::{Finding, Severity};
 
 /// The report of a precision measurement, with pictures of one of its recordings.
 #[must_use]
 pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> String {
-    let (level, verdict) = precision_verdict(result);
-    let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
-    page.facts(&precision_facts(result));
-    page.section("Recordings");
-    let rows = result.recordings.iter().map(|r| {
-        [
-            short(&r.path),
-            format!("{:.3}", r.bias_us),
-            format!("{:.3}", r.sigma_us),
-            format!("{:.2}", r.row),
-            format!("{:.4}", r.row_time_us),
-            String::from(if r.identity.unique { "decided" } else { "open" }),
-            format!("{} of {}", r.frames.used, r.frames.read),
-        ]
-    });
-    page.table(
-        [
-            "recording",
-            "bias, µs",
-            "1 σ, µs",
-            "row",
-            "row time, µs",
-            "which flash",
-            "frames used",
-        ],
-        rows,
-    );
-    for r in &result.recordings {
-        let name = short(&r.path);
-        if !r.identity.unique {
-            let open = format!(
-                "{name}: which flash is which is {}",
-                identity_text(&r.identity)
-            );
-            page.note(Severity::Check, &open);
-        }
-        notes(&mut page, &name, &r.notes);
-    }
-    for l in &result.left_out {
-        let text = format!("{} is left out: {}", l.path.display(), l.reason);
-        page.note(Severity::Bad, &text);
-    }
-    page.section("Frame with the rows found");
-    picture(&mut page, shown);
-    page.section("Row profile and launches");
-    page.figure(
-        &plot::precision(result, shown),
-        "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
-         recordings, their biases.",
-    );
+    let mut page = Page::new(&precision_summary(result));
+    let drawing = plot::precision(result, shown);
+    let caption = "Brightness of the sensor's rows with the fitted train of flashes; with two or \
+                   more recordings, their biases.";
+    pictures(&mut page, shown, &drawing, caption);
     page.settings("Settings", &json!(settings));
     page.html()
 }
 
-/// Bias, spread and row time over all recordings, each with its name.
+/// The report of a drift measurement.
 #[must_use]
-pub fn precision_facts(result: &Precision) -> Vec<(&'static str, String)> {
-    let mut facts = Vec::new();
+pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
+    let mut page = Page::new(&drift_summary(&drift.result));
+    let caption = "Brightness of the sensor's rows with the fitted train of flashes; and the \
+                   train's place against time with the fitted line.";
+    pictures(&mut page, &drift.shown, &plot::drift(drift), caption);
+    page.settings("Settings", &json!(settings));
+    page.html()
+}
+
+/// The frame with lines where the flashes were found, and a drawing of the fit.
+fn pictures(page: &mut Page, shown: &Shown, drawing: &str, caption: &str) {
+    page.section("Frame with the rows found");
+    let index = shown.picture.index;
+    match picture::svg(shown) {
+        Ok(svg) => page.picture(
+            &svg,
+            &format!("Frame {index} of the recording. Dashed: the middle row."),
+        ),
+        Err(error) => page.note(
+            Severity::Check,
+            &format!("The frame cannot be drawn: {error}"),
+        ),
+    }
+    page.section("Row profile and fit");
+    page.figure(drawing, caption);
+}
+
+/// Bias, spread and row time over all recordings, and each recording.
+#[must_use]
+pub fn precision_summary(result: &Precision) -> Summary {
+    let mut facts = Facts::new();
     if let Some(bias) = &result.bias {
-        spread_rows(&mut facts, "bias from perfect sync", bias);
+        spread_facts(&mut facts, bias);
     }
     let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
     facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
-    facts
-}
-
-fn precision_verdict(result: &Precision) -> (Severity, String) {
-    let open = result.recordings.iter().any(|r| !r.identity.unique);
-    let level = if open || !result.left_out.is_empty() {
-        Severity::Check
-    } else {
-        Severity::Good
-    };
+    let mut parts = Vec::new();
+    for r in &result.recordings {
+        let name = short(&r.path);
+        let frames = counts_text(&r.frames);
+        facts.push((
+            "recording",
+            format!(
+                "{name}: {:+.3} ± {:.3} µs (1 σ), row {:.2}; row time {:.4} ± {:.4} µs, exposure \
+                 {:.1} µs, flash {:.1} grey levels; frames: {frames}; scene taken from {}",
+                r.bias_us,
+                r.sigma_us,
+                r.row,
+                r.row_time_us,
+                r.row_time_sigma_us,
+                r.exposure_us,
+                r.amplitude,
+                reference_text(r.reference)
+            ),
+        ));
+        parts.extend(remarks(&name, &r.identity, &r.notes));
+    }
+    let is_open = result.recordings.iter().any(|r| !r.identity.unique);
+    let left_out = result.left_out.iter();
+    parts.extend(left_out.map(|l| {
+        let text = format!("left out: {}", l.reason);
+        Finding::check(short(&l.path), text)
+    }));
     let mut text = match &result.bias {
         Some(bias) => format!(
             "The depth camera is exposed {:.1} ± {:.1} µs {} the middle of the phone's frame \
@@ -113,59 +115,23 @@ fn precision_verdict(result: &Precision) -> (Severity, String) {
         ),
         None => String::from("No recording gave a bias."),
     };
-    if open {
-        text.push_str(
-            " Which flash is which is open: the bias may be off by whole pitches (see below).",
-        );
+    if is_open {
+        text.push_str(" Which flash is which is open: the bias may be off by whole pitches.");
     }
-    if !result.left_out.is_empty() {
-        let _ = write!(
-            text,
-            " Left out, because it could not be used: {}.",
-            result.left_out.len()
-        );
+    let severities = parts.iter().map(|part| part.severity);
+    Summary {
+        title: String::from("Frame sync: bias and precision"),
+        severity: severities.max().unwrap_or(Severity::Good),
+        text,
+        parts,
+        facts,
     }
-    (level, text)
 }
 
-/// The report of a drift measurement.
+/// Figures of a long recording.
 #[must_use]
-pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
-    let r = &drift.result;
-    let level = if r.identity.unique && r.notes.is_empty() {
-        Severity::Good
-    } else {
-        Severity::Check
-    };
-    let verdict = format!(
-        "Over {:.1} s the depth camera's exposure moves against the phone's (depth minus phone) \
-         by {:+.2} ± {:.2} µs a minute, from \
-         {:+.1} µs at the start to {:+.1} µs at the end.",
-        r.span_s,
-        r.drift_us_per_min,
-        r.drift_sigma_us_per_min,
-        r.bias_at_start_us,
-        r.bias_at_end_us
-    );
-    let mut page = Page::new("Frame sync: drift", level, &verdict);
-    page.facts(&drift_facts(r));
-    notes(&mut page, &r.path.display().to_string(), &r.notes);
-    page.section("Frame with the rows found");
-    picture(&mut page, &drift.shown);
-    page.section("Row profile and drift");
-    page.figure(
-        &plot::drift(drift),
-        "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
-         against time with the fitted line.",
-    );
-    page.settings("Settings", &json!(settings));
-    page.html()
-}
-
-/// Figures of a recording, each with its name.
-#[must_use]
-pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
-    let mut facts = Vec::new();
+pub fn drift_summary(r: &Drift) -> Summary {
+    let mut facts = Facts::new();
     let mut fact = |name, value: String| facts.push((name, value));
     fact("recording", r.path.display().to_string());
     fact(
@@ -196,20 +162,40 @@ pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
             r.row_time_us, r.row_time_sigma_us, r.exposure_us
         ),
     );
-    fact("which flash", identity_text(&r.identity));
     if let Some(window) = window_text(r) {
         fact("window", window);
     }
     fact("frames", counts_text(&r.frames));
     fact("scene taken from", reference_text(r.reference).to_owned());
-    facts
+    let parts = remarks(&short(&r.path), &r.identity, &r.notes);
+    Summary {
+        title: String::from("Frame sync: drift"),
+        severity: match parts.as_slice() {
+            [] => Severity::Good,
+            _ => Severity::Check,
+        },
+        text: format!(
+            "Over {:.1} s the depth camera's exposure moves against the phone's (depth minus \
+             phone) by {:+.2} ± {:.2} µs a minute.",
+            r.span_s, r.drift_us_per_min, r.drift_sigma_us_per_min
+        ),
+        parts,
+        facts,
+    }
 }
 
-/// Assignment of flashes to bands, in words.
-pub fn identity_text(identity: &Identity) -> String {
-    if identity.unique {
-        return "decided by the train's ends".to_owned();
-    }
+/// What is to be known about a recording.
+fn remarks(name: &str, identity: &Identity, notes: &[String]) -> Vec<Finding> {
+    let open = (!identity.unique).then(|| {
+        let flashes = identity_text(identity);
+        format!("which flash is which is {flashes}")
+    });
+    let notes = open.iter().chain(notes);
+    notes.map(|note| Finding::check(name, note)).collect()
+}
+
+/// Assignment of flashes to bands, where that is open, in words.
+fn identity_text(identity: &Identity) -> String {
     let Some(first) = identity.candidates.first() else {
         return "open".to_owned();
     };
@@ -243,7 +229,7 @@ fn window_text(drift: &Drift) -> Option<String> {
 }
 
 /// Counts of the frames, in words.
-pub fn counts_text(c: &FrameCounts) -> String {
+fn counts_text(c: &FrameCounts) -> String {
     let mut text = format!("{} used of {}", c.used, c.read);
     for (count, what) in [
         (c.read - c.examined.min(c.read), "not examined"),
@@ -260,7 +246,7 @@ pub fn counts_text(c: &FrameCounts) -> String {
 }
 
 /// Source of the scene's own brightness, in words.
-pub const fn reference_text(reference: Reference) -> &'static str {
+const fn reference_text(reference: Reference) -> &'static str {
     match reference {
         Reference::DarkFrames(_) => "frames without flashes",
         Reference::DarkRows => "rows while they saw no flash",
@@ -275,13 +261,13 @@ fn short(path: &Path) -> String {
     last.display().to_string()
 }
 
-fn spread_rows(facts: &mut Vec<(&str, String)>, name: &'static str, s: &Spread) {
+fn spread_facts(facts: &mut Facts, s: &Spread) {
     let rest = match s.count {
         1 => String::from("one recording"),
         count => format!("median {:+.3} µs, {count} recordings", s.median_us),
     };
     facts.push((
-        name,
+        "bias from perfect sync",
         format!("mean {:+.3} ± {:.3} µs, {rest}", s.mean_us, s.mean_sigma_us),
     ));
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
@@ -291,25 +277,6 @@ fn spread_rows(facts: &mut Vec<(&str, String)>, name: &'static str, s: &Spread) 
             "spread over recordings",
             format!("IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"),
         ));
-    }
-}
-
-fn notes(page: &mut Page, path: &str, notes: &[String]) {
-    for note in notes {
-        page.note(Severity::Check, &format!("{path}: {note}"));
-    }
-}
-
-/// The frame with lines where the flashes were found.
-fn picture(page: &mut Page, shown: &Shown) {
-    let index = shown.picture.index;
-    let caption = format!("Frame {index} of the recording. Dashed: the middle row.");
-    match picture::svg(shown) {
-        Ok(svg) => page.picture(&svg, &caption),
-        Err(error) => page.note(
-            Severity::Check,
-            &format!("The frame cannot be drawn: {error}"),
-        ),
     }
 }
 

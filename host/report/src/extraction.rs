@@ -1,5 +1,5 @@
 //! The report of an extraction: `report.html` for people, with the content of its
-//! `report.json`, and the text of the terminal.
+//! `report.json`, and the summary of it.
 
 use std::fmt::Write as _;
 use std::io;
@@ -14,7 +14,8 @@ use serde_json::json;
 use crate::REPORT_FILE;
 use crate::chart::{self, Data};
 use crate::page::Page;
-use recording::finding::Severity;
+use crate::summary::{Facts, Summary};
+use recording::finding::{Finding, Severity};
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
@@ -33,24 +34,7 @@ pub fn write(out: &Path, report: &ExtractReport) -> io::Result<()> {
 
 /// `samples` is a drawing of sample pairs.
 fn page(report: &ExtractReport, samples: Option<&str>) -> String {
-    let (level, verdict) = verdict(report);
-    let title = format!("Extraction of {}", report.recording);
-    let mut page = Page::new(&title, level, &verdict);
-    page.facts(&lines(report));
-    if !report.losses.is_empty() {
-        page.section("Missing or damaged");
-        let losses = report.losses.iter();
-        page.table(
-            ["part", "what is missing, and what that means"],
-            losses.map(|loss| [loss.part.to_owned(), loss.what.clone()]),
-        );
-    }
-    if !report.remarks.is_empty() {
-        page.section("Remarks");
-        for remark in &report.remarks {
-            page.note(Severity::Good, remark);
-        }
-    }
+    let mut page = Page::new(&summary(report));
     if let Some(pairs) = &report.pairs {
         page.section("Time difference of the pairs");
         let histogram = &pairs.central;
@@ -152,25 +136,25 @@ fn course_svg(course: &[WindowResult]) -> String {
     chart::series("board time, s", "window − course, µs", -1.0..1.0, all)
 }
 
-/// The report as text for a terminal.
+/// What is missing or worth knowing, and what matters most in figures.
 #[must_use]
-pub fn text(report: &ExtractReport) -> String {
-    let mut out = String::new();
-    for (name, value) in lines(report) {
-        let _ = writeln!(out, "{name:<22} {value}");
+pub fn summary(report: &ExtractReport) -> Summary {
+    let losses = report.losses.iter();
+    let losses = losses.map(|loss| Finding::check(loss.part, loss.what.as_str()));
+    let remarks = report.remarks.iter();
+    let remarks = remarks.map(|remark| Finding::good("note", remark.as_str()));
+    let (severity, text) = verdict(report);
+    Summary {
+        title: format!("Extraction of {}", report.recording),
+        severity,
+        text,
+        parts: losses.chain(remarks).collect(),
+        facts: facts(report),
     }
-    for loss in &report.losses {
-        let _ = writeln!(out, "missing ({}): {}", loss.part, loss.what);
-    }
-    for remark in &report.remarks {
-        let _ = writeln!(out, "note: {remark}");
-    }
-    out
 }
 
-/// Name and value of what matters most.
-fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
-    let mut lines = vec![
+fn facts(report: &ExtractReport) -> Facts {
+    let mut facts = vec![
         ("recording", report.recording.clone()),
         ("format", report.format.name().into()),
         ("trigger pulses", report.board.pulses.to_string()),
@@ -181,27 +165,27 @@ fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
         .as_ref()
         .filter(|_| !report.phones.is_empty())
     {
-        lines.push(("trigger follows", reference.clone()));
+        facts.push(("trigger follows", reference.clone()));
     }
     if let Some(phone) = &report.phone {
-        lines.push(("phone timestamps", phone.timestamps.to_string()));
-        lines.push(("phone images", phone.images.to_string()));
-        lines.push(("phone IMU rows", phone.imu_rows.to_string()));
+        facts.push(("phone timestamps", phone.timestamps.to_string()));
+        facts.push(("phone images", phone.images.to_string()));
+        facts.push(("phone IMU rows", phone.imu_rows.to_string()));
     }
     if let Some(clock) = &report.clock {
-        lines.push(("clock relation", clock_line(clock)));
+        facts.push(("clock relation", clock_line(clock)));
     }
     if let Some(grid) = &report.grid {
-        lines.push(("phone against trigger", grid_line(grid)));
+        facts.push(("phone against trigger", grid_line(grid)));
     }
     if let Some(depth) = &report.depth {
-        lines.push(("depth frames", depth_line(depth)));
-        lines.push(("depth images", depth.images.to_string()));
+        facts.push(("depth frames", depth_line(depth)));
+        facts.push(("depth images", depth.images.to_string()));
         if depth.color > 0 {
-            lines.push(("depth camera's colour", depth.color.to_string()));
+            facts.push(("depth camera's colour", depth.color.to_string()));
         }
         if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
-            lines.push((
+            facts.push((
                 "depth clock",
                 format!(
                     "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {}",
@@ -209,12 +193,12 @@ fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
                 ),
             ));
         }
-        lines.push(("pulses without a frame", depth.missing.len().to_string()));
+        facts.push(("pulses without a frame", depth.missing.len().to_string()));
     }
     if let Some(pairs) = &report.pairs {
         let us = |ns: i64| format!("{:.1}", ns as f64 / 1000.0);
         let spread = &pairs.spread;
-        lines.push((
+        facts.push((
             "pairs",
             format!(
                 "{}, depth − phone: median {} µs{}, quartiles {} to {} µs",
@@ -227,13 +211,13 @@ fn lines(report: &ExtractReport) -> Vec<(&'static str, String)> {
         ));
     }
     for other in &report.phones {
-        lines.push(("other phone", other_phone_line(other)));
+        facts.push(("other phone", other_phone_line(other)));
     }
     for sensor in &report.sensors {
         let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
-        lines.push(("auxiliary sensor", line));
+        facts.push(("auxiliary sensor", line));
     }
-    lines
+    facts
 }
 
 /// How well it went, in words.
@@ -246,26 +230,16 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
             known(pairs)
         )
     });
-    match report.losses.first() {
-        None => (
+    match report.losses.len() {
+        0 => (
             Severity::Good,
-            format!(
-                "Everything is there and has its time in board time: {} trigger pulses, {} IMU \
-                 samples.{pairs}",
-                report.board.pulses, report.board.imu.samples
-            ),
+            format!("Everything is there and has its time in board time.{pairs}"),
         ),
-        Some(loss) => (
+        count => (
             Severity::Check,
             format!(
-                "Something is missing or damaged: {} ({}){}. What is there has its time in board \
-                 time.{pairs}",
-                loss.what,
-                loss.part,
-                match report.losses.len() {
-                    1 => String::new(),
-                    n => format!(", and {} more (below)", n - 1),
-                }
+                "{count} things are missing or damaged. What is there has its time in board \
+                 time.{pairs}"
             ),
         ),
     }

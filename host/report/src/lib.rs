@@ -4,7 +4,8 @@
 //! The crates below return plain results; here they become self-contained HTML pages and
 //! the text of the terminal.
 //!
-//! - [`page`] is the frame of every report, [`chart`] draws into it.
+//! - [`summary`] is the head of every report: what the terminal prints, and the page begins
+//!   with. [`page`] is the frame of the rest, [`chart`] draws into it.
 //! - [`session`], [`extraction`], [`evaluation`], [`board_test`]: a report each.
 //! - [`verify`] checks whether a recording is whole, [`repair`] makes it whole.
 #![forbid(unsafe_code)]
@@ -16,6 +17,7 @@ pub mod extraction;
 pub mod page;
 pub mod repair;
 pub mod session;
+pub mod summary;
 pub mod verify;
 
 use std::io::{self, Write as _};

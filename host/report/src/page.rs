@@ -1,5 +1,5 @@
-//! One self-contained HTML page for people: a verdict in words, then facts,
-//! plots, tables, warnings and settings.
+//! One self-contained HTML page for people: a summary, then plots, tables, warnings and
+//! settings.
 //!
 //! `record`, `extract` and `evaluate` fill the same [`Page`], so a reader finds
 //! the same things in the same order everywhere. The file has everything in it
@@ -17,8 +17,10 @@
 
 use std::fmt::Write as _;
 
-use recording::finding::Severity;
+use recording::finding::{Finding, Severity};
 use serde_json::Value;
+
+use crate::summary::Summary;
 
 const STYLE: &str = "\
 :root{color-scheme:light}\
@@ -55,22 +57,22 @@ pub struct Page {
 }
 
 impl Page {
-    /// A page with its verdict: what it is about, how well it went, and what that
-    /// means in one or two sentences.
+    /// A page that begins with a summary.
     #[must_use]
-    pub fn new(title: &str, severity: Severity, verdict: &str) -> Self {
+    pub fn new(summary: &Summary) -> Self {
+        let (title, word) = (&summary.title, summary.severity.word());
         let mut page = Self {
-            title: title.to_owned(),
+            title: title.clone(),
             body: String::new(),
         };
         let _ = writeln!(
             page.body,
-            "<h1>{}</h1>\n<p class=\"verdict {}\"><b>{}</b>{}</p>",
+            "<h1>{}</h1>\n<p class=\"verdict {word}\"><b>{word}</b>{}</p>",
             escape(title),
-            severity.word(),
-            severity.word(),
-            escape(verdict)
+            escape(&summary.text)
         );
+        page.findings(&summary.parts);
+        page.facts(&summary.facts);
         page
     }
 
@@ -84,8 +86,11 @@ impl Page {
         let _ = writeln!(self.body, "<p>{}</p>", escape(text));
     }
 
-    /// Names with their values.
+    /// Names with their values, if there are any.
     pub fn facts<N: AsRef<str>, V: AsRef<str>>(&mut self, facts: &[(N, V)]) {
+        if facts.is_empty() {
+            return;
+        }
         self.body.push_str("<table class=\"facts\">\n");
         for (name, value) in facts {
             let _ = writeln!(
@@ -159,12 +164,15 @@ impl Page {
 
     /// Something to be known.
     pub fn note(&mut self, severity: Severity, text: &str) {
-        let _ = writeln!(
-            self.body,
-            "<p class=\"note {}\">{}</p>",
-            severity.word(),
-            escape(text)
-        );
+        let (word, text) = (severity.word(), escape(text));
+        let _ = writeln!(self.body, "<p class=\"note {word}\">{text}</p>");
+    }
+
+    /// A note a finding.
+    pub fn findings<'a>(&mut self, findings: impl IntoIterator<Item = &'a Finding>) {
+        for finding in findings {
+            self.note(finding.severity, &finding.line());
+        }
     }
 
     /// Settings that went into the result, from their JSON form; folded on a
@@ -263,16 +271,25 @@ mod tests {
 
     use super::*;
 
+    fn page(text: &str) -> Page {
+        Page::new(&Summary {
+            title: text.to_owned(),
+            severity: Severity::Bad,
+            text: text.to_owned(),
+            parts: vec![Finding::check(text, text).next_step(text)],
+            facts: vec![("fact", text.to_owned())],
+        })
+    }
+
     #[test]
     fn text_from_outside_is_never_markup() {
         let evil = "<script>alert(\"1\")</script>\u{7}'&";
-        let mut page = Page::new(evil, Severity::Bad, evil);
+        let mut page = page(evil);
         page.section(evil);
         page.text(evil);
         page.facts(&[(evil, evil)]);
         page.table([evil], [[evil.to_owned()]]);
         page.figure("<svg></svg>", evil);
-        page.note(Severity::Check, evil);
         page.settings(evil, &json!({ evil: [evil, {"x": evil}] }));
         let html = page.html();
         assert!(!html.contains("<script"), "{html}");
@@ -282,7 +299,7 @@ mod tests {
 
     #[test]
     fn nothing_comes_from_elsewhere() {
-        let html = Page::new("t", Severity::Good, "v").html();
+        let html = page("t").html();
         for foreign in ["http:", "https:", "src=", "url(", "@import", "<script"] {
             assert!(!html.contains(foreign), "{foreign}");
         }
@@ -290,7 +307,7 @@ mod tests {
 
     #[test]
     fn columns_of_numbers_stand_to_the_right() {
-        let mut page = Page::new("t", Severity::Good, "v");
+        let mut page = page("t");
         page.table(
             ["name", "value", "text"],
             [
@@ -310,7 +327,7 @@ mod tests {
 
     #[test]
     fn settings_are_listed_with_their_paths() {
-        let mut page = Page::new("t", Severity::Good, "v");
+        let mut page = page("t");
         page.settings(
             "Settings",
             &json!({"depth": {"fps": 30, "command": ["a", "b"], "none": null}, "l": [{"x": 1}]}),

@@ -17,13 +17,13 @@ use mcap::write::NoSeek;
 use protocol::Ticks;
 use serde::Serialize;
 
+use crate::summary::Summary;
 use crate::verify::{Findings, Report, session_of, verify, walk};
 use recording::chunks::parse;
 use recording::finding::Finding;
 use recording::rosbag2::{self, METADATA_FILE, options};
-use recording::scan::Scan;
 use recording::session_file::{SessionFile, SessionOutcome};
-use recording::walk::{Channel, Event, FileReport, Message};
+use recording::walk::{Channel, Event, FileReport, Message, Walk};
 use recording::writer::attach;
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic, mcap_of};
 
@@ -59,7 +59,7 @@ pub fn repair(
     let from = mcap_of(recording);
     let is_folder = recording.is_dir();
     // Before anything is made: is there something to repair.
-    Scan::open(&from).map_err(RecordingError::io("read", &from))?;
+    Walk::open(&from)?;
     let to = if is_folder {
         std::fs::create_dir(out).map_err(RecordingError::io("make the folder", out))?;
         out.join(MCAP_FILE)
@@ -109,6 +109,25 @@ struct Copy {
     last: Ticks,
     /// Something of the file was left out.
     lost: bool,
+}
+
+impl Repaired {
+    /// What was taken over and left out, before the check of the new recording.
+    #[must_use]
+    pub fn summary(&self) -> Summary {
+        let before = &self.before;
+        let (messages, chunks, files) = (before.messages, before.chunks, self.copied.len());
+        let (chunks_lost, bytes_lost) = (before.bad_chunks, before.skipped_bytes);
+        let last = before.cut_off_at.map_or(String::new(), |at| {
+            format!(", {} bytes of a last part", before.bytes - at)
+        });
+        let taken = format!("{messages} messages in {chunks} chunks, {files} files beside it");
+        let left = format!("{chunks_lost} damaged chunks, {bytes_lost} damaged bytes{last}");
+        let mut summary = self.after.summary();
+        let facts = [("taken over", taken), ("left out", left)];
+        summary.facts.splice(0..0, facts);
+        summary
+    }
 }
 
 impl Copy {

@@ -7,6 +7,7 @@ mod curves;
 mod judgement;
 mod sections;
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use protocol::Ticks;
@@ -15,14 +16,15 @@ use serde_json::json;
 use self::curves::Curves;
 use crate::REPORT_FILE;
 use crate::page::Page;
+use crate::summary::Facts;
 use board::StreamCount;
-pub use judgement::{Judgement, files_to_fetch, findings, has_recorded};
+pub use judgement::{files_to_fetch, findings, has_recorded, summary};
 use recording::RecordingError;
-use recording::finding::Severity;
-use recording::session_file::{SessionFile, Span};
+use recording::finding::{Finding, Severity};
+use recording::session_file::{PhoneRecord, SessionFile, Span};
 use timebase::ClockModel;
 
-/// The most problems and marks that are listed one by one.
+/// The most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
 /// Writes the report of the recording in `folder`. `stop` is asked again and again while
@@ -46,12 +48,7 @@ pub fn write(
 
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
-    let judged = Judgement::of(folder, session);
-    let mut page = Page::new(&title(&session.name), judged.severity, &judged.text);
-    for part in &judged.parts {
-        page.note(part.severity, &part.line());
-    }
-    page.facts(&facts(session));
+    let mut page = Page::new(&summary(folder, session));
     if curves.broken_off {
         page.note(
             Severity::Check,
@@ -59,14 +56,20 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
              The command verify says more.",
         );
     }
-    warnings(&mut page, session);
-    checks(&mut page, session);
-    streams(&mut page, session);
+    findings_of(
+        &mut page,
+        "What went wrong",
+        session.problems.iter().collect(),
+    );
+    findings_of(
+        &mut page,
+        "What the checks before the recording found",
+        findings(session).collect(),
+    );
     sections::clocks(&mut page, session);
     sections::alignment(&mut page, session);
-    sections::other_phones(&mut page, session);
     sections::trigger(&mut page, session, curves);
-    sections::further_sensors(&mut page, session, curves);
+    sections::auxiliary(&mut page, session, curves);
     sections::motion(&mut page, curves);
     sections::marks(&mut page, session);
     page.settings("Settings: the rig profile", &json!(session.profile));
@@ -74,6 +77,103 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
         page.settings("Settings: the IMU", &json!(imu));
     }
     page
+}
+
+/// A section of findings, if there are any.
+fn findings_of(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
+    if findings.is_empty() {
+        return;
+    }
+    page.section(heading);
+    let more = findings.len().saturating_sub(MAX_LISTED);
+    page.findings(findings.into_iter().take(MAX_LISTED));
+    if more > 0 {
+        page.text(&format!("And {more} more, in session.json."));
+    }
+}
+
+/// What matters most of a session, in figures.
+fn facts(session: &SessionFile) -> Facts {
+    let mut facts = vec![
+        ("name", session.name.clone()),
+        ("begun", session.started.clone()),
+    ];
+    if let Some(Span { from, to }) = session.recorded {
+        let length = format!("{:.3} s of board time", seconds(from, to));
+        facts.push(("length", length));
+    }
+    if let Some(board) = &session.board {
+        let changed = if board.git_dirty { ", changed" } else { "" };
+        let (id, firmware, revision) = (&board.id, &board.firmware, &board.git_revision);
+        let reset = board.reset_cause;
+        let board = format!("{id}, firmware {firmware} ({revision}{changed}), reset by {reset:?}");
+        facts.push(("board", board));
+    }
+    let phones = session.phones.iter();
+    facts.extend(phones.map(|phone| ("phone", phone_fact(phone))));
+    if let Some(alignment) = session.alignment {
+        facts.push(("alignment", alignment.promise()));
+    }
+    let counts = &session.counts;
+    for (name, count) in [
+        ("trigger pulses", counts.pulses),
+        ("IMU samples", counts.imu),
+        ("strobe edges", counts.captures),
+        ("auxiliary pulses", counts.outputs),
+        ("seconds of a lidar", counts.pps),
+        ("status", counts.status),
+    ] {
+        if count != StreamCount::default() {
+            facts.push((name, count_fact(count)));
+        }
+    }
+    let (damaged, again) = (session.damaged_frames, session.reconnects);
+    let link = format!("{damaged} frames damaged; lost and taken up again {again} times");
+    facts.push(("link", link));
+    if !session.markers.is_empty() {
+        facts.push(("marks", session.markers.len().to_string()));
+    }
+    facts.push(("program", session.program.clone()));
+    facts
+}
+
+fn count_fact(count: StreamCount) -> String {
+    let mut text = format!("{} received, {} lost", count.received, count.lost);
+    if count.disordered > 0 {
+        let _ = write!(text, ", {} twice or out of order", count.disordered);
+    }
+    text
+}
+
+/// A phone, its clock, and where its frames lie if the trigger follows another.
+fn phone_fact(phone: &PhoneRecord) -> String {
+    let mut text = format!("{} at {}", phone.name, phone.address);
+    if let Some(version) = &phone.version {
+        let _ = write!(text, ", app {version}");
+    }
+    if let Some(clock) = phone.clock {
+        let (offset_us, skew_ppm) = sigmas(&clock);
+        let (offset, skew) = (clock.offset, clock.skew * 1e6);
+        let used = phone.twists.iter().filter(|twist| twist.accepted).count();
+        let _ = write!(
+            text,
+            "; {used} of {} twists used: offset {offset:.6} s ± {offset_us:.2} µs, rate \
+             {skew:+.4} ± {skew_ppm:.4} ppm",
+            phone.twists.len()
+        );
+    }
+    if let Some(placed) = phone.placement {
+        let _ = write!(
+            text,
+            "; its frames cannot be shifted: {:+.1} ± {:.1} µs after the depth images, moving by \
+             {:+.1} ± {:.1} µs/min",
+            placed.offset_us,
+            placed.offset_sigma_us,
+            placed.drift_us_per_min,
+            placed.drift_sigma_us_per_min
+        );
+    }
+    text
 }
 
 fn title(name: &str) -> String {
@@ -84,103 +184,8 @@ fn title(name: &str) -> String {
     }
 }
 
-fn facts(session: &SessionFile) -> Vec<(&'static str, String)> {
-    let mut facts = vec![
-        ("recording", session.name.clone()),
-        ("begun", session.started.clone()),
-    ];
-    if let Some(Span { from, to }) = session.recorded {
-        let length = format!("{:.3} s of board time", seconds(from, to));
-        facts.push(("length", length));
-    }
-    if let Some(board) = &session.board {
-        facts.push((
-            "board",
-            format!(
-                "{}, firmware {} ({}{}), reset by {:?}",
-                board.id,
-                board.firmware,
-                board.git_revision,
-                if board.git_dirty { ", changed" } else { "" },
-                board.reset_cause
-            ),
-        ));
-    }
-    for phone in &session.phones {
-        let name = match session.phones.len() {
-            1 => String::new(),
-            _ => format!("{}: ", phone.name),
-        };
-        let version = phone.version.as_ref();
-        let app = version.map_or(String::new(), |version| format!(", app {version}"));
-        facts.push(("phone", format!("{name}{}{app}", phone.address)));
-    }
-    facts.push(("program", session.program.clone()));
-    facts
-}
-
-fn warnings(page: &mut Page, session: &SessionFile) {
-    if session.problems.is_empty() {
-        return;
-    }
-    page.section("What went wrong");
-    let problems = session.problems.iter().take(MAX_LISTED);
-    page.table(
-        ["board time, s", "kind", "what"],
-        problems.map(|problem| {
-            [
-                problem.seconds(),
-                problem.kind.clone(),
-                problem.text.clone(),
-            ]
-        }),
-    );
-    if session.problems.len() > MAX_LISTED {
-        page.text(&format!(
-            "And {} more, in session.json.",
-            session.problems.len() - MAX_LISTED
-        ));
-    }
-}
-
-/// What the checks before the recording found, in their own words.
-fn checks(page: &mut Page, session: &SessionFile) {
-    if findings(session).next().is_none() {
-        return;
-    }
-    page.section("What the checks before the recording found");
-    for check in findings(session) {
-        page.note(check.severity, &check.line());
-    }
-}
-
-fn streams(page: &mut Page, session: &SessionFile) {
-    page.section("What came from the board");
-    let counts = &session.counts;
-    let row = |name: &str, count: StreamCount| {
-        let [received, lost] = [count.received, count.lost].map(|n| n.to_string());
-        [name.to_owned(), received, lost]
-    };
-    page.table(
-        ["stream", "received", "lost"],
-        [
-            row("trigger pulses", counts.pulses),
-            row("IMU samples", counts.imu),
-            row("strobe edges", counts.captures),
-            row("status", counts.status),
-            row("pulses of further outputs", counts.outputs),
-            row("seconds of a lidar", counts.pps),
-        ],
-    );
-    page.text(&format!(
-        "{} frames of the link were damaged; the link was lost and taken up again {} times.",
-        session.damaged_frames, session.reconnects
-    ));
-}
-
 /// 1-sigma of a relation's offset in µs and of its skew in ppm, at its reference.
-#[must_use]
-pub fn sigmas(clock: &ClockModel) -> (f64, f64) {
+fn sigmas(clock: &ClockModel) -> (f64, f64) {
     let sigma = |at: usize| clock.covariance[at][at].max(0.0).sqrt() * 1e6;
     (sigma(0), sigma(1))
 }

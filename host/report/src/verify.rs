@@ -18,7 +18,6 @@ mod pulses;
 mod topics;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
 use protocol::Ticks;
@@ -27,6 +26,8 @@ use recording::session_file::{SessionFile, SessionOutcome};
 use recording::walk::{Damage, Event, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 use serde::Serialize;
+
+use crate::summary::Summary;
 
 /// Version of the form of [`Report`].
 const FORM: u32 = 2;
@@ -236,32 +237,31 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
 }
 
 impl Report {
-    /// For a terminal.
+    /// What was found, and what there is in figures.
     #[must_use]
-    pub fn text(&self) -> String {
-        let mut out = String::new();
-        // Writing into a String cannot fail.
-        let mut line = |name: &str, text: &str| _ = writeln!(out, "{name:<12} {text}");
-        line("recording", &self.recording);
-        line(
-            "verdict",
-            match self.severity {
-                Severity::Good => "good: every byte and every number is right",
-                Severity::Check => "check: what is there is right, something is missing",
-                Severity::Bad => "BAD: parts cannot be read or contradict each other",
-            },
-        );
+    pub fn summary(&self) -> Summary {
+        let text = match self.severity {
+            Severity::Good => "good: every byte and every number is right",
+            Severity::Check => "check: what is there is right, something is missing",
+            Severity::Bad => "BAD: parts cannot be read or contradict each other",
+        };
         let file = &self.file;
-        let closed = if file.closed { "closed" } else { "not closed" };
-        line(
-            "file",
-            &format!(
-                "{} bytes, {} chunks good, {} damaged, {} messages, {closed}",
-                file.bytes, file.chunks, file.bad_chunks, file.messages
+        let mut facts = vec![
+            ("recording", self.recording.clone()),
+            (
+                "file",
+                format!(
+                    "{} bytes, {} chunks good, {} damaged, {} messages, {}",
+                    file.bytes,
+                    file.chunks,
+                    file.bad_chunks,
+                    file.messages,
+                    if file.closed { "closed" } else { "not closed" }
+                ),
             ),
-        );
+        ];
         if let Some([from, to]) = self.board_time_s {
-            line("board time", &format!("{from:.3} s to {to:.3} s"));
+            facts.push(("board time", format!("{from:.3} s to {to:.3} s")));
         }
         for (name, stream) in &self.streams {
             let StreamReport {
@@ -269,10 +269,9 @@ impl Report {
                 missing,
                 dropped_by_board: dropped,
             } = stream;
-            line(
-                name,
-                &format!("{received} received, {missing} missing ({dropped} dropped by the board)"),
-            );
+            let text =
+                format!("{received} received, {missing} missing ({dropped} dropped by the board)");
+            facts.push((name, text));
         }
         if let Some(grid) = &self.grid {
             let GridReport {
@@ -284,27 +283,20 @@ impl Report {
                 0 => String::new(),
                 _ => format!(", the furthest by {worst_ticks} ticks"),
             };
-            line(
-                "grid",
-                &format!("{checked} pulses held against it, {off} off{most}"),
-            );
-        }
-        for finding in &self.findings {
-            let mut text = finding.text.clone();
-            if finding.count > 1 {
-                let _ = write!(text, " (and {} more of this kind)", finding.count - 1);
-            }
-            if finding.at.is_some() {
-                let _ = write!(text, " [from {} s]", finding.seconds());
-            }
-            line(finding.severity.word(), &text);
+            let text = format!("{checked} pulses held against it, {off} off{most}");
+            facts.push(("grid", text));
         }
         if self.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
-            line(
-                "next",
-                "`smartdepthsync repair RECORDING OUT` makes a whole file of what can be read",
-            );
+            let next =
+                "`smartdepthsync repair RECORDING OUT` makes a whole file of what can be read";
+            facts.push(("next", next.to_owned()));
         }
-        out
+        Summary {
+            title: format!("Check of {}", self.recording),
+            severity: self.severity,
+            text: text.to_owned(),
+            parts: self.findings.clone(),
+            facts,
+        }
     }
 }

@@ -3,11 +3,10 @@
 //! The page is a [`Page`] like the host tool's reports, so a reader finds the same
 //! things in the same order.
 
-use std::fmt::Write as _;
-
 use recording::finding::Severity;
 use report::chart::{self, Data};
 use report::page::Page;
+use report::summary::{Facts, Summary, facts_text};
 use serde::Serialize;
 
 use super::data_set::DataSet;
@@ -56,9 +55,6 @@ pub struct SessionFigures {
     pub recorded_s: f64,
 }
 
-/// Width of the names in the terminal's table.
-const WIDTH: usize = 50;
-
 /// Title of the figures of the session before.
 const BEFORE: &str = "The session before it, on an uncalibrated rig:";
 
@@ -68,7 +64,7 @@ fn with_sigma(error: f64, sigma: f64) -> String {
 
 impl SessionFigures {
     /// Name and value of each line of the table.
-    fn lines(&self) -> Vec<(&'static str, String)> {
+    fn lines(&self) -> Facts {
         vec![
             (
                 "clock offset at the start, error",
@@ -124,7 +120,7 @@ impl Figures {
     }
 
     /// Name and value of each line of the table.
-    fn lines(&self) -> Vec<(&'static str, String)> {
+    fn lines(&self) -> Facts {
         let mut lines = self.session.lines();
         let at_end = with_sigma(self.offset_error_end_us, self.offset_sigma_end_us);
         lines.insert(1, ("clock offset at the end, error", at_end));
@@ -144,16 +140,12 @@ impl Figures {
     /// The table for the terminal.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut out = String::new();
-        let mut section = |title: &str, lines: Vec<(&str, String)>| {
-            let _ = writeln!(out, "{title}");
-            for (name, value) in lines {
-                let _ = writeln!(out, "  {name:<WIDTH$}  {value}");
-            }
-        };
-        section("Against the truth of the simulated rig:", self.lines());
+        let mut out = format!(
+            "Against the truth of the simulated rig:\n{}",
+            facts_text(&self.lines())
+        );
         if let Some(before) = &self.before_learning {
-            section(BEFORE, before.lines());
+            out += &format!("{BEFORE}\n{}", facts_text(&before.lines()));
         }
         out
     }
@@ -184,12 +176,17 @@ pub fn page(
         figures.session.recorded_s,
     );
     let title = format!("A session on the simulated rig, seed {}", figures.seed);
-    let mut page = Page::new(&title, level, &said);
+    let mut page = Page::new(&Summary {
+        title,
+        severity: level,
+        text: said,
+        parts: Vec::new(),
+        facts: figures.lines(),
+    });
     page.text(
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
          clocks are models. Every figure is simulated and judged against the models' truth.",
     );
-    page.facts(&figures.lines());
     if let Some(before) = figures.before_learning {
         page.section(BEFORE.trim_end_matches(':'));
         page.text(

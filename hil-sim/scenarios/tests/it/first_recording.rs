@@ -172,7 +172,7 @@ fn the_page_is_followed_to_a_data_set() {
     // The verdict: all is there; what nobody has measured is said, in the same words
     // everywhere.
     let session = SessionFile::load(recording).unwrap();
-    let judged = report::session::Judgement::of(recording, &session);
+    let judged = report::session::summary(recording, &session);
     let verdicts: Vec<Severity> = judged.parts.iter().map(|part| part.severity).collect();
     assert_eq!(verdicts[0], Severity::Good, "{judged:?}");
     assert_eq!(verdicts[1], Severity::Check, "{judged:?}");

@@ -1,15 +1,13 @@
 //! `smartdepthsync bring-up`: does this board do in hardware what the simulated one
 //! does? What is measured and what must hold is in the crate `bring_up`.
 
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use bring_up::{Operator, Part, Report};
+use bring_up::{Operator, Part};
 use clap::ValueEnum;
 use recording::finding::Severity;
 
-use crate::checks::mark;
 use crate::context::Context;
 use crate::decimal::parse_real_time;
 use crate::options::PortArg;
@@ -87,25 +85,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let page = args.out.join("bring-up.html");
     write_file(&args.out.join("bring-up.json"), &json)?;
     write_file(&page, &report::board_test::page(&report))?;
-    context.print(&report, || text(&report, &page))?;
+    context.print_checks(&report, || {
+        let text = report::board_test::summary(&report).text();
+        format!("{text}report {}", page.display())
+    })?;
     Ok(match report.count(Severity::Bad) {
         0 => ExitStatus::Good,
         _ => ExitStatus::Refused,
     })
-}
-
-fn text(report: &Report, page: &Path) -> String {
-    let mut text = String::new();
-    for check in &report.checks {
-        let found = &check.finding;
-        let mark = mark(found.severity);
-        let _ = writeln!(text, "{mark}  {:<28} {}", found.kind, found.text);
-        if found.severity == Severity::Bad {
-            let reason = found.next_step.as_deref().unwrap_or_default();
-            let _ = writeln!(text, "{:36}must be: {}", "", check.limit);
-            let _ = writeln!(text, "{:36}look at: {reason}", "");
-        }
-    }
-    let _ = writeln!(text, "report: {}", page.display());
-    text
 }

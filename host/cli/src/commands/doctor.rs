@@ -17,6 +17,7 @@ use board::imu::{ImuLook, Scale};
 use board::{Board, Event};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
+use report::summary::findings_text;
 use serde::Serialize;
 use session::checks::{Checks, Fault, IMU_TIME, TRIGGER_TIME};
 use session::connect::has_addresses;
@@ -80,7 +81,7 @@ impl Found {
 /// None but those of printing; what is wrong is in the result.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let found = look(args, context);
-    context.print_checks(&found, || checks::text(&found.checks.checks))?;
+    context.print_checks(&found, || findings_text(&found.checks.checks))?;
     if context.interrupt.requested() {
         return Ok(ExitStatus::Interrupted);
     }

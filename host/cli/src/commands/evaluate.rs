@@ -1,6 +1,5 @@
 //! `smartdepthsync evaluate precision|drift`: frame sync measured from strobes on video.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -14,13 +13,11 @@ use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
 use evaluate::frame::{Region, Rotation};
-use evaluate::precision::{self, Evaluated, Precision, Spread};
+use evaluate::precision::{self, Precision, Spread};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings};
-use report::evaluation::{
-    counts_text, drift_facts, identity_text, plot, precision_facts, reference_text,
-};
+use report::evaluation::{drift_summary, plot, precision_summary};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -177,6 +174,18 @@ struct Calibrated {
     measured: Date,
 }
 
+impl Calibrated {
+    fn text(&self) -> String {
+        format!(
+            "written to {}: frame_sync.bias_us = {:.3} ± {:.3} µs (applied while recording: {:.3} µs)",
+            self.profile.display(),
+            self.bias_us,
+            self.bias_sigma_us,
+            self.applied_bias_us
+        )
+    }
+}
+
 #[derive(Serialize)]
 struct PrecisionOutput<'a> {
     settings: &'a Settings,
@@ -326,8 +335,9 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
             waiting_for_input_s: waited,
         },
     };
-    context.print(&output, || {
-        precision_text(&result, &shown, output.calibrated.as_ref())
+    context.print_checks(&output, || {
+        let calibrated = output.calibrated.as_ref().map(Calibrated::text);
+        precision_summary(&result).text() + &calibrated.unwrap_or_default()
     })?;
     Ok(if context.interrupt.requested() {
         ExitStatus::Interrupted
@@ -387,59 +397,6 @@ fn calibrate(
     Ok(new)
 }
 
-fn precision_text(
-    result: &Precision,
-    shown: &Evaluated,
-    calibrated: Option<&Calibrated>,
-) -> String {
-    let mut text = String::new();
-    for r in &result.recordings {
-        let _ = writeln!(
-            text,
-            "{}\n  bias       {:+.3} ± {:.3} µs (1 σ), row {:.2}\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs, flash {:.1} grey levels\n  flashes    {}\n  frames     {}",
-            r.path.display(),
-            r.bias_us,
-            r.sigma_us,
-            r.row,
-            r.row_time_us,
-            r.row_time_sigma_us,
-            r.exposure_us,
-            r.amplitude,
-            identity_text(&r.identity),
-            counts_text(&r.frames),
-        );
-        for note in &r.notes {
-            let _ = writeln!(text, "  note       {note}");
-        }
-    }
-    for l in &result.left_out {
-        let _ = writeln!(text, "{}\n  left out   {}", l.path.display(), l.reason);
-    }
-    let _ = writeln!(
-        text,
-        "scene taken from {}",
-        reference_text(shown.result.reference)
-    );
-    facts_text(&mut text, precision_facts(result));
-    if let Some(c) = calibrated {
-        let _ = writeln!(
-            text,
-            "written to {}: frame_sync.bias_us = {:.3} ± {:.3} µs (applied while recording: {:.3} µs)",
-            c.profile.display(),
-            c.bias_us,
-            c.bias_sigma_us,
-            c.applied_bias_us
-        );
-    }
-    text
-}
-
-fn facts_text(text: &mut String, facts: Vec<(&str, String)>) {
-    for (name, value) in facts {
-        let _ = writeln!(text, "{name:<29} {value}");
-    }
-}
-
 fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
     let started = Instant::now();
@@ -462,19 +419,10 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
             waiting_for_input_s,
         },
     };
-    context.print(&output, || drift_text(&evaluated.result))?;
+    context.print_checks(&output, || drift_summary(&evaluated.result).text())?;
     Ok(if context.interrupt.requested() {
         ExitStatus::Interrupted
     } else {
         ExitStatus::Good
     })
-}
-
-fn drift_text(drift: &Drift) -> String {
-    let mut text = String::new();
-    facts_text(&mut text, drift_facts(drift));
-    for note in &drift.notes {
-        let _ = writeln!(text, "{:<29} {note}", "note");
-    }
-    text
 }

@@ -187,8 +187,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     };
     report::extraction::write(&job.out, &report)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
-    context.print(&report, || {
-        let text = report::extraction::text(&report);
+    context.print_checks(&report, || {
+        let text = report::extraction::summary(&report).text();
         format!("{text}written to {}", job.out.display())
     })?;
     Ok(ExitStatus::of_loss(!report.losses.is_empty()))

@@ -20,6 +20,7 @@ use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
+use report::summary::facts_text;
 use session::learn;
 use session::train::frame_period;
 
@@ -285,24 +286,26 @@ impl Lesson {
         let learnt = &self.learnt;
         let skew = match (learnt.skew, learnt.skew_sigma) {
             (Some(skew), Some(sigma)) => {
-                format!("skew          {:+.4} ± {:.4} ppm", skew * 1e6, sigma * 1e6)
+                format!("{:+.4} ± {:.4} ppm", skew * 1e6, sigma * 1e6)
             }
             _ => String::from(
-                "skew          not learnt: it takes two twists at least a minute apart \
-                 (`record --calibrate`)",
+                "not learnt: it takes two twists at least a minute apart (`record --calibrate`)",
             ),
         };
-        format!(
-            "phone         {}\nframe period  {:.4} ± {:.4} ns, from {} frames ({} missing), \
-             jitter {:.0} ns\n{skew}\nwritten to    {}\n",
-            self.phone,
+        let period = format!(
+            "{:.4} ± {:.4} ns, from {} frames ({} missing), jitter {:.0} ns",
             learnt.frame_period_ns,
             learnt.frame_period_sigma_ns,
             self.frames,
             self.missing_frames,
-            self.timestamp_jitter_ns,
-            self.profile.display()
-        )
+            self.timestamp_jitter_ns
+        );
+        facts_text(&[
+            ("phone", self.phone.clone()),
+            ("frame period", period),
+            ("skew", skew),
+            ("written to", self.profile.display().to_string()),
+        ])
     }
 }
 

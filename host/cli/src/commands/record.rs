@@ -1,13 +1,12 @@
 //! `smartdepthsync record`: from the twist to an aligned recording.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
 
 use super::profile::{Lesson, learn};
-use crate::checks::{self, text_of_judgement};
+use crate::checks;
 use crate::context::Context;
 use crate::decimal::{parse_duration, parse_real_time};
 use crate::operator::AtTerminal;
@@ -21,8 +20,9 @@ use phone::adb::get_files_command;
 use phone::task::PhoneTask;
 use recording::folder::check_name;
 use recording::profile::Profile;
-use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
-use report::session::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
+use recording::session_file::{SessionFile, SessionOutcome};
+use report::session::{files_to_fetch, findings, has_recorded, summary};
+use report::summary::{Summary, findings_text};
 use session::devices::{Phone, SystemClock};
 use session::hardware::{AdbClockStarter, SerialConnector};
 use session::options::{Options, Track, seconds};
@@ -33,6 +33,9 @@ use timebase::PhoneNanos;
 /// Length of a calibration between its twists: a minute is the least that a rate is learnt
 /// from.
 const CALIBRATION_TICKS: u64 = seconds(90);
+
+/// The most problems that are listed at the end.
+const MAX_PROBLEMS: usize = 10;
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
@@ -134,7 +137,7 @@ impl Args {
 struct PrintedSession<'a> {
     folder: PathBuf,
     report: Option<PathBuf>,
-    verdict: Judgement,
+    verdict: Summary,
     /// Commands to type next.
     next: Vec<String>,
     /// With `--calibrate`.
@@ -199,7 +202,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         None => (Vec::new(), None),
     };
     let report = PrintedSession {
-        verdict: Judgement::of(&folder, &file),
+        verdict: summary(&folder, &file),
         next: next_commands(&folder, &file, to_teach.filter(|_| not_learnt.is_some())),
         folder,
         report: html,
@@ -207,8 +210,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         session: &file,
     };
     match args.events {
-        true => context.say(summary(&report)),
-        false => context.print_checks(&report, || summary(&report))?,
+        true => context.say(text(&report)),
+        false => context.print_checks(&report, || text(&report))?,
     }
     match not_learnt {
         Some(failure) => {
@@ -299,115 +302,34 @@ fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) 
     commands
 }
 
-fn summary(report: &PrintedSession<'_>) -> String {
-    let session = report.session;
-    let mut text = text_of_judgement(&report.verdict);
-    let found: Vec<_> = findings(session).collect();
-    if !found.is_empty() {
-        let _ = write!(
-            text,
-            "\nbefore the recording the checks found\n{}",
-            checks::text(found)
-        );
+/// What is said at the end.
+fn text(printed: &PrintedSession<'_>) -> String {
+    let session = printed.session;
+    let mut text = printed.verdict.text();
+    text += &format!("folder {}\n", printed.folder.display());
+    if let Some(html) = &printed.report {
+        text += &format!("report {}\n", html.display());
     }
-    text.push('\n');
-    if has_recorded(session) {
-        what_was_recorded(&mut text, report);
-    } else {
-        let _ = writeln!(text, "folder       {}", report.folder.display());
-    }
-    for lesson in &report.learnt {
-        let _ = write!(text, "\nlearnt, for the next recording\n{}", lesson.text());
-    }
-    if !report.next.is_empty() {
-        text.push_str("\nnext\n");
-    }
-    for command in &report.next {
-        let _ = writeln!(text, "  {command}");
-    }
-    text
-}
-
-fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
-    let session = report.session;
-    let _ = writeln!(text, "recording    {}", report.folder.display());
-    if let Some(html) = &report.report {
-        let _ = writeln!(text, "report       {}", html.display());
-    }
-    if let Some(span) = session.recorded {
-        let _ = writeln!(
-            text,
-            "length       {:.3} s of board time",
-            (span.to - span.from).as_secs_f64()
-        );
-    }
-    if let Some(clock) = session.clock() {
-        let (offset_us, skew_ppm) = sigmas(&clock);
-        let (offset, skew) = (clock.offset, clock.skew * 1e6);
-        let _ = writeln!(
-            text,
-            "clocks       offset {offset:.6} s ± {offset_us:.2} µs, skew {skew:+.4} ± {skew_ppm:.4} ppm"
-        );
-    }
-    if let Some(alignment) = session.alignment {
-        let _ = writeln!(text, "alignment    {}", alignment.promise());
-    }
-    for phone in session.further_phones() {
-        let _ = writeln!(text, "{}", phone_line(phone));
-    }
-    let counts = session.counts;
-    let _ = writeln!(
-        text,
-        "received     {} pulses, {} IMU samples, {} strobe edges; {} messages lost, {} frames damaged, {} reconnects",
-        counts.pulses.received,
-        counts.imu.received,
-        counts.captures.received,
-        counts.lost(),
-        session.damaged_frames,
-        session.reconnects
-    );
-    if counts.disordered() > 0 {
-        let _ = writeln!(
-            text,
-            "disordered   {} messages came twice, or with numbers that do not follow",
-            counts.disordered()
-        );
-    }
-    if !session.markers.is_empty() {
-        let _ = writeln!(text, "marks        {}", session.markers.len());
-    }
-    for problem in session.problems.iter().take(10) {
-        let _ = writeln!(
-            text,
-            "problem      {} s: {}",
-            problem.seconds(),
-            problem.text
-        );
-    }
-    if session.problems.len() > 10 {
-        let _ = writeln!(
-            text,
-            "             and {} more, in session.json",
-            session.problems.len() - 10
-        );
-    }
-}
-
-fn phone_line(phone: &PhoneRecord) -> String {
-    let mut text = format!("phone        {}", phone.name);
-    if let Some(clock) = phone.clock {
-        let (sigma, _) = sigmas(&clock);
-        let _ = write!(text, ": offset {:.6} s ± {sigma:.2} µs", clock.offset);
-    }
-    if let Some(placed) = phone.placement {
-        let _ = write!(
-            text,
-            "; frames {:+.1} ± {:.1} µs from the depth images, moving by {:+.1} ± {:.1} µs/min",
-            placed.offset_us,
-            placed.offset_sigma_us,
-            placed.drift_us_per_min,
-            placed.drift_sigma_us_per_min
-        );
+    let problems = session.problems.iter().take(MAX_PROBLEMS);
+    let more = session.problems.len().saturating_sub(MAX_PROBLEMS);
+    let more = (more > 0).then(|| format!("and {more} more, in session.json\n"));
+    let lessons = printed.learnt.iter().map(Lesson::text);
+    let next = printed.next.iter();
+    for (heading, part) in [
+        (
+            "before the recording the checks found",
+            findings_text(findings(session)),
+        ),
+        (
+            "what went wrong",
+            findings_text(problems) + &more.unwrap_or_default(),
+        ),
+        ("learnt, for the next recording", lessons.collect()),
+        ("next", next.map(|line| format!("  {line}\n")).collect()),
+    ] {
+        if !part.is_empty() {
+            text += &format!("\n{heading}\n{part}");
+        }
     }
     text
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
-use report::repair::{Repaired, repair};
+use report::repair::repair;
 
 /// Write what can be read of a damaged or unfinished recording as a new, whole
 /// one. The recording itself is never changed.
@@ -28,24 +28,6 @@ pub(crate) struct Args {
 /// There is no such recording, or the new one cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let result = repair(&args.recording, &args.out, &context.interrupt.question())?;
-    context.print(&result, || text(&result))?;
+    context.print_checks(&result, || result.summary().text())?;
     Ok(ExitStatus::of_loss(result.lost))
-}
-
-fn text(result: &Repaired) -> String {
-    let before = &result.before;
-    format!(
-        "taken over   {} messages in {} chunks, {} files beside it\n\
-         left out     {} damaged chunks, {} damaged bytes{}\n\n{}",
-        before.messages,
-        before.chunks,
-        result.copied.len(),
-        before.bad_chunks,
-        before.skipped_bytes,
-        match before.cut_off_at {
-            Some(at) => format!(", {} bytes of a last part", before.bytes - at),
-            None => String::new(),
-        },
-        result.after.text()
-    )
 }

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::checks::text_of_judgement;
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use recording::session_file::SessionFile;
-use report::session::{self, Judgement};
+use report::session;
+use report::summary::Summary;
 
 /// Write the HTML report of a recording (again), into its folder.
 ///
@@ -24,7 +24,7 @@ pub(crate) struct Args {
 #[derive(Debug, Serialize)]
 struct Written {
     report: PathBuf,
-    verdict: Judgement,
+    verdict: Summary,
 }
 
 /// Runs the command.
@@ -37,11 +37,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let folder = recordings::folder_of(&recording);
     let file = SessionFile::load(folder)?;
     let report = session::write(folder, &file, &context.interrupt.question())?;
-    let verdict = Judgement::of(folder, &file);
+    let verdict = session::summary(folder, &file);
     let written = Written { report, verdict };
     context.print_checks(&written, || {
-        let verdict = text_of_judgement(&written.verdict);
-        format!("{verdict}report       {}", written.report.display())
+        let text = written.verdict.text();
+        format!("{text}report {}", written.report.display())
     })?;
     Ok(ExitStatus::Good)
 }

@@ -27,7 +27,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         &args.recording.find(context)?,
         &context.interrupt.question(),
     )?;
-    context.print(&report, || report.text())?;
+    context.print_checks(&report, || report.summary().text())?;
     Ok(match report.severity {
         Severity::Good => ExitStatus::Good,
         Severity::Check | Severity::Bad => ExitStatus::Loss,

@@ -23,7 +23,7 @@ pub(super) struct Curves {
     pub(super) readback: Envelope,
     pub(super) load: Envelope,
     pub(super) temperature: Envelope,
-    /// Pulses of further outputs by the sensor's name: how many, first and last.
+    /// Pulses of auxiliary outputs by the sensor's name: how many, first and last.
     pub(super) outputs: BTreeMap<String, (u64, Ticks, Ticks)>,
     /// Seconds of a lidar: how many, the last with the UTC that it was told, ns; and
     /// whether all tell one relation.

@@ -14,63 +14,39 @@ use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
-use serde::Serialize;
 use timebase::PhoneNanos;
 
-use super::seconds;
+use super::{facts, seconds, title};
+use crate::summary::Summary;
 
-/// How good a recording is.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Judgement {
-    /// The worst of the parts.
-    pub severity: Severity,
-    /// What that means, in a sentence or two.
-    pub text: String,
-    /// `board and phone`, `alignment` and `depth`.
-    pub parts: Vec<Finding>,
-}
-
-impl Judgement {
-    /// Judges the recording in `folder`.
-    #[must_use]
-    pub fn of(folder: &Path, session: &SessionFile) -> Self {
-        let nothing = !has_recorded(session);
-        let parts = match nothing {
-            true => vec![nothing_recorded(session)],
-            false => vec![
-                board_and_phone(folder, session),
-                alignment(session),
-                depth(folder, session),
-            ],
-        };
-        let severity = parts
-            .iter()
-            .map(|part| part.severity)
-            .max()
-            .unwrap_or(Severity::Good);
-        let open: Vec<&str> = parts
-            .iter()
-            .filter(|part| part.severity != Severity::Good)
-            .map(|part| part.kind.as_str())
-            .collect();
-        let text = match (severity, parts.as_slice()) {
-            (_, [only]) if nothing => only.text.clone(),
-            (Severity::Good, _) => {
-                String::from("Everything is there, and nothing of it is unknown.")
-            }
-            (Severity::Check, _) => {
-                format!(
-                    "Recorded, but not all is there or known: {}.",
-                    open.join(", ")
-                )
-            }
-            (Severity::Bad, _) => format!("Not usable as it is: {}.", open.join(", ")),
-        };
-        Self {
-            severity,
-            text,
-            parts,
-        }
+/// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`.
+#[must_use]
+pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
+    let parts = match has_recorded(session) {
+        false => vec![nothing_recorded(session)],
+        true => vec![
+            board_and_phone(folder, session),
+            alignment(session),
+            depth(folder, session),
+        ],
+    };
+    let severities = parts.iter().map(|part| part.severity);
+    let severity = severities.max().unwrap_or(Severity::Good);
+    let open = parts.iter().filter(|part| part.severity != Severity::Good);
+    let open: Vec<&str> = open.map(|part| part.kind.as_str()).collect();
+    let open = open.join(", ");
+    let text = match (severity, parts.as_slice()) {
+        (_, [only]) => only.text.clone(),
+        (Severity::Good, _) => String::from("Everything is there, and nothing of it is unknown."),
+        (Severity::Check, _) => format!("Recorded, but not all is there or known: {open}."),
+        (Severity::Bad, _) => format!("Not usable as it is: {open}."),
+    };
+    Summary {
+        title: title(&session.name),
+        severity,
+        text,
+        parts,
+        facts: facts(session),
     }
 }
 
@@ -359,7 +335,7 @@ mod tests {
                 SessionOutcome::Failed,
             ] {
                 session.outcome = Some(outcome);
-                let judged = Judgement::of(folder.path(), &session);
+                let judged = summary(folder.path(), &session);
                 assert_eq!(judged.severity, Severity::Bad, "{judged:?}");
                 assert!(
                     judged.text.contains("before the recording began"),

@@ -3,7 +3,7 @@
 use protocol::Ticks;
 
 use super::curves::Curves;
-use super::{MAX_LISTED, seconds, sigmas};
+use super::{MAX_LISTED, seconds};
 use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
 use recording::finding::Severity;
@@ -19,13 +19,6 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
         return;
     }
     page.section("The clocks of phone and board");
-    if let Some(clock) = phone.clock {
-        let (offset_us, skew_ppm) = sigmas(&clock);
-        let (offset, at) = (clock.offset, clock.reference.0);
-        let offset = format!("{offset:.6} s ± {offset_us:.2} µs at {at:.3} s of board time");
-        let rate = format!("{:+.4} ± {skew_ppm:.4} ppm", clock.skew * 1e6);
-        page.facts(&[("phone minus board", offset), ("rate of the phone", rate)]);
-    }
     let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.3}"));
     let rows = phone.twists.iter().enumerate().map(|(index, twist)| {
         [
@@ -94,7 +87,6 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
             ),
         ),
         ("bias taken out", format!("{:+.1} µs", alignment.bias_us)),
-        ("how well it is known", alignment.promise()),
         (
             "arrived",
             match (alignment.arrival_pulse, alignment.arrival) {
@@ -117,54 +109,8 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
     }
 }
 
-/// Clocks and frames of the phones that the trigger does not follow.
-pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
-    let phones = session.further_phones();
-    if phones.is_empty() {
-        return;
-    }
-    page.section("Further phones");
-    page.text(&format!(
-        "The trigger follows {}. The frames of the other phones cannot be shifted: where they lie \
-         against the depth images, and how that changes, is predicted here; the command extract \
-         measures it.",
-        session.profile.phone.name
-    ));
-    let rows = phones.iter().map(|phone| {
-        let used = phone.twists.iter().filter(|twist| twist.accepted).count();
-        let unknown = || [String::from("-"), String::from("-")];
-        let [offset, rate] = phone.clock.map_or_else(unknown, |clock| {
-            let (offset_us, skew_ppm) = sigmas(&clock);
-            [
-                format!("{:.6} ± {offset_us:.2} µs", clock.offset),
-                format!("{:+.4} ± {skew_ppm:.4}", clock.skew * 1e6),
-            ]
-        });
-        let [placed, drift] = phone.placement.map_or_else(unknown, |placed| {
-            let (drift, sigma) = (placed.drift_us_per_min, placed.drift_sigma_us_per_min);
-            [
-                format!("{:+.1} ± {:.1}", placed.offset_us, placed.offset_sigma_us),
-                format!("{drift:+.1} ± {sigma:.1}"),
-            ]
-        });
-        let twists = format!("{used} of {}", phone.twists.len());
-        [phone.name.clone(), twists, offset, rate, placed, drift]
-    });
-    page.table(
-        [
-            "phone",
-            "twists used",
-            "phone minus board, s",
-            "rate, ppm",
-            "frames after the depth images, µs",
-            "moving, µs/min",
-        ],
-        rows,
-    );
-}
-
-/// The sensors on the further outputs and the lidar, by name.
-pub(super) fn further_sensors(page: &mut Page, session: &SessionFile, curves: &Curves) {
+/// The sensors on the auxiliary outputs and the lidar, by name.
+pub(super) fn auxiliary(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let profile = &session.profile;
     if curves.outputs.is_empty()
         && curves.gnss.is_none()
@@ -173,7 +119,7 @@ pub(super) fn further_sensors(page: &mut Page, session: &SessionFile, curves: &C
     {
         return;
     }
-    page.section("Further sensors");
+    page.section("Auxiliary sensors");
     let known = profile.outputs.iter().map(|sensor| sensor.name.as_str());
     let others = curves.outputs.keys().map(String::as_str);
     let others = others.filter(|name| !known.clone().any(|known| known == *name));
