@@ -346,7 +346,7 @@ impl Truth {
             .recorded
             .context("the session has recorded nothing")?;
         session
-            .further_phones()
+            .other_phones()
             .iter()
             .zip(&self.others)
             .map(|(said, (clock, videos))| {

@@ -164,11 +164,11 @@ fn write_jpeg(
 }
 
 impl DepthOutcome {
-    /// Takes that of further images.
+    /// Takes that of other images.
     fn take(&mut self, other: Self) {
         self.written += other.written;
         self.out_of_range += other.out_of_range;
-        for (list, further) in [
+        for (list, others) in [
             (&mut self.infrared, other.infrared),
             (&mut self.broken, other.broken),
             (&mut self.damaged, other.damaged),
@@ -176,7 +176,7 @@ impl DepthOutcome {
             (&mut self.color, other.color),
             (&mut self.color_broken, other.color_broken),
         ] {
-            list.extend(further);
+            list.extend(others);
         }
     }
 }

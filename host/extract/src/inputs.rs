@@ -81,7 +81,7 @@ pub(crate) struct Inputs {
     pub(crate) board: PathBuf,
     /// The phone; of several the one that the trigger was aligned to.
     pub(crate) phone: PhoneInput,
-    /// Further phones.
+    /// The other phones.
     pub(crate) others: Vec<PhoneInput>,
     /// The depth recording.
     pub(crate) depth: Option<DepthInput>,

@@ -46,7 +46,7 @@ pub struct ExtractReport {
     pub pairs: Option<PairsReport>,
     /// The phone's frames against the trigger's grid.
     pub grid: Option<GridReport>,
-    /// Further phones.
+    /// The other phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
     /// Sensors on auxiliary outputs, and a lidar.

@@ -18,7 +18,7 @@
 //! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
-//! - [`scan`]: the records of the file over any damage; [`chunks`] unpacks them.
+//! - `scan`: the records of the file over any damage (`damage`); [`chunks`] unpacks them.
 //! - [`walk`]: topics, messages and damage, from the records.
 //! - [`reader`]: the messages as Rust values.
 //! - [`bag`]: the one file of a recording or of another program's bag.
@@ -30,6 +30,7 @@
 pub mod bag;
 pub mod camera;
 pub mod chunks;
+mod damage;
 pub mod diagnostics;
 pub mod finding;
 pub mod folder;
@@ -40,7 +41,7 @@ pub mod profile;
 mod publish;
 pub mod reader;
 pub mod rosbag2;
-pub mod scan;
+mod scan;
 pub mod session_file;
 pub mod topic;
 pub mod walk;

@@ -47,18 +47,18 @@ pub struct Profile {
     pub align: Align,
     /// The measured constant bias.
     pub frame_sync: FrameSync,
-    /// Further phones, each with its own clock; nothing can shift their frames.
+    /// The other phones, each with its own clock; nothing can shift their frames.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<Phone>,
-    /// The sensors on the trigger outputs 2 to 4.
-    #[serde(default)]
+    /// The sensors on the auxiliary outputs, 2 to 4.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<TriggerOutput>,
     /// The lidar, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lidar: Option<Lidar>,
 }
 
-/// A sensor on one of the further trigger outputs.
+/// A sensor on one of the auxiliary outputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerOutput {
@@ -403,7 +403,7 @@ impl Profile {
         }
     }
 
-    /// What the sensor on a further output is called.
+    /// The name of the sensor on an auxiliary output.
     #[must_use]
     pub fn output_name(&self, output: Output) -> String {
         let number = output.number();
@@ -430,7 +430,7 @@ impl Profile {
         }
     }
 
-    /// The same for a further phone, µs. The bias was measured with the first phone, and has
+    /// The same for another phone, µs. The bias was measured with the first phone, and has
     /// the error of that one's delay in it.
     #[must_use]
     pub fn other_constant_sigma_us(&self, phone: &Phone) -> f64 {
@@ -460,8 +460,8 @@ impl Profile {
     }
 }
 
-/// Gives each of the further phones the defaults of what it leaves out; name and
-/// address it must have itself.
+/// Gives each of the other phones the defaults of what it leaves out; name and address it
+/// must have itself.
 fn complete_phones(given: &mut toml::Table, default: &toml::Table) {
     let Some(toml::Value::Table(default)) = default.get("phone") else {
         return;

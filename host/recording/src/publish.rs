@@ -173,8 +173,8 @@ impl Writer {
         self.put(at, Item::Marker(marker))
     }
 
-    /// A relation of the clocks that holds from now on; `phone` is the name of a further
-    /// phone, whose it is.
+    /// A relation of the clocks that holds from now on; `phone` is the name of the
+    /// phone if it is not the reference.
     ///
     /// # Errors
     ///

@@ -15,7 +15,9 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD};
+use super::chunks::{self, Budget, Chunk, MAX_RECORD};
+use super::damage::{Damage, FileReport};
+use super::ticks_of_nanos;
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -34,40 +36,22 @@ const MAX_NAME: usize = 8;
 
 /// Something in the file.
 #[derive(Debug)]
-pub enum Piece {
+pub(crate) enum Piece {
     /// The records of a chunk whose checksum is right.
     Chunk(Chunk),
-    /// A chunk that cannot be used.
-    BadChunk {
-        /// Where it begins.
-        at: u64,
-        /// What is wrong with it.
-        why: BadChunk,
-        /// Board time in nanoseconds of its first message, as its head says.
-        from: u64,
-    },
     /// A record outside of chunks: its opcode and body.
     Record(u8, Vec<u8>),
-    /// Bytes that are no records, up to the next chunk or the end.
-    Skipped {
-        /// From this byte.
-        from: u64,
-        /// Up to this one.
-        to: u64,
-    },
-    /// The file ends inside of a record, or without the records that close it.
-    CutOff {
-        /// Whole records end here.
-        at: u64,
-    },
+    /// Something that cannot be read, or whose checksum is wrong.
+    Damage(Damage),
     /// The end that a writer makes which came to its end.
     End,
 }
 
 /// The walk.
-pub struct Scan {
+pub(crate) struct Scan {
     file: BufReader<File>,
-    length: u64,
+    /// The file so far; its messages are not counted here.
+    pub(crate) report: FileReport,
     position: u64,
     budget: Budget,
     /// For the next chunk.
@@ -78,9 +62,9 @@ pub struct Scan {
     /// Checksum over everything since the begin, and then since the record that
     /// closes the data; nothing once a part was skipped.
     hasher: Option<crc32fast::Hasher>,
-    data_crc: Option<u32>,
-    summary_crc: Option<u32>,
-    closed: bool,
+    has_footer: bool,
+    /// The file begins as MCAP files do; else its first bytes are skipped.
+    has_magic: bool,
     ended: bool,
 }
 
@@ -90,55 +74,41 @@ impl Scan {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub fn open(path: &Path) -> io::Result<Self> {
+    pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let file = files::open(path)?;
         let length = file.metadata()?.len();
         Ok(Self {
             file: BufReader::with_capacity(1 << 20, file),
-            length,
+            report: FileReport {
+                bytes: length,
+                ..FileReport::default()
+            },
             position: 0,
             budget: Budget::default(),
             memory: Vec::new(),
             searched: 0,
             head: None,
             hasher: Some(crc32fast::Hasher::new()),
-            data_crc: None,
-            summary_crc: None,
-            closed: false,
+            has_footer: false,
+            has_magic: true,
             ended: false,
         })
     }
 
-    /// Length of the file in bytes.
-    #[must_use]
-    pub const fn length(&self) -> u64 {
-        self.length
+    /// Whether the file begins as MCAP files do.
+    pub(crate) const fn has_magic(&self) -> bool {
+        self.has_magic
     }
 
     /// Bytes read so far.
-    #[must_use]
-    pub const fn position(&self) -> u64 {
+    pub(crate) const fn position(&self) -> u64 {
         self.position
     }
 
     /// Takes the memory of a chunk for the next one: asking the system for it again costs as
     /// much as unpacking.
-    pub fn reuse(&mut self, chunk: Chunk) {
+    pub(crate) fn reuse(&mut self, chunk: Chunk) {
         self.memory = chunk.into_memory();
-    }
-
-    /// The checksum of all bytes before the record that closes the data; once
-    /// that was given out, and if nothing was skipped.
-    #[must_use]
-    pub const fn data_crc(&self) -> Option<u32> {
-        self.data_crc
-    }
-
-    /// The checksum of the part behind it, up to the one that the footer gives;
-    /// once the footer was given out, and if nothing was skipped.
-    #[must_use]
-    pub const fn summary_crc(&self) -> Option<u32> {
-        self.summary_crc
     }
 
     /// The next piece; `None` behind the last.
@@ -146,7 +116,24 @@ impl Scan {
     /// # Errors
     ///
     /// The file cannot be read.
-    pub fn next_piece(&mut self) -> io::Result<Option<Piece>> {
+    pub(crate) fn next_piece(&mut self) -> io::Result<Option<Piece>> {
+        let piece = self.read_piece()?;
+        let report = &mut self.report;
+        match &piece {
+            Some(Piece::Chunk(_)) => report.chunks += 1,
+            Some(Piece::End) => report.closed = true,
+            Some(Piece::Damage(Damage::Chunk { .. })) => report.bad_chunks += 1,
+            Some(Piece::Damage(Damage::CutOff { at, .. })) => report.cut_off_at = Some(*at),
+            Some(Piece::Damage(Damage::Bytes { from, to })) => {
+                self.has_magic &= *from > 0;
+                report.skipped_bytes += to - from;
+            }
+            _ => {}
+        }
+        Ok(piece)
+    }
+
+    fn read_piece(&mut self) -> io::Result<Option<Piece>> {
         if self.ended {
             return Ok(None);
         }
@@ -161,14 +148,14 @@ impl Scan {
                 return self.search(0, 0).map(Some);
             }
         }
-        if self.closed {
+        if self.has_footer {
             return self.after_footer().map(Some);
         }
         let at = self.position;
-        let rest = self.length.saturating_sub(at);
+        let rest = self.report.bytes.saturating_sub(at);
         if rest < HEAD {
             self.ended = true;
-            return Ok(Some(Piece::CutOff { at }));
+            return Ok(Some(self.cut_off(at)));
         }
         let (opcode, length) = self.peek_head()?;
         let fits = length <= MAX_RECORD
@@ -191,15 +178,16 @@ impl Scan {
             // like this too; only then is nothing behind it.
             let plausible = (op::HEADER..=op::DATA_END).contains(&opcode) && length <= MAX_RECORD;
             return match self.search(at, at + 1)? {
-                Piece::Skipped { to, .. } if to == self.length && plausible => {
-                    Ok(Some(Piece::CutOff { at }))
+                Piece::Damage(Damage::Bytes { to, .. }) if to == self.report.bytes && plausible => {
+                    Ok(Some(self.cut_off(at)))
                 }
                 piece => Ok(Some(piece)),
             };
         }
-        if opcode == op::DATA_END {
-            self.data_crc = self.hasher.take().map(crc32fast::Hasher::finalize);
-        }
+        let data_crc = match opcode {
+            op::DATA_END => self.hasher.take().map(crc32fast::Hasher::finalize),
+            _ => None,
+        };
         let record = self.take(HEAD + length)?;
         let body = record.get(HEAD as usize..).unwrap_or_default();
         if let Some(hasher) = &mut self.hasher {
@@ -222,17 +210,32 @@ impl Scan {
                 let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), memory));
                 return Ok(Some(match chunk {
                     Ok(chunk) => Piece::Chunk(chunk),
-                    Err(why) => Piece::BadChunk {
+                    Err(why) => Piece::Damage(Damage::Chunk {
                         at,
                         why,
-                        from: header.message_start_time,
-                    },
+                        from: ticks_of_nanos(header.message_start_time),
+                    }),
                 }));
             }
-            op::DATA_END => self.hasher = self.data_crc.map(|_| crc32fast::Hasher::new()),
+            op::DATA_END => {
+                self.report.data_complete = true;
+                self.hasher = data_crc.map(|_| crc32fast::Hasher::new());
+                if let (Some(Record::DataEnd(end)), Some(crc)) =
+                    (chunks::parse(opcode, body), data_crc)
+                    && ![0, crc].contains(&end.data_section_crc)
+                {
+                    return Ok(Some(Piece::Damage(Damage::DataChecksum)));
+                }
+            }
             op::FOOTER => {
-                self.closed = true;
-                self.summary_crc = self.hasher.take().map(crc32fast::Hasher::finalize);
+                self.has_footer = true;
+                let crc = self.hasher.take().map(crc32fast::Hasher::finalize);
+                if let (Some(Record::Footer(footer)), Some(crc)) =
+                    (chunks::parse(opcode, body), crc)
+                    && ![0, crc].contains(&footer.summary_crc)
+                {
+                    return Ok(Some(Piece::Damage(Damage::IndexChecksum)));
+                }
             }
             _ => {}
         }
@@ -243,16 +246,23 @@ impl Scan {
     fn after_footer(&mut self) -> io::Result<Piece> {
         self.ended = true;
         let at = self.position;
-        let rest = self.length.saturating_sub(at);
+        let rest = self.report.bytes.saturating_sub(at);
         if rest == mcap::MAGIC.len() as u64 && self.take(rest)? == *mcap::MAGIC {
             return Ok(Piece::End);
         }
         if rest < mcap::MAGIC.len() as u64 {
-            return Ok(Piece::CutOff { at });
+            return Ok(self.cut_off(at));
         }
-        Ok(Piece::Skipped {
-            from: at,
-            to: self.length,
+        let to = self.report.bytes;
+        Ok(Piece::Damage(Damage::Bytes { from: at, to }))
+    }
+
+    /// The file ends here, where whole records end.
+    const fn cut_off(&self, at: u64) -> Piece {
+        Piece::Damage(Damage::CutOff {
+            at,
+            length: self.report.bytes,
+            complete: self.report.data_complete,
         })
     }
 
@@ -275,17 +285,15 @@ impl Scan {
     /// Goes from `from` to the first chunk at or behind `first`; to the end if there is
     /// none.
     fn search(&mut self, from: u64, first: u64) -> io::Result<Piece> {
-        let found = self.next_head(first, self.length)?;
+        let found = self.next_head(first, self.report.bytes)?;
         // The checksum over all is meaningless from here on.
         self.hasher = None;
         self.ended = found.is_none();
-        let to = found.unwrap_or(self.length);
+        let to = found.unwrap_or(self.report.bytes);
         self.position = to;
         self.file.seek(SeekFrom::Start(to))?;
-        Ok(Piece::Skipped {
-            from: from.min(to),
-            to,
-        })
+        let from = from.min(to);
+        Ok(Piece::Damage(Damage::Bytes { from, to }))
     }
 
     /// Where in `from..until` the first chunk begins, without going on. `from` must not
@@ -305,7 +313,7 @@ impl Scan {
                 .read_to_end(&mut window)?;
             self.file.seek_relative(-ahead - window.len() as i64)?;
             let hit = (0..window.len().min(WINDOW)).find(|&index| {
-                let rest = self.length - start - index as u64;
+                let rest = self.report.bytes - start - index as u64;
                 let bytes = window.get(index..);
                 bytes.is_some_and(|bytes| is_chunk_head(bytes, rest))
             });

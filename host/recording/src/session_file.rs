@@ -381,7 +381,7 @@ impl SessionFile {
 
     /// The phones beside the reference.
     #[must_use]
-    pub fn further_phones(&self) -> &[PhoneRecord] {
+    pub fn other_phones(&self) -> &[PhoneRecord] {
         self.phones.get(1..).unwrap_or_default()
     }
 

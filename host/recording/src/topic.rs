@@ -109,11 +109,11 @@ topics! {
     HostTime: TimeReference = "/session/host_time",
     /// What was said and what went wrong.
     Log: Log = "/session/log",
-    /// Pulses of the further outputs; `frame_id` says whose.
+    /// Pulses of the auxiliary outputs; `frame_id` says whose.
     Output: Pulse = "/board/output_pulse",
     /// Pulses per second; `time_ref` is the UTC that a lidar was told.
     Gnss: TimeReference = "/board/gnss",
-    /// The relation of the clocks of a further phone; `frame_id` says whose.
+    /// The relation of the clocks of another phone; `frame_id` says whose.
     PhoneClock: ClockModel = "/session/phone_clock_model",
     /// Board and phone were asked for their time, while the phone's clock is followed.
     Exchange: ClockExchange = "/session/clock_exchanges",

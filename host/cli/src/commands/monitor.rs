@@ -38,7 +38,7 @@ pub(crate) struct Args {
     /// How long, in board time: 90s, 5m, 1h; until stopped if not given
     #[arg(long, value_parser = parse_duration)]
     duration: Option<u64>,
-    /// The rig profile, for the names of the sensors on further outputs
+    /// The rig profile, for the names of the sensors on auxiliary outputs
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
     /// Plain lines even on a terminal

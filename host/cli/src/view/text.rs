@@ -22,7 +22,7 @@ const CHART_MIN: u16 = 20;
 /// Below this width, things stand below each other.
 const WIDE: u16 = 70;
 
-/// Rows that all but chart, sensors and further phones need.
+/// Rows that all but chart, sensors and other phones need.
 const SENSORS_MIN: u16 = 16;
 
 /// The same with a twist, whose part must not give any room.
@@ -371,7 +371,7 @@ fn fact(name: &'static str, value: impl Into<String>, style: Style) -> Line<'sta
     Line::from(vec![name, Span::styled(value.into(), style)])
 }
 
-/// One line each of the further outputs, the lidar, and the further phones.
+/// One line each of the auxiliary outputs, the lidar, and the other phones.
 fn sensor_lines(state: &State) -> Vec<Line<'static>> {
     let row = |name: &str, text: String, style: Style| {
         let name: String = name.chars().take(16).collect();

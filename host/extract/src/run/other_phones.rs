@@ -1,4 +1,4 @@
-//! Further phones: the same tables, images and samples as of the phone that the
+//! The other phones: the same tables, images and samples as of the phone that the
 //! trigger was aligned to, each in `phones/NAME` of the output.
 
 use super::index_files::Written;

@@ -181,3 +181,16 @@ fn several_phones_have_defaults_and_one_of_them_is_the_reference() {
         ("phone", 0)
     );
 }
+
+#[test]
+fn a_written_profile_can_be_added_to_and_read_again() {
+    let profile = Profile::published().unwrap();
+    let text = profile.to_toml().unwrap();
+    assert_eq!(Profile::parse(&text, None).unwrap(), profile);
+    let more = "\n[[outputs]]\noutput = 2\nname = \"side\"\nevery = 6\n\
+                [[phones]]\nname = \"right\"\naddress = \"x\"\n[lidar]\nname = \"VLP-16\"\n";
+    let profile = Profile::parse(&(text + more), None).unwrap();
+    assert_eq!(profile.outputs.len(), 1);
+    let text = profile.to_toml().unwrap();
+    assert_eq!(Profile::parse(&text, None).unwrap(), profile);
+}
