@@ -21,8 +21,12 @@ use recording::RecordingError;
 use recording::profile::ProfileError;
 use session::checks::Fault;
 use session::error::SessionError;
+use session::event::{Device, SessionEvent};
 
 use crate::outcome::{ExitStatus, Failure, file_step};
+
+/// What to do about what only a look at the whole tells.
+const REPORT: &str = "see the recording's report";
 
 /// What to do where another firmware is needed.
 const FLASH: &str = ExitStatus::OtherVersion.next_step();
@@ -164,30 +168,29 @@ const fn fault_status(fault: Fault) -> ExitStatus {
     }
 }
 
-/// What to do about an event of this kind, in one line.
-pub(crate) fn remedy(kind: &str) -> &'static str {
-    match kind {
-        "link_lost" => "check the USB cable; it is taken up again by itself",
-        "board_reset" => "check the board's supply and cable, then record again",
-        "board_quiet" => "check the USB cable",
-        "pulses_missing" | "phase_off" | "trigger_late" => {
-            "stop and record again; `trigger status` says more"
+/// What to do about an event, in one line.
+pub(crate) fn remedy(event: &SessionEvent) -> &str {
+    use SessionEvent as E;
+    match event {
+        E::Found { finding } => finding.next_step.as_deref().unwrap_or(REPORT),
+        E::LinkLost { .. } => "check the USB cable; it is taken up again by itself",
+        E::BoardReset { .. } => "check the board's supply and cable, then record again",
+        E::BoardQuiet { .. } => "check the USB cable",
+        E::RecorderGone { .. } | E::RecorderFailed { .. } | E::RecorderKilled { .. } => {
+            "look at depth_recorder.log; start the recording again"
         }
-        "readback_missing" => "check the trigger's wire and buffer",
-        "imu_gap" | "imu_gone" | "imu_recovered" | "imu_late" => {
-            "check the IMU's wires; the trigger is not affected"
-        }
-        "pulse_messages_lost" | "captures_lost" | "status_lost" => {
-            "nothing to do: counted, and times are not affected"
-        }
-        "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
-        "phone_lost" | "phone_away" | "phone_left_out" | "video_ended" => {
+        E::PhoneAway { .. } | E::PhoneLeftOut { .. } | E::VideoEnded { .. } => {
             "check the phone: app in the foreground, same network"
         }
-        "disk_nearly_full" => "free some space",
-        "track_lost" => "check the phone's cable and `adb devices`",
-        "twist_due" => "stop, and record again when the phase matters",
-        _ => "see the recording's report",
+        E::DiskNearlyFull { .. } => "free some space",
+        E::TrackLost => "check the phone's cable and `adb devices`",
+        E::TwistDue { .. } => "stop, and record again when the phase matters",
+        E::NotStopped { what, .. } => match what {
+            Device::Video(_) => "stop the video on the phone",
+            Device::Trigger => "stop it: `smartdepthsync trigger stop`",
+            Device::Output => "press the board's reset button",
+        },
+        _ => REPORT,
     }
 }
 

@@ -129,7 +129,7 @@ impl Checks {
         }
     }
 
-    /// Further sensors of the profile that this board has no output for.
+    /// Auxiliary sensors of the profile that this board has no output for.
     fn outputs(&mut self, board: BoardModel, profile: &Profile) {
         let outputs = profile.outputs.iter().map(|sensor| sensor.name.as_str());
         let lidar = profile.lidar.iter().map(|lidar| lidar.name.as_str());

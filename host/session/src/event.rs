@@ -432,14 +432,14 @@ pub enum SessionEvent {
     },
     /// The arrival was not reported, but the train runs on the grid.
     ArrivalUnconfirmed,
-    /// The frames of a further phone, against the depth images.
+    /// The frames of another phone, against the depth images.
     Placed {
         /// The phone.
         phone: PhoneName,
         /// Where they lie.
         placement: Placement,
     },
-    /// A further output runs.
+    /// An auxiliary output runs.
     OutputStarted {
         /// The sensor on it.
         name: String,
@@ -605,7 +605,7 @@ pub enum SessionEvent {
 pub enum Device {
     /// The trigger.
     Trigger,
-    /// A further output, or the lidar's.
+    /// An auxiliary output, or the lidar's.
     Output,
     /// The video of a phone; all videos, if none is named.
     Video(Option<PhoneName>),

@@ -21,7 +21,7 @@
 //! - [`event`], [`error`], [`log`]: what happens, and where it is kept.
 //! - [`link`], [`monitors`], [`watch`](mod@watch): the board and its messages.
 //! - [`phones`], `videos`, `tracking`: the phones, their videos, the reference's clock.
-//! - `auxiliary`, `housekeeping`: further outputs; disk and depth recorder.
+//! - `auxiliary`, `housekeeping`: auxiliary outputs; disk and depth recorder.
 //! - [`hardware`], [`recorder_process`]: devices on hardware.
 //! - [`alignment`], [`rates`], [`twists`], [`train`], [`steering`], [`learn`]: the
 //!   mathematics of the phone's frames and the trigger's grid.

@@ -129,8 +129,14 @@ impl<'a> Log<'a> {
                 _ => (kind, text.as_str()),
             };
             if count <= MAX_PROBLEMS {
-                let problem = Finding::new(severity, kind, text).at(at);
-                self.file.problems.push(problem);
+                let next_step = match event {
+                    SessionEvent::Found { finding } => finding.next_step.clone(),
+                    _ => None,
+                };
+                self.file.problems.push(Finding {
+                    next_step,
+                    ..Finding::new(severity, kind, text).at(at)
+                });
             }
         }
         (self.listener)(&stamped);

@@ -1,5 +1,5 @@
 //! The phones of a session, by their place in the profile: 0 is the reference, to whose
-//! frames the trigger is aligned; further ones follow in order.
+//! frames the trigger is aligned; the others follow in order.
 //!
 //! All are asked at the same time: one twist relates every clock, and videos begin and end
 //! together. The trigger follows the first alone; of the others it is stated where their

@@ -95,7 +95,7 @@ fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Re
     })
 }
 
-/// States where the frames of the further phones lie against the trigger's grid.
+/// States where the frames of the other phones lie against the trigger's grid.
 pub(crate) fn place_others(
     phones: &Phones<'_>,
     log: &mut Log<'_>,

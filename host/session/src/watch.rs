@@ -13,35 +13,52 @@ pub use recording::grid::Grid;
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
+/// What to do about a train that is not as it should be.
+const TRAIN: &str = "stop and record again; `smartdepthsync trigger status` says more";
+
+/// What to do about a trigger wire that shows no pulses.
+const WIRE: &str = "check the trigger's wire and buffer";
+
+/// What to do about an IMU that misses samples.
+const IMU: &str = "check the IMU's wires; the trigger is not affected";
+
+/// What to do about messages that are missing.
+const COUNTED: &str = "nothing to do: counted, and times are not affected";
+
 /// A counter of the board that grows only when something goes wrong: a stable word, the
-/// counter, and what it counts.
-type Counter = (&'static str, fn(&Status) -> u32, &'static str);
+/// counter, what it counts, and what to do.
+type Counter = (&'static str, fn(&Status) -> u32, &'static str, &'static str);
 
 const COUNTERS: [Counter; 5] = [
     (
         "trigger_late",
         |status| status.trigger.late,
         "trigger edges came late",
+        TRAIN,
     ),
     (
         "readback_missing",
         |status| status.trigger.readback.missing,
         "pulses were not seen on the trigger wire",
+        WIRE,
     ),
     (
         "imu_late",
         |status| status.imu.late,
         "IMU samples were read late",
+        IMU,
     ),
     (
         "captures_lost",
         |status| status.strobe_overcaptures,
         "edges on the strobe input were lost",
+        COUNTED,
     ),
     (
         "imu_recovered",
         |status| status.imu.recoveries,
         "times the IMU was set up again after a fault",
+        IMU,
     ),
 ];
 
@@ -97,19 +114,17 @@ impl Watch {
         if let Some(expected) = self.next_number
             && pulse.number != expected
         {
-            findings.push(Finding::bad(
-                "pulses_missing",
-                format!("pulse {} came where {expected} was expected", pulse.number),
-            ));
+            let text = format!("pulse {} came where {expected} was expected", pulse.number);
+            findings.push(Finding::bad("pulses_missing", text).next_step(TRAIN));
         }
         self.next_number = Some(pulse.number.wrapping_add(1));
         self.last_pulse = pulse.at;
         let off = self.grid.off(pulse.at).0;
         match (off != 0, self.off_grid) {
-            (true, false) => findings.push(Finding::bad(
-                "phase_off",
-                format!("pulse {} is {off} ticks off its grid", pulse.number),
-            )),
+            (true, false) => {
+                let text = format!("pulse {} is {off} ticks off its grid", pulse.number);
+                findings.push(Finding::bad("phase_off", text).next_step(TRAIN));
+            }
             (false, true) => {
                 findings.push(Finding::good(
                     "phase_back",
@@ -129,13 +144,12 @@ impl Watch {
         }
         self.last_imu = sample.at;
         if sample.flags.has(ImuFlags::AFTER_LOSS) {
-            findings.push(Finding::check(
-                "imu_gap",
-                "the board missed a data-ready edge of the IMU",
-            ));
+            let text = "the board missed a data-ready edge of the IMU";
+            findings.push(Finding::check("imu_gap", text).next_step(IMU));
         }
         if sample.flags.has(ImuFlags::FIRST) {
-            findings.push(Finding::check("imu_gap", "the IMU was set up again"));
+            let text = "the IMU was set up again";
+            findings.push(Finding::check("imu_gap", text).next_step(IMU));
         }
     }
 
@@ -153,7 +167,9 @@ impl Watch {
             Stream::Pps => "pps_lost",
             Stream::Filler => return,
         };
-        findings.push(Finding::check(kind, format!("{count} {stream} lost")));
+        let next_step = if stream == Stream::Imu { IMU } else { COUNTED };
+        let lost = Finding::check(kind, format!("{count} {stream} lost"));
+        findings.push(lost.next_step(next_step));
     }
 
     /// The number of a message does not follow on the one before; told once a stream.
@@ -171,22 +187,21 @@ impl Watch {
     /// A status.
     pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
         if let Some(before) = self.last_status.replace(status.clone()) {
-            for (kind, counter, what) in COUNTERS {
+            for (kind, counter, what, next_step) in COUNTERS {
                 let more = counter(status).saturating_sub(counter(&before));
                 if more > 0 {
-                    findings.push(Finding::check(kind, format!("{more} {what}")));
+                    let finding = Finding::check(kind, format!("{more} {what}"));
+                    findings.push(finding.next_step(next_step));
                 }
             }
         }
         if status.imu.state == ImuState::Failed && !self.imu_away {
             self.imu_away = true;
-            findings.push(Finding::bad(
-                "imu_gone",
-                match status.imu.last_fault {
-                    Some(fault) => format!("the IMU does not answer ({fault:?})"),
-                    None => String::from("the IMU does not answer"),
-                },
-            ));
+            let text = match status.imu.last_fault {
+                Some(fault) => format!("the IMU does not answer ({fault:?})"),
+                None => String::from("the IMU does not answer"),
+            };
+            findings.push(Finding::bad("imu_gone", text).next_step(IMU));
         }
     }
 
@@ -195,11 +210,13 @@ impl Watch {
         let patience = 3 * u64::from(self.grid.last().period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
-            findings.push(Finding::bad("pulses_missing", "pulses have stopped"));
+            let text = "pulses have stopped";
+            findings.push(Finding::bad("pulses_missing", text).next_step(TRAIN));
         }
         if !self.imu_away && now.0.saturating_sub(self.last_imu.0) > IMU_PATIENCE {
             self.imu_away = true;
-            findings.push(Finding::bad("imu_gap", "IMU samples have stopped"));
+            let text = "IMU samples have stopped";
+            findings.push(Finding::bad("imu_gap", text).next_step(IMU));
         }
     }
 

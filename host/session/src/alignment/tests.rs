@@ -332,7 +332,7 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     let of = |profile: &Profile| plan(profile, &course(), &video()).unwrap().alignment;
     let exact = of(&known);
     let at = BoardSeconds(160.0);
-    // The constant, and that of a further phone of the same kind.
+    // The constant, and that of another phone of the same kind.
     let with = |(constant_us, other_us): (f64, f64), profile: &Profile| {
         let stated = &of(profile);
         let expected = exact.phase_sigma_us.hypot(constant_us);

@@ -282,7 +282,7 @@ impl SessionEvent {
             ),
             Self::NotStopped { what, error } => match what {
                 Device::Trigger => write!(f, "the trigger could not be stopped: {error}"),
-                Device::Output => write!(f, "a further output could not be stopped: {error}"),
+                Device::Output => write!(f, "an auxiliary output could not be stopped: {error}"),
                 Device::Video(Some(phone)) => write!(
                     f,
                     "the video of {phone} could not be stopped: {error}; stop it on the phone"
