@@ -47,6 +47,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         "--untracked-files=no",
     ];
     let dirty = git(&root, &status).is_some_and(|status| !status.is_empty());
+    let board = match env::var_os("CARGO_FEATURE_BLACK_PILL") {
+        Some(_) => "black-pill",
+        None => "discovery",
+    };
+    println!("cargo:rustc-env=BOARD={board}");
     println!("cargo:rustc-env=GIT_REVISION={revision}");
     println!("cargo:rustc-env=GIT_DIRTY={}", u8::from(dirty));
     Ok(())

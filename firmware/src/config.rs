@@ -26,8 +26,13 @@ pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 /// How long after TIM2's start TIM1 starts, in clocks of TIM1. The hardware makes
 /// it, and it never changes; the reference manual does not say how long it takes
 /// (RM0090 17.3.20 only says that there is a resynchronisation). This is the
-/// simulated board's; `docs/outputs.md` says how to measure a real one's.
-pub const OUTPUT_START_DELAY: u32 = 2;
+/// simulated board's; the board test measures a real one's, which the board then keeps
+/// ([`protocol::BoardSettings`]).
+pub const OUTPUT_START_DELAY: u8 = 2;
+
+/// Most panics that are kept in flash, of the 910 entries that it takes: a board that panics
+/// at each start leaves room for settings.
+pub const MOST_PANICS: u32 = 800;
 
 /// How far ahead an edge is armed on TIM1, in ticks: 0.6 ms. TIM1 comes round every
 /// 65,536 of its clocks, 0.68 ms.
@@ -78,7 +83,8 @@ pub const TRIGGER_OVERDUE: TickDelta = TickDelta::from_micros(10_000);
 
 /// Ticks by which the filter of the capture inputs delays every edge: a new level counts
 /// when 8 samples at the timer's clock have it (ICxF = 3, RM0090 18.4.7). Taken off where
-/// the time of a capture is stated.
+/// the time of a capture is stated, until the board test has measured the whole delay
+/// ([`protocol::BoardSettings`]).
 pub const INPUT_FILTER: u32 = 8;
 
 /// Time in which an edge at a pin has surely been captured, in ticks: the filter, at most

@@ -16,6 +16,7 @@
 //! - [`filler`]: load for tests of the link.
 //! - [`alive`]: which tasks have checked in.
 //! - [`retained`]: what survives a reset.
+//! - [`storage`]: what survives power-off.
 //! - [`load`]: time awake, and the deepest stack.
 
 #![cfg_attr(not(test), no_std)]
@@ -33,5 +34,6 @@ pub mod nmea;
 pub mod outbox;
 pub mod pulser;
 pub mod retained;
+pub mod storage;
 pub mod timebase;
 pub mod trigger;

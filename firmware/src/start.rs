@@ -13,14 +13,27 @@ use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
 use crate::board::imu_clock::ImuClockOutput;
-use crate::board::{
-    clocks, cycles, faults, handover, idle, leds, nmea_port, outputs, rng, stack, tim2,
-};
+use crate::board::{clocks, cycles, faults, flash, handover, idle, leds, outputs, stack, tim2};
+#[cfg(feature = "discovery")]
+use crate::board::{nmea_port, rng};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
+/// What a host looks for in an image: whose it is, and for which board
+/// ([`protocol::IMAGE_MARK`]).
+const IMAGE: &str = concat!(
+    "SmartDepthSync image;",
+    env!("BOARD"),
+    ";",
+    env!("CARGO_PKG_VERSION"),
+    ";",
+    env!("GIT_REVISION"),
+    ";"
+);
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    faults::start_rom_if_asked();
     clocks::set_priorities();
     faults::init();
     cycles::keep_running();
@@ -30,21 +43,38 @@ fn main() -> ! {
     clocks::start_crystal();
 
     let p = embassy_stm32::init(clocks::config());
-    clocks::raise_trigger();
+    clocks::set_priorities();
     clocks::enable_flash_accelerator();
     clocks::enable_peripherals();
-    let epoch = number(&run);
+    #[cfg(feature = "discovery")]
+    let random = {
+        nmea_port::init(p.UART5, p.PC12);
+        rng::number(p.RNG)
+    };
+    // The number of the first run is what memory held at power-on.
+    #[cfg(not(feature = "discovery"))]
+    let random = None;
+    let epoch = number(&run, random);
     let last_panic = run.last_panic;
     stack::paint();
     // A halted core does not feed the watchdog. Without this one that a tool left halted
     // starts again.
     #[cfg(feature = "developer")]
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    let (trigger_events, output_events) = handover::init();
-    outputs::init(output_events);
-    tim2::init(trigger_events);
-    nmea_port::init();
-    leds::init();
+    let (panics, kept_panic) = flash::init(p.FLASH, last_panic.as_deref());
+    let (trigger_events, output_events) = handover::init(p.SPI3);
+    #[cfg(feature = "discovery")]
+    let lines = (p.TIM1, p.TIM5, p.PE9, p.PE11, p.PE13, p.PE14);
+    #[cfg(feature = "discovery")]
+    let led_pins = (p.PD12, p.PD13, p.PD14, p.PD15);
+    #[cfg(not(feature = "discovery"))]
+    let lines = (p.TIM1, p.TIM5);
+    #[cfg(not(feature = "discovery"))]
+    let led_pins = (p.PB12, p.PB13, p.PC13, p.PB15);
+    outputs::init(lines, output_events);
+    let trigger = (p.TIM2, p.PA5, p.PA1, p.PA2, p.PA3, p.DMA1_CH5);
+    tim2::init(trigger, trigger_events);
+    leds::init(led_pins);
 
     // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
     let mut clock_out = McoConfig::default();
@@ -58,13 +88,14 @@ fn main() -> ! {
         epoch,
         reset_cause,
         last_panic,
+        panics,
+        kept_panic,
     };
     defmt::info!(
-        "SmartDepthSync {=str} ({=str}), epoch {=u32:08x}, reset by {}",
-        env!("CARGO_PKG_VERSION"),
-        env!("GIT_REVISION"),
+        "{=str} epoch {=u32:08x}, reset by {}",
+        IMAGE,
         epoch,
-        reset_cause,
+        reset_cause
     );
     if let Some(panic) = &info.last_panic {
         defmt::warn!("the last run ended with: {=str}", panic.as_str());
@@ -85,6 +116,9 @@ fn main() -> ! {
     };
 
     let imu_clock = ImuClockOutput::new(p.TIM3, p.PB0);
+    clocks::check_priorities();
+    // Taken before the HAL gave it.
+    let _taken = p.IWDG;
 
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
@@ -96,7 +130,7 @@ fn main() -> ! {
         spawn(spawner, tasks::gnss::run());
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());
-        spawn(spawner, tasks::status::run(watchdog));
+        spawn(spawner, tasks::status::run(watchdog, p.ADC1));
     })
 }
 
@@ -112,8 +146,8 @@ fn start_watchdog() -> IndependentWatchdog<'static, IWDG> {
 }
 
 /// The number of this run: random after power-on, then one up with each reset.
-fn number(run: &faults::Begun) -> u32 {
-    match rng::number() {
+fn number(run: &faults::Begun, random: Option<u32>) -> u32 {
+    match random {
         Some(random) if run.first => {
             faults::renumber(random);
             random

@@ -20,6 +20,8 @@ pub(crate) struct BoardInfo {
     pub(crate) epoch: u32,
     pub(crate) reset_cause: ResetCause,
     pub(crate) last_panic: Option<String<MAX_PANIC>>,
+    pub(crate) panics: u32,
+    pub(crate) kept_panic: Option<String<MAX_PANIC>>,
 }
 
 /// Set once, by `main`, before any task runs.
@@ -108,6 +110,8 @@ pub(crate) fn hello(now: Ticks) -> Hello {
         reset_cause: info.map_or(ResetCause::Unknown, |info| info.reset_cause),
         last_panic: info.and_then(|info| info.last_panic.clone()),
         board: BOARD.model,
+        panics: info.map_or(0, |info| info.panics),
+        kept_panic: info.and_then(|info| info.kept_panic.clone()),
     }
 }
 

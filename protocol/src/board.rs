@@ -43,7 +43,38 @@ pub struct Hello {
     pub last_panic: Option<String<MAX_PANIC>>,
     /// Which board it is.
     pub board: BoardModel,
+    /// Panics and faults of all runs, also before power was last off.
+    pub panics: u32,
+    /// Message of the newest of them.
+    pub kept_panic: Option<String<MAX_PANIC>>,
 }
+
+/// What differs from one specimen of a board to the next, kept in its flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoardSettings {
+    /// How long after TIM2's start TIM1 starts, in clocks of TIM1 (96 MHz), at most
+    /// [`MAX_START_DELAY`].
+    pub output_start_delay: u8,
+    /// From an edge at a capture input to its capture, in ticks, at most
+    /// [`MAX_INPUT_DELAY`]; taken off where the time of a capture is stated.
+    pub input_delay: u8,
+    /// The crystal against a clock that was trusted when it was measured, in 10⁻⁹ (fast is
+    /// positive). Kept for whoever asks; no time is corrected by it.
+    pub crystal_ppb: Option<i32>,
+}
+
+/// Most of [`BoardSettings::output_start_delay`].
+pub const MAX_START_DELAY: u8 = 32;
+
+/// Most of [`BoardSettings::input_delay`].
+pub const MAX_INPUT_DELAY: u8 = 32;
+
+/// Most of [`BoardSettings::crystal_ppb`], either way: 1,000 ppm.
+pub const MAX_CRYSTAL_PPB: u32 = 1_000_000;
+
+/// Beginning of a text that is somewhere in the image of each firmware. Behind it come the
+/// board's [`BoardModel::key`], version and git revision, each with a semicolon behind it.
+pub const IMAGE_MARK: &str = "SmartDepthSync image;";
 
 /// A board that the firmware is built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,6 +93,15 @@ impl BoardModel {
         match self {
             Self::Discovery => "STM32F4DISCOVERY",
             Self::BlackPill => "WeAct Black Pill (STM32F411CE)",
+        }
+    }
+
+    /// What a firmware's image has behind [`IMAGE_MARK`] for its board.
+    #[must_use]
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Discovery => "discovery",
+            Self::BlackPill => "black-pill",
         }
     }
 
@@ -127,6 +167,8 @@ pub struct Status {
     pub trigger_latency: u32,
     /// What the handlers of interrupts took.
     pub handlers: Handlers,
+    /// How long interrupts were masked at most.
+    pub masked: Masked,
     /// Temperature of the chip, in 0.1 °C; `None` before it was first measured.
     pub die_decidegrees: Option<i16>,
     /// The chip's supply, in mV; `None` before it was first measured.
@@ -193,6 +235,16 @@ pub struct Handlers {
     pub handover: HandlerTime,
     /// USB.
     pub usb: HandlerTime,
+}
+
+/// The longest time for which interrupts were masked since reset, in cycles of [`CORE_HZ`].
+/// Handlers that ran meanwhile are part of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Masked {
+    /// All of them, by a task, while no edge of the trigger was due.
+    pub all: u32,
+    /// All below the trigger's and the outputs', or below the trigger's alone.
+    pub below_trigger: u32,
 }
 
 /// How many messages of each stream found no place in the outbox.

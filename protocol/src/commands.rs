@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::board::BoardSettings;
 use crate::gnss::{GnssReport, GnssSettings};
 use crate::imu::{ImuConfig, ImuSetup};
 use crate::trigger::{AlignPlan, Output, TriggerAlign, TriggerStart, TriggerStatus};
@@ -99,6 +100,9 @@ commands! {
     QueryGnss => GnssReport, "gnss status";
     SendFiller => (), "filler";
     SelfTest => (), "self test";
+    QueryBoard => BoardSettings, "board settings";
+    SetBoard => BoardSettings, "board settings";
+    RestartIntoRom => (), "restart into the ROM";
 }
 
 /// Send a [`crate::Hello`], before the answer.
@@ -201,6 +205,23 @@ pub struct SendFiller {
     /// Payload bytes a second.
     pub bytes_per_second: u32,
 }
+
+/// Tell the settings that the board keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct QueryBoard;
+
+/// Keep other settings, from now on and over power-off. Refused while an output runs: the core
+/// stands still while it writes its flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SetBoard(
+    /// The settings.
+    pub BoardSettings,
+);
+
+/// Leave the bus and restart into the chip's ROM, which takes firmware by DFU (AN2606).
+/// Refused while an output runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RestartIntoRom;
 
 /// Fail on purpose, to try out the recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

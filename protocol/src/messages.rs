@@ -120,6 +120,12 @@ pub enum Refusal {
     /// This board has no such output, or no pulse per second
     /// ([`BoardModel::has_outputs`](crate::BoardModel::has_outputs)).
     NotOnThisBoard,
+    /// A trigger output or the pulse per second runs; stop it first.
+    OutputRunning,
+    /// A setting of the board is above its most.
+    BoardSettingOutOfRange,
+    /// The board's flash did not take the settings.
+    NotKept,
 }
 
 /// Load for tests; the payload counts up from the low byte of `seq`.

@@ -137,32 +137,43 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     }
 }
 
-/// TIM2 at priority 0, the further outputs at 1, everything else at 8. Before any
-/// interrupt is enabled: an interrupt left at its reset priority of 0 would break
-/// critical sections. The HAL gives all DMA streams one priority when it starts:
-/// [`raise_trigger`] comes after that.
-pub(crate) fn set_priorities() {
-    // SAFETY: called once, first thing, while no interrupt is enabled.
-    let mut core = unsafe { cortex_m::Peripherals::steal() };
-    for interrupt in 0..BOARD.interrupts {
-        // SAFETY: any priority is valid; critical sections are not in use yet.
-        unsafe { core.NVIC.ipr[interrupt].write(Priority::P8 as u8) };
-    }
-    // SAFETY: these handlers do not touch what critical sections protect.
-    unsafe {
-        core.NVIC.set_priority(pac::Interrupt::TIM2, 0);
-        for interrupt in [pac::Interrupt::TIM1_CC, pac::Interrupt::TIM5] {
-            core.NVIC.set_priority(interrupt, irq_priority::PRIORITY);
-        }
+/// The priority of an interrupt: the trigger's 0, the further outputs' 1, everything else's 8.
+fn priority_of(interrupt: usize) -> u8 {
+    const TIM2: usize = pac::Interrupt::TIM2 as usize;
+    const FALLING_EDGES: usize = falling_edges::INTERRUPT as usize;
+    const TIM1: usize = pac::Interrupt::TIM1_CC as usize;
+    const TIM5: usize = pac::Interrupt::TIM5 as usize;
+    match interrupt {
+        TIM2 | FALLING_EDGES => 0,
+        TIM1 | TIM5 => irq_priority::PRIORITY,
+        _ => Priority::P8 as u8,
     }
 }
 
-/// The stream that ends the trigger's pulses, at TIM2's priority.
-pub(crate) fn raise_trigger() {
-    // SAFETY: called once, before the stream is used; its handler touches nothing that
-    // critical sections protect.
-    unsafe {
-        let mut core = cortex_m::Peripherals::steal();
-        core.NVIC.set_priority(falling_edges::INTERRUPT, 0);
+/// Gives each interrupt its priority. To be called before any is enabled, as one that is left at
+/// its reset priority of 0 would break critical sections, and again after the HAL has started,
+/// which gives all DMA streams one priority.
+pub(crate) fn set_priorities() {
+    // SAFETY: called by `main`, before it enables an interrupt of its own.
+    let core = unsafe { cortex_m::Peripherals::steal() };
+    for interrupt in 0..BOARD.interrupts {
+        // SAFETY: any priority is valid; what runs at 0 and 1 touches nothing that critical
+        // sections protect.
+        unsafe { core.NVIC.ipr[interrupt].write(priority_of(interrupt)) };
+    }
+}
+
+/// Panics if a driver has given an interrupt another priority. To be called once everything is
+/// set up.
+pub(crate) fn check_priorities() {
+    // SAFETY: reading priorities has no effect.
+    let core = unsafe { cortex_m::Peripherals::steal() };
+    for interrupt in 0..BOARD.interrupts {
+        let found = core.NVIC.ipr[interrupt].read();
+        assert_eq!(
+            found,
+            priority_of(interrupt),
+            "priority of interrupt {interrupt}"
+        );
     }
 }

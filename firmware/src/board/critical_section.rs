@@ -8,12 +8,18 @@
 
 #![allow(unsafe_code, reason = "an implementation of the critical section")]
 
-use core::sync::atomic::{Ordering, compiler_fence};
+use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 
+use cortex_m::peripheral::DWT;
 use cortex_m::register::{basepri, basepri_max};
+
+use crate::board::masked;
 
 /// Everything from this priority on waits: 2, in the upper 4 of 8 bits.
 const CEILING: u8 = 2 << 4;
+
+/// Count of cycles at which the outermost section began.
+static SINCE: AtomicU32 = AtomicU32::new(0);
 
 struct BelowTrigger;
 
@@ -27,12 +33,18 @@ unsafe impl critical_section::Impl for BelowTrigger {
     unsafe fn acquire() -> critical_section::RawRestoreState {
         let before = basepri::read();
         basepri_max::write(CEILING);
+        if before == 0 {
+            SINCE.store(DWT::cycle_count(), Ordering::Relaxed);
+        }
         compiler_fence(Ordering::SeqCst);
         before
     }
 
     unsafe fn release(before: critical_section::RawRestoreState) {
         compiler_fence(Ordering::SeqCst);
+        if before == 0 {
+            masked::BELOW_TRIGGER.ended(SINCE.load(Ordering::Relaxed));
+        }
         // SAFETY: back to what held before this section.
         unsafe { basepri::write(before) };
     }

@@ -14,6 +14,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::scb::Exception;
 use cortex_m::peripheral::{DCB, SCB};
 use cortex_m_rt::{ExceptionFrame, exception};
+use embassy_stm32::pac;
 use firmware::retained::Kept;
 use heapless::String;
 use protocol::MAX_PANIC;
@@ -22,6 +23,15 @@ use crate::board::stack;
 
 #[unsafe(link_section = ".uninit.KEPT")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
+
+#[unsafe(link_section = ".uninit.TO_ROM")]
+static mut TO_ROM: MaybeUninit<[u32; 2]> = MaybeUninit::uninit();
+
+/// What [`TO_ROM`] holds for a start that goes on to the ROM.
+const GO_TO_ROM: [u32; 2] = [0xB007_10AD, !0xB007_10AD];
+
+/// Vectors of the ROM (AN2606; RM0090 table 3).
+const ROM: *const u32 = 0x1FFF_0000 as *const u32;
 
 static FAILED: AtomicBool = AtomicBool::new(false);
 
@@ -70,6 +80,37 @@ pub(crate) fn begin_run() -> Begun {
         last_panic,
         epoch: next.run(),
         first: !kept.is_valid(),
+    }
+}
+
+/// Resets, and goes on to the ROM from there.
+pub(crate) fn restart_into_rom() -> ! {
+    cortex_m::interrupt::disable();
+    // SAFETY: interrupts are off, and nothing else touches it.
+    unsafe {
+        (&raw mut TO_ROM)
+            .cast::<[u32; 2]>()
+            .write_volatile(GO_TO_ROM)
+    };
+    SCB::sys_reset()
+}
+
+/// Starts the ROM if that is what the reset was for. To be called first, while the chip is as
+/// the ROM expects it: as it comes from a reset.
+pub(crate) fn start_rom_if_asked() {
+    let to_rom = (&raw mut TO_ROM).cast::<[u32; 2]>();
+    // SAFETY: every bit pattern is a value, and nobody else runs yet.
+    if unsafe { to_rom.replace([0; 2]) } != GO_TO_ROM {
+        return;
+    }
+    pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
+    let _ = pac::RCC.apb2enr().read();
+    // The ROM at address 0, and the vectors from there, as the BOOT0 pin has it (RM0090 9.2.1).
+    pac::SYSCFG.memrm().write(|w| w.set_mem_mode(1));
+    // SAFETY: the ROM's own stack and program take over; nothing of this one goes on.
+    unsafe {
+        (*SCB::PTR).vtor.write(0);
+        cortex_m::asm::bootload(ROM)
     }
 }
 

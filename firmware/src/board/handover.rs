@@ -7,7 +7,8 @@ use core::cell::{Cell, RefCell};
 use core::sync::atomic::Ordering;
 
 use cortex_m::peripheral::NVIC;
-use embassy_stm32::interrupt;
+use embassy_stm32::peripherals::SPI3;
+use embassy_stm32::{Peri, interrupt};
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use firmware::config;
 use firmware::nmea;
@@ -28,8 +29,10 @@ static EVENTS: Receiver<Event> = Receiver::new(RefCell::new(None));
 
 static OUTPUTS: Receiver<OutputEvent> = Receiver::new(RefCell::new(None));
 
-/// Starts the handler; returns the ends of the queues for TIM2's and TIM1's.
-pub(crate) fn init() -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
+/// Starts the handler, on the interrupt of a peripheral that nobody else has; returns the ends of the queues for TIM2's and TIM1's.
+pub(crate) fn init(
+    _: Peri<'static, SPI3>,
+) -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
     static QUEUE: StaticCell<Queue<Event, { config::EVENTS }>> = StaticCell::new();
     static OUTPUT_QUEUE: StaticCell<Queue<OutputEvent, { config::OUTPUT_EVENTS }>> =
         StaticCell::new();

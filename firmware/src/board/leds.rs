@@ -2,9 +2,9 @@
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
-use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::gpio::vals::Moder;
+use embassy_stm32::{Peri, pac, peripherals};
 use firmware::boards::BOARD;
 
 /// One of the LEDs; the number is its place in [`BOARD`].
@@ -34,8 +34,24 @@ const fn port(number: u8) -> Gpio {
     }
 }
 
+/// The pins of [`BOARD`], which are this driver's alone.
+#[cfg(feature = "discovery")]
+pub(crate) type Owned = (
+    Peri<'static, peripherals::PD12>,
+    Peri<'static, peripherals::PD13>,
+    Peri<'static, peripherals::PD14>,
+    Peri<'static, peripherals::PD15>,
+);
+#[cfg(not(feature = "discovery"))]
+pub(crate) type Owned = (
+    Peri<'static, peripherals::PB12>,
+    Peri<'static, peripherals::PB13>,
+    Peri<'static, peripherals::PC13>,
+    Peri<'static, peripherals::PB15>,
+);
+
 /// Makes the pins outputs, all dark.
-pub(crate) fn init() {
+pub(crate) fn init(_: Owned) {
     for led in Led::ALL {
         make_output(led);
     }

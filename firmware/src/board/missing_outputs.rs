@@ -1,10 +1,8 @@
-//! What chips without UART5 and random number generator have in place of their drivers.
+//! What chips without UART5 have in place of its driver.
 
 /// No line for sentences: the pulse per second is refused before anything asks for it.
 pub(crate) mod nmea_port {
     use protocol::Baud;
-
-    pub(crate) const fn init() {}
 
     pub(crate) const fn open(_: Baud) {}
 
@@ -16,12 +14,5 @@ pub(crate) mod nmea_port {
 
     pub(crate) const fn send(_: &str) -> bool {
         false
-    }
-}
-
-/// No random numbers: the number of the first run is what memory held at power-on.
-pub(crate) mod rng {
-    pub(crate) const fn number() -> Option<u32> {
-        None
     }
 }

@@ -25,12 +25,14 @@ pub(crate) mod cycles;
 pub(crate) mod events;
 mod falling_edges;
 pub(crate) mod faults;
+pub(crate) mod flash;
 pub(crate) mod handover;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
 pub(crate) mod imu_clock;
 pub(crate) mod irq_priority;
 pub(crate) mod leds;
+pub(crate) mod masked;
 #[cfg(not(feature = "discovery"))]
 mod missing_outputs;
 #[cfg(feature = "discovery")]
@@ -46,4 +48,4 @@ pub(crate) mod tim2;
 pub(crate) mod triggers;
 
 #[cfg(not(feature = "discovery"))]
-pub(crate) use missing_outputs::{nmea_port, rng};
+pub(crate) use missing_outputs::nmea_port;

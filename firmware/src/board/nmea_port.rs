@@ -7,9 +7,8 @@
 use core::cell::RefCell;
 
 use cortex_m::peripheral::NVIC;
-use embassy_stm32::interrupt;
-use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Pupdr};
+use embassy_stm32::{Peri, interrupt, pac, peripherals};
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use firmware::config;
 use heapless::Vec;
@@ -33,9 +32,9 @@ static PORT: CriticalSectionMutex<RefCell<Port>> = CriticalSectionMutex::new(Ref
     next: 0,
 }));
 
-/// Unmasks the handler.
+/// Unmasks the handler; line and pin are this driver's alone.
 #[allow(unsafe_code, reason = "unmasks the interrupt")]
-pub(crate) fn init() {
+pub(crate) fn init(_: Peri<'static, peripherals::UART5>, _: Peri<'static, peripherals::PC12>) {
     // SAFETY: what the handler touches is set up.
     unsafe { NVIC::unmask(pac::Interrupt::UART5) };
 }

@@ -154,9 +154,14 @@ fn until(is_so: impl Fn() -> bool) {
     }
 }
 
-/// Leaves the bus and comes back: the host enumerates the device again.
-pub(crate) async fn reconnect() {
+/// Leaves the bus for long enough that the host sees it.
+pub(crate) async fn leave() {
     OTG.dctl().modify(|w| w.set_sdis(true));
     Timer::after_millis(DISCONNECT_MS).await;
+}
+
+/// Leaves the bus and comes back: the host enumerates the device again.
+pub(crate) async fn reconnect() {
+    leave().await;
     OTG.dctl().modify(|w| w.set_sdis(false));
 }

@@ -18,6 +18,7 @@ use protocol::Output;
 use crate::board::cycles::OUTPUTS_TIME;
 use crate::board::events::{self, OutputEvent};
 use crate::board::irq_priority::IrqPriorityMutex;
+use crate::board::masked;
 use crate::board::tim1::{self, Channel, Match};
 use crate::board::tim2::{self, TIMEBASE};
 
@@ -85,8 +86,8 @@ static SHARED: IrqPriorityMutex<RefCell<Shared>> = IrqPriorityMutex::new(RefCell
 /// Sets the timers up to be started by TIM2's start, which must come after this.
 /// `events` takes what the handlers have to say.
 #[allow(unsafe_code, reason = "unmasks the interrupts")]
-pub(crate) fn init(events: Producer<'static, OutputEvent>) {
-    tim1::init();
+pub(crate) fn init(owned: tim1::Owned, events: Producer<'static, OutputEvent>) {
+    tim1::init(owned);
     SHARED.lock(|shared| shared.borrow_mut().events = Some(events));
     // SAFETY: what the handlers touch is set up.
     unsafe {
@@ -113,7 +114,8 @@ pub(crate) fn with_line<R>(
             let Driven {
                 pulser, channel, ..
             } = shared.line(line);
-            work.take().map(|work| work(pulser, channel, &TIMEBASE))
+            work.take()
+                .map(|work| masked::BELOW_TRIGGER.of(|| work(pulser, channel, &TIMEBASE)))
         });
         if let Some(result) = result {
             return result;

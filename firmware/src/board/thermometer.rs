@@ -1,9 +1,10 @@
 //! ADC1, which measures the chip's temperature and supply: two conversions, one at each look, so
 //! nobody waits for them.
 
-use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::SampleTime;
 use embassy_stm32::pac::adccommon::vals::Adcpre;
+use embassy_stm32::peripherals::ADC1;
+use embassy_stm32::{Peri, pac};
 use firmware::boards::BOARD;
 use firmware::die_temperature::{self, Calibration};
 
@@ -20,6 +21,8 @@ const SENSOR: u8 = BOARD.temperature_channel;
 const REFERENCE: u8 = 17;
 
 pub(crate) struct Thermometer {
+    /// Nobody else converts.
+    _adc: Peri<'static, ADC1>,
     calibration: Calibration,
     converting: u8,
     sensor: Option<u16>,
@@ -37,7 +40,7 @@ pub(crate) struct Measured {
 
 impl Thermometer {
     /// Switches sensor and ADC on. They take 10 µs to settle (DS8626 table 70).
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(adc: Peri<'static, ADC1>) -> Self {
         COMMON.ccr().modify(|w| {
             // APB2's 48 MHz / 4; the ADC takes 36 at most.
             w.set_adcpre(Adcpre::DIV4);
@@ -52,6 +55,7 @@ impl Thermometer {
         });
         ADC.cr2().write(|w| w.set_adon(true));
         Self {
+            _adc: adc,
             calibration: calibration(),
             converting: 0,
             sensor: None,

@@ -9,20 +9,20 @@
 //!
 //! Both timers are started by TIM2's start, in hardware (trigger mode on ITR1
 //! and ITR0, RM0090 tables 93 and 97), so their counts have a constant relation to
-//! TIM2's for ever: TIM1, at 96 MHz, stands at `2 · TIM2 − OUTPUT_START_DELAY`, to
+//! TIM2's for ever: TIM1, at 96 MHz, stands at `2 · TIM2 − flash::start_delay()`, to
 //! the clock. TIM1 has 16 bits and comes round every 0.68 ms, so it reaches only
 //! [`config::OUTPUT_REACH`] ahead. TIM5 has 32 bits, the rate of TIM2 and no pins: its
 //! channel of the same number makes [`Action::Wake`].
 
-use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use embassy_stm32::pac::timer::regs::{SrAdv, SrGp16};
 use embassy_stm32::pac::timer::vals::{Ocm, Sms, Ts};
+use embassy_stm32::{Peri, pac, peripherals};
 use firmware::boards::BOARD;
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput};
 
-use crate::board::tim2;
+use crate::board::{flash, tim2};
 
 const TIM1: pac::timer::TimAdv = pac::TIM1;
 const TIM5: pac::timer::TimGp32 = pac::TIM5;
@@ -31,8 +31,24 @@ const TIM5: pac::timer::TimGp32 = pac::TIM5;
 const PINS: [usize; 4] = [9, 11, 13, 14];
 const ALTERNATE_FUNCTION: u8 = 1;
 
+/// What is this driver's alone: the timers, and on a board that has them the pins.
+#[cfg(feature = "discovery")]
+pub(crate) type Owned = (
+    Peri<'static, peripherals::TIM1>,
+    Peri<'static, peripherals::TIM5>,
+    Peri<'static, peripherals::PE9>,
+    Peri<'static, peripherals::PE11>,
+    Peri<'static, peripherals::PE13>,
+    Peri<'static, peripherals::PE14>,
+);
+#[cfg(not(feature = "discovery"))]
+pub(crate) type Owned = (
+    Peri<'static, peripherals::TIM1>,
+    Peri<'static, peripherals::TIM5>,
+);
+
 /// Sets the timers up to be started by TIM2's start, which must come after this.
-pub(super) fn init() {
+pub(super) fn init(_: Owned) {
     TIM1.psc().write_value(0);
     TIM1.arr().write(|w| w.set_arr(u16::MAX));
     TIM1.egr().write(|w| w.set_ug(true));
@@ -160,7 +176,7 @@ impl Channel {
     fn arm_edge(&mut self, mode: Ocm) {
         let compare = (self.at)
             .wrapping_mul(config::TIM1_CLOCKS_PER_TICK)
-            .wrapping_sub(config::OUTPUT_START_DELAY);
+            .wrapping_sub(flash::start_delay());
         TIM1.ccr(self.index).write(|w| w.set_ccr(compare as u16));
         clear_edge(flag(self.index));
         self.set_mode(mode);

@@ -12,7 +12,7 @@
 //! | 3 | PA2 | strobe: capture of both edges |
 //! | 4 | PA3 | read-back of the trigger: capture of rising edges, no interrupt |
 //!
-//! Inputs are filtered, which delays them by a constant ([`config::INPUT_FILTER`]), and
+//! Inputs are filtered, which delays them by a constant ([`flash::input_delay`]), and
 //! pulled down, so that one with nothing wired to it is silent.
 
 use core::cell::RefCell;
@@ -20,11 +20,11 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use cortex_m::interrupt::{Mutex, free as with_all_masked};
 use cortex_m::peripheral::NVIC;
-use embassy_stm32::interrupt;
-use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use embassy_stm32::pac::timer::regs::SrGp16;
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Mms, Ocm};
+use embassy_stm32::peripherals::{DMA1_CH5, PA1, PA2, PA3, PA5};
+use embassy_stm32::{Peri, interrupt, pac, peripherals};
 use firmware::capture::{Bucket, direction};
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
@@ -35,7 +35,7 @@ use protocol::{Capture, CaptureChannel, Ticks};
 
 use crate::board::cycles::TRIGGER_TIME;
 use crate::board::events::{self, DataReady, Event, Input};
-use crate::board::falling_edges;
+use crate::board::{falling_edges, flash, masked};
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
 
@@ -114,11 +114,21 @@ struct Shared {
     counters: Counters,
 }
 
+/// What is this driver's alone: the timer, its pins, and the stream of [`falling_edges`].
+pub(crate) type Owned = (
+    Peri<'static, peripherals::TIM2>,
+    Peri<'static, PA5>,
+    Peri<'static, PA1>,
+    Peri<'static, PA2>,
+    Peri<'static, PA3>,
+    Peri<'static, DMA1_CH5>,
+);
+
 /// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events`
 /// takes what the handler has to say.
 ///
 /// TIM1 and TIM5 must have been set up: this start starts them too.
-pub(crate) fn init(events: Producer<'static, Event>) {
+pub(crate) fn init(_: Owned, events: Producer<'static, Event>) {
     TIM.cr2().modify(|w| w.set_mms(Mms::ENABLE));
     TIM.psc().write_value(0);
     TIM.arr().write_value(u32::MAX);
@@ -205,7 +215,7 @@ fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
             if shared.pulser.is_busy(now, config::QUIET_MARGIN) {
                 return None;
             }
-            work.take().map(|work| work(&mut shared))
+            work.take().map(|work| masked::ALL.of(|| work(&mut shared)))
         });
         if let Some(result) = result {
             return result;
@@ -266,7 +276,7 @@ fn clear(bits: u32) {
 
 /// The counter's value when the edge that a channel captured was at its pin.
 fn capture_of(channel: usize) -> u32 {
-    TIM.ccr(channel).read().wrapping_sub(config::INPUT_FILTER)
+    TIM.ccr(channel).read().wrapping_sub(flash::input_delay())
 }
 
 /// Bit of a channel's capture or compare flag.

@@ -49,9 +49,18 @@ pub(crate) fn status(output: Output) -> TriggerStatus {
     pulser.status(now)
 }
 
+/// Copies of the pulsers of all lines.
+fn pulsers() -> impl Iterator<Item = Pulser> {
+    Output::ALL.into_iter().map(pulser).chain([outputs::pps()])
+}
+
 /// Whether an edge of any line is overdue by more than `by`.
 pub(crate) fn is_overdue(by: TickDelta) -> bool {
     let now = tim2::now();
-    let overdue = |pulser: Pulser| pulser.is_overdue(now, by);
-    Output::ALL.into_iter().map(pulser).any(overdue) || overdue(outputs::pps())
+    pulsers().any(|pulser| pulser.is_overdue(now, by))
+}
+
+/// Whether any line has a train.
+pub(crate) fn is_any_running() -> bool {
+    pulsers().any(|pulser| pulser.running().is_some())
 }

@@ -8,9 +8,10 @@ use protocol::{
     SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
 };
 
-use crate::board::{tim2, triggers};
+use crate::board::{flash, tim2, triggers};
 use crate::state::{self, FILLER_RATE};
-use crate::tasks::{gnss, imu, self_test};
+use crate::tasks::self_test::{self, Wanted};
+use crate::tasks::{gnss, imu};
 
 /// Carries out one command, which came in at `received`, and answers it.
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
@@ -54,7 +55,16 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
             if key != SELF_TEST_KEY {
                 return Err(Refusal::WrongKey);
             }
-            self_test::request(failure);
+            self_test::request(Wanted::Failure(failure));
+            Ok(())
+        }),
+        Command::QueryBoard(command) => answer(command, |_| Ok(flash::settings())),
+        Command::SetBoard(command) => answer(command, |set| {
+            while_idle().and_then(|()| flash::keep(set.0))
+        }),
+        Command::RestartIntoRom(command) => answer(command, |_| {
+            while_idle()?;
+            self_test::request(Wanted::Rom);
             Ok(())
         }),
     };
@@ -82,6 +92,14 @@ fn answer_of<R: Request>(
         return Err(Refusal::NotOnThisBoard);
     }
     answer(command, carry_out)
+}
+
+/// For what stops the core for a while.
+fn while_idle() -> Result<(), Refusal> {
+    match triggers::is_any_running() {
+        true => Err(Refusal::OutputRunning),
+        false => Ok(()),
+    }
 }
 
 fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {

@@ -1,4 +1,5 @@
-//! Fails on purpose, a moment after the command was answered.
+//! What is done a moment after the command was answered: failing on purpose, and restarting into
+//! the ROM.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,15 +9,21 @@ use embassy_time::Timer;
 use firmware::config::SELF_TEST_DELAY_MS;
 use protocol::Failure;
 
-use crate::board::{faults, tim2};
+use crate::board::{faults, otg, tim2};
 
-static WANTED: Signal<CriticalSectionRawMutex, Failure> = Signal::new();
+/// What is wanted.
+pub(crate) enum Wanted {
+    Failure(Failure),
+    Rom,
+}
+
+static WANTED: Signal<CriticalSectionRawMutex, Wanted> = Signal::new();
 
 /// The IMU's task shall stop being alive.
 static STALLED: AtomicBool = AtomicBool::new(false);
 
-pub(crate) fn request(failure: Failure) {
-    WANTED.signal(failure);
+pub(crate) fn request(wanted: Wanted) {
+    WANTED.signal(wanted);
 }
 
 pub(crate) fn is_stalled() -> bool {
@@ -35,8 +42,12 @@ fn overflow(depth: u32) {
 #[allow(clippy::panic, reason = "that is its purpose")]
 pub(crate) async fn run() {
     loop {
-        let failure = WANTED.wait().await;
+        let wanted = WANTED.wait().await;
         Timer::after_millis(SELF_TEST_DELAY_MS).await;
+        let Wanted::Failure(failure) = wanted else {
+            otg::leave().await;
+            faults::restart_into_rom();
+        };
         match failure {
             Failure::Panic => panic!("self test: panic on request"),
             Failure::HardFault => faults::undefined_instruction(),

@@ -2,23 +2,27 @@
 
 use core::sync::atomic::Ordering;
 
-use embassy_stm32::peripherals::IWDG;
+use embassy_stm32::Peri;
+use embassy_stm32::peripherals::{ADC1, IWDG};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_time::{Duration, Ticker};
 use firmware::config::TRIGGER_OVERDUE;
 use protocol::{Handlers, Output, Status};
 
 use crate::board::thermometer::{Measured, Thermometer};
-use crate::board::{cycles, idle, outputs, stack, tim2, triggers};
+use crate::board::{cycles, idle, masked, outputs, stack, tim2, triggers};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
 use crate::tasks::{gnss, imu, usb};
 
 #[embassy_executor::task]
-pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
+pub(crate) async fn run(
+    mut watchdog: IndependentWatchdog<'static, IWDG>,
+    adc: Peri<'static, ADC1>,
+) {
     let mut ticker = Ticker::every(Duration::from_secs(1));
     let mut seq = 0_u32;
     let mut before = Handlers::default();
-    let mut thermometer = Thermometer::new();
+    let mut thermometer = Thermometer::new(adc);
     loop {
         ticker.next().await;
         cycles::keep_running();
@@ -55,6 +59,7 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
         trigger: triggers::status(Output::Camera),
         trigger_latency: counters.latency,
         handlers,
+        masked: masked::longest(),
         die_decidegrees: measured.decidegrees,
         supply_mv: measured.supply_mv,
         usb: usb::counters(),

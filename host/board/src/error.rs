@@ -1,6 +1,8 @@
 //! What can go wrong with a board, and what it says, in words.
 
-use protocol::{PROTOCOL_VERSION, Refusal, ResetCause};
+use protocol::{
+    MAX_CRYSTAL_PPB, MAX_INPUT_DELAY, MAX_START_DELAY, PROTOCOL_VERSION, Refusal, ResetCause,
+};
 
 use crate::transport::LinkError;
 use crate::transport::serial::OpenError;
@@ -96,6 +98,15 @@ fn explain(refusal: &Refusal) -> String {
             "this board has the camera's trigger output alone: no outputs 2 to 4 and no pulse per \
              second for a lidar",
         ),
+        Refusal::OutputRunning => {
+            String::from("a trigger output or the pulse per second runs; stop it first")
+        }
+        Refusal::BoardSettingOutOfRange => format!(
+            "a delay may be at most {MAX_START_DELAY} clocks or {MAX_INPUT_DELAY} ticks, the \
+             crystal off by {} ppm",
+            MAX_CRYSTAL_PPB / 1_000
+        ),
+        Refusal::NotKept => String::from("its flash did not take the settings"),
         Refusal::WrongKey => String::from("the key of the self test is wrong"),
         Refusal::GnssRunning => {
             String::from("the pulse per second runs with other settings; stop it first")

@@ -21,6 +21,7 @@ use std::fmt;
 use std::time::Duration;
 
 use board::BoardError;
+use protocol::BoardSettings;
 use protocol::usb::serial_number;
 use recording::finding::{Finding, Severity};
 use serde::Serialize;
@@ -139,6 +140,8 @@ pub struct Report {
     pub format: u32,
     /// The board.
     pub board: BoardFacts,
+    /// What the board keeps, at the end of the test.
+    pub settings: BoardSettings,
     /// The checks, in the order in which they were made.
     pub checks: Vec<Check>,
     /// Intervals of data-ready.
@@ -171,8 +174,18 @@ pub enum BringUpError {
     Stopped,
 }
 
-/// Measures the parts, [`Part::Clock`] for so long on the computer's clock. The trigger and
-/// output 2 are stopped at the end, also after an error.
+/// What is to be measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan<'a> {
+    /// Which parts.
+    pub parts: &'a [Part],
+    /// How long [`Part::Clock`] compares the crystal with the computer's clock.
+    pub clock: Duration,
+    /// Keep the measured delays and crystal in the board ([`BoardSettings`]).
+    pub keep: bool,
+}
+
+/// Measures the parts. The outputs are stopped at the end, also after an error.
 ///
 /// # Errors
 ///
@@ -180,8 +193,7 @@ pub enum BringUpError {
 pub fn run(
     board: &mut board::Board,
     operator: Operator<'_>,
-    parts: &[Part],
-    clock: Duration,
+    plan: Plan<'_>,
 ) -> Result<Report, BringUpError> {
     let hello = board.hello();
     let (major, minor, patch) = hello.firmware_version;
@@ -198,14 +210,16 @@ pub fn run(
     let mut session = parts::Session::new(board, operator)?;
     let measured = Part::ALL
         .iter()
-        .filter(|part| parts.contains(part))
-        .try_for_each(|&part| session.measure(part, clock));
+        .filter(|part| plan.parts.contains(part))
+        .try_for_each(|&part| session.measure(part, plan.clock));
     let stopped = session.stop_everything();
     measured?;
     stopped?;
+    let settings = session.settings(plan.keep)?;
     Ok(Report {
         format: FORMAT,
         board: facts,
+        settings,
         checks: session.checks,
         intervals: session.intervals,
     })

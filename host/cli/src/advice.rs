@@ -197,13 +197,16 @@ pub(crate) fn remedy(event: &SessionEvent) -> &str {
 /// What to do about what the board refuses.
 pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
     match refusal {
-        Refusal::TriggerRunning => "stop it first: `smartdepthsync trigger stop`",
+        Refusal::TriggerRunning | Refusal::OutputRunning => {
+            "stop it first: `smartdepthsync trigger stop`"
+        }
         Refusal::TriggerStopped => "start it first: `smartdepthsync trigger start`",
         Refusal::AlignInProgress => {
             "wait until it has arrived; `smartdepthsync trigger status` shows when"
         }
         Refusal::GnssRunning => "stop it first: `smartdepthsync gnss stop`",
         Refusal::GnssStopping => "repeat it in a second",
+        Refusal::NotKept => "reset the board and repeat it",
         Refusal::WrongKey => "nothing was changed; repeat it",
         Refusal::NotOnThisBoard => {
             "leave `[[outputs]]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY"
@@ -213,6 +216,7 @@ pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
         | Refusal::TimeOutOfRange { .. }
         | Refusal::SlewOutOfRange { .. }
         | Refusal::ImuSettingOutOfRange
+        | Refusal::BoardSettingOutOfRange
         | Refusal::GnssDateOutOfRange
         | Refusal::GnssWindowExceeded { .. } => {
             "nothing was changed; choose a value within the bounds"

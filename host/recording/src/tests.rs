@@ -72,6 +72,7 @@ fn status(at: Ticks) -> Status {
         },
         trigger_latency: 5,
         handlers: protocol::Handlers::default(),
+        masked: protocol::Masked::default(),
         die_decidegrees: Some(312),
         supply_mv: Some(2_930),
         usb: UsbCounters::default(),

@@ -1,16 +1,20 @@
 //! The real firmware on the simulated board: boot, time, link, failures.
 
-use crate::board_host::{Board, train};
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, train};
 
 use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
 use protocol::*;
+use rig::jumpers::Jumpers;
 use rig::random::{Seed, Stream};
-use rig::wiring;
+use rig::wiring::{self, BoardKind};
 use stm32f4_sim::firmware::Firmware;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Die, FailureKind, ResetCause as BoardReset, Revision, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
+
+/// 30 a second.
+const PERIOD: Period = Period::from_ticks(TICK_HZ / 30);
 
 /// Ticks in a virtual second, as the board counts them.
 const SECOND: u64 = TICK_HZ as u64;
@@ -288,11 +292,135 @@ fn a_panic_is_reported_in_the_next_hello() {
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Pin);
     assert_eq!(hello.last_panic, None);
-    // And after power went, the record is not mistaken for noise.
+    // After power went, the record in RAM is not mistaken for noise, and the flash has it still.
     board.rig.power_cycle();
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::PowerOn);
     assert_eq!(hello.last_panic, None);
+    assert_eq!((hello.panics, hello.kept_panic), (1, Some(message)));
+    self_test(&mut board, Failure::HardFault);
+    next_run(&mut board);
+    board.rig.power_cycle();
+    let hello = next_run(&mut board);
+    let fault = hello.kept_panic.expect("the newest");
+    assert_eq!(hello.panics, 2);
+    for part in ["HardFault at pc 0x08", "lr 0x", "cfsr 0x00010000"] {
+        assert!(fault.contains(part), "{fault}");
+    }
+}
+
+/// The delays hold from the next edge on and are there after power-off; what is out of range, or
+/// comes while an output runs, changes nothing.
+#[test]
+fn settings_of_the_board_hold_and_outlive_power_off() {
+    let width = MIN_PULSE_WIDTH;
+    let mut board = Board::boot_with_train(
+        wiring::board()
+            .model(Jumpers::default())
+            .tolerate_failures(),
+        width,
+    );
+    board.wait(1_000, |board| board.pulses.len() > 4);
+    let before = board.ask(QueryBoard).unwrap();
+    let settings = BoardSettings {
+        output_start_delay: before.output_start_delay + 4,
+        input_delay: before.input_delay + 3,
+        crystal_ppb: Some(-12_345),
+    };
+    let refused = board.ask(SetBoard(settings));
+    assert_eq!(refused, Err(Refusal::OutputRunning));
+    let read_back = board.pulses.last().unwrap().readback.unwrap();
+    board.stop();
+    board.run(100);
+    for wrong in [
+        BoardSettings {
+            input_delay: MAX_INPUT_DELAY + 1,
+            ..settings
+        },
+        BoardSettings {
+            crystal_ppb: Some(MAX_CRYSTAL_PPB as i32 + 1),
+            ..settings
+        },
+    ] {
+        let refused = board.ask(SetBoard(wrong));
+        assert_eq!(refused, Err(Refusal::BoardSettingOutOfRange));
+    }
+    assert_eq!(board.ask(QueryBoard), Ok(before));
+    assert_eq!(board.ask(SetBoard(settings)), Ok(settings));
+
+    board.rig.power_cycle();
+    next_run(&mut board);
+    assert_eq!(board.ask(QueryBoard), Ok(settings));
+    board.rig.log_pin(Pin::PE11);
+    board.rig.take_edges();
+    board.pulses.clear();
+    let train = train(PERIOD, MIN_OUTPUT_WIDTH);
+    board.start(train);
+    board.wait(1_000, |board| board.pulses.len() > 4);
+    let zero = board.zero();
+    let delay = board.pulses.last().unwrap().readback.unwrap();
+    assert_eq!(delay, read_back - 3);
+    let output = Output::Two;
+    let started = board.ask(StartTrigger {
+        output,
+        start: train,
+    });
+    board.rig.take_edges();
+    board.wait(1_000, |board| !board.output_pulses.is_empty());
+    let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PE11)[0];
+    let tick = (rise.units() - zero) / UNITS_PER_TICK;
+    // Four clocks of TIM1 are two ticks.
+    assert_eq!(tick + 2, board.output_pulses[0].at.0, "{started:?}");
+    assert!(board.rig.failures().is_empty());
+}
+
+/// By the command, and back as behind a download. The ROM's own program is not modelled.
+#[test]
+fn it_restarts_into_the_rom_and_comes_back() {
+    for builder in [
+        wiring::board(),
+        wiring::board_of(BoardKind::BlackPill, None),
+    ] {
+        let mut board = Board::boot(builder.tolerate_failures());
+        board.start(train(PERIOD, MIN_PULSE_WIDTH));
+        let refused = board.ask(RestartIntoRom);
+        assert_eq!(refused, Err(Refusal::OutputRunning));
+        board.stop();
+        board.run(100);
+        assert!(!board.rig.is_in_rom());
+        assert_eq!(board.ask(RestartIntoRom), Ok(()));
+        board.run(1_000);
+        assert!(board.rig.is_in_rom());
+        assert_ne!(board.rig.usb_state(), UsbState::Ready);
+        // No watchdog, and nothing else, ends it.
+        board.run(20_000);
+        assert!(board.rig.is_in_rom());
+        board.break_link();
+        board.rig.leave_rom();
+        let hello = next_run(&mut board);
+        assert_eq!(hello.last_panic, None);
+        assert_eq!(
+            board.rig.failures().len(),
+            1,
+            "the reset that was asked for"
+        );
+        board.run(3_000);
+    }
+}
+
+#[test]
+fn masked_interrupts_are_metered() {
+    let mut board = Board::boot_with_train(wiring::board(), MIN_PULSE_WIDTH);
+    board.run(3_000);
+    let masked = board.next_status().masked;
+    // Within the margin that is kept free before an edge, 15 µs; and a tenth of the millisecond
+    // in which the queues to the hand-over do not fill.
+    let most = |micros: u32| micros * (CORE_HZ / 1_000_000);
+    assert!((1..=most(15)).contains(&masked.all), "{masked:?}");
+    assert!(
+        (1..=most(100)).contains(&masked.below_trigger),
+        "{masked:?}"
+    );
 }
 
 #[test]

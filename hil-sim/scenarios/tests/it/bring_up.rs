@@ -4,12 +4,13 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ::bring_up::{BringUpError, Check, Operator, Part, Prompt, Report, run};
+use ::bring_up::{BringUpError, Check, Operator, Part, Plan, Prompt, Report, run};
 use ::session::devices::Connector;
 use board::Board;
 use board::transport::{Link, LinkError};
 use protocol::{
-    Failure, MIN_PULSE_WIDTH, Output, Period, SELF_TEST_KEY, SelfTest, TrainState, TriggerStart,
+    BoardSettings, Failure, MIN_PULSE_WIDTH, Output, Period, QueryBoard, SELF_TEST_KEY, SelfTest,
+    SetBoard, TrainState, TriggerStart,
 };
 use recording::finding::Severity;
 use rig::imu::Fault;
@@ -58,11 +59,16 @@ impl Bench {
             is_there: false,
             stop: &|| false,
         };
-        run(&mut self.board, nobody, parts, clock)
+        let plan = Plan {
+            parts,
+            clock,
+            keep: false,
+        };
+        run(&mut self.board, nobody, plan)
     }
 
     /// Measures with somebody who does what they are asked for.
-    fn measure_attended(&mut self, parts: &[Part]) -> Report {
+    fn measure_attended(&mut self, parts: &[Part], keep: bool) -> Report {
         let (rig, jumpers) = (&self.rig, &self.jumpers);
         let obeys = |prompt| match prompt {
             Prompt::MoveStrobeWire => lock(jumpers).strobe = Some(Pin::PE11),
@@ -75,7 +81,12 @@ impl Bench {
             is_there: true,
             stop: &|| false,
         };
-        run(&mut self.board, somebody, parts, Duration::ZERO).unwrap()
+        let plan = Plan {
+            parts,
+            clock: Duration::ZERO,
+            keep,
+        };
+        run(&mut self.board, somebody, plan).unwrap()
     }
 }
 
@@ -128,7 +139,8 @@ fn assert_severities(report: &Report, expected: &[(&str, Severity)]) {
 #[test]
 fn a_board_in_order_passes_with_somebody_at_its_wires() {
     let mut bench = Bench::new(31, Jumpers::default());
-    let report = bench.measure_attended(&[Part::Trigger, Part::Outputs, Part::Imu, Part::Link]);
+    let parts = [Part::Trigger, Part::Outputs, Part::Imu, Part::Link];
+    let report = bench.measure_attended(&parts, false);
     for name in [
         "edges on their ticks",
         "slew",
@@ -161,6 +173,31 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         page.contains("checks passed") && page.contains("<svg"),
         "{page}"
     );
+}
+
+/// The start delay of a board is two ticks off: the test says so, and keeps the right one.
+#[test]
+fn measured_delays_are_kept_and_hold() {
+    let mut bench = Bench::new(36, Jumpers::default());
+    let before = bench.board.call(QueryBoard).unwrap();
+    let wrong = BoardSettings {
+        output_start_delay: before.output_start_delay + 4,
+        ..before
+    };
+    bench.board.call(SetBoard(wrong)).unwrap();
+    let parts = [Part::Trigger, Part::Outputs];
+    let name = "output 2 beside the trigger";
+    let report = bench.measure_attended(&parts, true);
+    assert_severities(&report, &[(name, Severity::Bad)]);
+    assert_eq!(
+        report.settings.output_start_delay,
+        before.output_start_delay
+    );
+    lock(&bench.jumpers).strobe = Jumpers::default().strobe;
+    let report = bench.measure_attended(&parts, false);
+    assert_severities(&report, &[(name, Severity::Good)]);
+    let text = &check(&report, "strobe input").finding.text;
+    assert!(text.contains(", 0 ticks after"), "{text}");
 }
 
 #[test]

@@ -28,6 +28,7 @@ enum Block {
     Rng,
     Adc,
     Otg,
+    Flash,
     /// Without behaviour: at best some of its registers are stored.
     Other,
 }
@@ -64,6 +65,7 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
             (Block::Gpio(port as usize), Some((AHB1, port)))
         }
         RCC => (Block::Rcc, None),
+        FLASH_ACR => (Block::Flash, None),
         0x4002_6000 => (Block::Dma(0), Some((AHB1, 21))),
         0x4002_6400 => (Block::Dma(1), Some((AHB1, 22))),
         0x5006_0800 => (Block::Rng, Some((AHB2, 6))),
@@ -163,6 +165,7 @@ impl Soc {
                 }
                 value
             }
+            Block::Flash => self.flash.read(offset),
             Block::Other if addr == DBGMCU_IDCODE => Some(self.part.id(self.revision)),
             Block::Other => None,
         }
@@ -268,13 +271,14 @@ impl Soc {
                 self.after_usb();
                 done
             }
-            Block::Other if addr == FLASH_ACR => {
+            Block::Flash if addr == FLASH_ACR => {
                 self.cells.write(addr, value);
                 self.update_waits();
                 self.require_clocks();
                 self.require_prefetch(value);
                 true
             }
+            Block::Flash => self.flash.write(offset, value),
             Block::Other => false,
         }
     }
@@ -434,6 +438,10 @@ impl Soc {
         if done || debug {
             return done;
         }
+        if self.mem.bytes(addr, src.len()).is_some() {
+            self.program(addr, src);
+            return true;
+        }
         self.waited += self.waits.at(addr);
         self.write_register(addr & !3, value)
     }
@@ -441,6 +449,9 @@ impl Soc {
     /// Factory-programmed words (RM0090 chapter 39; DS8626 tables 72 and 75).
     fn read_system_memory(&self, addr: u32) -> u32 {
         match addr {
+            // The vectors of the ROM's bootloader: a stack, and a program that is not modelled.
+            0x1fff_0000 => 0x2000_2d40,
+            0x1fff_0004 => 0x1fff_0101,
             0x1fff_7a10 => self.uid[0],
             0x1fff_7a14 => self.uid[1],
             0x1fff_7a18 => self.uid[2],

@@ -11,6 +11,7 @@ mod clock_tree;
 pub(crate) mod dma;
 mod events;
 pub(crate) mod exti;
+mod flash;
 pub(crate) mod gpio;
 pub(crate) mod i2c;
 pub(crate) mod iwdg;
@@ -43,6 +44,7 @@ use cells::Cells;
 use dma::Dma;
 use events::{Events, Source};
 use exti::Exti;
+use flash::FlashControl;
 use gpio::Gpio;
 use i2c::{BusErrors, I2c};
 use iwdg::Iwdg;
@@ -140,6 +142,7 @@ pub(crate) struct Soc {
     uart: [Uart; UARTS],
     pub(crate) rng: Rng,
     adc: Adc,
+    flash: FlashControl,
     part: Part,
     revision: Revision,
     pub(crate) otg: Otg,
@@ -214,6 +217,7 @@ impl Soc {
             uart: std::array::from_fn(|_| Uart::new()),
             rng: Rng::new(seed.stream(RNG_STREAM)),
             adc: Adc::new(config.die, config.part.temperature_channel()),
+            flash: FlashControl::default(),
             revision: config.revision,
             otg: Otg::new(),
             usb: UsbHost::new(seed),
@@ -265,6 +269,7 @@ impl Soc {
         }
         self.rng.reset();
         self.adc.reset();
+        self.flash = FlashControl::default();
         self.otg.reset();
         self.cells.clear();
         self.irq = 0;

@@ -66,6 +66,8 @@ pub(crate) enum Event {
     LockUp,
     /// The firmware asked for a system reset.
     ResetRequest,
+    /// The firmware went on to the ROM, whose program is not modelled.
+    Rom,
 }
 
 /// Waits of interrupts for their handler, and the cost of handlers.
@@ -222,6 +224,11 @@ impl Cpu {
         self.by_rom = true;
     }
 
+    /// Whether the program has gone on to the ROM.
+    pub(crate) fn is_in_rom(&self) -> bool {
+        self.fast.r[15] >> 16 == ROM >> 16
+    }
+
     /// A debug probe has gone: probe-rs clears DEMCR when it detaches.
     pub(crate) fn detach_probe(&mut self) {
         self.arm.with_sys(|s| s.demcr = 0);
@@ -309,6 +316,11 @@ impl Cpu {
                 return Event::None;
             }
             let pc = self.fast.r[15];
+            if self.is_in_rom() {
+                self.asleep = true;
+                lock(&self.soc).attention = false;
+                return Event::Rom;
+            }
             if !self.breakpoints.is_empty() && self.breakpoints.contains(&pc) {
                 if self.passing == Some(pc) {
                     self.passing = None;

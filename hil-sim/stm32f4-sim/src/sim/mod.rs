@@ -210,7 +210,7 @@ impl Sim {
             return self.fail_now();
         }
         match event {
-            Event::None => Ok(()),
+            Event::None | Event::Rom => Ok(()),
             Event::Breakpoint(at) => {
                 if Some(at) == self.panic_at {
                     self.begin_failure(FailureKind::Panic);
@@ -254,6 +254,20 @@ impl Sim {
     /// Presses the board's reset button.
     pub fn press_reset(&mut self) {
         self.reset(ResetCause::Pin);
+    }
+
+    /// True while the core is in the ROM's bootloader. That program is not modelled: it stays
+    /// there, off the USB, until [`Sim::leave_rom`] or a reset.
+    #[must_use]
+    pub fn is_in_rom(&self) -> bool {
+        self.cpu.is_in_rom()
+    }
+
+    /// Has the bootloader start the program, as it does behind a download.
+    pub fn leave_rom(&mut self) {
+        self.cpu.reset();
+        self.cpu.start_by_rom();
+        self.rtt.restart();
     }
 
     /// Switches the board's power off and on.

@@ -50,6 +50,8 @@ impl Link for Scripted {
                 reset_cause: protocol::ResetCause::PowerOn,
                 last_panic: None,
                 board: protocol::BoardModel::Discovery,
+                panics: 0,
+                kept_panic: None,
             }));
             self.say(&DeviceToHost::Answer(Answer {
                 id: command.id,

@@ -35,6 +35,8 @@ fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
         reset_cause: ResetCause::PowerOn,
         last_panic: None,
         board: protocol::BoardModel::Discovery,
+        panics: 0,
+        kept_panic: None,
     })
 }
 

@@ -199,6 +199,7 @@ impl Session<'_> {
             return Ok(());
         };
         let ppm = (slope - 1.0) * 1e6;
+        self.measured.crystal_ppm = Some(ppm);
         let warmth = |celsius: Option<f64>| {
             celsius.map_or_else(
                 || String::from("of unknown temperature"),

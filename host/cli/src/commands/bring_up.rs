@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use bring_up::{Operator, Part};
+use bring_up::{Operator, Part, Plan};
 use clap::ValueEnum;
 use recording::finding::Severity;
 
@@ -30,6 +30,10 @@ pub(crate) struct Args {
     /// How long the crystal is compared with this computer's clock: 60s, 5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
     clock_time: Duration,
+    /// Keep what was measured in the board: the delay of its inputs, the start delay of its
+    /// outputs, its crystal against this computer's clock
+    #[arg(long)]
+    keep: bool,
     /// Folder for bring-up.json and bring-up.html
     #[arg(long, value_name = "FOLDER", default_value = "bring-up")]
     out: PathBuf,
@@ -80,7 +84,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         is_there: !args.hands_off,
         stop: &context.interrupt.question(),
     };
-    let report = bring_up::run(&mut board, operator, &parts, args.clock_time)?;
+    let plan = Plan {
+        parts: &parts,
+        clock: args.clock_time,
+        keep: args.keep,
+    };
+    let report = bring_up::run(&mut board, operator, plan)?;
     let json = serde_json::to_string_pretty(&report)?;
     let page = args.out.join("bring-up.html");
     write_file(&args.out.join("bring-up.json"), &json)?;

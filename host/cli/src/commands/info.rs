@@ -1,6 +1,6 @@
 //! `smartdepthsync info`: who the board is.
 
-use protocol::{BoardModel, ImuSetup, ResetCause};
+use protocol::{BoardModel, BoardSettings, ImuSetup, QueryBoard, ResetCause};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -35,6 +35,10 @@ struct PrintedInfo {
     epoch: u32,
     reset_cause: ResetCause,
     last_panic: Option<String>,
+    /// Panics and faults of all runs, and the newest of them: both outlive power-off.
+    panics: u32,
+    kept_panic: Option<String>,
+    settings: BoardSettings,
     round_trip_us: f64,
     imu: ImuSetup,
     /// The rig profile that `record` and `doctor` would use.
@@ -50,6 +54,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let mut board = args.port.open()?;
     let (_, round_trip) = board.ping()?;
     let imu = board.imu()?;
+    let settings = board.call(QueryBoard)?;
     let hello = board.hello();
     context.show(&PrintedInfo {
         board_model: hello.board,
@@ -65,6 +70,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         epoch: hello.epoch,
         reset_cause: hello.reset_cause,
         last_panic: hello.last_panic.as_ref().map(ToString::to_string),
+        panics: hello.panics,
+        kept_panic: hello.kept_panic.as_ref().map(ToString::to_string),
+        settings,
         round_trip_us: round_trip.as_secs_f64() * 1e6,
         imu,
         profile: args.profile.place(),

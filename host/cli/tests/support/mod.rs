@@ -122,6 +122,8 @@ pub(crate) fn hello() -> Hello {
         reset_cause: ResetCause::Watchdog,
         last_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
         board: BoardModel::BlackPill,
+        panics: 3,
+        kept_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
     }
 }
 
@@ -146,6 +148,11 @@ pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
             sent: Ticks(48_000_000 * 91 + 900),
         })),
         protocol::Command::QueryImu(_) => answer(Reply::QueryImu(imu_setup())),
+        protocol::Command::QueryBoard(_) => answer(Reply::QueryBoard(protocol::BoardSettings {
+            output_start_delay: 2,
+            input_delay: 11,
+            crystal_ppb: Some(-12_300),
+        })),
         _ => Vec::new(),
     }
 }

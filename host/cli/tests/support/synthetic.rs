@@ -70,6 +70,7 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
         },
         trigger_latency: 5,
         handlers: protocol::Handlers::default(),
+        masked: protocol::Masked::default(),
         die_decidegrees: None,
         supply_mv: None,
         usb: UsbCounters::default(),

@@ -76,6 +76,16 @@ pub(super) fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello 
         reset_cause,
         last_panic: last_panic.map(|text| String::try_from(text).unwrap()),
         board: BoardModel::Discovery,
+        panics: last_panic.map_or(0, |_| 300),
+        kept_panic: last_panic.map(|text| String::try_from(text).unwrap()),
+    }
+}
+
+fn board_settings(crystal_ppb: Option<i32>) -> BoardSettings {
+    BoardSettings {
+        output_start_delay: 2,
+        input_delay: 11,
+        crystal_ppb,
     }
 }
 
@@ -143,6 +153,10 @@ pub(super) fn status() -> Status {
         trigger: trigger_status(),
         trigger_latency: 120,
         handlers: handlers(),
+        masked: Masked {
+            all: 480,
+            below_trigger: 9_600,
+        },
         die_decidegrees: Some(-123),
         supply_mv: Some(2_930),
         usb: UsbCounters {
@@ -301,6 +315,10 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
     commands.push(("gnss-start-zda".to_owned(), StartGnss(zda).into()));
     commands.push(("gnss-stop".to_owned(), StopGnss.into()));
     commands.push(("gnss-query".to_owned(), QueryGnss.into()));
+    let settings = SetBoard(board_settings(Some(-12_345)));
+    commands.push(("board-set".to_owned(), settings.into()));
+    commands.push(("board-query".to_owned(), QueryBoard.into()));
+    commands.push(("restart-into-rom".to_owned(), RestartIntoRom.into()));
     // A new command does not compile here until it has its golden bytes above.
     let known = |command: &Command| match command {
         Command::SayHello(_)
@@ -316,7 +334,10 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
         | Command::SelfTest(_)
         | Command::StartGnss(_)
         | Command::StopGnss(_)
-        | Command::QueryGnss(_) => true,
+        | Command::QueryGnss(_)
+        | Command::QueryBoard(_)
+        | Command::SetBoard(_)
+        | Command::RestartIntoRom(_) => true,
     };
     commands
         .into_iter()
@@ -401,6 +422,12 @@ pub(super) fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         ("gnss-query", QueryGnss::wrap(gnss)),
         ("filler", SendFiller::wrap(())),
         ("self-test", SelfTest::wrap(())),
+        ("board-set", SetBoard::wrap(board_settings(None))),
+        (
+            "board-query",
+            QueryBoard::wrap(board_settings(Some(30_000))),
+        ),
+        ("restart-into-rom", RestartIntoRom::wrap(())),
     ];
     for (name, reply) in replies {
         let result = Ok(reply);
@@ -427,6 +454,9 @@ pub(super) fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         Refusal::GnssDateOutOfRange,
         Refusal::GnssWindowExceeded { ends_us: 512_000 },
         Refusal::NotOnThisBoard,
+        Refusal::OutputRunning,
+        Refusal::BoardSettingOutOfRange,
+        Refusal::NotKept,
     ];
     for (number, refusal) in refusals.into_iter().enumerate() {
         let result = Err(refusal);

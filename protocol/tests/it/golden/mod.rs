@@ -176,6 +176,10 @@ fn no_message_is_longer_than_a_frame() {
         handover: handler,
         usb: handler,
     };
+    status.masked = Masked {
+        all,
+        below_trigger: all,
+    };
     status.die_decidegrees = Some(i16::MIN);
     status.supply_mv = Some(u16::MAX);
     status.usb = UsbCounters {
