@@ -14,7 +14,6 @@ pub(crate) fn run(trials: u32) -> Result<()> {
     let trials_text = trials.to_string();
     example(&["--trials", &trials_text])?;
     example(&["--hour", "--trials", &trials_text])?;
-    example(&["--loops", "--trials", &trials_text])?;
     let python = wheel::installed()?;
     let files = trials.min(MOST_FILES).to_string();
     for (scenario, label) in [

@@ -38,14 +38,12 @@ pub(crate) fn installed() -> Result<PathBuf> {
 /// `cargo xtask wheel`.
 pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
-    process::build_programs()?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
     process::sync_example(&["--export", &twists_text, "--trials", TRIALS])?;
     process::run(
         process::command(&python)
             .args("-m unittest discover -s host/twist-sync-python/tests".split(' '))
-            .env("SMARTDEPTHSYNC", process::program("smartdepthsync"))
             .env("SYNC_BENCH", &twists),
     )
 }

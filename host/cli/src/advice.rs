@@ -11,8 +11,6 @@ use board::BoardError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
-use formats::k4a::K4aError;
-use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
 use phone::adb::AdbError;
 use phone::error::Refusal as AppRefusal;
@@ -463,50 +461,6 @@ pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
 /// The scale of the board's IMU, which every command that reads it needs.
 pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
     Ok(Scale::of(setup).ok_or(SessionError::NoScale)?)
-}
-
-/// A file that was given as a gyroscope's recording.
-pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
-    let (status, next) = match &error {
-        GyroFileError::Io(error) | GyroFileError::Kinect(K4aError::Read(error)) => {
-            return Failure::file("read", path, error);
-        }
-        GyroFileError::Csv(_) => (
-            ExitStatus::Usage,
-            "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \
-             app's x,y,z,nanoseconds",
-        ),
-        GyroFileError::Several(_) => (ExitStatus::Usage, "choose one with FILE@/TOPIC"),
-        GyroFileError::SeveralFiles(_) => (ExitStatus::Usage, "give one of them"),
-        GyroFileError::Recording(error) => (ExitStatus::Usage, bag_step(error)),
-        GyroFileError::Kinect(_) => (
-            ExitStatus::Usage,
-            "give a whole recording: of an Azure Kinect an mkv with depth and IMU",
-        ),
-        GyroFileError::None { .. } => (
-            ExitStatus::Usage,
-            "give a whole recording of a gyroscope: a message or track of an IMU must be in it",
-        ),
-        GyroFileError::NotRead(_) => (ExitStatus::Usage, "unpack it, and give what is in it"),
-        GyroFileError::Telemetry {
-            error: TelemetryError::Stopped,
-            ..
-        } => (ExitStatus::Interrupted, ExitStatus::Interrupted.next_step()),
-        GyroFileError::Telemetry {
-            error: TelemetryError::NoPython | TelemetryError::NoPackage(_),
-            ..
-        } => (
-            ExitStatus::Error,
-            "`python3 -m pip install telemetry-parser`, for Python 3.8 to 3.12, in an active virtual \
-             environment (`python3 -m venv telemetry && . telemetry/bin/activate`)",
-        ),
-        GyroFileError::Telemetry { .. } | GyroFileError::OtherMaker { .. } => (
-            ExitStatus::Usage,
-            "give a recording of the camera that no program has changed, or have another program write its \
-             gyroscope as CSV; the book says which cameras are read",
-        ),
-    };
-    Failure::new(status, format!("{}: {error}", path.display())).next_step(next)
 }
 
 #[cfg(test)]

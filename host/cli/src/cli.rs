@@ -78,10 +78,6 @@ enum Command {
     Gnss(commands::gnss::Args),
     /// Stream the board's IMU: rate, jitter, noise; to a CSV file
     Imu(commands::imu::Args),
-    /// The clock relation of two gyroscope recordings, with its uncertainty
-    Offset(commands::offset::Args),
-    /// The clocks of any two or more recordings with gyroscopes, over their whole length
-    Sync(commands::sync::Args),
     /// Print the completions for a shell
     Completions(commands::completions::Args),
     /// Write the manual pages into a folder
@@ -92,8 +88,6 @@ impl Command {
     fn run(&self, context: &Context) -> Result<ExitStatus, Failure> {
         match self {
             Self::Info(args) => commands::info::run(args, context),
-            Self::Offset(args) => commands::offset::run(args, context),
-            Self::Sync(args) => commands::sync::run(args, context),
             Self::Evaluate(args) => commands::evaluate::run(args, context),
             Self::Ports => commands::ports::run(context),
             Self::Phone(args) => commands::phone::run(args, context),

@@ -27,7 +27,6 @@ mod download;
 pub mod error;
 pub mod file_name;
 pub mod frame_timestamps;
-pub mod gyro_csv;
 pub mod requests;
 pub mod rows;
 pub mod samples;

@@ -1,7 +1,7 @@
 //! The clock estimate on simulated twists: error, honesty and time, scenario by
 //! scenario; and the recordings as files, for other programs.
 //!
-//! `sync_bench [--trials N] [--hour | --loops | --export DIR --scenario NAME]`. All figures are of
+//! `sync_bench [--trials N] [--hour | --export DIR --scenario NAME]`. All figures are of
 //! simulated recordings. Run by `cargo xtask bench sync`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -10,12 +10,9 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_scenarios::{ClockPath, Scenario, Sensor, Twist, TwistSpec};
-use twist_sync::network::Network;
+use twist_scenarios::{ClockPath, Scenario, Twist, TwistSpec};
 use twist_sync::robust;
-use twist_sync::{
-    ClockRelation, Estimate, GyroTrack, Options, Refusal, WithSigma, estimate_offset,
-};
+use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_offset};
 
 #[derive(Parser)]
 struct Args {
@@ -37,9 +34,6 @@ struct Args {
     /// Five twists over an hour instead, of some scenarios
     #[arg(long)]
     hour: bool,
-    /// Three devices on one body instead: how their loops close
-    #[arg(long)]
-    loops: bool,
     /// Write the recordings as CSV and our results beside the ground truth to this folder; of all
     /// scenarios to folders in it
     #[arg(long)]
@@ -82,10 +76,6 @@ const HOUR: [&str; 4] = [
 
 fn main() {
     let args = Args::parse();
-    if args.loops {
-        loops(&args);
-        return;
-    }
     if args.export.is_none() && !args.hour {
         println!("Simulated twists, {} per scenario.\n", args.trials);
         println!(
@@ -291,62 +281,6 @@ fn hour(args: &Args, name: &str, spec: &TwistSpec) {
     );
 }
 
-/// A loop of three devices, and the errors of the one solution.
-struct Loop {
-    closure: WithSigma,
-    errors: [WithSigma; 2],
-}
-
-/// Twists of three devices: a and b of the base scenario, and a third at 416 Hz.
-fn loops(args: &Args) {
-    let spec = TwistSpec::default();
-    let sensor = Sensor {
-        rate_hz: 416.0,
-        ..twist_scenarios::SENSOR_B
-    };
-    let found: Vec<Option<Loop>> = (0..args.trials)
-        .into_par_iter()
-        .map(|trial| {
-            let seed = args.seed + 1000 * trial;
-            let of_b = twist_scenarios::twist(&spec, seed);
-            let of_c = twist_scenarios::third(&of_b, &spec, seed, &sensor);
-            let pairs = twist_scenarios::related(&[&of_b.a, &of_b.b, &of_c.b])?;
-            // Where offset and skew do not trade against each other.
-            let at = pairs[0].course.span().0;
-            let network = Network::new(3, pairs).ok()?;
-            let solved = network.at(at);
-            let error = |k: usize, truth: &Twist| WithSigma {
-                value: solved[k].value - truth.offset_at(at),
-                sigma: solved[k].sigma,
-            };
-            Some(Loop {
-                closure: network.closures(at).first()?.error,
-                errors: [error(1, &of_b), error(2, &of_c)],
-            })
-        })
-        .collect();
-    let found: Vec<Loop> = found.into_iter().flatten().collect();
-    println!(
-        "\nThree devices, {} twists, {} with all pairs:\n",
-        args.trials,
-        found.len()
-    );
-    println!("| | rms µs | stated sigma µs | over it, rms | largest |\n|---|---|---|---|---|");
-    let row = |name: &str, of: fn(&Loop) -> WithSigma| {
-        let over_sigma = || found.iter().map(of).map(|x| x.value / x.sigma);
-        println!(
-            "| {name} | {:.3} | {:.2} | {:.2} | {:.2} |",
-            rms(found.iter().map(|l| of(l).value)) * 1e6,
-            rms(found.iter().map(|l| of(l).sigma)) * 1e6,
-            rms(over_sigma()),
-            largest(over_sigma())
-        );
-    };
-    row("closure of the loop", |l| l.closure);
-    row("error of the second clock", |l| l.errors[0]);
-    row("error of the third clock", |l| l.errors[1]);
-}
-
 /// Chi-square of five offsets about their weighted straight line: 3 degrees of freedom.
 fn about_a_line(clocks: &[ClockRelation]) -> f64 {
     let base = clocks[0];
@@ -388,9 +322,7 @@ fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
         std::fs::write(folder.join(format!("{trial}_b.csv")), csv(&twist.b)).unwrap();
         // From the files, as the other program gets them.
         let read = |side: &str| {
-            phone::gyro_csv::read_file(&folder.join(format!("{trial}_{side}.csv")))
-                .unwrap()
-                .track
+            twist_scenarios::read_csv(&folder.join(format!("{trial}_{side}.csv"))).unwrap()
         };
         let (a, b) = (read("a"), read("b"));
         let result = estimate_offset(&a, &b, &options);

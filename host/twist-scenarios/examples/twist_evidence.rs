@@ -1,4 +1,4 @@
-//! The evidence about the phone's stream in `data/twist`, as Markdown:
+//! The evidence about the phone's stream in `host/twist-sync-python/python/twist_sync/example`, as Markdown:
 //! displacement of each class of samples modulo ten against the board's
 //! gyroscope, copies apart, and the offset under variants of the estimate.
 //!
@@ -7,9 +7,48 @@
 
 use std::path::Path;
 
-use phone::gyro_csv;
-use twist_sync::compare::{self, Pair};
-use twist_sync::{GyroTrack, Options, estimate_offset};
+use twist_sync::interpolant::Uneven;
+use twist_sync::{Action, Estimate, GyroTrack, Options, Stream, estimate_offset};
+
+/// A sample of the phone beside the board's rate at the same instant.
+struct Pair {
+    /// Index of the sample of the phone.
+    index: usize,
+    /// Time of the board, seconds.
+    a_s: f64,
+    /// The board's rate in the axes of the phone, rad/s.
+    a: [f64; 3],
+    /// The phone's sample, rad/s.
+    b: [f64; 3],
+}
+
+/// All samples of the phone for which the rate of the board is known: between its samples
+/// that were not left out.
+fn pairs(mcu: &GyroTrack, phone: &GyroTrack, estimate: &Estimate) -> Vec<Pair> {
+    let faults = estimate.report.faults.iter();
+    let of_mcu = faults.filter(|f| f.stream == Stream::A && f.action == Action::LeftOut);
+    let out: Vec<usize> = of_mcu.flat_map(|f| f.samples.clone()).collect();
+    let kept = || (0..mcu.len()).filter(|k| !out.contains(k));
+    let t: Vec<f64> = kept().map(|k| mcu.t[k]).collect();
+    let w: Vec<[f64; 3]> = kept().map(|k| mcu.w[k]).collect();
+    let rates = Uneven::new(&t, &w).unwrap();
+    let (first, last) = rates.domain();
+    let clock = &estimate.clock;
+    let all = phone.t.iter().zip(&phone.w).enumerate();
+    all.filter_map(|(index, (t, &b))| {
+        let at = clock.b_to_a(phone.epoch_s + t) - mcu.epoch_s;
+        let rate = rates.value(at);
+        let a = std::array::from_fn(|i| {
+            let row = estimate.calibration[i];
+            (0..3).map(|k| row[k] * rate[k]).sum::<f64>() + estimate.bias[i]
+        });
+        let a_s = mcu.epoch_s + at;
+        (first..=last)
+            .contains(&at)
+            .then_some(Pair { index, a_s, a, b })
+    })
+    .collect()
+}
 
 /// Displacement of some samples (µs) with its 1-sigma from their scatter.
 fn displacement(
@@ -41,12 +80,13 @@ fn displacement(
 }
 
 fn main() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/twist");
-    let read = |name: &str| gyro_csv::read_file(&folder.join(name)).unwrap().track;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../twist-sync-python/python/twist_sync/example");
+    let read = |name: &str| twist_scenarios::read_csv(&folder.join(name)).unwrap();
     let (mcu, phone) = (read("mcu_gyro_data.csv"), read("smartphone_gyro_data.csv"));
     let options = Options::default();
     let estimate = estimate_offset(&mcu, &phone, &options).unwrap();
-    let pairs = compare::pairs(&mcu, &phone, &estimate, &options);
+    let pairs = pairs(&mcu, &phone, &estimate);
     // Rate of change of the board's rate over ±5 samples of the phone.
     let slopes: Vec<[f64; 3]> = (0..pairs.len())
         .map(|i| {

@@ -7,7 +7,7 @@
 //! same [`TwistSpec`] and seed give the same recordings on every machine.
 //!
 //! Noise and quantisation are those of the recordings at rest in
-//! `data/twist`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
+//! `host/twist-sync-python/python/twist_sync/example`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -18,11 +18,9 @@ use twist_sync::interpolant::{Uneven, Uniform, Vec3};
 
 use grip::{Held, rise};
 
-mod devices;
 mod grip;
 mod scenarios;
 
-pub use devices::{related, third};
 pub use grip::Grip;
 pub use scenarios::{Scenario, scenarios};
 
@@ -560,4 +558,25 @@ pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool
             track.w[k] = rates.value(track.t[k] - by_s);
         }
     }
+}
+
+/// Reads a table with a header of times in s and rates about x, y and z in rad/s.
+///
+/// # Errors
+///
+/// The file cannot be read, or is no such table.
+pub fn read_csv(path: &std::path::Path) -> std::io::Result<GyroTrack> {
+    let wrong = || std::io::Error::new(std::io::ErrorKind::InvalidData, "not a table t, x, y, z");
+    let mut times = Vec::new();
+    let mut rates = Vec::new();
+    for line in std::fs::read_to_string(path)?.lines().skip(1) {
+        let row: Result<Vec<f64>, _> = line.split(',').map(str::parse).collect();
+        let [t, x, y, z] = row
+            .ok()
+            .and_then(|row| row.try_into().ok())
+            .ok_or_else(wrong)?;
+        times.push(t);
+        rates.push([x, y, z]);
+    }
+    Ok(GyroTrack::from_seconds(&times, rates))
 }

@@ -8,7 +8,7 @@
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use twist_sync::{
     ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, RecordingClock, Report, Wander,
     Why, course_of_tracks, estimate_offset,
@@ -185,14 +185,56 @@ struct Course(RecordingClock);
 
 #[pymethods]
 impl Course {
-    /// The relation at each of these times of clock a.
-    fn at<'py>(&self, py: Python<'py>, times: Vec<f64>) -> PyResult<Vec<Dict<'py>>> {
-        let there = times.iter().map(|&t| self.0.course.at(t));
-        there.map(|relation| clock_out(py, &relation)).collect()
+    /// Offset, skew and the three numbers of their covariance at each of these times of
+    /// clock a: an array of shape (n, 5).
+    fn at<'py>(&self, py: Python<'py>, times: &[u8]) -> Bound<'py, PyBytes> {
+        let out: Vec<u8> = py.detach(|| {
+            let there = words(times).flat_map(|t| {
+                let relation = self.0.course.at(f64::from_le_bytes(t));
+                let [[oo, os], [_, ss]] = relation.covariance;
+                [relation.offset, relation.skew, oo, os, ss]
+            });
+            there.flat_map(f64::to_le_bytes).collect()
+        });
+        PyBytes::new(py, &out)
     }
 
-    fn b_to_a(&self, times: Vec<f64>) -> Vec<f64> {
-        times.iter().map(|&t| self.0.course.b_to_a(t)).collect()
+    /// Times of clock a at times of clock b.
+    fn b_to_a<'py>(&self, py: Python<'py>, times: &[u8]) -> Bound<'py, PyBytes> {
+        let out: Vec<u8> = py.detach(|| {
+            let times = words(times).map(f64::from_le_bytes);
+            times
+                .flat_map(|t| self.0.course.b_to_a(t).to_le_bytes())
+                .collect()
+        });
+        PyBytes::new(py, &out)
+    }
+
+    /// Steps of one clock against the other: from, to, by and its 1-sigma.
+    fn steps(&self) -> Vec<(f64, f64, f64, f64)> {
+        let steps = self.0.course.steps.iter();
+        steps
+            .map(|step| (step.from_s, step.to_s, step.by.value, step.by.sigma))
+            .collect()
+    }
+
+    fn unsupported(&self) -> Vec<(f64, f64)> {
+        self.0.course.unsupported.clone()
+    }
+
+    /// Gates that refused windows, with the number of windows.
+    fn refusals<'py>(&self, py: Python<'py>) -> PyResult<Vec<(Dict<'py>, usize)>> {
+        let refused = self.0.refused.iter();
+        refused
+            .map(|windows| Ok((gate_out(py, &windows.gate)?, windows.count)))
+            .collect()
+    }
+
+    fn warnings(&self) -> Vec<(String, usize)> {
+        let warnings = self.0.warnings.iter();
+        warnings
+            .map(|(warning, count)| (warning.to_string(), *count))
+            .collect()
     }
 
     fn span(&self) -> (f64, f64) {
@@ -241,4 +283,9 @@ fn course(
 mod _twist_sync {
     #[pymodule_export]
     use super::{Course, course, estimate};
+
+    /// The package's version.
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const version: &str = env!("CARGO_PKG_VERSION");
 }

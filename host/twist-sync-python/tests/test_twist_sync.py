@@ -1,14 +1,13 @@
-"""Tests of the package, as `cargo xtask wheel` runs them.
+"""Tests of the estimates, as `cargo xtask wheel` runs them.
 
-SMARTDEPTHSYNC names the program, SYNC_BENCH a folder of twists with the crate's results
-(`sync_bench --export`).
+SYNC_BENCH names a folder of twists with the crate's results (`sync_bench --export`).
 """
 
 import csv
 import json
 import os
 import pathlib
-import subprocess
+import time
 import unittest
 
 import matplotlib
@@ -22,10 +21,11 @@ from twistnsync.twistnsync import TimeSync
 import twist_sync
 import twist_sync.plot
 
-HOST = pathlib.Path(__file__).resolve().parents[2]
-REAL = HOST / "twist-scenarios/data/twist"
+PACKAGE = pathlib.Path(__file__).resolve().parents[1]
 BOOT_S = 1000.25
 SKEW = 12e-6
+#: Twists of three devices.
+LOOPS = int(os.environ.get("LOOPS", "12"))
 
 
 def read(path):
@@ -33,7 +33,7 @@ def read(path):
     return data[:, 0], data[:, 1:]
 
 
-def recordings(seconds, seed, peak=2.5, unrelated=False):
+def recordings(seconds, seed, peak=2.5, unrelated=False, rate=500):
     """Two simulated gyroscopes on one body, the second on another clock and turned."""
     rng = np.random.default_rng(seed)
 
@@ -48,7 +48,7 @@ def recordings(seconds, seed, peak=2.5, unrelated=False):
     of_a = motion()
     of_b = motion() if unrelated else of_a
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    t_a = np.arange(0, seconds, 1 / 500)
+    t_a = np.arange(0, seconds, 1 / rate)
     t_b = np.arange(0.2, seconds, 1 / 497)
     w_a = of_a(t_a) + rng.normal(0, 1.4e-3, (len(t_a), 3))
     w_b = of_b(t_b) @ turn.T + rng.normal(0, 1.2e-3, (len(t_b), 3))
@@ -83,23 +83,6 @@ class Twists(unittest.TestCase):
             published.append(t_b[0] - t_a[0] + sync.time_delay - truth(4.5))
         largest = [max(map(abs, errors)) for errors in (ours, plain, published)]
         self.assertLess(20 * largest[0], min(largest[1:]), largest)
-
-    def test_a_real_twist_as_the_command_has_it_to_the_bit(self):
-        files = REAL / "mcu_gyro_data.csv", REAL / "smartphone_gyro_data.csv"
-        found = twist_sync.estimate(*read(files[0]), *read(files[1]))
-        args = ["offset", "--json", "--mcu", files[0], "--phone", files[1]]
-        command = subprocess.run(
-            [os.environ["SMARTDEPTHSYNC"], *args], check=True, capture_output=True
-        )
-        said = json.loads(command.stdout)
-        self.assertEqual(
-            [said[key] for key in ("reference_s", "offset_s", "offset_sigma_s", "calibration")],
-            [found.reference, found.offset, found.clock.offset_sigma, found.calibration.tolist()],
-        )
-        self.assertEqual(
-            [(f["kind"], f["count"]) for f in said["faults"]],
-            [(f.kind, f.count) for f in found.faults],
-        )
 
     def test_every_scenario_as_the_crate_has_it_to_the_bit(self):
         accepted = refused = 0
@@ -148,6 +131,38 @@ class Twists(unittest.TestCase):
             twist_sync.estimate(t_a, w_a, t_b, w_b.T)
         with self.assertRaisesRegex(ValueError, "expected 5 to 100"):
             twist_sync.estimate(t_a, w_a, t_b, w_b, low_pass_hz=4)
+        with self.assertRaisesRegex(ValueError, "t_b .*floats are seconds"):
+            twist_sync.estimate(t_a, w_a, t_b * 1e3, w_b)
+        with self.assertRaisesRegex(ValueError, "t_a .*integers are nanoseconds"):
+            twist_sync.estimate((t_a * 1e3).astype(int), w_a, t_b, w_b)
+
+    def test_times_of_any_kind_give_times_of_the_same_kind(self):
+        t_a, w_a, t_b, w_b = recordings(9, 2)
+        nanos = np.round(t_b * 1e9).astype(np.int64)
+        dates = nanos.astype("M8[ns]")
+        found = twist_sync.estimate(np.round(t_a * 1e9).astype(np.int64).astype("M8[ns]"), w_a, dates, w_b)
+        back = found.clock.b_to_a(t_b)
+        self.assertLess(np.abs(back - (t_b - BOOT_S) / (1 + SKEW)).max(), 50e-6)
+        on_a = found.clock.b_to_a(nanos)
+        self.assertEqual(on_a.dtype, np.int64)
+        self.assertLess(np.abs(on_a - back * 1e9).max(), 2)
+        np.testing.assert_array_equal(found.clock.b_to_a(dates).astype(np.int64), on_a)
+        self.assertEqual(found.clock.b_to_a(int(nanos[5])), on_a[5])
+        self.assertIsInstance(found.clock.b_to_a(float(t_b[5])), float)
+        self.assertLess(np.abs(found.clock.a_to_b(on_a) - nanos).max(), 2)
+
+    def test_values_can_be_compared_and_shown(self):
+        a, b = (twist_sync.estimate(*recordings(9, seed)) for seed in (1, 2))
+        self.assertEqual(a.clock, twist_sync.estimate(*recordings(9, 1)).clock)
+        self.assertNotEqual(a.clock, b.clock)
+        self.assertNotEqual(a, b)
+        for value in (a, a.clock, a.report, *a.faults):
+            self.assertLess(len(repr(value)), 250)
+        self.assertRegex(twist_sync.__version__, r"^\d+\.\d+\.\d+$")
+        # What help() shows.
+        for kind in (twist_sync.Clock, twist_sync.Report, twist_sync.Gate, twist_sync.Fault):
+            for field in kind.__dataclass_fields__:
+                self.assertIn(f"{field}:", kind.__doc__)
 
 
 class Recordings(unittest.TestCase):
@@ -158,23 +173,90 @@ class Recordings(unittest.TestCase):
             clock = found.at(t)
             self.assertLess(abs(clock.offset - truth(t)), 5 * clock.offset_sigma)
             self.assertLess(clock.offset_sigma, 20e-6)
-        back = found.b_to_a([60 * (1 + SKEW) + BOOT_S])[0]
+        back = found.b_to_a(60 * (1 + SKEW) + BOOT_S)
         self.assertLess(abs(back - 60), 50e-6)
         self.assertEqual(len(twist_sync.plot.course(found).axes), 1)
+        self.assertEqual((found.steps, found.refused), ([], 0))
+        self.assertLess(len(repr(found)), 250)
+
+        # One time or many, of either clock.
+        many = np.linspace(5, 115, 1_000_000)
+        begun = time.process_time()
+        there, sigmas = found.offsets(many)
+        self.assertLess(time.process_time() - begun, 2)
+        self.assertEqual(found.at(many[::1000]).covariance.shape, (1000, 2, 2))
+        self.assertEqual(found.at(many[7]).offset, there[7])
+        self.assertEqual(found.at(many[7]).offset_sigma, sigmas[7])
+        on_b = found.a_to_b(many)
+        np.testing.assert_allclose(on_b - many, there, atol=1e-9)
+        np.testing.assert_allclose(found.b_to_a(on_b), many, atol=1e-9)
+        self.assertIsInstance(found.b_to_a(float(on_b[7])), float)
         with self.assertRaises(twist_sync.Refused):
             twist_sync.course(made[0], made[1] * 0, made[2], made[3])
 
 
+class Networks(unittest.TestCase):
+    @staticmethod
+    def pair(offset, sigma):
+        return twist_sync.Clock(100.0, offset, 0.0, np.diag([sigma**2, 0.0]))
+
+    def test_a_loop_that_does_not_close_is_shared_by_its_pairs(self):
+        pairs = {(0, 1): self.pair(5, 1e-6), (1, 2): self.pair(2, 1e-6), (0, 2): self.pair(7 + 3e-6, 1e-6)}
+        network = twist_sync.Network(3, pairs)
+        value, sigma = network.offsets(100.0)
+        np.testing.assert_allclose(value[:, 0], [0, 5 + 1e-6, 7 + 2e-6], atol=1e-9)
+        # Two pairs more are no second opinion.
+        np.testing.assert_allclose(sigma[:, 0], [0, 1e-6, 1e-6], rtol=1e-9)
+        ((of, (error, of_sum)),) = network.closures(100.0).items()
+        self.assertEqual(of, (0, 1, 2))
+        self.assertAlmostEqual(error[0], -3e-6, delta=1e-9)
+        self.assertAlmostEqual(of_sum[0], 3**0.5 * 1e-6, delta=1e-12)
+
+    def test_a_chain_leads_around_a_missing_pair_in_either_direction(self):
+        pairs = {(1, 2): self.pair(3, 4e-6), (0, 2): self.pair(10, 3e-6)}
+        network = twist_sync.Network(3, pairs)
+        value, sigma = network.offsets([100.0, 200.0])
+        np.testing.assert_allclose(value[1], 7, atol=1e-9)
+        np.testing.assert_allclose(sigma[1], 5e-6, rtol=1e-9)
+        self.assertEqual(network.closures(100.0), {})
+        with self.assertRaisesRegex(twist_sync.Refused, "number 4$"):
+            twist_sync.Network(4, pairs)
+
+    def test_loops_of_three_devices_close_and_their_clocks_are_right(self):
+        squares, loops = [], []
+        for seed in range(LOOPS):
+            t_a, w_a, t_b, w_b = recordings(9, seed)
+            rng = np.random.default_rng(seed + 10_000)
+            turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+            t_c, w_c, _, _ = recordings(9, seed, rate=416)
+            w_c = w_c @ turn.T + rng.normal(0, 1e-4, w_c.shape)
+            tracks = [(t_a, w_a), (t_b, w_b), (t_c + 50.0, w_c)]
+            made = [twist_sync.Recording(pathlib.Path(n), n, np.round(t * 1e9).astype(int), w) for n, (t, w) in zip("abc", tracks)]
+            solved = twist_sync.sync(made)
+            (error, sigma), = solved.network.closures(4.5).values()
+            loops.append((error[0], sigma[0]))
+            on_b, sigma_b = solved.clock(1).offset(4_500_000_000)
+            on_c, sigma_c = solved.clock(2).offset(4_500_000_000)
+            squares += [((on_b[0] - truth(4.5)) / sigma_b[0]) ** 2, ((on_c[0] - 50) / sigma_c[0]) ** 2]
+        loops = np.array(loops)
+        self.assertTrue((np.abs(loops[:, 0]) < loops[:, 1]).all(), loops)
+        ratio = np.mean(squares) ** 0.5
+        self.assertTrue(0.6 < ratio < 1.5, ratio)
+        rms = np.sqrt(np.mean(loops**2, axis=0)) * 1e6
+        print(f"{LOOPS} loops close to {rms[0]:.3f} µs rms, stated {rms[1]:.2f}; clocks: error over sigma {ratio:.2f} rms")
+
+
 class Documents(unittest.TestCase):
     def test_the_notebook_runs_and_has_no_output(self):
-        path = HOST / "twist-sync-python/example.ipynb"
+        path = PACKAGE / "example.ipynb"
         cells = [c for c in json.loads(path.read_text())["cells"] if c["cell_type"] == "code"]
         names = {"__name__": "notebook"}
         os.chdir(path.parent)
         for cell in cells:
             self.assertEqual(cell["outputs"], [])
             exec("".join(cell["source"]), names)
-        self.assertEqual(len(names["figure"].axes), 4)
+        self.assertEqual(len(names["figure"].axes), 6)
+        np.testing.assert_allclose(names["solved"].clock(1).b_to_a(names["phone"].t), names["on_board"], atol=2)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ mod classes;
 mod clock;
 pub mod coach;
 mod coarse;
-pub mod compare;
 mod correlate;
 mod course;
 mod crosscheck;
@@ -26,7 +25,6 @@ mod lag;
 #[doc(hidden)] // of the workspace: no part of the interface
 pub mod mixture;
 mod neighbours;
-pub mod network;
 mod pair;
 mod recording;
 mod rigid;

@@ -9,16 +9,12 @@ pub mod data_set;
 pub mod report;
 pub mod stage;
 
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context, Result, ensure};
-use recording::reader::{Item, Reader};
-use recording::session_file::SessionFile;
+use anyhow::{Context, Result};
 
 use crate::judge::Verdict;
-use crate::programs::said;
 use report::Figures;
 use stage::{Stage, StageOptions};
 
@@ -67,7 +63,6 @@ pub struct Demo {
 pub fn run(options: &DemoOptions) -> Result<Demo> {
     let begun = Instant::now();
     let stage = Stage::start(options.stage.clone())?;
-    let profile = stage.profile().to_owned();
     let taught = match options.fresh {
         true => None,
         false => Some(stage.session("teaching", TEACHING_SECONDS, &["--calibrate"])?),
@@ -83,7 +78,6 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         .transpose()?;
     let programs = &options.stage.programs;
     let data = data_set::make(truth, &recording, phone, programs).context("the data set")?;
-    let twist = twist_plot(options, &profile, &recording)?;
     let figures = Figures::new(
         &verdict,
         before.as_ref(),
@@ -92,11 +86,8 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         options.stage.seed,
     );
     let report = options.stage.out.join("report.html");
-    std::fs::write(
-        &report,
-        report::page(&figures, &verdict, &data, twist.as_deref()),
-    )
-    .with_context(|| format!("cannot write {}", report.display()))?;
+    std::fs::write(&report, report::page(&figures, &verdict, &data))
+        .with_context(|| format!("cannot write {}", report.display()))?;
     Ok(Demo {
         figures,
         recording,
@@ -104,55 +95,4 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         report,
         verdict,
     })
-}
-
-/// Has `smartdepthsync offset` draw the first twist; nothing if there is none.
-fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result<Option<String>> {
-    let session = SessionFile::load(recording)?;
-    let mut twists = session
-        .reference()
-        .into_iter()
-        .flat_map(|phone| &phone.twists);
-    let Some(twist) = twists.find(|twist| twist.accepted) else {
-        return Ok(None);
-    };
-    let (Some(phone), Some(imu)) = (&twist.phone_gyro, &session.imu) else {
-        return Ok(None);
-    };
-    let mut csv = String::from("time_s,x,y,z\n");
-    for entry in Reader::open(recording)? {
-        let entry = entry?;
-        if entry.at < twist.span.from || entry.at > twist.span.to {
-            continue;
-        }
-        if let Item::Imu(sample) = entry.item {
-            let [x, y, z] = sample.angular_velocity;
-            let _ = writeln!(csv, "{:.9},{x},{y},{z}", entry.at.as_secs_f64());
-        }
-    }
-    let board = options.stage.out.join("twist_board_gyro.csv");
-    std::fs::write(&board, csv).with_context(|| format!("cannot write {}", board.display()))?;
-    let plot = options.stage.out.join("twist.svg");
-    let rig = recording::profile::Profile::load(profile)?;
-    let programs = &options.stage.programs;
-    let mut command = programs.tool();
-    command
-        .arg("offset")
-        .arg("--mcu")
-        .arg(&board)
-        .arg("--phone")
-        .arg(recording.join(phone))
-        .arg("--plot")
-        .arg(&plot)
-        .args(["--mcu-delay-us", &imu.scale.gyro_delay_us.to_string()])
-        .args(["--phone-delay-us", &rig.phone.gyro_delay_us.to_string()]);
-    let output = programs.output(&mut command)?;
-    ensure!(
-        output.status.success(),
-        "the plot of the twist failed: {}",
-        said(&output)
-    );
-    let svg = std::fs::read_to_string(&plot)
-        .with_context(|| format!("cannot read {}", plot.display()))?;
-    Ok(Some(svg))
 }

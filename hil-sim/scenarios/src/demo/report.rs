@@ -151,14 +151,9 @@ impl Figures {
     }
 }
 
-/// The page. `twist_svg` is the plot of both gyroscopes, if there is one.
+/// The page.
 #[must_use]
-pub fn page(
-    figures: &Figures,
-    verdict: &Verdict,
-    data: &DataSet,
-    twist_svg: Option<&str>,
-) -> String {
+pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     let level = if figures.session.lost == 0 {
         Severity::Good
     } else {
@@ -220,14 +215,6 @@ pub fn page(
         "Middle of exposure of the depth camera minus that of the phone's middle row, in true \
          time, for the frames of the recorded span; with the straight line that is the drift.",
     );
-    page.section("The twist");
-    match twist_svg {
-        Some(svg) => page.figure(
-            svg,
-            "Both gyroscopes before and after synchronisation, and what is left between them.",
-        ),
-        None => page.text("There is no plot of a twist in this run."),
-    }
     page.html()
 }
 
@@ -334,10 +321,10 @@ mod tests {
             },
             strip: String::from("<svg id=\"strip\"></svg>"),
         };
-        let page = page(&figures, &verdict, &data, Some("<svg id=\"twist\"></svg>"));
+        let page = page(&figures, &verdict, &data);
         assert!(page.contains("recording-euroc") && page.contains("id=\"strip\""));
         assert!(page.contains("on an uncalibrated rig"));
-        assert!(page.matches("<svg").count() == 3 && page.contains("id=\"twist\""));
+        assert_eq!(page.matches("<svg").count(), 2);
         assert!(page.contains("4.00 µs apart") && page.contains("Nothing was lost"));
         // Thinned: far fewer marks than frames.
         assert!(page.matches("<circle").count() <= 3001);

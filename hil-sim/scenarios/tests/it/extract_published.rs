@@ -20,7 +20,8 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn twist() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/twist-scenarios/data/twist")
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../host/twist-sync-python/python/twist_sync/example")
 }
 
 fn make_bag(folder: &Path, compression: &str) {

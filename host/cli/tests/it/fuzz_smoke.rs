@@ -16,13 +16,9 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
-use recording::messages::Imu;
-use recording::rosbag2::Bag;
 use test_support::root;
-use twist_scenarios::TwistSpec;
 
-use crate::support::gopro::{self, Stamps};
-use crate::support::{ros2_imu, synthetic};
+use crate::support::synthetic;
 
 /// Bytes of one kind that are right, to be changed.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
@@ -99,26 +95,6 @@ fn run(target: &str, body: fn(&[u8]), mut seeds: Vec<Vec<u8>>, rounds: u32) {
         round += 1;
     }
     println!("{target}: {round} inputs in {:.0?}", begun.elapsed());
-}
-
-#[test]
-fn recordings_of_gyroscopes() {
-    let twist = twist_scenarios::twist(&TwistSpec::default(), 1);
-    let track = twist.b.between(0.0, twist.b.epoch_s + 3.0);
-    let mut seeds: Vec<_> = [Stamps::Microseconds, Stamps::Milliseconds, Stamps::None]
-        .map(|stamps| gopro::mp4(&track, stamps))
-        .into();
-    let mut bag = Vec::new();
-    let mut writer = Bag::create(&mut bag).unwrap();
-    writer.add_topic::<Imu>("/imu").unwrap();
-    for (t, w) in track.t.iter().zip(&track.w) {
-        let at = (t * 1e9) as i64;
-        let message = ros2_imu::message(at, *w).unwrap();
-        writer.put(0, at.unsigned_abs(), &message).unwrap();
-    }
-    writer.finish("bag.mcap").unwrap();
-    seeds.push(bag);
-    run("gyro_file", fuzz_bodies::gyro_file, seeds, 1_000);
 }
 
 #[test]

@@ -9,13 +9,10 @@ mod extract_command;
 mod fuzz_smoke;
 mod hostile_costs;
 mod hostile_files;
-mod offset_command;
-mod other_makers;
 mod phone_command;
 mod report_browser;
 mod sentences;
 #[path = "../support/mod.rs"]
 mod support;
-mod sync_command;
 mod trigger_imu;
 mod verify_command;

@@ -55,15 +55,6 @@ const CASES: &str = "\
 2 | record --twists 9 | 1..=5 | help COMMAND
 2 | record --twist-gap soon | 90s, 5m or 1h | help COMMAND
 # Files of two gyroscopes.
-13 | offset --mcu nothing.csv --phone gyro.csv | nothing.csv | check the path
-13 | offset --mcu gyro.csv --phone folder | folder | this is a folder
-2 | offset --mcu gyro.csv --phone text.txt | text.txt | x,y,z,nanoseconds
-2 | offset --mcu gyro.csv --phone binary.bin | no text | x,y,z,nanoseconds
-2 | offset --mcu empty.csv --phone gyro.csv | empty.csv | CSV
-13 | sync gyro.csv nothing.csv | nothing.csv | check the path
-2 | sync gyro.csv text.txt | text.txt | x,y,z,nanoseconds
-2 | sync gyro.csv | 2 values required | help COMMAND
-2 | sync gyro.csv gyro.csv --delay-us 1,2,3 | 3 values for 2 recordings | one for each
 2 | profile init new.toml --camera azure-kinect-dk --depth-exposure-us 5000 | cannot be set | option out
 # Videos.
 13 | evaluate precision nothing.mp4 | nothing.mp4 | check the path

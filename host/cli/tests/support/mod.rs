@@ -1,12 +1,9 @@
 //! A stand-in for the board on a pseudo-terminal, for tests of the program's
 //! ways to fail. The real firmware is tested in `hil-sim`.
 
-pub(crate) mod gopro;
-pub(crate) mod ros2_imu;
 mod session;
 pub(crate) mod synthetic;
 
-use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::process::{Command, Output};
@@ -21,7 +18,6 @@ use protocol::{
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use twist_sync::GyroTrack;
 
 /// What the stand-in does with a command, and with every 10 ms that pass.
 pub(crate) trait Behaviour: Send + 'static {
@@ -189,21 +185,6 @@ pub(crate) fn imu_setup() -> ImuSetup {
             temperature_at_zero_centidegrees: 2_500,
         },
     }
-}
-
-/// Times of a track in nanoseconds.
-pub(crate) fn nanos(track: &GyroTrack) -> impl Iterator<Item = i64> {
-    let at = |t: &f64| ((track.epoch_s + t) * 1e9).round() as i64;
-    track.t.iter().map(at)
-}
-
-/// A gyroscope's recording as the phone's app writes it.
-pub(crate) fn phone_app(track: &GyroTrack) -> String {
-    let mut out = String::new();
-    for (at, w) in nanos(track).zip(&track.w) {
-        let _ = writeln!(out, "{},{},{},{at}", w[0], w[1], w[2]);
-    }
-    out
 }
 
 /// Runs the program to its end.

@@ -42,23 +42,6 @@ pub fn depth_recording(data: &[u8]) {
     }
 }
 
-/// Any bytes as the recording of a gyroscope: what is read of it are numbers.
-pub fn gyro_file(data: &[u8]) {
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), data).unwrap();
-    if let Ok(read) = gyro_files::read_alone(file.path(), None) {
-        assert!(read.times.len() == read.rates.len());
-        assert!(
-            read.rates
-                .as_flattened()
-                .iter()
-                .all(|rate| rate.is_finite())
-        );
-        let rows = read.frames.iter().map(gyro_files::Frame::rows_ns);
-        assert!(rows.count() <= data.len());
-    }
-}
-
 /// Any bytes as the phone's CSV files: no panic, times in order.
 pub fn phone_csv(data: &[u8]) {
     let mut rows = Rows::new(data);

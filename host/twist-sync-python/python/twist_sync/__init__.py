@@ -1,19 +1,26 @@
 """The relation of two clocks from two gyroscopes on one rigid body.
 
 Convention: ``b = a + offset + skew * (a - reference)``, in seconds.
+
+* :func:`read` and :func:`sync` take files, :func:`estimate` and :func:`course` take arrays.
+* Times are floats in seconds, integers in nanoseconds, or ``datetime64``; what comes back is of
+  the same kind.
+* ``clock.b_to_a(t_b)`` puts times of clock b on clock a, of any array or number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _twist_sync
+from ._recording import Recording, Unreadable
 
+__version__: str = _twist_sync.version
 __all__ = [
     "Clock",
     "Course",
@@ -21,83 +28,200 @@ __all__ = [
     "Fault",
     "Gate",
     "LeftOut",
+    "Network",
+    "Recording",
     "Refused",
     "Report",
+    "Step",
+    "Unreadable",
     "course",
     "estimate",
+    "read",
+    "sync",
 ]
 
 Floats = NDArray[np.float64]
 
+#: Neighbouring samples of a gyroscope are that far apart, s: what else times are is another unit.
+_STEPS_S = (1e-6, 0.2)
 
-@dataclass(frozen=True)
-class Clock:
-    """The relation of the clocks with its uncertainty."""
 
-    #: Time of clock a at which the offset holds, s.
+def __getattr__(name: str) -> Any:
+    # What reads files is loaded when it is asked for.
+    if name == "read":
+        from .files import read
+
+        return read
+    if name in ("sync", "Network"):
+        from . import network
+
+        return getattr(network, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+class _Value:
+    """Equality of fields that are arrays."""
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class _Relation:
+    """Times of either clock in those of the other, whatever they are given as."""
+
+    def _offsets(self, a: Floats) -> Floats:
+        raise NotImplementedError
+
+    def _b_to_a(self, b: Floats) -> Floats:
+        raise NotImplementedError
+
+    def a_to_b(self, a: ArrayLike) -> Any:
+        """Times of clock b at times of clock a.
+
+        Args:
+            a: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
+
+        Returns:
+            The same kind and shape.
+        """
+        return _moved(a, self._offsets)
+
+    def b_to_a(self, b: ArrayLike) -> Any:
+        """Times of clock a at times of clock b.
+
+        Args:
+            b: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
+
+        Returns:
+            The same kind and shape.
+        """
+        return _moved(b, lambda t: -self._offsets(self._b_to_a(t)))
+
+
+def _moved(t: ArrayLike, by_seconds: Callable[[Floats], Floats]) -> Any:
+    t = np.asarray(t)
+    if t.dtype.kind == "M":
+        return _moved(t.astype("M8[ns]").astype(np.int64), by_seconds).astype("M8[ns]")
+    if t.dtype.kind in "iu":
+        by = np.round(by_seconds(t * 1e-9) * 1e9).astype(np.int64)
+        return (t.astype(np.int64) + by)[()]
+    t = t.astype(np.float64)
+    return (t + by_seconds(t))[()]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clock(_Value, _Relation):
+    """The relation of two clocks with its uncertainty: ``b = a + offset + skew * (a - reference)``.
+
+    Attributes:
+        reference: Time of clock a at which the offset holds, s.
+        offset: Clock b minus clock a at the reference, s.
+        skew: Rate of clock b relative to clock a, minus one.
+        covariance: Of (offset, skew), shape (2, 2): s², s; s, 1.
+
+    Of :meth:`Course.at` with several times all are arrays, one row a time.
+    """
+
     reference: float
-    #: Clock b minus clock a at the reference, s.
     offset: float
-    #: Rate of clock b relative to clock a, minus one.
     skew: float
-    #: Covariance of (offset, skew): s², s; s, 1.
     covariance: Floats
 
     @property
-    def offset_sigma(self) -> float:
+    def offset_sigma(self) -> Any:
         """1-sigma of the offset at the reference, s."""
-        return float(np.sqrt(self.covariance[0, 0]))
+        return np.sqrt(self.covariance[..., 0, 0])
 
     @property
-    def skew_sigma(self) -> float:
+    def skew_sigma(self) -> Any:
         """1-sigma of the skew."""
-        return float(np.sqrt(self.covariance[1, 1]))
+        return np.sqrt(self.covariance[..., 1, 1])
 
-    def a_to_b(self, a: ArrayLike) -> Floats:
-        """Times of clock b at times of clock a, s."""
+    def at(self, a: ArrayLike) -> Clock:
+        """The same relation with times of clock a, s, as references."""
         a = np.asarray(a, dtype=np.float64)
-        return a + (self.offset + self.skew * (a - self.reference))
+        dt = a - self.reference
+        move = np.zeros((*dt.shape, 2, 2))
+        move[..., 0, 0] = move[..., 1, 1] = 1
+        move[..., 0, 1] = dt
+        covariance = move @ self.covariance @ np.swapaxes(move, -1, -2)
+        return Clock(a[()], self.offset + self.skew * dt, self.skew + 0 * dt, covariance)
 
-    def b_to_a(self, b: ArrayLike) -> Floats:
-        """Times of clock a at times of clock b, s."""
-        b = np.asarray(b, dtype=np.float64)
+    def _offsets(self, a: Floats) -> Floats:
+        return self.offset + self.skew * (a - self.reference)
+
+    def _b_to_a(self, b: Floats) -> Floats:
         return self.reference + (b - self.reference - self.offset) / (1 + self.skew)
+
+    def __repr__(self) -> str:
+        if np.ndim(self.offset):
+            return f"Clock({np.size(self.offset)} times)"
+        return (
+            f"Clock(offset {self.offset:.6f} s ± {self.offset_sigma * 1e6:.2f} µs at {self.reference:.3f} s, "
+            f"skew {self.skew * 1e6:+.2f} ± {self.skew_sigma * 1e6:.2f} ppm)"
+        )
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a stream."""
+    """What is wrong with a stream.
 
-    #: "a" or "b".
+    Attributes:
+        stream: "a" or "b".
+        kind: As "gap", "clipped", "copied_sample", "timestamp_outlier".
+        count: Number of samples; of a sawtooth of the timestamps, of its jumps.
+        period: After how many samples it recurs.
+        displacement: By how much the timestamp is later than the content, s.
+        action: "left_out", "corrected" or "noted".
+        samples: Indices of the samples.
+    """
+
     stream: str
     kind: str
-    #: Number of samples; of a sawtooth of the timestamps, of its jumps.
     count: int
-    #: After how many samples it recurs.
     period: float | None
-    #: By how much the timestamp is later than the content, s.
     displacement: float | None
-    #: "left_out", "corrected" or "noted".
     action: str
-    #: Indices of the samples.
     samples: list[int]
+
+    def __repr__(self) -> str:
+        return f"Fault({self.stream}: {self.count} {self.kind}, {self.action})"
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A stretch of both recordings that was left out."""
+    """A stretch of both recordings that was left out.
 
-    #: Begin and end, seconds from the first sample of a.
+    Attributes:
+        start: Its begin, s from the first sample of a.
+        end: Its end, s from the first sample of a.
+        why: "apart", "slipped" or "time_step".
+        text: The same in words.
+    """
+
     start: float
     end: float
-    #: "apart", "slipped" or "time_step".
     why: str
     text: str
 
 
 @dataclass(frozen=True)
 class Gate:
-    """What an estimate must pass."""
+    """What an estimate must pass.
+
+    Attributes:
+        name: What is judged.
+        passed: Whether it was.
+        value: What was measured, in ``unit``.
+        limit: What it may be, in ``unit``.
+        unit: Of value and limit.
+        text: The same in words.
+    """
 
     name: str
     passed: bool
@@ -107,32 +231,49 @@ class Gate:
     text: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
-    """What an estimate or a refusal is based on."""
+    """What an estimate or a refusal is based on.
 
-    #: Rms of the residual in band, rad/s.
+    Attributes:
+        residual_rms: Rms of the residual in band, rad/s.
+        motion_rms: Rms of the motion, rad/s.
+        overlap: Time in common that was used, s.
+        together: Stretches in which the two moved as one body, s from the first sample of a.
+        faults: Of both streams.
+        left_out: Stretches that were left out.
+        gates: All of them, passed or not.
+        warnings: What to know about an accepted estimate.
+    """
+
     residual_rms: float | None
-    #: Rms of the motion, rad/s.
     motion_rms: float | None
-    #: Time in common that was used, s.
     overlap: float | None
-    #: Stretches in which the two moved as one body, seconds from the first sample of a.
     together: list[tuple[float, float]]
     faults: list[Fault]
     left_out: list[LeftOut]
     gates: list[Gate]
     warnings: list[str]
 
+    def __repr__(self) -> str:
+        passed = sum(gate.passed for gate in self.gates)
+        return f"Report({passed} of {len(self.gates)} gates passed, {len(self.faults)} faults)"
 
-@dataclass(frozen=True)
-class Estimate:
-    """An accepted estimate."""
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(_Value):
+    """An accepted estimate.
+
+    Attributes:
+        clock: The relation of the clocks.
+        calibration: Rate of b = calibration @ rate of a + bias: rotation, scale and cross-axis
+            errors, shape (3, 3).
+        bias: rad/s, in the axes of b, shape (3,).
+        report: What it is based on.
+    """
 
     clock: Clock
-    #: Rate of b = calibration @ rate of a + bias: rotation, scale and cross-axis errors.
     calibration: Floats
-    #: rad/s, in the axes of b.
     bias: Floats
     report: Report
 
@@ -148,7 +289,7 @@ class Estimate:
 
     @property
     def covariance(self) -> Floats:
-        """Of (offset, skew)."""
+        """Of (offset, skew): s², s; s, 1."""
         return self.clock.covariance
 
     @property
@@ -169,17 +310,27 @@ class Estimate:
     @property
     def rotation(self) -> Floats:
         """The rotation from the axes of a to those of b that is nearest to the calibration."""
-        u, _, vt = np.linalg.svd(self.calibration)
-        sign = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
-        return u @ sign @ vt
+        return _rotation(self.calibration)
+
+    def __repr__(self) -> str:
+        return f"Estimate({self.clock!r}, {self.report!r})"
+
+
+def _rotation(matrix: Floats) -> Floats:
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
+    return u @ sign @ vt
 
 
 class Refused(Exception):
-    """The recordings do not give a trustworthy relation; the message says why."""
+    """The recordings do not give a trustworthy relation; the message says why.
+
+    Attributes:
+        report: What was measured; at least one gate is not passed. None of a course.
+    """
 
     def __init__(self, reason: str, report: Report | None = None):
         super().__init__(reason)
-        #: What was measured; at least one gate is not passed. None of a course.
         self.report = report
 
 
@@ -205,7 +356,18 @@ def _stream(t: ArrayLike, w: ArrayLike, name: str) -> tuple[bytes, bytes, bool]:
         raise ValueError(
             f"t_{name} has shape {t.shape} and w_{name} {w.shape}; expected (n,) and (n, 3)"
         )
-    nanos = np.issubdtype(t.dtype, np.integer)
+    if t.dtype.kind == "M":
+        t = t.astype("M8[ns]").astype(np.int64)
+    nanos = t.dtype.kind in "iu"
+    ends = t[np.isfinite(t)][[0, -1]].astype(float) if len(t) > 1 and np.isfinite(t).any() else []
+    if len(ends):
+        step = abs(ends[1] - ends[0]) / (len(t) - 1) * (1e-9 if nanos else 1.0)
+        if step and not _STEPS_S[0] < step < _STEPS_S[1]:
+            unit = "integers are nanoseconds" if nanos else "floats are seconds"
+            raise ValueError(
+                f"the samples of t_{name} would be {step:.3g} s apart, which no gyroscope's are: {unit}; "
+                "convert other units, as t * 1e-3 of milliseconds"
+            )
     return t.astype("<i8" if nanos else "<f8").tobytes(), w.tobytes(), bool(nanos)
 
 
@@ -224,14 +386,25 @@ def estimate(
     wander_ppm: float | None = None,
     search: tuple[float, float] | None = None,
 ) -> Estimate:
-    """Relate the clocks of two recordings of one twist.
+    """Relates the clocks of two recordings of one twist.
 
-    ``t`` are times in seconds (floats) or nanoseconds (integers), ``w`` angular rates
-    of shape (n, 3) in rad/s. ``a_delay`` and ``b_delay`` are the delays of the low-pass
-    filters in seconds; ``search`` is the expected offset and the half-width to look in.
-    What is None is the default of the crate.
+    Args:
+        t_a: Times of the first: seconds (floats), nanoseconds (integers) or datetime64, shape (n,).
+        w_a: Its angular rates, rad/s, shape (n, 3).
+        t_b: Times of the second.
+        w_b: Its angular rates.
+        a_delay: Delay of the low-pass filter of a, s.
+        b_delay: Delay of the low-pass filter of b, s.
+        sigma_limit: Refuse an offset with a larger 1-sigma, s; by default 100e-6.
+        low_pass_hz: -3 dB frequency of the zero-phase low-pass, 5 to 100 Hz; by default 25.
+        min_overlap: Refuse with less time in common, s; by default the crate's.
+        handle_faults: Look for faults of the streams and leave them out.
+        wander_ppm: By how much a clock's rate walks in one second, ppm; by default the crate's.
+        search: Expected offset b - a and the half-width to look in, s; by default anywhere.
 
-    Raises :class:`Refused` with the reasons.
+    Raises:
+        Refused: With the reasons and the report.
+        ValueError: Arrays of other shapes or units.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")
@@ -242,33 +415,81 @@ def estimate(
     return Estimate(_clock(clock), np.array(calibration), np.array(bias), _report(report))
 
 
-class Course:
-    """The relation of two clocks over whole recordings."""
+@dataclass(frozen=True)
+class Step:
+    """A step of one clock against the other.
+
+    Attributes:
+        start: It is no earlier than this time of clock a, s.
+        end: It is no later than this time of clock a, s.
+        by: Change of b - a, s.
+        sigma: Its 1-sigma, s.
+    """
+
+    start: float
+    end: float
+    by: float
+    sigma: float
+
+
+class Course(_Relation):
+    """The relation of two clocks over whole recordings.
+
+    Attributes:
+        estimates: The estimates of the windows.
+        windows: Windows of a that were looked at.
+        used: Estimates that make the course; one may be of several windows.
+        contradicting: Windows that were left out as contradicting the rest.
+        refusals: Gates that refused windows, with the figures of the first, and how many windows.
+        steps: Steps of one clock against the other.
+        unsupported: Stretches of clock a, s, with motion that could not be related; the sigma
+            grows within them.
+        warnings: Of the windows, and of how many.
+        span: First and last time of clock a with data, s.
+    """
 
     def __init__(self, found: Any):
         self._found = found
-        #: The estimates of the windows.
         self.estimates: list[Clock] = [_clock(e) for e in found.estimates()]
-        #: Windows of a that were looked at, used, and left out as contradicting the rest.
         self.windows: int = found.windows()
         self.used: int = found.used()
         self.contradicting: int = found.contradicting()
-        #: First and last time of clock a with data, s.
+        self.refusals: list[tuple[Gate, int]] = [(Gate(**g), n) for g, n in found.refusals()]
+        self.steps: list[Step] = [Step(*step) for step in found.steps()]
+        self.unsupported: list[tuple[float, float]] = found.unsupported()
+        self.warnings: list[tuple[str, int]] = found.warnings()
         self.span: tuple[float, float] = found.span()
 
-    def at(self, a: float) -> Clock:
-        """The relation at a time of clock a, s."""
-        return _clock(self._found.at([float(a)])[0])
+    @property
+    def refused(self) -> int:
+        """Windows that are in no estimate."""
+        return sum(count for _, count in self.refusals)
+
+    def _table(self, a: Floats) -> Floats:
+        return np.frombuffer(self._found.at(a.astype("<f8").tobytes()), "<f8").reshape(*a.shape, 5)
+
+    def at(self, a: ArrayLike) -> Clock:
+        """The relation at one time of clock a, s, or at several: then its fields are arrays."""
+        a = np.asarray(a, dtype=np.float64)
+        offset, skew, oo, os, ss = np.moveaxis(self._table(a), -1, 0)
+        covariance = np.moveaxis(np.array([[oo, os], [os, ss]]), (0, 1), (-2, -1))
+        return Clock(a[()], offset[()], skew[()], covariance)
 
     def offsets(self, a: ArrayLike) -> tuple[Floats, Floats]:
-        """Offsets and their 1-sigma at times of clock a, s."""
-        found = self._found.at(np.asarray(a, dtype=np.float64).tolist())
-        sigmas = [e["covariance"][0][0] ** 0.5 for e in found]
-        return np.array([e["offset"] for e in found]), np.array(sigmas)
+        """Offsets and their 1-sigma, s, at times of clock a, s."""
+        there = self.at(a)
+        return there.offset, there.offset_sigma  # type: ignore[return-value]
 
-    def b_to_a(self, b: Sequence[float] | Floats) -> Floats:
-        """Times of clock a at times of clock b, s."""
-        return np.array(self._found.b_to_a(np.asarray(b, dtype=np.float64).tolist()))
+    def _offsets(self, a: Floats) -> Floats:
+        return self._table(np.asarray(a))[..., 0]
+
+    def _b_to_a(self, b: Floats) -> Floats:
+        b = np.asarray(b)
+        return np.frombuffer(self._found.b_to_a(b.astype("<f8").tobytes()), "<f8").reshape(b.shape)
+
+    def __repr__(self) -> str:
+        first, last = self.span
+        return f"Course({first:.3f} to {last:.3f} s, {self.windows} windows, {self.used} estimates used, {len(self.steps)} steps)"
 
 
 def course(
@@ -286,9 +507,14 @@ def course(
     wander_ppm: float | None = None,
     search: tuple[float, float] | None = None,
 ) -> Course:
-    """Relate the clocks over whole recordings, by any motion in them.
+    """Relates the clocks over whole recordings, by any motion in them.
 
-    The arguments are those of :func:`estimate`; ``sigma_limit`` is of each window of 10 s.
+    The arguments are those of :func:`estimate`; ``sigma_limit`` is of each window of 10 s, by
+    default 1e-3 s.
+
+    Raises:
+        Refused: No part of the recordings can be related.
+        ValueError: Arrays of other shapes or units.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")

@@ -2,80 +2,178 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import Course, Estimate
+from . import Clock, Course, Estimate, Floats, Unreadable
+from ._recording import Recording
+from .network import Pair, Synchronized
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: Of longer recordings this much is drawn in detail, s.
+DETAIL_S = 10.0
+POINTS = 4000
+HINT = 'plots need matplotlib: pip install "twist-sync[plot]"'
 
-def _seconds(t: ArrayLike) -> np.ndarray:
+
+def _seconds(t: ArrayLike) -> Floats:
     t = np.asarray(t)
-    return t * 1e-9 if np.issubdtype(t.dtype, np.integer) else t
+    return t * 1e-9 if t.dtype.kind in "iu" else t
 
 
 def twist(
     t_a: ArrayLike, w_a: ArrayLike, t_b: ArrayLike, w_b: ArrayLike, found: Estimate
 ) -> Figure:
-    """Both gyroscopes in the axes and on the time of one, the residual, what was left out."""
-    import matplotlib.pyplot as plt
-
-    t_a, t_b = _seconds(t_a), _seconds(t_b)
-    w_a, w_b = np.asarray(w_a), np.asarray(w_b)
-    on_a = found.clock.b_to_a(t_b)
-    turned = w_a @ found.calibration.T + found.bias
-    there = np.column_stack([np.interp(on_a, t_a, turned[:, k]) for k in range(3)])
-    inside = (on_a >= t_a[0]) & (on_a <= t_a[-1])
-    there[~inside] = np.nan
-    figure, panels = plt.subplots(4, 1, sharex=True, figsize=(9, 9), layout="constrained")
-    for k, panel in enumerate(panels[:3]):
-        panel.plot(on_a - t_a[0], there[:, k], lw=4, alpha=0.4, label="a, in the axes of b")
-        panel.plot(on_a - t_a[0], w_b[:, k], lw=1, label="b")
-        panel.set_ylabel(f"{'xyz'[k]}, rad/s")
-    panels[0].legend(loc="upper right")
-    panels[3].plot(on_a - t_a[0], (w_b - there) * 1e3, lw=0.5)
-    # What was left out must not press the rest flat.
-    limit = 8e3 * (found.report.residual_rms or 1e-3)
-    panels[3].set_ylim(-limit, limit)
-    panels[3].set_ylabel("b − a, mrad/s")
-    panels[3].set_xlabel("s from the first sample of a")
-    for stretch in found.report.left_out:
-        for panel in panels:
-            panel.axvspan(stretch.start, stretch.end, color="tab:pink", alpha=0.2)
-    clock = found.clock
-    figure.suptitle(
-        f"offset {clock.offset:.6f} s ± {clock.offset_sigma * 1e6:.2f} µs, "
-        f"skew {clock.skew * 1e6:+.1f} ± {clock.skew_sigma * 1e6:.1f} ppm"
-    )
-    return figure
+    """Both gyroscopes before and after, the residual and the offset over time, of a twist."""
+    return _figure([(_seconds(t_a), np.asarray(w_a), _seconds(t_b), np.asarray(w_b), found, ("a", "b"))])
 
 
 def course(found: Course) -> Figure:
     """The estimates of the windows and the smoothed course, less a straight line."""
     import matplotlib.pyplot as plt
 
-    first, last = found.span
+    figure, panel = plt.subplots(figsize=(9, 4), layout="constrained")
+    _offset(panel, found, found.span, found.span[0])
+    return figure
+
+
+def save(path: Path, solved: Synchronized) -> None:
+    """Draws each pair that is related, side by side.
+
+    Raises:
+        Unreadable: There is no matplotlib, or no such kind of picture.
+    """
+    try:
+        import matplotlib
+    except ImportError:
+        raise Unreadable(HINT) from None
+    matplotlib.use("Agg")
+    pairs = [_of_pair(solved.recordings, pair) for pair in solved.pairs]
+    figure = _figure(pairs)
+    try:
+        figure.savefig(path, dpi=100)
+    except ValueError as error:
+        raise Unreadable(f"{path}: {error}") from None
+
+
+def _of_pair(recordings: list[Recording], pair: Pair) -> tuple[Any, ...]:
+    a, b = recordings[pair.a], recordings[pair.b]
+    t_a, t_b = (r.t - r.t[0] for r in (a, b))
+    return t_a * 1e-9, a.w, t_b * 1e-9, b.w, pair.found, (a.name, b.name)
+
+
+def _figure(pairs: list[tuple[Any, ...]]) -> Figure:
+    import matplotlib.pyplot as plt
+
+    rows = plt.subplots(6, len(pairs), figsize=(9 * len(pairs), 12), layout="constrained", squeeze=False)
+    for column, pair in enumerate(pairs):
+        _draw([row[column] for row in rows[1]], *pair)
+    return rows[0]
+
+
+def _envelope(panel: Any, t: Floats, values: Floats, **more: Any) -> None:
+    """A line, of long recordings its extremes."""
+    step = len(t) // POINTS
+    if step < 2:
+        panel.plot(t, values, **more)
+        return
+    count = len(t) // step
+    blocks = values[: count * step].reshape(count, step)
+    both = np.column_stack([blocks.min(axis=1), blocks.max(axis=1)]).ravel()
+    panel.plot(np.repeat(t[: count * step : step], 2), both, **more)
+
+
+def _draw(
+    panels: list[Any],
+    t_a: Floats,
+    w_a: Floats,
+    t_b: Floats,
+    w_b: Floats,
+    found: Estimate | Course | None,
+    names: tuple[str, str],
+) -> None:
+    first, motion = t_a[0], np.linalg.norm(w_a, axis=1)
+    before = panels[0]
+    _envelope(before, t_a - first, motion, lw=1.5, alpha=0.6, label=names[0])
+    _envelope(before, t_b - t_b[0], np.linalg.norm(w_b, axis=1), lw=0.8, label=names[1])
+    before.set(ylabel="rate, rad/s", xlabel="s from each one's first sample", title="before")
+    before.legend(loc="upper right")
+    if found is None:
+        for panel in panels[1:]:
+            panel.set_axis_off()
+        before.set_title(f"{names[1]} - {names[0]}: REFUSED")
+        return
+    relation = found.clock if isinstance(found, Estimate) else found
+    on_a = relation.b_to_a(t_b)
+    inside = (on_a >= t_a[0]) & (on_a <= t_a[-1])
+    there = np.column_stack([np.interp(on_a, t_a, w_a[:, k]) for k in range(3)])
+    # Where a has no samples there is nothing to compare with.
+    gaps = np.diff(t_a)[np.clip(np.searchsorted(t_a, on_a) - 1, 0, len(t_a) - 2)]
+    there[~inside | (gaps > 0.05)] = np.nan
+    if isinstance(found, Estimate):
+        there = there @ found.calibration.T + found.bias
+    else:
+        good = np.flatnonzero(np.isfinite(there[:, 0]))
+        some = good[:: max(len(good) // 100_000, 1)]
+        more = np.column_stack([there[some], np.ones(len(some))])
+        matrix = np.linalg.lstsq(more, w_b[some], rcond=None)[0]
+        there = there @ matrix[:3] + matrix[3]
+    centre = t_a[int(np.argmax(np.where((t_a >= on_a[0]) & (t_a <= on_a[-1]), motion, 0)))]
+    shown = (on_a[0], on_a[-1])
+    if shown[1] - shown[0] > 6 * DETAIL_S:
+        shown = (centre - DETAIL_S / 2, centre + DETAIL_S / 2)
+    part = (on_a >= shown[0]) & (on_a <= shown[1])
+    for k, panel in enumerate(panels[1:4]):
+        panel.plot(on_a[part] - first, there[part, k], lw=4, alpha=0.4, label=f"{names[0]}, in the axes of {names[1]}")
+        panel.plot(on_a[part] - first, w_b[part, k], lw=1, label=names[1])
+        panel.set_ylabel(f"{'xyz'[k]}, rad/s")
+    panels[1].set_title("after")
+    panels[1].legend(loc="upper right")
+    rest = (w_b - there) * 1e3
+    for k in range(3):
+        _envelope(panels[4], on_a - first, rest[:, k], lw=0.5, label="xyz"[k])
+    # What was left out must not press the rest flat.
+    panels[4].set_ylim(*(np.nanquantile(np.abs(rest), 0.99) * 3 * np.array([-1, 1])))
+    panels[4].set(ylabel="residual, mrad/s")
+    panels[4].legend(loc="upper right")
+    if isinstance(found, Estimate):
+        for stretch in found.report.left_out:
+            for panel in panels[1:5]:
+                panel.axvspan(stretch.start, stretch.end, color="tab:pink", alpha=0.2)
+    _offset(panels[5], found, (max(on_a[0], t_a[0]), min(on_a[-1], t_a[-1])), first)
+    middle = relation.at(0.5 * (on_a[0] + on_a[-1]))
+    before.set_title(
+        f"{names[1]} - {names[0]}: ± {middle.offset_sigma * 1e6:.2f} µs, "
+        f"skew {middle.skew * 1e6:+.1f} ± {middle.skew_sigma * 1e6:.1f} ppm"
+    )
+
+
+def _offset(panel: Any, found: Estimate | Course, span: tuple[float, float], zero: float) -> None:
+    """The offset over time with its sigma, less a straight line."""
+    first, last = span
     t = np.linspace(first, last, 300)
-    offset, sigma = found.offsets(t)
+    relation: Clock | Course = found.clock if isinstance(found, Estimate) else found
+    there = relation.at(t)
+    offset, sigma = np.asarray(there.offset), there.offset_sigma
     slope = (offset[-1] - offset[0]) / (last - first) if last > first else 0.0
 
-    def rest(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def rest(times: Floats, values: Floats) -> Floats:
         return (values - offset[0] - slope * (times - first)) * 1e6
 
-    figure, panel = plt.subplots(figsize=(9, 4), layout="constrained")
-    at = np.array([e.reference for e in found.estimates])
-    values = np.array([e.offset for e in found.estimates])
-    sigmas = np.array([e.offset_sigma for e in found.estimates])
-    panel.errorbar(at - first, rest(at, values), sigmas * 1e6, fmt=".", label="windows")
-    panel.plot(t - first, rest(t, offset), label="smoothed")
+    if isinstance(found, Course):
+        at = np.array([e.reference for e in found.estimates])
+        values = np.array([e.offset for e in found.estimates])
+        sigmas = np.array([e.offset_sigma for e in found.estimates])
+        panel.errorbar(at - zero, rest(at, values), sigmas * 1e6, fmt=".", label="windows")
+    panel.plot(t - zero, rest(t, offset), label="smoothed" if isinstance(found, Course) else "offset")
     panel.fill_between(
-        t - first, rest(t, offset - sigma), rest(t, offset + sigma), alpha=0.3, label="± 1 sigma"
+        t - zero, rest(t, offset - sigma), rest(t, offset + sigma), alpha=0.3, label="± 1 sigma"
     )
-    panel.set_xlabel("s")
-    panel.set_ylabel(f"b − a less {slope * 1e6:+.3f} ppm, µs")
+    panel.set_xlabel("s from the first sample of a")
+    panel.set_ylabel(f"b - a less {slope * 1e6:+.3f} ppm, µs")
     panel.legend()
-    return figure

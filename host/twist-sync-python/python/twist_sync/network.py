@@ -1,0 +1,275 @@
+"""Two or more recordings on one clock.
+
+Of ``n`` recordings each pair is related, and any three form a loop: from the first to the second,
+on to the third and back one must arrive where one started. By how much one does not is the loop's
+closure. At a time of the first recording the offsets are the least squares over all pairs, each
+weighted by its variance. The sigma of each is that of the best chain of pairs from the first, not
+that of the least squares: pairs share recordings, so their errors are not independent.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, course, estimate, files
+from ._recording import Recording, Unreadable
+from .text import typical_rate
+
+#: A recording up to this length is taken as a twist, s, if the other is not much longer.
+LONGEST_TWIST_S = 60.0
+LONGEST_WITH_TWIST_S = 600.0
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two of the recordings.
+
+    Attributes:
+        a: Number of the first, from 0.
+        b: Number of the second.
+        found: What relates them, with times in s from the first sample of each; None if refused.
+        refused: Why not.
+    """
+
+    a: int
+    b: int
+    found: Estimate | Course | None
+    refused: Refused | None
+
+    @property
+    def relation(self) -> Clock | Course:
+        """Of the clocks, with times in s from the first sample of each."""
+        if self.found is None:
+            raise self.refused or Refused("no relation")
+        return self.found.clock if isinstance(self.found, Estimate) else self.found
+
+    @property
+    def report(self) -> Report | None:
+        """Of a twist."""
+        if isinstance(self.found, Estimate):
+            return self.found.report
+        return self.refused.report if self.refused else None
+
+
+class Network:
+    """The clocks of several devices against that of the first, number 0.
+
+    Args:
+        devices: How many.
+        pairs: The relation of devices a < b by their numbers.
+
+    Raises:
+        Refused: No chain of relations leads from the first to one of them.
+    """
+
+    def __init__(self, devices: int, pairs: dict[tuple[int, int], Clock | Course]):
+        self.devices = devices
+        self.pairs = pairs
+        joined = {0}
+        for _ in range(devices):
+            joined |= {k for pair in pairs if joined & set(pair) for k in pair}
+        if apart := [str(k + 1) for k in range(devices) if k not in joined]:
+            raise Refused(f"no chain of relations leads from the first recording to number {', '.join(apart)}")
+
+    def _chains(self, a: Floats) -> tuple[Floats, Floats]:
+        """Offsets and variances along the chain of pairs with the least variance (Bellman and Ford)."""
+        value = np.zeros((self.devices, len(a)))
+        variance = np.full_like(value, np.inf)
+        variance[0] = 0
+        for _ in range(1, self.devices):
+            for (i, j), relation in self.pairs.items():
+                for start, end, sign in ((i, j, 1), (j, i, -1)):
+                    t = a + value[start]
+                    there = relation.at(t if sign > 0 else relation._b_to_a(t))
+                    of_end = variance[start] + there.covariance[..., 0, 0]
+                    better = of_end < variance[end]
+                    value[end] = np.where(better, value[start] + sign * there.offset, value[end])
+                    variance[end] = np.where(better, of_end, variance[end])
+        return value, variance
+
+    def offsets(self, a: ArrayLike) -> tuple[Floats, Floats]:
+        """Clock of each device minus that of the first, s, and its 1-sigma, s, at times of the
+        first, s: arrays of shape (devices, n)."""
+        a = np.atleast_1d(np.asarray(a, dtype=np.float64))
+        value, variance = self._chains(a)
+        if len(self.pairs) >= self.devices:
+            normal = np.zeros((len(a), self.devices, self.devices))
+            right = np.zeros((len(a), self.devices))
+            for (i, j), relation in self.pairs.items():
+                there = relation.at(a + value[i])
+                weight = 1 / np.maximum(there.covariance[..., 0, 0], 1e-300)
+                # What the pair says beyond the chains, so that no digits are lost.
+                more = weight * (there.offset - (value[j] - value[i]))
+                normal[:, i, i] += weight
+                normal[:, j, j] += weight
+                normal[:, i, j] -= weight
+                normal[:, j, i] -= weight
+                right[:, i] -= more
+                right[:, j] += more
+            value[1:] += np.linalg.solve(normal[:, 1:, 1:], right[:, 1:, None])[..., 0].T
+        return value, np.sqrt(variance)
+
+    def closures(self, a: ArrayLike) -> dict[tuple[int, int, int], tuple[Floats, Floats]]:
+        """Of each three devices whose pairs are all related: by how much the loop does not close
+        at times of the first, s, and the 1-sigma of the sum of its pairs' variances, s."""
+        a = np.atleast_1d(np.asarray(a, dtype=np.float64))
+        value, _ = self.offsets(a)
+        out = {}
+        for i, j, k in itertools.combinations(range(self.devices), 3):
+            if not {(i, j), (j, k), (i, k)} <= self.pairs.keys():
+                continue
+            of = [self.pairs[p].at(a + value[p[0]]) for p in ((i, j), (j, k), (i, k))]
+            error = of[0].offset + of[1].offset - of[2].offset
+            out[i, j, k] = (error, np.sqrt(sum(r.covariance[..., 0, 0] for r in of)))
+        return out
+
+
+class DeviceClock(_Relation):
+    """The clock of a recording, b, against that of the first one, a."""
+
+    def __init__(self, network: Network, device: int, first_ns: tuple[int, int]):
+        self._network = network
+        self._device = device
+        self._first_ns = first_ns
+
+    def _offsets(self, a: Floats) -> Floats:
+        a = np.asarray(a)
+        return self._network.offsets(a.ravel())[0][self._device].reshape(a.shape)
+
+    def _b_to_a(self, b: Floats) -> Floats:
+        # The offset changes by the skew, at most 1e-3, times the error before.
+        a = b
+        for _ in range(4):
+            a = b - self._offsets(a)
+        return a
+
+    def offset(self, a: ArrayLike) -> tuple[Floats, Floats]:
+        """Offset b - a and its 1-sigma, s, at times of clock a in integer ns."""
+        local = (np.atleast_1d(np.asarray(a, dtype=np.int64)) - self._first_ns[0]) * 1e-9
+        value, sigma = self._network.offsets(local)
+        return value[self._device] + (self._first_ns[1] - self._first_ns[0]) * 1e-9, sigma[self._device]
+
+    def _exact(self, t: ArrayLike, to_b: bool) -> Any:
+        """By times from each one's first sample, so that no digits are lost."""
+        t = np.asarray(t)
+        if t.dtype.kind == "M":
+            return self._exact(t.astype("M8[ns]").astype(np.int64), to_b).astype("M8[ns]")
+        if t.dtype.kind in "iu":
+            own, other = self._first_ns if to_b else self._first_ns[::-1]
+            local = t.astype(np.int64) - own
+            moved = super().a_to_b(local) if to_b else super().b_to_a(local)
+            return moved + other
+        nanos = np.round(t * 1e9).astype(np.int64)
+        return t + (self._exact(nanos, to_b) - nanos) * 1e-9
+
+    def a_to_b(self, a: ArrayLike) -> Any:
+        return self._exact(a, True)
+
+    def b_to_a(self, b: ArrayLike) -> Any:
+        return self._exact(b, False)
+
+
+@dataclass(frozen=True)
+class Synchronized:
+    """Recordings on one clock.
+
+    Attributes:
+        recordings: As they were read.
+        pairs: Each two of them.
+        network: The solution that fits all; None if it is refused.
+        refused: Why there is no solution.
+    """
+
+    recordings: list[Recording]
+    pairs: list[Pair]
+    network: Network | None
+    refused: Refused | None
+
+    def clock(self, number: int) -> DeviceClock:
+        """The clock of a recording (from 0), as b, against that of the first, as a."""
+        if self.network is None:
+            raise self.refused or Refused("no relation")
+        first = self.recordings[0].t, self.recordings[number].t
+        return DeviceClock(self.network, number, (int(first[0][0]), int(first[1][0])))
+
+
+def _in_one_unit(recordings: list[Recording]) -> list[Recording]:
+    """Gyroscopes on one body turn at the same rate, so a ratio near 57 or 1000 is a unit, where no
+    unit is named."""
+    typical = [typical_rate(r.w) for r in recordings]
+    known = [t for t, r in zip(typical, recordings, strict=True) if not r.unit_is_guess] or [min(typical)]
+    out = []
+    for own, recording in zip(typical, recordings, strict=True):
+        factors = [f for f in (180 / np.pi, 1e3, 180e3 / np.pi) if 0.5 < own / max(known[0], 1e-9) / f < 2]
+        if factors and recording.unit_is_guess:
+            note = f"its rates are {own / known[0]:.0f} times those of the others: divided by {factors[0]:.5g}"
+            recording = replace(recording, w=recording.w / factors[0], notes=[*recording.notes, note])
+        out.append(recording)
+    return out
+
+
+def relate(
+    a: Recording, b: Recording, whole: bool | None = None, **settings: Any
+) -> Estimate | Course:
+    """Relates two recordings, with times in s from the first sample of each.
+
+    Args:
+        a: The first.
+        b: The second.
+        whole: Window by window (True) or as one twist (False); None: by their length.
+        settings: Those of :func:`twist_sync.estimate`.
+    """
+    if whole is None:
+        lengths = sorted((a.seconds, b.seconds))
+        whole = lengths[0] > LONGEST_TWIST_S or lengths[1] > LONGEST_WITH_TWIST_S
+    how = course if whole else estimate
+    return how(a.t - a.t[0], a.w, b.t - b.t[0], b.w, **settings)
+
+
+def sync(
+    recordings: Sequence[str | os.PathLike[str] | Recording],
+    *,
+    whole: bool | None = None,
+    delays: Sequence[float] = (),
+    **settings: Any,
+) -> Synchronized:
+    """Puts two or more recordings of one rigid body on one clock.
+
+    Args:
+        recordings: Files, folders, or what :func:`twist_sync.read` gives.
+        whole: Window by window (True) or as one twist (False); None: by their length.
+        delays: Delay of each gyroscope's low-pass filter, s, in their order.
+        settings: Those of :func:`twist_sync.estimate`.
+
+    Returns:
+        The relation of each pair, and one solution; ``clock(1).b_to_a(t)`` puts times of the
+        second recording on the clock of the first.
+
+    Raises:
+        Unreadable: A file gives no gyroscope.
+    """
+    if len(recordings) < 2 or (delays and len(delays) != len(recordings)):
+        raise ValueError(f"{len(recordings)} recordings and {len(delays)} delays; expected two or more, and as many")
+    read = _in_one_unit([r if isinstance(r, Recording) else files.read(r) for r in recordings])
+    for recording in read:
+        if recording.seconds <= 0:
+            raise Unreadable(f"{recording.path}: its times do not rise; give --columns and --time-unit")
+    pairs = []
+    for a, b in itertools.combinations(range(len(read)), 2):
+        of_pair = {"a_delay": delays[a], "b_delay": delays[b]} if delays else {}
+        try:
+            pairs.append(Pair(a, b, relate(read[a], read[b], whole, **of_pair, **settings), None))
+        except Refused as refused:
+            pairs.append(Pair(a, b, None, refused))
+    try:
+        network = Network(len(read), {(p.a, p.b): p.relation for p in pairs if p.found})
+        return Synchronized(read, pairs, network, None)
+    except Refused as refused:
+        return Synchronized(read, pairs, None, refused)

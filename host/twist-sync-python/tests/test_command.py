@@ -1,0 +1,426 @@
+"""Tests of the command `twist-sync` and of the readers of files.
+
+The real twist that comes with the package is written in each form; files of forms that are no text
+are written by the libraries of others: rosbags, mcap, numpy.
+"""
+
+import contextlib
+import io
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+import twist_sync
+from twist_sync import command, files, text
+
+A = command.EXAMPLE / "mcu_gyro_data.csv"
+B = command.EXAMPLE / "smartphone_gyro_data.csv"
+TABLE = np.loadtxt(B, delimiter=",", skiprows=1)
+T, W = TABLE[:, 0], TABLE[:, 1:]
+NS = np.round(T * 1e9).astype(np.int64)
+
+
+def run(*arguments):
+    """Exit code, standard output and errors of the command."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = command.main([os.fspath(a) for a in arguments])
+        except SystemExit as end:
+            code = end.code
+    return code, out.getvalue(), err.getvalue()
+
+
+def rows(form, t=T, w=W):
+    return "".join(form.format(t, *row) + "\n" for t, row in zip(t.tolist(), w.tolist(), strict=True))
+
+
+def iso(t):
+    return [f"{np.datetime64(n, 'ns')}Z" for n in t.tolist()]
+
+
+class Folder(unittest.TestCase):
+    def setUp(self):
+        self.folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory()))
+
+    def file(self, name, content):
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    def offset(self, *arguments):
+        code, out, err = run("--json", *arguments)
+        self.assertEqual(code, 0, out + err)
+        return json.loads(out)["pairs"][0]
+
+
+DEG, ACC = np.degrees(W), np.tile([0.1, 0.2, 9.81], (len(W), 1))
+W_ACC = np.hstack([W, ACC])
+#: Name, content, words of what is said about it.
+TEXTS = {
+    "OpenCamera-Sensors": ("".join(f"{x},{y},{z},{n}\n" for n, (x, y, z) in zip(NS.tolist(), W.tolist())), "ns"),
+    "Sensor Logger": ("time,seconds_elapsed,z,y,x\n" + "".join(
+        f"{n + 1_700_000_000 * 10**9},{(n - NS[0]) / 1e9},{z},{y},{x}\n" for n, (x, y, z) in zip(NS.tolist(), W.tolist())), "'time' in ns"),
+    "phyphox": ('"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)","Absolute (rad/s)"\n'
+        + rows("{:.9f},{:.9e},{:.9e},{:.9e},0", T - T[0]), "in rad/s (named)"),
+    "phyphox, decimal commas": ('"Time (s)";"Gyroscope x (rad/s)";"Gyroscope y (rad/s)";"Gyroscope z (rad/s)";"Absolute (rad/s)"\n'
+        + rows("{:.9f};{:.9e};{:.9e};{:.9e};0", T - T[0]).replace(".", ","), "semicolons"),
+    "AndroSensor": ("sep=;\nACCELEROMETER X (m/s²);ACCELEROMETER Y (m/s²);ACCELEROMETER Z (m/s²);GYROSCOPE X (rad/s);GYROSCOPE Y (rad/s);"
+        "GYROSCOPE Z (rad/s);Time since start in ms \n"
+        + "".join(f"0;0;9.8;{x};{y};{z};{t:.6f}\n" for t, (x, y, z) in zip(((T - T[0]) * 1e3).tolist(), W.tolist())), "in ms (named)"),
+    "Physics Toolbox": ("time,wx,wy,wz\n" + rows("{:.9f},{},{},{}", T - T[0]), "'wx', 'wy', 'wz'"),
+    "SensorLog of iOS": ("loggingTime(txt),accelerometerAccelerationX(G),accelerometerAccelerationY(G),accelerometerAccelerationZ(G),"
+        "gyroTimestamp_sinceReboot(s),gyroRotationX(rad/s),gyroRotationY(rad/s),gyroRotationZ(rad/s)\n"
+        + "".join(f"{i},0,0,1,{t:.9f},{x},{y},{z}\n" for i, t, (x, y, z) in zip(iso(NS), T.tolist(), W.tolist())), "sinceReboot"),
+    "EuRoC": ("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
+        + rows("{},{},{},{},{},{},{}", NS, W_ACC), "in ns (named)"),
+    "rostopic echo -p": ("%time,field.header.seq,field.header.stamp,field.header.frame_id,field.orientation.x,field.orientation.y,"
+        "field.orientation.z,field.orientation.w,field.angular_velocity.x,field.angular_velocity.y,field.angular_velocity.z,"
+        "field.linear_acceleration.x,field.linear_acceleration.y,field.linear_acceleration.z\n"
+        + "".join(f"{n + 5_000_000 + k % 7 * 10**6},{k},{n},imu,0,0,0,1,{x},{y},{z},0,0,9.8\n" for k, (n, (x, y, z)) in enumerate(zip(NS.tolist(), W.tolist()))), "header.stamp"),
+    "bagpy": ("Time,header.seq,header.stamp.secs,header.stamp.nsecs,angular_velocity.x,angular_velocity.y,angular_velocity.z\n"
+        + "".join(f"{n / 1e9 + 0.01},0,{n // 10**9},{n % 10**9},{x},{y},{z}\n" for n, (x, y, z) in zip(NS.tolist(), W.tolist())), "stamp.secs"),
+    "PX4": ("timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt,accelerometer_m_s2[0],accelerometer_m_s2[1],accelerometer_m_s2[2]\n"
+        + "".join(f"{n // 1000},{x},{y},{z},2000,0,0,9.8\n" for n, (x, y, z) in zip(NS.tolist(), W.tolist())), "in us (by their distance)"),
+    "Betaflight": ("loopIteration,time (us),accSmooth[0],accSmooth[1],accSmooth[2],gyroADC[0],gyroADC[1],gyroADC[2]\n"
+        + "".join(f"{k},{n // 1000},0,0,2048,{x:.4f},{y:.4f},{z:.4f}\n" for k, (n, (x, y, z)) in enumerate(zip(NS.tolist(), (DEG).tolist()))), "'gyroADC[0]'"),
+    "ArduPilot": ("TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ\n" + rows("{},{},{},{},{},{},{}", NS // 1000, W_ACC), "in us (named)"),
+    "Arduino, micros": ("micros\tgx_dps\tgy_dps\tgz_dps\n" + rows("{}\t{}\t{}\t{}", NS // 1000, DEG), "in deg/s (named)"),
+    "mdps": ("# a comment\n# another\nt_ns, gyro_x [mdps], gyro_y [mdps], gyro_z [mdps]\n" + rows("{}, {}, {}, {}", NS, DEG * 1e3), "in mdps (named)"),
+    "rpm": ("time_s,gyro_x_rpm,gyro_y_rpm,gyro_z_rpm\n" + rows("{},{},{},{}", T, W * 30 / np.pi), "in rpm (named)"),
+    "ISO times": ("timestamp,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in zip(iso(NS), W.tolist())), "ISO"),
+    "headerless t x y z": (rows("{} {} {} {}"), "'1' in s"),
+    "headerless with an accelerometer": ("// t w a\n" + rows("{},{},{},{},{},{},{}", NS, W_ACC), "'2', '3', '4'"),
+    "degrees without a name": ("t,x,y,z\n" + rows("{},{},{},{}", T, DEG), "in deg/s (by their size)"),
+}  # fmt: skip
+
+
+class Texts(Folder):
+    def test_every_form_gives_the_same_and_says_what_it_took(self):
+        plain = self.offset(A, B)
+        self.assertAlmostEqual(plain["offset_s"], 947848.638473, delta=2e-6)
+        for name, (content, said) in TEXTS.items():
+            with self.subTest(name):
+                path = self.file("b.csv", content)
+                read = twist_sync.read(path)
+                self.assertEqual(len(read.t), len(T))
+                self.assertIn(said, read.form)
+                # What is noise in the last digits is none of it.
+                np.testing.assert_allclose(read.w, W, atol=2e-6)
+                step = (read.t - read.t[0]) - (NS - NS[0])
+                self.assertLess(np.abs(step).max(), 1001)
+
+    def test_what_cannot_be_found_can_be_said(self):
+        path = self.file("b.txt", "7\n" + rows("5 {2} {3} {1} {0}", (T - T[0]) * 1e6))
+        code, _, err = run(A, path)
+        self.assertEqual(code, 5)
+        self.assertIn("--columns", err)
+        given = ["--columns", "mcu_time,mcu_x,mcu_y,mcu_z", "--columns", "5,4,2,3", "--time-unit", "s", "--time-unit", "us"]
+        self.assertAlmostEqual(self.offset(A, path, *given)["offset_s"], 947848.638473 - T[0], delta=1e-3)
+        code, _, err = run(A, path, "--columns", "a", "--columns", "b", "--columns", "c")
+        self.assertEqual(code, 2)
+        code, _, err = run(A, B, "--columns", "mcu_time,mcu_x,mcu_y,nothing")
+        self.assertEqual((code, "nothing" in err), (5, True))
+
+    def test_rates_in_unnamed_degrees_are_seen_by_the_other_recording(self):
+        # Slow enough to be rad/s by its size.
+        slow = self.file("b.csv", "t,x,y,z\n" + rows("{},{},{},{}", T, DEG * 0.2))
+        named = self.file("a.csv", "t,x rad/s,y rad/s,z rad/s\n" + rows("{},{},{},{}", T, W * 0.2))
+        solved = twist_sync.sync([named, slow])
+        self.assertIn("divided by 57.296", solved.recordings[1].notes[-1])
+        np.testing.assert_allclose(solved.recordings[1].w, W * 0.2, atol=1e-9)
+
+    def test_rows_without_numbers_and_a_cut_last_row_are_left_out(self):
+        lines = B.read_text().splitlines()
+        lines[10] = lines[10].split(",")[0] + ",,nan,"
+        path = self.file("b.csv", "\n".join(lines)[:-30])
+        read = twist_sync.read(path)
+        self.assertEqual(len(read.t), len(T) - 2)
+        self.assertIn("1 rows without numbers", read.notes[0])
+
+    def test_several_gyroscopes_are_named(self):
+        path = self.file("b.csv", "t,gyro_left_x,gyro_left_y,gyro_left_z,gyro_right_x,gyro_right_y,gyro_right_z\n"
+            + rows("{},{},{},{},0,0,0"))  # fmt: skip
+        code, _, err = run(A, path)
+        self.assertEqual((code, "@gyro left" in err), (5, True), err)
+        self.assertAlmostEqual(self.offset(A, f"{path}@gyro left")["offset_s"], 947848.638473, delta=2e-6)
+
+    def test_damage_is_an_error_with_its_line(self):
+        for content, said in [
+            ("", "empty"),
+            ("time,x,y,z\n", "no rows"),
+            ("time,x,y,z\n1,2,3,4\n1.1,2,three,4\n1.2,2,3,4\n", "line 3: could not convert"),
+            ("time,x,y,z\n1,2,3,4\n1.1,2\n1.2,2,3,4\n", "line 3: expected 4 columns"),
+            ("a,b,c,d\n1,2,3,4\n", "no columns of a gyroscope among a, b, c, d"),
+            ("x,y,z,q\n1,2,3,4\n", "no column of times"),
+            ("time,x_deg,y_deg,z\n1,2,3,4\n2,2,3,4\n", "one unit"),
+            ("time,x,y,z\n1e300,2,3,4\n2e300,2,3,4\n", "times"),
+            (b"time,x,y,z\n\0\1\2", "no text"),
+            ("x" * 300_000, "without end"),
+            ("99999999999999999999999,1,2,3\n", ""),
+        ]:
+            with self.subTest(content[:40]):
+                code, _, err = run(A, self.file("b.csv", content))
+                self.assertEqual(code, 5, err)
+                self.assertIn(said, err)
+
+
+def write_bag(path, kind, samples, topics=("/imu/data",)):
+    """A bag by the library rosbags, as its other users write them."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    types = store.types
+    Time, Vector3, Imu = (types[k] for k in ("builtin_interfaces/msg/Time", "geometry_msgs/msg/Vector3", "sensor_msgs/msg/Imu"))
+    Header, Quaternion = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Quaternion"]
+    Text = types["std_msgs/msg/String"]
+    if kind == "ros1":
+        writer = rosbag1.Writer(path)
+        writer.set_compression(writer.CompressionFormat.BZ2)
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    pack = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
+    with writer:
+        own = [writer.add_connection(topic, Imu.__msgtype__, typestore=store) for topic in topics]
+        chat = writer.add_connection("/chat", Text.__msgtype__, typestore=store)
+        for k, (ns, w) in enumerate(zip(NS.tolist(), samples.tolist(), strict=True)):
+            stamp = Time(sec=ns // 10**9, nanosec=ns % 10**9)
+            more = {"seq": k} if kind == "ros1" else {}
+            for connection in own:
+                message = Imu(
+                    header=Header(stamp=stamp, frame_id="imu"[: k % 4], **more),
+                    orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+                    orientation_covariance=np.zeros(9),
+                    angular_velocity=Vector3(x=w[0], y=w[1], z=w[2]),
+                    angular_velocity_covariance=np.zeros(9),
+                    linear_acceleration=Vector3(x=0.0, y=0.0, z=9.8),
+                    linear_acceleration_covariance=np.zeros(9),
+                )
+                # Received later than measured: the header counts.
+                writer.write(connection, ns + 5_000_000 + k % 7 * 10**6, pack(message, Imu.__msgtype__))
+            if k % 100 == 0:
+                writer.write(chat, ns + 10**6, pack(Text(data="hello"), Text.__msgtype__))
+
+
+class Bags(Folder):
+    def test_bags_of_every_storage_are_read_and_written_again(self):
+        expected = self.offset(A, B)
+        for kind, name in [("ros1", "b.bag"), ("sqlite3", "b"), ("mcap", "b")]:
+            folder = self.folder / kind
+            folder.mkdir()
+            path = folder / name
+            write_bag(path, kind, W)
+            recordings = [path, *(path.glob("*.mcap") if kind == "mcap" else [])]
+            for recording in recordings:
+                with self.subTest(recording.name):
+                    out = folder / f"out {recording.name}"
+                    pair = self.offset(A, recording, "--write", out)
+                    self.assertAlmostEqual(pair["offset_s"], expected["offset_s"], delta=1e-8)
+                    self.assertEqual(pair["b"], recording.name)
+                    again = out / recording.name
+                    after = self.offset(A, again)
+                    self.assertLess(abs(after["offset_s"]), 5e-6)
+                    self.assertLess(abs(after["skew_ppm"]), 0.05 * after["skew_sigma_ppm"])
+                    # Log times of all topics move as the stamps do.
+                    logs = []
+                    for bag in (recording, again):
+                        if bag.is_file() and bag.suffix == ".mcap":
+                            from mcap.reader import make_reader
+
+                            with bag.open("rb") as file:
+                                messages = make_reader(file).iter_messages(log_time_order=False)
+                                logs.append([(c.topic, m.log_time) for _, c, m in messages])
+                        else:
+                            from rosbags.highlevel import AnyReader
+
+                            with AnyReader([bag]) as reader:
+                                logs.append([(c.topic, log) for c, log, _ in reader.messages()])
+                    self.assertEqual(len(logs[0]), len(T) + 49)
+                    self.assertEqual([t for t, _ in logs[0]], [t for t, _ in logs[1]])
+                    clock = twist_sync.sync([A, recording]).clock(1)
+                    moved = clock.b_to_a(np.array([n for _, n in logs[0]]))
+                    self.assertLess(np.abs(moved - np.array([n for _, n in logs[1]])).max(), 2)
+
+    def test_one_of_several_topics_is_chosen(self):
+        path = self.folder / "b.bag"
+        write_bag(path, "ros1", W, ("/imu/data", "/other"))
+        code, _, err = run(A, path)
+        self.assertEqual((code, "several gyroscopes: /imu/data, /other" in err), (5, True), err)
+        self.assertTrue(self.offset(A, f"{path}@/other")["accepted"])
+        code, _, err = run(A, f"{path}@/chat")
+        self.assertEqual((code, "its topics: /chat" in err), (5, True), err)
+
+
+class Others(Folder):
+    def test_arrays_of_numpy(self):
+        path = self.folder / "b.npz"
+        np.savez(path, time=NS, gyro=W, acc=ACC)
+        pair = self.offset(A, path, "--write", self.folder / "out")
+        self.assertAlmostEqual(pair["offset_s"], 947848.638473, delta=2e-6)
+        self.assertLess(abs(self.offset(A, self.folder / "out/b.npz")["offset_s"]), 1e-6)
+        np.savez(path, acc=ACC, gyro=W)
+        self.assertEqual(run(A, path)[0], 5)
+
+    def test_a_folder_of_a_phones_app(self):
+        self.file("phone/Gyroscope.csv", TEXTS["Sensor Logger"][0])
+        self.file("phone/Accelerometer.csv", "time,seconds_elapsed,z,y,x\n1,2,3,4,5\n")
+        pair = self.offset(A, self.folder / "phone")
+        self.assertEqual((pair["accepted"], pair["b"]), (True, "Gyroscope.csv"))
+
+    def test_hostile_files_are_errors(self):
+        bag = self.folder / "a.bag"
+        write_bag(bag, "ros1", W[:500].repeat(10, axis=0)[: len(W)])
+        ros1 = bag.read_bytes()
+        bomb = self.folder / "bomb.npz"
+        np.savez_compressed(bomb, t=np.zeros(3), w=np.zeros((3, 3)))
+        packed = bomb.read_bytes().replace(b"(3, 3)", b"(9999999999, 3)"[:6])
+        for name, content in [
+            ("a.bag", ros1[:3000]),
+            ("b.bag", ros1[:100] + bytes(3000)),
+            ("c.mcap", b"\x89MCAP0\r\n" + bytes(range(256)) * 20),
+            ("d.db3", b"SQLite format 3\0" + bytes(100)),
+            ("e.mkv", b"\x1a\x45\xdf\xa3" + b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff" + b"\xff" * 99),
+            ("f.mp4", b"\0\0\0\x10ftypmp41\0\0\0\0\xff\xff\xff\xffmoov" + bytes(99)),
+            ("g.npz", packed[: len(packed) // 2]),
+            ("h.zip", b"PK\x03\x04" + bytes(30)),
+            ("i.insv", b"\0\0\0\x08moov" + bytes(72) + b"8db42d694ccc418790edff439fe026bf"),
+        ]:
+            with self.subTest(name):
+                code, out, err = run(A, self.file(name, content))
+                self.assertEqual((code, out), (5, ""), err)
+                self.assertIn(name, err)
+                self.assertNotIn("Traceback", err)
+
+    def test_a_reader_that_hangs_crashes_or_takes_all_memory_is_ended(self):
+        video = self.file("a.mp4", b"\0\0\0\x10ftypmp41\0\0\0\0")
+        parser = "class Parser:\n camera, model = 'Cam', 'A\\x1b1'\n def __init__(self, path): pass\n def normalized_imu(self): "
+        limits = files.LIMIT_S
+        self.addCleanup(setattr, files, "LIMIT_S", limits)
+        sys.path.insert(0, os.fspath(self.folder))
+        self.addCleanup(sys.path.remove, os.fspath(self.folder))
+        for body, said in [
+            ("import time; time.sleep(99)", "ended with -14"),
+            ("import os; os.abort()", "ended with -6"),
+            ("import os; os._exit(7)", "ended with 7"),
+            ("return bytearray(9 << 30)", "MemoryError"),
+            ("raise ValueError('No metadata')", "ValueError: No metadata"),
+            ("print('noise'); return []", "telemetry"),
+        ]:
+            with self.subTest(body):
+                files.LIMIT_S = 2 if "sleep" in body else limits
+                self.file("telemetry_parser.py", parser + body)
+                code, _, err = run(A, video)
+                self.assertEqual((code, said in err), (5, True), err)
+        self.file("telemetry_parser.py", parser + "return [{'timestamp_ms': k / 2, 'gyro': (180.0, 0.0, -90.0 * k)} for k in range(9)]")
+        read = twist_sync.read(video)
+        self.assertIn("Cam (A1)".replace("A1", "A\x1b1"), read.form)
+        np.testing.assert_array_equal(read.t, np.arange(9) * 500_000)
+        np.testing.assert_allclose(read.w[1], [np.pi, 0, -np.pi / 2])
+        self.file("telemetry_parser.py", "raise ImportError")
+        self.assertIn('pip install "twist-sync[video]"', run(A, video)[2])
+
+
+class Command(Folder):
+    def test_exit_codes_and_the_object(self):
+        code, out, _ = run("--json", "--example")
+        found = json.loads(out)
+        pair = found["pairs"][0]
+        self.assertEqual((code, pair["a"], pair["b"]), (0, A.name, B.name))
+        self.assertIsNone(found["network"])
+        self.assertAlmostEqual(pair["offset_s"], 947848.638473, delta=2e-6)
+        self.assertAlmostEqual(pair["offset_sigma_s"], 23.7e-6, delta=1e-7)
+        self.assertTrue(all(gate["passed"] and {"value", "limit"} <= gate.keys() for gate in pair["gates"]))
+        self.assertEqual(np.shape(pair["rotation"]), (3, 3))
+        self.assertEqual([f["kind"] for f in pair["faults"] if f["recording"] == A.name], ["outlier"])
+
+        rest = self.file("rest.csv", "t,x,y,z\n" + rows("{},{},{},{}", T, W * 0 + 1e-3 * np.sin(np.arange(len(T)))[:, None]))
+        code, out, _ = run("--json", A, rest)
+        pair = json.loads(out)["pairs"][0]
+        self.assertEqual((code, pair["accepted"], pair["offset_s"]), (3, False, None))
+        self.assertTrue(pair["reasons"] and not all(gate["passed"] for gate in pair["gates"]))
+        code, out, _ = run(A, rest)
+        self.assertIn(f"rest.csv - {A.name}: REFUSED", out)
+
+        for arguments in ([], [A], [A, B, "--delay-us", "1,2,3"], [A, B, "--low-pass-hz", "4"], [A, B, "--no-such"]):
+            self.assertEqual(run(*arguments)[0], 2, arguments)
+        code, _, err = run(A, "no such.csv")
+        self.assertEqual((code, "no such.csv: No such file" in err), (5, True), err)
+
+    def test_text_names_files_and_never_board_or_phone(self):
+        code, out, _ = run("--example")
+        self.assertEqual(code, 0)
+        self.assertIn("± 23.71 µs", out)
+        self.assertRegex(out, r"twist_sync\.sync\(\[.*\]\)\.clock\(1\)\.b_to_a\(t\)")
+        self.assertNotRegex(out, r"\b(board|phone|stream [ab])\b")
+        # The line of Python that is printed.
+        line = out.split("in Python, t in ns: ")[1].strip()
+        moved = eval(line, {"twist_sync": twist_sync, "t": NS})
+        self.assertLess(abs(moved[0] * 1e-9 + 947848.6385 - T[0]), 1e-3)
+
+    def test_three_recordings_and_their_files_on_one_clock(self):
+        b = self.file("b/gyro.csv", TEXTS["phyphox, decimal commas"][0])
+        c = self.file("c/gyro.csv", "when,gyro_x,gyro_y,gyro_z,note\n".replace("when", "timestamp")
+            + "".join(f"{i},{x},{y},{z},\"a, {k}\"\n" for k, (i, (x, y, z)) in enumerate(zip(iso(NS), (W @ np.diag([1, -1, -1])).tolist()))))  # fmt: skip
+        before = c.read_bytes()
+        out = self.folder / "out"
+        plot = self.folder / "all.png"
+        code, text_out, err = run("--json", A, b, c, "--write", out, "--plot", plot)
+        self.assertEqual(code, 0, err)
+        found = json.loads(text_out)
+        self.assertEqual(len(found["pairs"]), 3)
+        (loop,) = found["network"]["loops"]
+        self.assertLess(loop["closure_rms_s"], loop["sigma_rms_s"])
+        self.assertEqual([k["recording"] for k in found["network"]["clocks"]], ["gyro.csv", "gyro.csv"])
+        self.assertEqual(plot.read_bytes()[:4], b"\x89PNG")
+        self.assertEqual(c.read_bytes(), before)
+        for name, original in (("2_gyro.csv", b), ("3_gyro.csv", c)):
+            written = out / name
+            self.assertEqual(len(written.read_text().splitlines()), len(original.read_text().splitlines()))
+            after = self.offset(A, written)
+            self.assertLess(abs(after["offset_s"]), 5e-6)
+        self.assertIn('"a, 7"', (out / "3_gyro.csv").read_text())
+        # Nothing is overwritten.
+        self.assertEqual(run(A, b, c, "--write", out)[0], 5)
+
+    def test_whole_recordings_say_their_windows(self):
+        rng = np.random.default_rng(5)
+        t = np.arange(0, 70, 1 / 200)
+        w = sum(np.sin(2 * np.pi * f * t[:, None] + p) for f, p in zip(rng.uniform(0.3, 3, 12), rng.uniform(0, 6, (12, 3))))
+        form = "t,gx,gy,gz\n"
+        a = self.file("a.csv", form + rows("{:.9f},{:.6f},{:.6f},{:.6f}", t, w + rng.normal(0, 1e-3, w.shape)))
+        b = self.file("b.csv", form + rows("{:.9f},{:.6f},{:.6f},{:.6f}", t * (1 + 2e-5) + 7, w + rng.normal(0, 1e-3, w.shape)))
+        pair = self.offset(a, b, "--plot", self.folder / "a.svg")
+        windows = pair["windows"]
+        self.assertGreaterEqual(windows["used"], 6)
+        self.assertEqual(windows["refused"], sum(one["windows"] for one in pair["refused_windows"]))
+        self.assertEqual((pair["steps"], pair["unsupported"]), ([], []))
+        self.assertLess(abs(pair["offset_s"] - 7 - 2e-5 * pair["reference_s"]), 5 * pair["offset_sigma_s"])
+        self.assertIn("windows", run(a, b)[1])
+        self.assertIsNone(self.offset(a, b, "--twist")["windows"])
+        self.assertIsNotNone(self.offset(A, B, "--whole", "--max-sigma-us", "5000")["windows"])
+
+    def test_it_starts_fast_and_the_example_takes_under_a_second(self):
+        def seconds(*arguments):
+            before = os.times()
+            done = subprocess.run([sys.executable, "-m", "twist_sync", *arguments], capture_output=True)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            # Of the processor, so that other work on the machine does not count.
+            after = os.times()
+            return sum(after[2:4]) - sum(before[2:4])
+
+        times = {"--version": 0.4, "--example": 1.0}
+        for argument, limit in times.items():
+            self.assertLess(min(seconds(argument) for _ in range(3)), limit)
+
+
+if __name__ == "__main__":
+    unittest.main()
