@@ -89,6 +89,8 @@ pub(crate) struct Inputs {
     pub(crate) board_id: Option<String>,
     /// What the lidar is called, if there is a session.
     pub(crate) lidar: Option<String>,
+    /// What is done in the recording, if the rig profile says it.
+    pub(crate) task: Option<String>,
     /// Model of the depth camera; the published rig's where no session names it.
     pub(crate) camera: Option<&'static Model>,
     /// The depth camera's mode in the rig profile, if there is a session.
@@ -213,6 +215,7 @@ pub(crate) fn find(
             .as_ref()
             .and_then(|session| Some(session.board.as_ref()?.id.clone())),
         lidar: profile.map(|profile| profile.lidar_name().to_owned()),
+        task: profile.and_then(|profile| profile.task.clone()),
         camera: Model::find(profile.map_or(DEFAULT_CAMERA, |profile| &profile.depth.camera)),
         depth_mode: profile.map(|profile| profile.depth.mode.clone()),
         color_from_imu: profile.and_then(|profile| profile.depth.color_from_imu),

@@ -31,6 +31,9 @@ pub struct ExtractReport {
     pub recording: String,
     /// The format.
     pub format: Format,
+    /// What is done in it, if the rig profile says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<String>,
     /// The board.
     pub board: BoardReport,
     /// Name in the rig profile of the phone that the trigger was aligned to.

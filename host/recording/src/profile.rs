@@ -33,6 +33,9 @@ pub const MAX_LENGTH: u64 = 8 << 20;
 pub struct Profile {
     /// What the rig is called.
     pub name: String,
+    /// What is done in the recordings, in a sentence: the task of training data.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<String>,
     /// Name of the phone that the trigger is aligned to. Reading a profile puts
     /// that phone into `phone`; without this it is `[phone]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -155,6 +155,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
+        task: run.inputs.task.clone(),
         board: run.board_report(&survey, &sequences),
         reference: input.name.clone(),
         phone: phone
