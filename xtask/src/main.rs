@@ -64,9 +64,9 @@ enum Command {
         #[arg(long)]
         no_book: bool,
     },
-    /// Run the readers that are too large for every run of the tests (Open3D, Rerun;
-    /// 0.7 GB are downloaded the first time) and ROS 1's own on data sets of the simulated
-    /// rig.
+    /// Run the readers that are too large for every run of the tests (Open3D, Rerun,
+    /// LeRobot; 5.6 GB are downloaded the first time) and ROS 1's own on data sets of the
+    /// simulated rig, and the fleet on two nodes.
     Readers,
     /// Measure a part of the host. Compare figures within one run only. The simulator
     /// measures itself: `hil-sim bench`.
@@ -75,7 +75,8 @@ enum Command {
     /// Build the Debian package with host tool, udev rule and firmware, and try it
     /// in a root of its own.
     Package,
-    /// Build the Python package twist-sync, install it into target/venv, and test it there.
+    /// Build the Python packages twist-sync and smartdepthsync-data, install them into
+    /// target/venv, and test them there.
     Wheel,
     /// Build the book into target/book and check its links.
     Docs,

@@ -66,9 +66,10 @@ pub(crate) fn ensure_python() -> Result<PathBuf> {
 }
 
 /// Readers that are too large for every run of the tests, each in an environment of its own in
-/// `target/readers`, and ROS 1's `rosbag` for the Python of Debian.
+/// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
+/// for the Python of Debian.
 pub(crate) fn ensure_readers() -> Result<()> {
-    for reader in ["open3d", "rerun"] {
+    for reader in ["open3d", "rerun", "lerobot", "fleet"] {
         ensure_environment(
             &format!("readers/{reader}"),
             &format!("readers/{reader}.txt"),

@@ -1,4 +1,5 @@
-//! The Python package `twist-sync`: built, installed into the Python environment, tested.
+//! The Python packages `twist-sync` and `smartdepthsync-data`: built, installed into the Python
+//! environment, tested. The second one's tests need recordings: they are among `hil-sim`'s.
 
 use std::path::{Path, PathBuf};
 
@@ -19,11 +20,44 @@ fn build(python: &Path) -> Result<PathBuf> {
             .args(["--manifest-path", "host/twist-sync-python/Cargo.toml"])
             .env("VIRTUAL_ENV", process::target_dir().join("venv")),
     )?;
-    let entry = std::fs::read_dir(&folder)?.next();
-    match entry {
+    only_file(&folder)
+}
+
+fn only_file(folder: &Path) -> Result<PathBuf> {
+    match std::fs::read_dir(folder)?.next() {
         Some(entry) => Ok(entry?.path()),
-        None => bail!("maturin has left no wheel in {}", folder.display()),
+        None => bail!("there is no wheel in {}", folder.display()),
     }
+}
+
+/// Builds the wheel of `smartdepthsync-data` as it would be published, installs it, and starts
+/// its command.
+fn data(python: &Path) -> Result<()> {
+    let folder = process::fresh_folder("data-wheel")?;
+    process::run(
+        process::command(python)
+            .args("-m pip wheel --quiet --no-deps --wheel-dir".split(' '))
+            .arg(&folder)
+            .arg("host/python/smartdepthsync-data"),
+    )?;
+    let wheel = only_file(&folder)?;
+    // Its manifest cannot take the version from the workspace.
+    let version = concat!("-", env!("CARGO_PKG_VERSION"), "-");
+    if !wheel.to_string_lossy().contains(version) {
+        bail!(
+            "{} is not of the workspace's version: change host/python/smartdepthsync-data/pyproject.toml",
+            wheel.display()
+        );
+    }
+    tools::pip_install(python, &["--no-deps", "--force-reinstall"], &wheel)?;
+    let command = process::text(
+        process::command(python.with_file_name("smartdepthsync-fleet")).arg("--help"),
+    )?;
+    if !command.contains("--address") {
+        bail!("smartdepthsync-fleet does not start: {command}");
+    }
+    println!("wheel: {}", wheel.display());
+    Ok(())
 }
 
 /// Builds the wheel and installs it into the Python environment, which has all that it needs.
@@ -38,6 +72,7 @@ pub(crate) fn installed() -> Result<PathBuf> {
 /// `cargo xtask wheel`.
 pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
+    data(&python)?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
     process::sync_example(&["--export", &twists_text, "--trials", TRIALS])?;

@@ -11,6 +11,7 @@ use serde_json::json;
 
 use crate::extract_vendor::{Case, NFOV_UNBINNED, calibration, said};
 use crate::json_objects::CHAIN;
+use crate::support::smartdepthsync;
 use extract::geometry::View;
 use extract::layout::Format;
 use extract::options::Options;
@@ -109,6 +110,9 @@ fn large_readers_find_the_same() {
     let converted = chain.case.path("ros1.bag");
     convert(&ros2.join("ros2"), &converted);
     check_with(debian, "check_rosbag.py", &[&euroc, &converted]);
+    check_large("lerobot", "check_lerobot.py", &[&euroc]);
+    let recording = chain.case.path("recording");
+    check_large("fleet", "check_fleet.py", &[&recording, smartdepthsync()]);
 }
 
 /// A depth recording of full size with these device times, beside colour.
@@ -128,6 +132,7 @@ fn extracted(chain: &Chain) -> [PathBuf; 2] {
     let (_, found) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
     session.profile.phone.cameras = vec![found.camera];
     session.profile.phone.from_imu = Some(found.from_imu);
+    session.profile.task = Some(String::from("walk past the wall"));
     session.save(&case.path("recording")).unwrap();
 
     let formats = [(Format::Euroc, "euroc"), (Format::Ros2, "ros2")];
@@ -152,6 +157,11 @@ fn bags_and_tables(chain: &Chain) {
     let converted = case.path("ros1.bag");
     convert(&ros2.join("ros2"), &converted);
     check("check_ros.py", &[euroc, ros2, &converted]);
+    let recording = case.path("recording");
+    check(
+        "check_data.py",
+        &[euroc, ros2, &recording, smartdepthsync()],
+    );
     // The camera in the frame of the board's IMU: the inverse of Kalibr's T_cam_imu.
     let yaml = std::fs::read_to_string(euroc.join("mav0/cam0/sensor.yaml")).unwrap();
     assert!(yaml.contains("data: [0, 0, 1, -0.001"), "{yaml}");

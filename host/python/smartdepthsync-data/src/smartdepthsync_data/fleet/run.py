@@ -1,0 +1,161 @@
+"""The recordings of a store, and their extraction on a cluster."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path, PurePosixPath
+from time import monotonic
+from typing import Any
+
+import fsspec
+from fsspec.core import url_to_fs
+
+from . import table, work
+from .work import FAILED, PART, Job
+
+#: The file that makes a folder a recording.
+RECORDING = "recording.mcap"
+#: Seconds between two lines of progress while nothing is finished.
+QUIET = 30.0
+#: Tasks that the cluster has at a time; the rest waits here.
+AT_A_TIME = 1000
+
+
+def fleet(
+    source: str,
+    out: str,
+    *,
+    address: str | None = None,
+    program: str = "smartdepthsync",
+    options: Iterable[str] = (),
+    threads: int = 1,
+    retries: int = 3,
+    scratch: str | None = None,
+    storage: dict[str, Any] | None = None,
+    say: Callable[[str], None] = lambda line: print(line, file=sys.stderr),
+) -> list[dict[str, Any]]:
+    """Extracts every recording below ``source`` into ``out``; both are fsspec's URLs.
+
+    Returns a row a recording (:data:`table.SCHEMA`), which it also writes: ``index.parquet``
+    and ``index.html`` in ``out``, the worst first. A recording whose row is there, of the same
+    files, version and options, is left as it is; one that failed is tried again.
+
+    ``address`` is a Ray cluster's (none: this computer), on whose nodes ``program`` and this
+    package are installed. ``options`` go to ``smartdepthsync extract``, ``storage`` to fsspec.
+    A recording takes ``threads`` processors, is tried again ``retries`` times when its node is
+    lost or its extraction is killed, and lies in ``scratch`` meanwhile.
+    """
+    import ray
+
+    store, root = url_to_fs(out, **(storage or {}))
+    more = {
+        "program": program, "options": tuple(options), "threads": threads, "scratch": scratch,
+        "storage": storage or {},
+    }  # fmt: skip
+    jobs = find(source, out, **more)
+    if not jobs:
+        raise ValueError(f"there is no {RECORDING} below {source}")
+    own = not ray.is_initialized()
+    if own:
+        ray.init(address=address, include_dashboard=False if address is None else None,
+                 log_to_driver=False)  # fmt: skip
+    try:
+        version = ray.get(ray.remote(num_cpus=0)(work.version_of).remote(program))
+        earlier = _rows(store, [f"{root}/{job.name}.json" for job in jobs])
+        rows = []
+        for job in list(jobs):
+            row = earlier.get(f"{root}/{job.name}.json")
+            if job.is_finished_by(row, version, state=job.state):
+                rows.append(row)
+                jobs.remove(job)
+        say(f"{len(rows)} recordings are finished, {len(jobs)} to do, by {version}")
+        rows += _run(jobs, threads, retries, say)
+    finally:
+        if own:
+            ray.shutdown()
+    # Of attempts whose node was lost: nobody writes any more.
+    for left in [path for path in store.find(root) if path.endswith(PART)]:
+        store.rm(left)
+    rows.sort(key=table.worst_first)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, write in {"index.parquet": table.parquet, "index.html": table.html}.items():
+            write(rows, Path(folder) / name)
+            work.put(store, Path(folder) / name, f"{root}/{name}")
+    return rows
+
+
+def find(source: str, out: str, **more: Any) -> list[Job]:
+    """The recordings below a place, the largest first."""
+    store, root = url_to_fs(source, **more.get("storage", {}))
+    found = store.find(root, detail=True)
+    folders = {str(PurePosixPath(path).parent) for path in found if path.endswith(f"/{RECORDING}")}
+    files: dict[str, list[tuple[str, int, str]]] = {folder: [] for folder in folders}
+    for path, info in found.items():
+        # A file belongs to the innermost recording that it is in.
+        parents = (str(parent) for parent in PurePosixPath(path).parents)
+        if folder := next((parent for parent in parents if parent in folders), None):
+            known = info.get("ETag") or info.get("mtime") or info.get("last_modified")
+            files[folder].append((path[len(folder) + 1 :], info["size"], str(known)))
+    jobs = [
+        Job(folder[len(root) + 1 :] or ".", tuple(sorted(its)), source, out, **more)
+        for folder, its in files.items()
+    ]
+    return sorted(jobs, key=lambda job: (-job.size, job.name))
+
+
+def _rows(store: fsspec.AbstractFileSystem, paths: list[str]) -> dict[str, Any]:
+    """The rows that are there, read many at a time."""
+    import json
+
+    store.invalidate_cache()
+    there = store.cat(paths, on_error="omit", recursive=False)
+    return {path: json.loads(text) for path, text in there.items()}
+
+
+def _run(
+    jobs: list[Job], threads: int, retries: int, say: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    import ray
+
+    # Tried again after a lost node or worker; another error is an answer.
+    task = ray.remote(num_cpus=threads, max_retries=retries, retry_exceptions=[work.Stopped])
+    task = task(work.extract)
+    todo, running, rows = list(reversed(jobs)), {}, []
+    begin, done, whole = monotonic(), 0, sum(job.size for job in jobs)
+    try:
+        while todo or running:
+            while todo and len(running) < AT_A_TIME:
+                job = todo.pop()
+                running[task.options(name=job.name).remote(job)] = job
+            ready, _ = ray.wait(list(running), timeout=QUIET)
+            for reference in ready:
+                job = running.pop(reference)
+                done += job.size
+                try:
+                    rows.append(ray.get(reference))
+                except Exception as error:
+                    rows.append(_failed(job, error))
+                if rows[-1]["verdict"] == FAILED:
+                    say(f"{job.name} failed: {rows[-1]['message']}")
+            past = monotonic() - begin
+            left = f"{past * (whole - done) / done:.0f} s left" if done else "no estimate yet"
+            failed = sum(row["verdict"] == FAILED for row in rows)
+            say(f"{len(rows)} of {len(jobs)} done, {failed} failed, {past:.0f} s, {left}")
+    finally:
+        for reference in running:
+            ray.cancel(reference)
+    return rows
+
+
+def _failed(job: Job, error: Exception) -> dict[str, Any]:
+    """The row of a recording of which nothing came back: the store, or every node, was gone."""
+    reason = str(getattr(error, "cause", None) or error).strip().splitlines()
+    return {
+        "name": job.name,
+        "verdict": FAILED,
+        "message": f"{type(error).__name__}: {reason[-1] if reason else ''}",
+        "bytes_in": job.size,
+        "options": list(job.options),
+    }
