@@ -6,11 +6,11 @@
 //! killed if it does not end in time.
 //!
 //! If this program is killed, it can do nothing of that any more. So a [guard](Guard)
-//! waits beside it: a shell that reads from a pipe of ours, which ends when we do, and then
-//! stops the recorder's process group.
+//! waits from before the recorder's start: a shell that reads from a pipe of ours, which ends
+//! when we do, and then stops the process group that it and the recorder share.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, Read as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -35,8 +35,8 @@ struct Running {
     program: String,
     /// What asks it to stop.
     stop: Signal,
-    /// Goes with the recorder.
-    _guard: Option<Guard>,
+    /// Leads its process group, and goes with it; without one the recorder leads its own.
+    guard: Option<Guard>,
 }
 
 impl DepthRecorder for RecorderProcess {
@@ -45,20 +45,25 @@ impl DepthRecorder for RecorderProcess {
             return Ok(false);
         };
         let arguments = arguments.iter().map(|text| fill_in(text, depth, folder));
-        let child = start(program, arguments, folder).map_err(|source| RecorderError {
-            program: program.clone(),
-            source,
-        })?;
         let (stop, signal) = match depth.recorder.stop {
             StopSignal::Interrupt => (Signal::INT, "INT"),
             StopSignal::Terminate => (Signal::TERM, "TERM"),
         };
-        let patience_s = depth.recorder.stop_timeout_s;
+        let guard = Guard::start(signal, depth.recorder.stop_timeout_s);
+        let guard = guard.inspect_err(|error| {
+            tracing::warn!("the depth recorder would outlive a kill of this program: {error}");
+        });
+        let guard = guard.ok();
+        let group = guard.as_ref().map_or(0, |guard| guard.0.id());
+        let child = start(program, arguments, folder, group).map_err(|source| RecorderError {
+            program: program.clone(),
+            source,
+        })?;
         self.running = Some(Running {
-            _guard: Guard::over(child.id(), signal, patience_s),
             child,
             program: program.clone(),
             stop,
+            guard,
         });
         Ok(true)
     }
@@ -104,8 +109,8 @@ impl Drop for RecorderProcess {
 impl Running {
     /// To the whole group, as a Ctrl-C at a terminal does.
     fn signal(&self, signal: Signal) {
-        let group = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
-        if let Some(group) = group
+        let leader = self.guard.as_ref().map_or(&self.child, |guard| &guard.0);
+        if let Some(group) = raw(leader.id()).and_then(Pid::from_raw)
             && let Err(error) = kill_process_group(group, signal)
         {
             tracing::warn!("cannot signal the depth recorder: {error}");
@@ -113,38 +118,36 @@ impl Running {
     }
 }
 
-/// Stops the recorder's process group once this program has gone, however it went.
+/// Stops its process group once this program has gone, however it went.
 struct Guard(Child);
 
-/// Waits for the end of its input, then asks the group `$0` to stop with `$1`, and kills
-/// it `$2` seconds later.
+/// Prints a line once no signal that asks to stop ends it, and waits for the end of its
+/// input. Then it asks its group to stop with `$0`, and kills the group `$1` seconds later.
 const GUARD: &str =
-    "read -r _; kill -s \"$1\" -- \"-$0\" && sleep \"$2\" && kill -s KILL -- \"-$0\"";
+    "trap '' INT TERM; echo; read -r _; kill -s \"$0\" 0; sleep \"$1\"; kill -s KILL 0";
 
 impl Guard {
-    /// `None` where there is no shell: the recorder then outlives a kill.
-    fn over(group: u32, signal: &str, patience_s: u32) -> Option<Self> {
+    /// Starts it in a group of its own, and waits until it is ready. Fails where there is no
+    /// shell.
+    fn start(signal: &str, patience_s: u32) -> io::Result<Self> {
         let mut command = Command::new("sh");
         command
-            .args(["-c", GUARD, &group.to_string(), signal])
+            .args(["-c", GUARD, signal])
             .arg(patience_s.to_string())
             .stdin(Stdio::piped())
-            .stdout(Stdio::null())
+            .stdout(Stdio::piped())
             .stderr(Stdio::null())
-            // A Ctrl-C at the terminal is not for it.
             .process_group(0);
-        match command.spawn() {
-            Ok(child) => Some(Self(child)),
-            Err(error) => {
-                tracing::warn!("the depth recorder would outlive a kill of this program: {error}");
-                None
-            }
-        }
+        let mut guard = Self(command.spawn()?);
+        let ready = guard.0.stdout.take();
+        let mut ready = ready.ok_or(io::ErrorKind::BrokenPipe)?;
+        ready.read_exact(&mut [0])?;
+        Ok(guard)
     }
 }
 
 impl Drop for Guard {
-    /// The recorder has ended: its number may become another's.
+    /// The recorder has ended.
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
@@ -155,6 +158,7 @@ fn start(
     program: &str,
     arguments: impl Iterator<Item = String>,
     folder: &Path,
+    group: u32,
 ) -> io::Result<Child> {
     let log = File::create(folder.join(LOG_FILE))?;
     Command::new(program)
@@ -162,8 +166,13 @@ fn start(
         .stdin(Stdio::null())
         .stdout(log.try_clone()?)
         .stderr(log)
-        .process_group(0)
+        .process_group(raw(group).unwrap_or(0))
         .spawn()
+}
+
+/// The number of a process as the system's calls take it.
+fn raw(id: u32) -> Option<i32> {
+    i32::try_from(id).ok()
 }
 
 /// Tells whether it ended as a program does that was asked to.
@@ -232,9 +241,9 @@ mod tests {
     }
 
     /// A recorder that has printed `ready`.
-    fn start_ready(command: &[&str], folder: &Path) -> RecorderProcess {
+    fn start_ready(depth: &Depth, folder: &Path) -> RecorderProcess {
         let mut recorder = RecorderProcess::default();
-        assert!(recorder.start(&depth(command), folder).unwrap());
+        assert!(recorder.start(depth, folder).unwrap());
         while std::fs::read_to_string(folder.join(LOG_FILE)).unwrap() != "ready\n" {
             wait();
         }
@@ -252,7 +261,7 @@ mod tests {
             "-c",
             "echo ready; exec sleep 100",
         ];
-        let mut recorder = start_ready(&polite, folder.path());
+        let mut recorder = start_ready(&depth(&polite), folder.path());
         recorder.ask_to_stop();
         assert!(end_of(&mut recorder).is_as_asked);
 
@@ -261,7 +270,7 @@ mod tests {
             "-c",
             "trap '' INT; echo ready; sleep 100 & wait; sleep 100",
         ];
-        let mut recorder = start_ready(&deaf, folder.path());
+        let mut recorder = start_ready(&depth(&deaf), folder.path());
         recorder.ask_to_stop();
         for _ in 0..20 {
             wait();
@@ -269,5 +278,22 @@ mod tests {
         assert_eq!(recorder.poll(), None);
         recorder.kill();
         assert_eq!(recorder.poll(), None);
+    }
+
+    /// The end of a program closes its pipes.
+    #[test]
+    fn a_guard_stops_it_after_the_end_of_the_program_and_kills_it_if_it_must() {
+        let polite = ["sh", "-c", "echo ready; exec sleep 100"];
+        let deaf = ["sh", "-c", "trap '' TERM; echo ready; exec sleep 100"];
+        for (command, signal) in [(&polite, Signal::TERM), (&deaf, Signal::KILL)] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut depth = depth(command);
+            depth.recorder.stop = StopSignal::Terminate;
+            let mut recorder = start_ready(&depth, folder.path());
+            let running = recorder.running.as_mut().unwrap();
+            drop(running.guard.as_mut().unwrap().0.stdin.take());
+            let status = running.child.wait().unwrap();
+            assert_eq!(status.signal(), Some(signal.as_raw()));
+        }
     }
 }
