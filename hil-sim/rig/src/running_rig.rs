@@ -3,7 +3,7 @@
 //! camera, and the phone behind a TCP port, on one true time and one motion.
 //!
 //! True time passes as fast as the machine can, at most [`Pace::speed`] times
-//! real time, and stands still while the program that has the port open does
+//! real time, and pauses while the program that has the port open does
 //! not take what the board sends: how fast a machine is has no part in what a
 //! program at the other end sees of the board. It does have a part in *when*
 //! that program's commands arrive, so two runs of one seed are alike but not
@@ -70,7 +70,7 @@ const BUFFER: usize = 64 * 1024;
 /// Board time from power-on within which the serial port must be there.
 pub(crate) const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 
-/// Wall time for which the board stands still while the program reads slowly,
+/// Wall time for which the board pauses while the program reads slowly,
 /// or has not yet opened the port.
 pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
 
@@ -78,23 +78,22 @@ pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
 /// board, one at the speed of time has gone on meanwhile. A faster one would race.
 const CATCH_UP: Duration = Duration::from_millis(500);
 
-/// How fast true time passes.
+/// Speed of true time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
     /// At most so many times real time; as fast as the machine can if not given.
     pub speed: Option<f64>,
-    /// Once booted, the board stands still until a program opens its port.
+    /// Once booted, the board pauses until a program opens its port.
     pub wait_for_host: bool,
 }
 
-/// What the running board is told.
+/// A request to the running board.
 enum Order {
     Unplug,
-    Speed(f64),
     Stop,
 }
 
-/// What the thread of the board shares.
+/// State that the thread of the board shares.
 #[derive(Debug, Default)]
 struct Shared {
     now: AtomicU64,
@@ -228,7 +227,7 @@ impl RunningRig {
         *lock(&self.shared.noted) = Noted::default();
     }
 
-    /// Whether the board still runs: a firmware that fails ends it.
+    /// Tells whether the board still runs: a firmware that fails ends it.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|t| !t.is_finished())
@@ -241,11 +240,6 @@ impl RunningRig {
                 std::thread::sleep(PATIENCE);
             }
         }
-    }
-
-    /// From now on true time passes at most `speed` times as fast as real time.
-    pub fn set_speed(&self, speed: f64) {
-        let _ = self.orders.send(Order::Speed(speed));
     }
 
     /// Switches the rig off and tells the truth.
@@ -405,7 +399,6 @@ impl Runner {
             match self.inbox.try_recv() {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
-                Ok(Order::Speed(speed)) => pacer = Pacer::new(Some(speed), rig.now()),
                 Err(TryRecvError::Empty) => {}
             }
             self.follow_usb(&mut rig, &mut port)?;

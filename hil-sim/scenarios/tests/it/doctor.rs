@@ -6,7 +6,6 @@ use std::process::Command;
 
 use crate::support;
 use crate::whole_rig::{SPEED, WholeRig};
-use recording::camera::Model;
 use serde_json::Value;
 
 /// Runs it; gives the exit code and each check by its name.
@@ -129,29 +128,4 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
     assert_eq!(verdict, "bad");
     assert!(!next.is_empty());
     assert_eq!(check(&checks, "phone").0, "good");
-}
-
-#[test]
-fn the_profile_that_is_written_for_each_camera_passes() {
-    let rig = WholeRig::with(22, SPEED, |config, _| {
-        config.motion = "rest".parse().unwrap();
-    });
-    for model in Model::all() {
-        let file = rig.folder.path().join(format!("{}.toml", model.id));
-        let written = Command::new(support::smartdepthsync())
-            .args(["profile", "init", "--camera", &model.id])
-            .arg(&file)
-            .output()
-            .unwrap();
-        assert!(written.status.success(), "{written:?}");
-        let (code, checks) = Doctor {
-            profile: std::fs::read_to_string(&file).unwrap(),
-            ..Doctor::new(&rig)
-        }
-        .run();
-        assert_eq!(code, 0, "{}: {checks}", model.id);
-        let (verdict, found, _) = check(&checks, "depth camera");
-        assert_eq!(verdict, "good", "{found}");
-        assert!(found.contains(&model.name), "{found}");
-    }
 }

@@ -51,15 +51,19 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     for arguments in [
         &["info"][..],
         &["imu", "--seconds", "1", "--csv", "imu.csv"],
-        &["monitor", "--duration", "2s"],
         &["gnss", "start", "--utc", "1767225600"],
         &["gnss", "status"],
         &["gnss", "stop"],
         &["trigger", "start", "--fps", "30"],
         &["trigger", "period", "--fps", "30"],
+        &["trigger", "latency", "--pulses", "5"],
     ] {
         board(arguments);
     }
+    let state = board(&["monitor", "--duration", "3s"]);
+    assert_eq!(state["losses"]["messages"], 0);
+    let rate = state["rates"]["imu"].as_f64().unwrap();
+    assert!((rate - 500.0).abs() < 1.0, "{state}");
     board(&["trigger", "status"]);
     board(&["trigger", "status", "--output", "2"]);
     let align = [
@@ -133,7 +137,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     }
 }
 
-/// What Kalibr writes of two cameras.
+/// Output of Kalibr for two cameras.
 pub(crate) const CHAIN: &str = "cam0:
   T_cam_imu:
   - [0.0, -1.0, 0.0, 0.02]

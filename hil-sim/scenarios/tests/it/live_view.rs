@@ -178,32 +178,6 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 }
 
 #[test]
-fn without_a_terminal_there_are_plain_lines_and_one_object() {
-    let rig = WholeRig::new(32, 2.0);
-    let lines = monitor(&rig).args(["--duration", "4s"]).output().unwrap();
-    assert_eq!(lines.status.code(), Some(0), "{lines:?}");
-    let text = String::from_utf8(lines.stdout).unwrap();
-    assert!((3..=6).contains(&text.lines().count()), "{text}");
-    let last = text.lines().last().unwrap();
-    for word in ["monitor", "imu 500/s", "lost 0"] {
-        assert!(last.contains(word), "{word}: {last}");
-    }
-    assert!(!text.contains('\u{1b}'), "no codes of a terminal: {text:?}");
-
-    let json = monitor(&rig)
-        .args(["--duration", "3s", "--json"])
-        .output()
-        .unwrap();
-    assert_eq!(json.status.code(), Some(0), "{json:?}");
-    let state: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
-    assert_eq!(state["losses"]["messages"], 0);
-    assert!(
-        (state["rates"]["imu"].as_f64().unwrap() - 500.0).abs() < 1.0,
-        "{state}"
-    );
-}
-
-#[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let rig = WholeRig::new(33, 3.0);
     // What is enough is seen for some seconds.

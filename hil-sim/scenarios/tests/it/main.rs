@@ -26,7 +26,6 @@ mod phone_bench;
 mod phone_command;
 mod phone_rude;
 mod readers;
-mod record_kill;
 mod record_process;
 mod record_track;
 mod session_faults;

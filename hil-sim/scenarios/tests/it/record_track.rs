@@ -16,7 +16,7 @@ const SPEED: f64 = 1.0;
 const PHONE: i32 = 12;
 const INTERRUPTED: i32 = 130;
 
-/// What the computer's boot clock reads, ns, to a hundredth of a second.
+/// The computer's boot clock, ns, to a hundredth of a second.
 fn boot_ns() -> i64 {
     let text = std::fs::read_to_string("/proc/uptime").unwrap();
     let seconds: f64 = text.split(' ').next().unwrap().parse().unwrap();
@@ -34,16 +34,16 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     });
     let phone = AdbPhone::new(rig.phone().storage(), "qemu-aarch64");
     // Without a length: how long a busy computer takes to all this is not known.
-    let mut command = rig.record("pulled", &["--track"]);
+    let mut command = rig.record("pulled", &["--track", "--events"]);
     let mut session = Session::start(phone.show(&mut command));
-    session.wait_for(", locked");
+    session.wait_for("tracked", |event| event["tracked"]["holds"] == true);
     let forwarded = phone.adb(&["forward", "--list"]);
     assert!(forwarded.contains(&phone.serial()), "{forwarded}");
     phone.pull();
-    session.wait_for("the phone's clock cannot be read any more");
+    session.wait_for("track_lost", |_| true);
     phone.plug();
     phone.wait_for_programs(2);
-    session.wait_for("the phone's clock is followed again");
+    session.wait_for("track_back", |_| true);
     session.signal(Signal::INT);
     let (_, said) = session.end();
 
@@ -52,22 +52,24 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     assert_eq!(recorded.outcome, Some(SessionOutcome::Interrupted));
     let tracking = recorded.tracking.unwrap();
     assert_eq!(tracking.device, phone.serial());
-    // A computer that stands still for seconds loses it once more.
+    // A computer that pauses for seconds loses it once more.
     assert!(tracking.lost >= 1, "{said}");
     // What the session notes by itself does not divide the data set.
     assert!(recorded.markers.is_empty(), "{:?}", recorded.markers);
     let items = Reader::open(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().item);
-    let told: Vec<_> = items
+    let clocks: Vec<_> = items
         .filter_map(|item| match item {
-            Item::Exchange(told) if told.header.frame_id != "board" => Some(told.clock_ns),
+            Item::Exchange(exchange) if exchange.header.frame_id != "board" => {
+                Some(exchange.clock_ns)
+            }
             _ => None,
         })
         .collect();
-    assert!(told.len() > 100, "{} exchanges", told.len());
+    assert!(clocks.len() > 100, "{} exchanges", clocks.len());
     let span = begun..boot_ns() + 10_000_000;
-    assert!(told.iter().all(|clock_ns| span.contains(clock_ns)));
+    assert!(clocks.iter().all(|clock_ns| span.contains(clock_ns)));
 
     // The files of the video come through it too.
     rig.phone().wait_saved().unwrap();
@@ -92,7 +94,7 @@ fn ctrl_c_leaves_nothing_on_a_phone_whose_program_does_not_answer() {
     phone.wait_for_programs(1);
     session.signal(Signal::INT);
     let (status, said) = session.end();
-    // A computer that stands still for seconds has given it up by itself.
+    // A computer that pauses for seconds has given it up by itself.
     let codes = [INTERRUPTED, PHONE].map(Some);
     assert!(codes.contains(&status.code()), "{status}: {said}");
     phone.wait_until_clean();

@@ -1,12 +1,15 @@
 //! Sessions in which something is missing, goes away or is stopped, in every state: how they
 //! end, and in which state they leave phone, trigger and files.
 
+use std::cell::RefCell;
 use std::rc::Rc;
 
 use board::BoardError;
 use recording::finding::Severity;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
+use recording::{MCAP_FILE, SESSION_FILE};
+use rig::random::{Seed, Stream};
 use scenarios::virtual_session::Run;
 use session::devices::{Choice, Wish};
 use session::error::SessionError;
@@ -16,7 +19,7 @@ use crate::bench::{
     STATES, Twisted, is_fetching, is_recording, is_second_twist, ms, nth, outcome, problems,
 };
 
-/// Why a session failed.
+/// Error of a session that failed.
 fn failure(run: &Run) -> &SessionError {
     match &run.ended {
         Err(error) => error,
@@ -253,7 +256,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     assert!((0.0..0.02).contains(&missing), "{missing}");
 }
 
-/// Whether a prompt asks for this step again.
+/// Tells whether a prompt asks for this step again.
 fn asks_again(event: &SessionEvent, wanted: Step) -> bool {
     matches!(event, SessionEvent::Prompt { prompt: Prompt::Repeat { step, .. } } if *step == wanted)
 }
@@ -414,6 +417,61 @@ fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
     let is_moved = matches!(error, SessionError::RecordingMoved { .. });
     assert!(is_moved, "{error}");
     rig.all_is_stopped("folder deleted");
+}
+
+/// A kill leaves of the files what the system was given of them: their copies at that moment.
+#[test]
+fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
+    const KILLS: usize = 50;
+    let mut rig = Twisted::with(11, |_, phone| {
+        phone.camera.first_frame_ms = (20.0, 50.0);
+    });
+    let left = Rc::<RefCell<Vec<(f64, tempfile::TempDir)>>>::default();
+    let (copies, recording) = (Rc::clone(&left), rig.recording("killed"));
+    let connected = STATES[0].1;
+    rig.bench.on(connected, ms(0), move |rig| {
+        let mut random = Seed(11).stream(Stream::Test);
+        for _ in 0..KILLS {
+            let (copies, recording) = (Rc::clone(&copies), recording.clone());
+            // A whole session to its first seconds of recording takes 14 s.
+            let at = rig.now() + ms(random.uniform(0.0, 18_000.0) as u64);
+            rig.at(at, move |rig| {
+                let copy = tempfile::tempdir().unwrap();
+                for file in [MCAP_FILE, SESSION_FILE] {
+                    std::fs::copy(recording.join(file), copy.path().join(file)).unwrap();
+                }
+                copies.borrow_mut().push((rig.now().as_secs_f64(), copy));
+            });
+        }
+    });
+    let options = rig.options("killed", 10);
+    let run = rig.bench.run(&options);
+    let recorded_s = run.time_of(is_recording).unwrap().as_secs_f64();
+    run.good().unwrap();
+
+    let left = left.borrow();
+    assert_eq!(left.len(), KILLS);
+    let recorded = left.iter().filter(|(killed, _)| *killed > recorded_s);
+    assert!(recorded.count() >= 5);
+    let zero = rig.bench.stop().unwrap().zero.unwrap().as_secs_f64();
+    let begun_s = left
+        .iter()
+        .map(|(killed, _)| *killed)
+        .fold(f64::MAX, f64::min);
+    for (killed, folder) in left.iter() {
+        SessionFile::load(folder.path()).unwrap();
+        let entries = Reader::open(folder.path()).unwrap().map(Result::unwrap);
+        let samples = entries.filter(|entry| matches!(entry.item, Item::Imu(_)));
+        let last = samples
+            .last()
+            .map_or(0.0, |entry| entry.at.as_secs_f64() + zero);
+        // Without a sample yet, all since the beginning is missing.
+        let missing = killed - last.max(begun_s);
+        assert!(
+            missing < 1.0,
+            "killed at {killed:.3} s: {missing:.3} s missing"
+        );
+    }
 }
 
 /// An app takes a while to close its video; its sensors are busy until then.

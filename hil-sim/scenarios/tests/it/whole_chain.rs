@@ -3,21 +3,27 @@
 //! program's own answers against the truth. The long versions of the same are
 //! `cargo xtask hil-sim chain`.
 
-use std::process::Command;
+use std::time::Duration;
 
 use crate::support;
-use protocol::{BoardModel, ImuClock, TICK_HZ};
+use ::session::devices::Connector;
+use board::{Board, Event};
+use evaluate::latency::latency;
+use evaluate::train::TrainGeometry;
+use protocol::{
+    BoardModel, DeviceToHost, ImuClock, MIN_PULSE_WIDTH, Output, Period, TICK_HZ, TriggerStart,
+};
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
 use rig::model_ranges::ModelValues;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::virtual_rig::VirtualRig;
 use rig::wiring::{self, BoardKind};
 use scenarios::programs::Programs;
 use scenarios::study::{Kind, Specimen};
+use scenarios::virtual_session::SharedRig;
 use scenarios::whole_chain::{self, Plan, calibration, evaluation, extraction, ranges};
-use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 
@@ -148,49 +154,48 @@ fn a_hidden_constant_is_gone_after_calibration() {
 #[test]
 fn the_photodiode_gives_the_time_from_trigger_to_centre() {
     let config = RigConfig::published(Seed(9));
-    let (board, camera) = (config.board_clock, config.depth_camera.unwrap());
-    let pace = Pace {
-        speed: Some(20.0),
-        wait_for_host: false,
+    let (clock, camera) = (config.board_clock, config.depth_camera.unwrap());
+    let rig = VirtualRig::new(config, wiring::board(), Vec::new()).unwrap();
+    let link = SharedRig::boot(rig).unwrap().connect(None).unwrap();
+    let mut board = Board::connect_from(link, 1).unwrap();
+    let start = TriggerStart {
+        period: Period::from_picos(33_333_333_333).unwrap(),
+        width: MIN_PULSE_WIDTH,
+        first_edge: None,
+        first_fraction: 0,
     };
-    let rig = RunningRig::start(config, wiring::board(), None, pace).unwrap();
-    let trigger = |arguments: &[&str]| {
-        Command::new(support::smartdepthsync())
-            .args(["--json", "trigger", "--port"])
-            .arg(rig.port())
-            .args(arguments)
-            .output()
-            .unwrap()
-    };
-    let refused = trigger(&["latency", "--pulses", "5"]);
-    assert_eq!(refused.status.code(), Some(3), "{refused:?}");
-    assert!(String::from_utf8_lossy(&refused.stdout).contains("trigger start"));
-    let started = trigger(&["start", "--fps", "30"]);
-    assert!(started.status.success(), "{started:?}");
-    let output = trigger(&["latency", "--pulses", "60"]);
+    board.start_trigger(Output::Camera, start).unwrap();
+    let (mut pulses, mut captures) = (Vec::new(), Vec::new());
+    while pulses.len() <= 60 {
+        match board.next_event(Duration::from_secs(1)).unwrap() {
+            Some(Event::Message(DeviceToHost::Pulse(pulse))) => pulses.push(pulse.at),
+            Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
+            _ => {}
+        }
+    }
+    let published = TrainGeometry::default();
+    let found = latency(&pulses, &captures, &published).unwrap();
     // The camera's first frame comes on the second pulse.
-    assert!(matches!(output.status.code(), Some(0 | 4)), "{output:?}");
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert!(found["pulses"].as_u64().unwrap() >= 57, "{found}");
+    assert!(found.pulses >= 57, "{found:?}");
     // The camera counts its delays on its own clock.
-    let rate = (1.0 + 1e-6 * board.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);
+    let rate = (1.0 + 1e-6 * clock.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);
     let flash_us = camera.flash_delay.as_nanos() as f64 * 1e-3;
     let center_us = camera.center_delay_ns() * 1e-3;
     // A capture is late by the input's synchroniser, the trigger's edge is not.
     let late_us = INPUT_SYNCHRONISER as f64 * 1e6 / f64::from(TICK_HZ);
-    for (key, truth, late_us, limit) in [
-        ("center", center_us, late_us, 0.03),
-        ("first_flash", flash_us, late_us, 0.03),
-        ("pitch", 1575.0, 0.0, 0.01),
-        ("duration", 125.0, 0.0, 0.03),
+    for (quantity, truth, late_us, limit) in [
+        (&found.center, center_us, late_us, 0.03),
+        (&found.first_flash, flash_us, late_us, 0.03),
+        (&found.pitch, 1575.0, 0.0, 0.01),
+        (&found.duration, 125.0, 0.0, 0.03),
     ] {
-        let mean = found[key]["mean_us"].as_f64().unwrap();
-        assert!(
-            (mean - truth * rate - late_us).abs() < limit,
-            "{key}: {found}"
-        );
+        let off = quantity.mean_us - truth * rate - late_us;
+        assert!(off.abs() < limit, "{off} of {truth}: {found:?}");
     }
     // A train of another mode is not there.
-    let wrong = trigger(&["latency", "--pulses", "5", "--train", "7,1575,125"]);
-    assert_eq!(wrong.status.code(), Some(3), "{wrong:?}");
+    let other = TrainGeometry {
+        count: 7,
+        ..published
+    };
+    assert!(latency(&pulses, &captures, &other).is_none());
 }

@@ -14,6 +14,7 @@ use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
 use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
 use stm32f4_sim::time::SimDuration;
 use test_support::python;
 
@@ -107,15 +108,6 @@ impl WholeRig {
     pub(crate) fn recording(&self, name: &str) -> PathBuf {
         self.out().join(name)
     }
-
-    /// A phone that was left recording by a session that died is stopped by its
-    /// owner. Right behind its start the app ignores a press.
-    pub(crate) fn stop_phone(&self) {
-        while self.phone().is_recording() {
-            self.phone().press_record();
-            self.wait_ms(100);
-        }
-    }
 }
 
 /// A program that runs, with what it says as it says it. It is ended when dropped.
@@ -143,7 +135,7 @@ impl Session {
         }
     }
 
-    pub(crate) fn said(&self) -> String {
+    fn said(&self) -> String {
         self.said.lock().unwrap().clone()
     }
 
@@ -155,23 +147,23 @@ impl Session {
         self.said()
     }
 
-    /// Waits until it says something; fails when it ends before.
-    pub(crate) fn wait_for(&mut self, words: &str) {
+    /// Waits for an event of `record --events`; fails when the program ends before.
+    pub(crate) fn wait_for(&mut self, name: &str, is_it: impl Fn(&Value) -> bool) {
         let begun = Instant::now();
-        while !self.said().contains(words) {
+        let has_come = |said: &str| {
+            said.lines().any(|line| {
+                let event = serde_json::from_str::<Value>(line);
+                event.is_ok_and(|event| event["event"] == name && is_it(&event))
+            })
+        };
+        while !has_come(&self.said()) {
             if let Some(status) = self.child.try_wait().unwrap() {
                 let said = self.all_said();
-                assert!(
-                    said.contains(words),
-                    "ended ({status}) before {words:?}: {said}"
-                );
+                assert!(has_come(&said), "ended ({status}) before {name}: {said}");
                 return;
             }
-            assert!(
-                begun.elapsed() < PATIENCE,
-                "{words:?} never came: {}",
-                self.said()
-            );
+            let said = self.said();
+            assert!(begun.elapsed() < PATIENCE, "{name} never came: {said}");
             std::thread::sleep(Duration::from_millis(2));
         }
     }
