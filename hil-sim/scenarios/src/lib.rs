@@ -10,7 +10,6 @@ pub mod judge;
 pub mod long_run;
 pub mod programs;
 pub mod study;
-pub mod tracking;
 pub mod virtual_session;
 pub mod whole_chain;
 mod workers;

@@ -24,8 +24,8 @@ enum Command {
     Demo(commands::demo::Args),
     /// Phase and drift of the frames from launch to launch, against the truth.
     FrameSync(commands::frame_sync::Args),
-    /// The phase over an hour while the phone's clock is tracked, on the models alone.
-    TrackStudy(commands::track_study::Args),
+    /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
+    Study(commands::study::Args),
     /// Check extraction and evaluation on recordings of the whole rig, by the truth.
     Chain(commands::chain::Args),
     /// Measure the simulator and the firmware in it.
@@ -42,7 +42,7 @@ fn main() -> ExitCode {
         Command::RecordDepth(args) => rig::depth_link::record(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::FrameSync(args) => commands::frame_sync::run(&args),
-        Command::TrackStudy(args) => commands::track_study::run(&args),
+        Command::Study(args) => commands::study::run(&args),
         Command::Chain(args) => commands::chain::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),

@@ -5,9 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
-use scenarios::study::{self, RangeOptions, Specimen};
 use scenarios::whole_chain::evaluation::EvaluationFigures;
-use scenarios::whole_chain::{Plan, calibration, evaluation, extraction, ranges};
+use scenarios::whole_chain::{Plan, calibration, evaluation, extraction};
 use serde::Serialize;
 use stm32f4_sim::time::SimDuration;
 
@@ -19,7 +18,7 @@ pub(crate) struct Args {
     /// The one seed of all randomness, or the first of several.
     #[arg(long, default_value_t = 1, global = true)]
     seed: u64,
-    /// Folder for the recordings; each of the same name is made anew.
+    /// Folder for the recordings; each of the same name is replaced.
     #[arg(
         long,
         value_name = "DIR",
@@ -54,23 +53,6 @@ enum What {
         /// Seconds of board time to record with each.
         #[arg(long, value_name = "SECONDS", default_value_t = 10)]
         seconds: u32,
-    },
-    /// Record on rigs as modelled, on rigs drawn from what may be true instead, and on rigs
-    /// with one value at an end of its range; extract, and compare with what the session
-    /// and the extraction state of themselves.
-    Ranges {
-        /// Rigs as modelled, and rigs that are drawn.
-        #[arg(long, default_value_t = 10)]
-        rigs: u32,
-        /// Rigs with each value at each end of its range.
-        #[arg(long, value_name = "RIGS", default_value_t = 1)]
-        rigs_an_end: u32,
-        /// Seconds of board time to record with each.
-        #[arg(long, value_name = "SECONDS", default_value_t = 30)]
-        seconds: u32,
-        /// How many rigs run at the same time.
-        #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
-        jobs: u32,
     },
     /// Record with a constant hidden in the camera, calibrate, and record again.
     Calibrate {
@@ -113,29 +95,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 figures.seeds.push(found);
             }
             args.finish(&figures, &figures.table(), figures.good())
-        }
-        What::Ranges {
-            rigs,
-            rigs_an_end,
-            seconds,
-            jobs,
-        } => {
-            let options = RangeOptions {
-                first_seed: args.seed,
-                rigs: *rigs,
-                rigs_an_end: *rigs_an_end,
-                most_warming_ppm: None,
-                exposure_locked: false,
-                jobs: *jobs,
-            };
-            let session = |rig: &Specimen| {
-                let plan = ranges::plan(rig, *seconds);
-                let figures = ranges::figures(&plan, &programs, &args.out)?;
-                args.discard(&plan.name);
-                Ok(figures)
-            };
-            let study = study::run(&options, session, |rig| println!("{rig}"));
-            args.finish(&study, &study.table(), true)
         }
         What::Calibrate { hidden_ms } => {
             let plan = Plan {

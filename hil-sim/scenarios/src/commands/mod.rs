@@ -7,7 +7,7 @@ pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod frame_sync;
 pub(crate) mod long_run;
-pub(crate) mod track_study;
+pub(crate) mod study;
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ pub(crate) use rig::serve::speed;
 use scenarios::programs::Programs;
 use serde::Serialize;
 
-/// Which program is under test.
+/// The program under test.
 #[derive(clap::Args)]
 pub(crate) struct Program {
     /// The program under test; the `smartdepthsync` beside this one by default.
@@ -35,7 +35,7 @@ impl Program {
     }
 }
 
-/// What runs in sessions on the simulated rig.
+/// The programs of sessions on the simulated rig.
 #[derive(clap::Args)]
 pub(crate) struct Sessions {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
@@ -54,13 +54,13 @@ impl Sessions {
     }
 }
 
-/// Which runs of a campaign.
+/// The runs of a campaign.
 #[derive(clap::Args)]
 pub(crate) struct Seeds {
     /// The first seed.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// How many seeds.
+    /// Number of seeds.
     #[arg(long, default_value_t = 200)]
     pub(crate) count: u64,
 }

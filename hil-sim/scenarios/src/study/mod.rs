@@ -1,12 +1,14 @@
-//! The figures of frame sync over the ranges of the models.
+//! Figures of rigs over what may be true of them.
 //!
 //! Rigs as modelled, rigs drawn from all ranges at once, and rigs with one value at an end of
-//! its range: each does [`sessions`](models::sessions) on the models,
-//! or one of the [whole chain](crate::whole_chain::ranges).
+//! its range. What each of them does is one of three: [sessions on the models](models), an hour
+//! of [tracking](tracking) on clocks and links, or the [whole
+//! chain](crate::whole_chain::ranges).
 //! A figure is given three times: nominal and over the draws as the 95th percentile of its
 //! size, and as the largest where one value alone is moved, with that value.
 
 pub mod models;
+pub mod tracking;
 
 use std::fmt;
 use std::fmt::Write as _;
@@ -19,24 +21,62 @@ use serde::Serialize;
 
 use crate::workers;
 
-/// What is to be studied.
+/// Size of a study.
 #[derive(Clone, Copy, Debug)]
-pub struct RangeOptions {
+pub struct StudyOptions {
     /// The first seed; the others follow it.
     pub first_seed: u64,
     /// Rigs as modelled, and rigs that are drawn.
     pub rigs: u32,
     /// Rigs with each value at each end of its range.
     pub rigs_an_end: u32,
-    /// No clock that is drawn warms up by more, ppm in ten minutes.
-    pub most_warming_ppm: Option<f64>,
-    /// The exposure of those that are drawn is the same in each recording.
-    pub exposure_locked: bool,
-    /// How many run at the same time.
+    /// Number of rigs that run at the same time.
     pub jobs: u32,
 }
 
-/// Which rig a result is of.
+/// The rigs of a study, by what may be true of them.
+pub struct Rigs<V> {
+    /// As modelled.
+    pub nominal: V,
+    /// Drawn by a seed.
+    pub drawn: Box<dyn Fn(Seed) -> V>,
+    /// With one value at an end of its range, and that end in words.
+    pub extremes: Vec<(String, V)>,
+}
+
+impl Rigs<ModelValues> {
+    /// Of the ranges of the models. No clock that is drawn warms up by more than
+    /// `most_warming_ppm` in ten minutes; with `exposure_locked` the exposure of those that are
+    /// drawn is the same in each recording.
+    #[must_use]
+    pub fn of_models(most_warming_ppm: Option<f64>, exposure_locked: bool) -> Self {
+        let drawn = move |seed| {
+            let drawn = ModelValues::drawn(seed);
+            let drawn = match most_warming_ppm {
+                Some(most) => drawn.with_warming_at_most(most),
+                None => drawn,
+            };
+            match exposure_locked {
+                true => drawn.with_exposure_locked(),
+                false => drawn,
+            }
+        };
+        let ranges = MODEL_RANGES.iter().enumerate();
+        let extremes = ranges.flat_map(|(place, range)| {
+            range.extremes().into_iter().map(move |end| {
+                let name = format!("{}: {end} {}", range.name, range.unit);
+                (name, ModelValues::default().with(place, end))
+            })
+        });
+        Self {
+            nominal: ModelValues::default(),
+            drawn: Box::new(drawn),
+            extremes: extremes.collect(),
+        }
+    }
+}
+
+/// The kind of a rig.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Kind {
     /// As modelled.
@@ -59,27 +99,27 @@ impl fmt::Display for Kind {
 
 /// One rig of a study.
 #[derive(Clone, Debug)]
-pub struct Specimen<B = ModelValues> {
+pub struct Specimen<V = ModelValues> {
     /// Its seed.
     pub seed: u64,
     /// Which.
     pub kind: Kind,
-    /// What is true of it.
-    pub values: B,
+    /// Values of its models.
+    pub values: V,
 }
 
 /// A figure of a rig's sessions, the same ones in the same order for each rig.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// What it is, with its unit.
+    /// Its name, with its unit.
     pub name: String,
-    /// How wrong it is, by the truth.
+    /// Its error, by the ground truth.
     pub error: f64,
     /// The stated 1-sigma, where there is one.
     pub sigma: Option<f64>,
 }
 
-/// What came out of one rig.
+/// Figures of one rig.
 #[derive(Clone, Debug, Serialize)]
 pub struct RigResult {
     /// Its seed.
@@ -105,56 +145,34 @@ impl fmt::Display for RigResult {
 
 /// All rigs.
 #[derive(Clone, Debug, Serialize)]
-pub struct RangeStudy {
+pub struct Study {
     /// In the order of kinds and seeds.
     pub rigs: Vec<RigResult>,
 }
 
 /// Runs the study with these sessions of each rig; `done` is called for every rig that is
 /// ready.
-pub fn run(
-    options: &RangeOptions,
-    sessions: impl Fn(&Specimen) -> Result<Vec<Figure>> + Sync,
+pub fn run<V: Clone + Sync>(
+    options: &StudyOptions,
+    rigs: &Rigs<V>,
+    sessions: impl Fn(&Specimen<V>) -> Result<Vec<Figure>> + Sync,
     done: impl Fn(&RigResult) + Sync,
-) -> RangeStudy {
+) -> Study {
     let seeds = |count: u32| (0..count).map(|n| options.first_seed.wrapping_add(n.into()));
     let mut specimens = Vec::new();
     let mut add = |seed, kind, values| {
         specimens.push(Specimen { seed, kind, values });
     };
     for seed in seeds(options.rigs) {
-        let drawn = ModelValues::drawn(Seed(seed));
-        let drawn = match options.most_warming_ppm {
-            Some(most) => drawn.with_warming_at_most(most),
-            None => drawn,
-        };
-        let drawn = if options.exposure_locked {
-            drawn.with_exposure_locked()
-        } else {
-            drawn
-        };
-        add(seed, Kind::Nominal, ModelValues::default());
-        add(seed, Kind::Drawn, drawn);
+        add(seed, Kind::Nominal, rigs.nominal.clone());
+        add(seed, Kind::Drawn, (rigs.drawn)(Seed(seed)));
     }
-    for (place, range) in MODEL_RANGES.iter().enumerate() {
-        for end in range.extremes() {
-            let kind = Kind::Extreme(format!("{}: {end} {}", range.name, range.unit));
-            for seed in seeds(options.rigs_an_end) {
-                add(seed, kind.clone(), ModelValues::default().with(place, end));
-            }
+    for (end, values) in &rigs.extremes {
+        for seed in seeds(options.rigs_an_end) {
+            add(seed, Kind::Extreme(end.clone()), values.clone());
         }
     }
-    each(&specimens, options.jobs, sessions, done)
-}
-
-/// Runs a study of these rigs.
-pub(crate) fn each<B: Sync>(
-    specimens: &[Specimen<B>],
-    jobs: u32,
-    sessions: impl Fn(&Specimen<B>) -> Result<Vec<Figure>> + Sync,
-    done: impl Fn(&RigResult) + Sync,
-) -> RangeStudy {
-    let rigs = workers::each(specimens, jobs as usize, |specimen| {
+    let rigs = workers::each(&specimens, options.jobs as usize, |specimen| {
         let result = RigResult {
             seed: specimen.seed,
             kind: specimen.kind.clone(),
@@ -163,10 +181,10 @@ pub(crate) fn each<B: Sync>(
         done(&result);
         result
     });
-    RangeStudy { rigs }
+    Study { rigs }
 }
 
-impl RangeStudy {
+impl Study {
     /// The figure at a place, of each rig that has one.
     fn at(&self, place: usize) -> impl Iterator<Item = (&Kind, &Figure)> {
         self.rigs.iter().filter_map(move |rig| {
@@ -284,7 +302,7 @@ mod tests {
             kind: kind.clone(),
             figures,
         };
-        let study = RangeStudy {
+        let study = Study {
             rigs: vec![
                 rig(&Kind::Nominal, Ok(usual.figures())),
                 rig(&kind, Ok(warm.figures())),

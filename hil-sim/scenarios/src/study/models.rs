@@ -46,28 +46,28 @@ const TO_VIDEO_S: f64 = 1.0;
 /// From the request of a video to a train that has arrived.
 const TO_ARRIVAL_S: f64 = 6.0;
 
-/// How long is recorded.
+/// Length of a recording.
 const RECORDED_S: f64 = 300.0;
 
-/// How often a twist is tried.
+/// Number of times that a twist is tried.
 const TRIES: u32 = 3;
 
-/// How a session came out.
+/// Errors of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Judged {
     /// Error of the phase when the train has arrived, µs.
     pub phase_us: f64,
-    /// What the session says of it, 1-sigma.
+    /// Its stated 1-sigma.
     pub phase_sigma_us: f64,
     /// Drift over the first minute, µs/min.
     pub drift_1_us_per_min: f64,
     /// Drift over the first five minutes, µs/min.
     pub drift_5_us_per_min: f64,
-    /// What the session says of that, 1-sigma.
+    /// Its stated 1-sigma.
     pub drift_sigma_us_per_min: f64,
     /// Error of the clocks' offset then, µs.
     pub offset_us: f64,
-    /// What the session says of it, 1-sigma.
+    /// Its stated 1-sigma.
     pub offset_sigma_us: f64,
 }
 
@@ -305,7 +305,7 @@ impl Rig {
         FrameTimes::new(&self.phone, recording, request)
     }
 
-    /// What the timestamps of the first recording teach.
+    /// Frame period that the timestamps of the first recording teach.
     fn learnt_frames(&self, begun: f64) -> Result<Frames> {
         let frames = self.frames(0, begun);
         let count = (RECORDED_S * 1e9 / frames.period_ns()) as usize;

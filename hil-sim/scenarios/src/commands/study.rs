@@ -1,0 +1,116 @@
+//! `hil-sim study`: figures over what may be true of rigs.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Subcommand;
+use scenarios::study::{self, RigResult, Rigs, Specimen, StudyOptions, models, tracking};
+use scenarios::whole_chain::ranges;
+
+/// Options of `study`.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+    /// Rigs as modelled, and rigs that are drawn.
+    #[arg(long, default_value_t = 10, global = true, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    rigs: u32,
+    /// Rigs with each value at each end of its range.
+    #[arg(long, value_name = "RIGS", default_value_t = 1, global = true, value_parser = clap::value_parser!(u32).range(0..=1_000))]
+    rigs_an_end: u32,
+    /// The first rig's seed; the others follow it.
+    #[arg(long, default_value_t = 1, global = true)]
+    first_seed: u64,
+    /// How many rigs run at the same time.
+    #[arg(long, default_value_t = 2, global = true, value_parser = clap::value_parser!(u32).range(1..=64))]
+    jobs: u32,
+    /// Write the figures to this file, as JSON.
+    #[arg(long, value_name = "FILE", global = true)]
+    json: Option<PathBuf>,
+    #[command(flatten)]
+    sessions: super::Sessions,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// Twists, learning and alignment on the models alone, without board, link and app.
+    Models {
+        /// No drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
+        #[arg(long, value_name = "PPM", value_parser = warming)]
+        most_warming: Option<f64>,
+        /// The exposure of drawn rigs is the same in each recording, as with the app's
+        /// exposure locked
+        #[arg(long)]
+        exposure_locked: bool,
+    },
+    /// The phase over an hour while the phone's clock is followed, or is not: clocks and links
+    /// alone.
+    Tracking {
+        /// Length of a recording, seconds of board time.
+        #[arg(long, default_value_t = 3_600, value_parser = clap::value_parser!(u32).range(60..=36_000))]
+        seconds: u32,
+    },
+    /// From the twist to the data set on the whole simulated rig: what session and extraction
+    /// state of themselves against the ground truth.
+    Chain {
+        /// Seconds of board time to record with each.
+        #[arg(long, value_name = "SECONDS", default_value_t = 30)]
+        seconds: u32,
+        /// Folder for the recordings; each of the same name is replaced.
+        #[arg(long, value_name = "DIR", default_value = "target/chain")]
+        out: PathBuf,
+        /// Keep the recordings.
+        #[arg(long)]
+        keep: bool,
+    },
+}
+
+/// ppm in ten minutes, within the range that is drawn from.
+fn warming(text: &str) -> Result<f64, String> {
+    let ppm = text.parse().ok().filter(|ppm| (0.1..=5.0).contains(ppm));
+    ppm.ok_or_else(|| "expected 0.1 to 5 (ppm in ten minutes)".to_owned())
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let options = StudyOptions {
+        first_seed: args.first_seed,
+        rigs: args.rigs,
+        rigs_an_end: args.rigs_an_end,
+        jobs: args.jobs,
+    };
+    let show_failed = |rig: &RigResult| {
+        if rig.figures.is_err() {
+            println!("{rig}");
+        }
+    };
+    let study = match &args.what {
+        What::Models {
+            most_warming,
+            exposure_locked,
+        } => {
+            let rigs = Rigs::of_models(*most_warming, *exposure_locked);
+            let sessions = |rig: &Specimen| Ok(models::sessions(rig.seed, &rig.values)?.figures());
+            study::run(&options, &rigs, sessions, show_failed)
+        }
+        What::Tracking { seconds } => {
+            let sessions = |rig: &Specimen<_>| tracking::figures(rig.seed, rig.values, *seconds);
+            study::run(&options, &tracking::rigs(), sessions, show_failed)
+        }
+        What::Chain { seconds, out, keep } => {
+            let programs = args.sessions.programs()?;
+            let sessions = |rig: &Specimen| {
+                let plan = ranges::plan(rig, *seconds);
+                let figures = ranges::figures(&plan, &programs, out)?;
+                if !keep {
+                    // What is left over does no harm.
+                    let _ = std::fs::remove_dir_all(out.join(&plan.name));
+                }
+                Ok(figures)
+            };
+            let rigs = Rigs::of_models(None, false);
+            study::run(&options, &rigs, sessions, |rig| println!("{rig}"))
+        }
+    };
+    println!("\n{}", study.table());
+    super::write_json(args.json.as_deref(), &study)
+}
