@@ -1,10 +1,14 @@
-//! What happened at the board's pins, and whether what the board delivered is
+//! Compares what the board delivered with what happened at its pins: whether it is
 //! that.
 //!
 //! Every edge of the trigger is compared with the arithmetic of the train,
 //! whether a message about it reached the host or not. Every message that did
 //! reach the host is compared with the pin or the sensor's register that it is
 //! about. Messages may be missing; none may be wrong.
+//!
+//! Where the host asks for other periods, the board may or may not have understood each of
+//! them: all edges must be on the arithmetic of one train whose period changes, at any edges,
+//! to some of those that were asked for, in that order.
 //!
 //! When tick 0 of the board was is read off the timer's register once, when the board says
 //! hello ([`BoardTruth::begin`]), and holds for all edges on all pins.
@@ -21,18 +25,18 @@ use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
-/// How long after its data-ready edge a sample is read at the latest.
+/// Longest time from its data-ready edge until a sample is read.
 const TRANSFER: SimDuration = SimDuration::from_millis(2);
 
-/// A train: its edge with this number is at `first`, and edge `number + k` at
-/// `floor(first + k · period)`.
+/// A train: its edge with this number is at `first_q32`, and edge `number + k` at
+/// `floor(first_q32 + k · period)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Train {
-    /// An edge.
-    pub first: Ticks,
+    /// An edge, in 2⁻³² ticks.
+    pub first_q32: i128,
     /// Its number among the board's pulses.
     pub number: i64,
-    /// Distance of edges.
+    /// Period of the edges.
     pub period: Period,
     /// Length of a pulse, in ticks.
     pub width: u32,
@@ -54,21 +58,45 @@ impl Train {
     /// A train that was started, and its first edge.
     pub(crate) fn of(start: &TriggerStart, first: Ticks) -> Self {
         Self {
-            first,
+            first_q32: i128::from(first.0) << 32,
             number: 0,
             period: start.period,
             width: start.width,
         }
     }
 
+    fn exact_q32(&self, number: u64) -> i128 {
+        let from_first = i128::from(number) - i128::from(self.number);
+        self.first_q32 + from_first * i128::from(self.period.0)
+    }
+
+    /// At tick 0 if it would be before that.
     fn edge(&self, number: u64) -> Ticks {
-        let number = i64::try_from(number).unwrap_or(i64::MAX);
-        self.period
-            .edge(self.first, number.saturating_sub(self.number))
+        Ticks(u64::try_from(self.exact_q32(number) >> 32).unwrap_or(0))
+    }
+
+    /// The same train with another period from an edge on.
+    fn with_period(&self, period: Period, from: u64) -> Self {
+        Self {
+            first_q32: self.exact_q32(from),
+            number: i64::try_from(from).unwrap_or(i64::MAX),
+            period,
+            width: self.width,
+        }
     }
 }
 
-/// What was compared, and what was not delivered.
+/// A course of a train, from its last change of period on.
+#[derive(Clone, Copy, Debug)]
+struct Course {
+    train: Train,
+    /// Number of periods that were asked for until the one that it has.
+    asked: usize,
+    /// Number of its changes of period.
+    changes: u64,
+}
+
+/// Counts of what was compared, and of what was not delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Compared {
     /// Trigger pulses at the pin, each equal to the arithmetic.
@@ -88,6 +116,8 @@ pub(crate) struct Compared {
     pub captures: u64,
     /// Edges of the strobe that were not delivered, so far.
     pub captures_missing: u64,
+    /// Changes of the trigger's period.
+    pub period_changes: u64,
 }
 
 /// See the module.
@@ -95,7 +125,13 @@ pub(crate) struct Compared {
 pub(crate) struct BoardTruth {
     /// Units of virtual time at tick 0 of this run of the board.
     zero: Option<u64>,
-    train: Option<Train>,
+    /// The courses of the train that explain all its edges so far.
+    courses: Vec<Course>,
+    /// Number of the first pulse that is compared.
+    first: u64,
+    /// Periods that the host has asked for; if there are any, the ticks of all edges.
+    asked: Vec<Period>,
+    edges: Vec<u64>,
     /// A pulse that has not ended.
     rise: Option<SimTime>,
     /// Number of the next pulse of this train at the pin.
@@ -123,8 +159,18 @@ impl BoardTruth {
 
     /// The train from the pulse with this number on.
     pub(crate) fn started(&mut self, train: Train, number: u64) {
-        self.train = Some(train);
-        self.next = number;
+        self.courses = vec![Course {
+            train,
+            asked: 0,
+            changes: 0,
+        }];
+        self.edges.clear();
+        (self.first, self.next) = (number, number);
+    }
+
+    /// The host has asked for these periods, in this order.
+    pub(crate) fn asked_for(&mut self, periods: Vec<Period>) {
+        self.asked = periods;
     }
 
     /// Counts what is missing from here on.
@@ -133,7 +179,7 @@ impl BoardTruth {
         self.compared.captures_missing = 0;
     }
 
-    /// What was compared so far.
+    /// Counts so far.
     #[must_use]
     pub(crate) fn compared(&self) -> Compared {
         self.compared
@@ -182,31 +228,69 @@ impl BoardTruth {
     }
 
     fn rise(&mut self, at: SimTime) -> Result<(), String> {
-        let (Some(zero), Some(train)) = (self.zero, self.train) else {
+        let (Some(zero), Some(course)) = (self.zero, self.courses.first()) else {
             return Err(format!("a pulse at {at} that nobody started"));
         };
-        let expected = train.edge(self.next);
-        let due = zero + expected.0 * UNITS_PER_TICK;
-        if at.units() != due {
+        let number = self.next;
+        let due = zero + course.train.edge(number).0 * UNITS_PER_TICK;
+        let ticks = at.units().saturating_sub(zero) / UNITS_PER_TICK;
+        if !self.asked.is_empty() {
+            self.edges.push(ticks);
+        }
+        let mut courses = Vec::new();
+        // An edge between two ticks is nobody's.
+        if at.units() == zero + ticks * UNITS_PER_TICK {
+            for course in &self.courses {
+                match course.train.edge(number).0 == ticks {
+                    true => courses.push(*course),
+                    false => courses.extend(self.changed(course)),
+                }
+            }
+        }
+        let place = |course: &Course| (course.train.exact_q32(number), course.train.period.0);
+        courses.sort_by_key(place);
+        courses.dedup_by_key(|course| place(course));
+        let Some(course) = courses.first() else {
             let off = at.units() as i128 - i128::from(due);
             return Err(format!(
-                "pulse {} at {at} is {} ticks off the arithmetic",
-                self.next,
+                "pulse {number} at {at} is {} ticks off the arithmetic",
                 off as f64 / UNITS_PER_TICK as f64
             ));
-        }
+        };
+        self.compared.period_changes = course.changes;
+        self.courses = courses;
         self.rise = Some(at);
         self.next += 1;
         self.compared.pulses += 1;
         Ok(())
     }
 
+    /// The course with another period that was asked for later, from each of its edges on from
+    /// which that explains all edges.
+    fn changed(&self, course: &Course) -> impl Iterator<Item = Course> {
+        let begin = u64::try_from(course.train.number).unwrap_or(0);
+        let first = self.first;
+        let changes = (begin.max(first)..self.next).flat_map(move |from| {
+            let asked = self.asked.iter().enumerate().skip(course.asked);
+            asked.map(move |(place, &period)| Course {
+                train: course.train.with_period(period, from),
+                asked: place + 1,
+                changes: course.changes + 1,
+            })
+        });
+        changes.filter(move |changed| {
+            let edges = (first..).zip(&self.edges);
+            let mut since = edges.skip_while(|(number, _)| (*number as i64) < changed.train.number);
+            since.all(|(number, &ticks)| changed.train.edge(number).0 == ticks)
+        })
+    }
+
     fn fall(&mut self, at: SimTime) -> Result<(), String> {
-        let (Some(rise), Some(train)) = (self.rise.take(), self.train) else {
+        let (Some(rise), Some(course)) = (self.rise.take(), self.courses.first()) else {
             return Err(format!("the end of a pulse at {at} that never began"));
         };
         let high = at.since(rise).units();
-        let expected = u64::from(train.width) * UNITS_PER_TICK;
+        let expected = u64::from(course.train.width) * UNITS_PER_TICK;
         if high != expected {
             return Err(format!(
                 "the pulse at {rise} is {high} units long, not {expected}"
@@ -230,10 +314,12 @@ impl BoardTruth {
     }
 
     fn pulse(&mut self, pulse: &Pulse) -> Result<(), String> {
-        let Some(train) = self.train else {
+        let Some(course) = self.courses.first() else {
             return Err(format!("a pulse without a train: {pulse:?}"));
         };
-        let expected = train.edge(pulse.number);
+        let place = pulse.number.checked_sub(self.first);
+        let at_pin = place.and_then(|place| self.edges.get(place as usize));
+        let expected = at_pin.map_or_else(|| course.train.edge(pulse.number), |&at| Ticks(at));
         if pulse.at != expected {
             return Err(format!("{pulse:?} should be at {expected:?}"));
         }

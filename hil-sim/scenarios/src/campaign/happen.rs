@@ -56,7 +56,7 @@ impl PinModel for Flood {
     }
 }
 
-/// What happened, for the judge.
+/// Record of what happened, for the judge.
 #[derive(Debug, Default)]
 pub(super) struct Happened {
     /// When the recording began.
@@ -71,7 +71,7 @@ pub(super) struct Happened {
     pub(super) phone_away: Option<SimTime>,
 }
 
-/// What faults are done with.
+/// Everything that faults are done with.
 #[derive(Clone)]
 pub(super) struct Stage {
     pub(super) happened: Rc<RefCell<Happened>>,
@@ -175,7 +175,7 @@ impl Stage {
         }
     }
 
-    /// What a kill would leave: the files as the system has them.
+    /// Copies what a kill would leave: the files as the system has them.
     fn copy_files(&self) {
         let [from, to] = &self.files;
         let Ok(files) = std::fs::read_dir(from) else {

@@ -1,4 +1,4 @@
-//! Whether a run went as promised.
+//! Judges a run by what is promised.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,11 +20,11 @@ use super::{Ended, Verdict};
 use crate::board_truth::{BoardTruth, Compared, Train};
 use crate::virtual_session::POWER_ON_S;
 
-/// What a kill may cost, as the recording promises.
+/// Most that a kill may cost, as the recording promises.
 const KILL_COSTS: SimDuration = SimDuration::from_millis(1_000);
 /// A status comes every second: the last one before the end is no older.
 const STATUS: SimDuration = SimDuration::from_millis(1_500);
-/// How exactly a time of day is known in board time, s: it is recorded once a second.
+/// Accuracy of a time of day in board time, s: it is recorded once a second.
 const HOST_TIME_S: f64 = 1.5;
 
 /// An edge of a pin.
@@ -68,6 +68,7 @@ pub(super) fn judge(plan: &Plan, ended: &Ended) -> Result<Verdict> {
         pulses: compared.pulses,
         delivered: compared.reports + compared.samples + compared.captures,
         disturbed: compared.disturbed,
+        period_changes: compared.period_changes,
         pulses_lost,
         samples_lost: file.counts.imu.lost,
         captures_lost: file.counts.captures.lost,
@@ -204,6 +205,7 @@ fn compare(
         truth.disturbed(*at);
     }
     truth.started(train, first);
+    truth.asked_for(ended.periods.clone());
     let on_grid = |(pin, _, at): &&PinEdge| *pin != wiring::TRIGGER || *at >= arrived;
     let edges = ended.edges.iter().filter(|edge| edge.2 < reset);
     truth
@@ -239,7 +241,7 @@ fn train(alignment: &Alignment, session: &EndedSession) -> Result<(Train, u64, T
     let since = (i128::from(arrival.0) - i128::from(alignment.anchor.0)) << 32;
     let edges = (since + i128::from(period.0 / 2)).div_euclid(i128::from(period.0));
     let train = Train {
-        first: alignment.anchor,
+        first_q32: i128::from(alignment.anchor.0) << 32,
         number: i64::try_from(i128::from(number) - edges)?,
         period,
         width: session.file.profile.pulse_width(),
@@ -247,7 +249,7 @@ fn train(alignment: &Alignment, session: &EndedSession) -> Result<(Train, u64, T
     Ok((train, number, arrival))
 }
 
-/// What is counted as lost is what is missing. Gives the pulses.
+/// Compares what is counted as lost with what is missing. Gives the pulses.
 fn judge_losses(file: &SessionFile, delivered: &[Delivered<'_>]) -> Result<u64> {
     let recorded = || delivered.iter().filter(|delivered| delivered.is_recorded);
     // By the board's numbers, from the first to the last that came.
@@ -322,8 +324,8 @@ fn judge_time_of_day(plan: &Plan, ended: &Ended, folder: &Path, zero: SimTime) -
         };
         count += 1;
         let at = zero.as_secs_f64() + entry.at.as_secs_f64();
-        let told = time.time_ref.nanos() as f64 * 1e-9 - POWER_ON_S as f64;
-        let is_near = |step_s: i64| (told - at - step_s as f64).abs() < HOST_TIME_S;
+        let recorded_s = time.time_ref.nanos() as f64 * 1e-9 - POWER_ON_S as f64;
+        let is_near = |step_s: i64| (recorded_s - at - step_s as f64).abs() < HOST_TIME_S;
         let before = step.is_none_or(|step| at < step + HOST_TIME_S) && is_near(0);
         let after = step.is_some_and(|step| at > step - HOST_TIME_S) && is_near(plan.clock_step_s);
         // While nothing comes from the board, its time is an old one.
@@ -334,7 +336,7 @@ fn judge_time_of_day(plan: &Plan, ended: &Ended, folder: &Path, zero: SimTime) -
             .any(|seen| matches!(seen.stamped.event, SessionEvent::LinkLost { .. }));
         ensure!(
             before || after || is_old,
-            "at {at:.1} s the time of day is recorded as {told:.1} s after power-on"
+            "at {at:.1} s the time of day is recorded as {recorded_s:.1} s after power-on"
         );
     }
     let seconds = u64::from(TICK_HZ);

@@ -31,8 +31,9 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
-use protocol::TICK_HZ;
+use protocol::{Command, Period, SetPeriod, TICK_HZ};
 use recording::session_file::SessionOutcome;
+use rig::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
@@ -49,12 +50,12 @@ use crate::workers;
 use happen::{Flood, Happened};
 use plan::Plan;
 
-/// How a run went that passed.
+/// Result of a run that passed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
-    /// What went wrong in it.
+    /// The faults in it.
     pub plan: Plan,
-    /// How the session ended.
+    /// Outcome of the session.
     pub outcome: SessionOutcome,
     /// Virtual seconds.
     pub virtual_s: f64,
@@ -64,6 +65,8 @@ pub struct Verdict {
     pub delivered: u64,
     /// Samples whose transfer a fault hit.
     pub disturbed: u64,
+    /// Changes of the trigger's period, which follows the phone's clock.
+    pub period_changes: u64,
     /// Pulses that are missing, and counted as lost.
     pub pulses_lost: u64,
     /// Samples likewise.
@@ -72,7 +75,7 @@ pub struct Verdict {
     pub captures_lost: u64,
     /// Frames damaged on the way, and counted as damaged.
     pub damaged_frames: u32,
-    /// How often the link was taken up again.
+    /// Number of times that the link was taken up again.
     pub reconnects: u32,
     /// Problems that the session reported, by kind.
     pub problems: BTreeMap<String, u32>,
@@ -84,9 +87,9 @@ pub struct Verdict {
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{plan}\n  {what}")]
 pub struct Finding {
-    /// What went wrong in it.
+    /// The faults in it.
     pub plan: Plan,
-    /// What should not be.
+    /// The violated promise.
     pub what: String,
 }
 
@@ -132,6 +135,8 @@ struct Ended {
     happened: Happened,
     truth: rig::running_rig::RunTruth,
     edges: Vec<judge::PinEdge>,
+    /// Periods of the trigger that the session has asked for.
+    periods: Vec<Period>,
     /// Resets that the watchdog made.
     failures: Vec<stm32f4_sim::sim::Failure>,
     phone_records: bool,
@@ -177,8 +182,18 @@ fn record(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended> {
     );
     let mut options = bench.options("recording");
     options.duration = Some(plan.length_us * u64::from(TICK_HZ / 1_000_000));
-    options.track = Track::Never;
+    // So that it sends commands all the time.
+    bench.phone_link = Some(LinkRanges::PHONE_USB);
+    options.track = Track::Always;
     let run = bench.run(&options);
+    let periods = bench
+        .commands()
+        .into_iter()
+        .filter_map(|sent| match sent.command {
+            Command::SetPeriod(SetPeriod { period, .. }) => Some(period),
+            _ => None,
+        });
+    let periods = periods.collect();
     let (edges, failures, phone_records) = bench.with(|rig| {
         let phone = rig.phones.first();
         let records = phone.is_some_and(rig::phone::AskedPhone::is_recording);
@@ -194,6 +209,7 @@ fn record(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended> {
             .into_inner(),
         truth,
         edges,
+        periods,
         failures,
         phone_records,
     })

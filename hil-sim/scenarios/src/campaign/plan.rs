@@ -1,4 +1,4 @@
-//! What goes wrong in one run, drawn from its seed.
+//! The faults of one run, drawn from its seed.
 
 use serde::Serialize;
 
@@ -63,7 +63,7 @@ impl Fault {
         Self::CorruptedToBoard,
     ];
 
-    /// Whether the board begins a new run by it.
+    /// Tells whether the board begins a new run by it.
     #[must_use]
     pub(crate) const fn is_reset(self) -> bool {
         matches!(
@@ -72,13 +72,13 @@ impl Fault {
         )
     }
 
-    /// Whether the phone is away by it. The session may end before it does.
+    /// Tells whether the phone is away by it. The session may end before it does.
     #[must_use]
     pub(crate) const fn is_of_phone(self) -> bool {
         matches!(self, Self::PhoneGone | Self::WifiStalled)
     }
 
-    /// Whether it costs the recording nothing.
+    /// Tells whether it costs the recording nothing.
     #[must_use]
     pub(crate) const fn is_harmless(self) -> bool {
         matches!(
@@ -87,7 +87,7 @@ impl Fault {
         ) || self.is_of_phone()
     }
 
-    /// Whether samples of the IMU are missing by it.
+    /// Tells whether samples of the IMU are missing by it.
     #[must_use]
     pub(crate) const fn hits_imu(self) -> bool {
         matches!(self, Self::I2cHeld | Self::ImuPowerCut | Self::ImuClockCut)
@@ -148,11 +148,11 @@ pub struct Plan {
     pub length_us: u64,
     /// Damaged bytes in a million, where bytes are damaged.
     pub corruption_ppm: u32,
-    /// What the host's time of day is set by, s.
+    /// Change of the host's time of day, s.
     pub clock_step_s: i64,
 }
 
-/// How long a recording goes on behind the last fault, in ms: 1 s for the watch
+/// Rest of a recording after the last fault, in ms: 1 s for the watch
 /// to notice, 8 s for a link to come back, an IMU to be set up again, and a
 /// status.
 const QUIET_MS: u64 = 9_000;
@@ -213,20 +213,20 @@ impl Plan {
         }
     }
 
-    /// Whether one of the faults is `fault`.
+    /// Tells whether one of the faults is `fault`.
     #[must_use]
     pub fn has(&self, fault: Fault) -> bool {
         self.events.iter().any(|event| event.fault == fault)
     }
 
-    /// Whether a fault is there at a time, of a recording that began at `zero`.
+    /// Tells whether a fault is there at a time, of a recording that began at `zero`.
     pub(crate) fn is_active(&self, fault: Fault, zero: SimTime, now: SimTime) -> bool {
         let is_now = |event: &Event| event.begins(zero) <= now && now < event.ends(zero);
         let mut events = self.events.iter();
         events.any(|event| event.fault == fault && is_now(event))
     }
 
-    /// Whether the board is reset.
+    /// Tells whether the board is reset.
     #[must_use]
     pub(crate) fn resets(&self) -> bool {
         self.events.iter().any(|event| event.fault.is_reset())

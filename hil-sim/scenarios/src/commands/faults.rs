@@ -91,9 +91,11 @@ fn table(passed: &[Verdict], failed: &[Finding]) {
         passed.iter().map(|v| v.virtual_s).sum::<f64>()
     );
     println!(
-        "{} pulses at the pin, 0 ticks from the grid; {} messages about edges and samples, \
-         all right; {} samples hit in their transfer; {} damaged frames, all counted",
+        "{} pulses at the pin, 0 ticks from the grid, whose period changed {} times; {} messages \
+         about edges and samples, all right; {} samples hit in their transfer; {} damaged \
+         frames, all counted",
         sum(|v| v.pulses),
+        sum(|v| v.period_changes),
         sum(|v| v.delivered),
         sum(|v| v.disturbed),
         sum(|v| v.damaged_frames.into())

@@ -10,6 +10,7 @@ use board::transport::serial::OpenError;
 use board::transport::{Link, LinkError};
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, Zoned};
+use protocol::{Decoder, HostToDevice};
 use recording::writer::WallClock;
 use stm32f4_sim::time::SimDuration;
 
@@ -22,6 +23,7 @@ impl Connector for SharedRig {
             Some(connection) => Ok(Box::new(VirtualLink {
                 rig: self.clone(),
                 connection,
+                sent: Decoder::new(),
             })),
             None => Err(BoardError::Open(OpenError::NotFound { path })),
         }
@@ -32,6 +34,7 @@ impl Connector for SharedRig {
 struct VirtualLink {
     rig: SharedRig,
     connection: u64,
+    sent: Decoder<HostToDevice>,
 }
 
 impl VirtualLink {
@@ -51,6 +54,10 @@ impl Link for VirtualLink {
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.rig.with(|rig| rig.send(self.connection, bytes));
+        let mut rest = bytes;
+        while let Some(command) = self.sent.next(&mut rest) {
+            self.rig.commands.borrow_mut().extend(command);
+        }
         self.still_there()
     }
 

@@ -26,6 +26,7 @@ use ::session::event::{Phase, SessionEvent, Stamped};
 use ::session::options::Options;
 use ::session::run::{Devices, Ended, run};
 use anyhow::{Context, Result, anyhow, ensure};
+use protocol::HostToDevice;
 use recording::profile::Profile;
 use recording::session_file::SessionOutcome;
 use rig::depth_camera::FrameRecord;
@@ -56,6 +57,8 @@ pub struct SharedRig {
     /// Virtual time as the computer's clock counts it, for whoever has no rig, ns.
     now_ns: Arc<AtomicI64>,
     hands: Rc<Hands>,
+    /// Commands of the host.
+    commands: Rc<RefCell<Vec<HostToDevice>>>,
 }
 
 impl SharedRig {
@@ -71,6 +74,7 @@ impl SharedRig {
             rig: Rc::new(RefCell::new(rig)),
             now_ns: Arc::default(),
             hands: Rc::default(),
+            commands: Rc::default(),
         })
     }
 
@@ -165,7 +169,7 @@ pub struct Seen {
 /// A session that is over.
 #[derive(Debug)]
 pub struct Run {
-    /// What the session gave.
+    /// Result of the session.
     pub ended: Result<Option<Ended>, SessionError>,
     /// Its events, without the board's messages unless they were asked for.
     pub events: Vec<Seen>,
@@ -214,14 +218,14 @@ pub struct Bench {
     cues: Vec<Cue>,
     /// The owner's profile.
     pub profile: Profile,
-    /// Where recordings go.
+    /// The folder of recordings.
     pub out: PathBuf,
-    /// Whether a recorder of the depth camera is there.
+    /// True if a recorder of the depth camera is there.
     pub has_recorder: bool,
     fate: Rc<RecorderFate>,
     /// Over what the phone's clock is read, if it can be.
     pub phone_link: Option<LinkRanges>,
-    /// Whether the board's messages are kept among the events of a run.
+    /// True if the board's messages are kept among the events of a run.
     pub keeps_messages: bool,
 }
 
@@ -282,10 +286,16 @@ impl Bench {
         Rc::clone(&self.rig.hands)
     }
 
-    /// What becomes of the depth recorder, for cues.
+    /// Fate of the depth recorder, for cues.
     #[must_use]
     pub fn recorder(&self) -> Rc<RecorderFate> {
         Rc::clone(&self.fate)
+    }
+
+    /// The commands that were sent to the board, in order.
+    #[must_use]
+    pub fn commands(&self) -> Vec<HostToDevice> {
+        self.rig.commands.borrow().clone()
     }
 
     /// Does something with the rig between two sessions.
