@@ -25,7 +25,7 @@ const RADIUS: f64 = 0.16;
 /// Height over width of a picture.
 const ASPECT: f64 = 9.0 / 16.0;
 
-/// Where its middle is, in parts of the picture's width and height.
+/// Its middle, in parts of the picture's width and height.
 fn middle(at: TrueTime) -> (f64, f64) {
     let seconds = at.units() as f64 / UNITS_PER_SECOND as f64;
     let turn = std::f64::consts::TAU * (seconds / 1.2).fract();

@@ -100,7 +100,7 @@ struct Candidate {
     counts_from: SimTime,
 }
 
-/// Where the camera is in its stream; times are elapsed units of its own clock.
+/// Position of the camera in its stream; times are elapsed units of its own clock.
 #[derive(Clone, Copy, Debug)]
 enum State {
     /// Switched off.

@@ -42,7 +42,7 @@ const HALF: i32 = 6;
 /// Points at which the kernel samples the signal: 13, out to three standard
 /// deviations.
 pub const TAPS: usize = 2 * HALF as usize + 1;
-/// Distance of these points, in standard deviations of the kernel.
+/// Spacing of these points, in standard deviations of the kernel.
 const TAP_DISTANCE: f64 = 0.5;
 /// Standard deviation of the kernel times its -3 dB frequency. For a whole
 /// Gaussian `exp(-2 (pi sigma f)^2) = sqrt(1/2)` gives `sqrt(ln 2) / (2 pi)` =

@@ -153,7 +153,7 @@ pub struct RollingShutter {
     pub shot_noise: f64,
     /// Tone curve: `255 · (x / 255)^(1 / gamma)`. 1 is a linear camera.
     pub gamma: f64,
-    /// Where the sensor's rows go in the image.
+    /// Direction of the sensor's rows in the image.
     pub readout: Readout,
     /// Seed of the texture and of the noise.
     pub seed: u64,

@@ -35,7 +35,7 @@ pub struct RunTruth {
     pub end: SimTime,
 }
 
-/// What was noted so far.
+/// Notes so far.
 #[derive(Debug, Default)]
 pub(crate) struct Noted {
     depth: Vec<FrameRecord>,

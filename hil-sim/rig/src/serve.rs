@@ -40,7 +40,7 @@ pub struct Args {
     /// passes as fast as the machine can.
     #[arg(long, value_name = "TIMES", value_parser = speed)]
     speed: Option<f64>,
-    /// Once booted, let the board stand still until a program opens its port.
+    /// Once booted, keep the board paused until a program opens its port.
     #[arg(long)]
     wait_for_host: bool,
     /// Stop after so much virtual time, for example 10s or 5min.

@@ -157,7 +157,7 @@ impl TrueClock {
     }
 
     /// Lets true time pass at `speed` times real time, without a board, until
-    /// the clock is stopped. While the machine stands still, so does true time.
+    /// the clock is stopped. While the machine pauses, so does true time.
     #[must_use]
     pub fn run_at(speed: f64) -> Self {
         let clock = Self::new();

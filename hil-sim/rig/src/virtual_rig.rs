@@ -21,7 +21,7 @@ use stm32f4_sim::usb::UsbState;
 /// Virtual time between two looks.
 const STEP: SimDuration = SimDuration::from_millis(1);
 
-/// What happens to a rig.
+/// Something that happens to a rig.
 pub type Happening = Box<dyn FnOnce(&mut VirtualRig)>;
 
 /// A rig that is stepped.
@@ -36,7 +36,7 @@ pub struct VirtualRig {
     open: bool,
     connection: u64,
     pending: Vec<u8>,
-    /// What is to happen, the next of it last.
+    /// Happenings to come, the next one last.
     agenda: Vec<(SimTime, Happening)>,
     failure: Option<String>,
 }
@@ -171,7 +171,7 @@ impl VirtualRig {
         self.sim.power_cycle();
     }
 
-    /// Whether the board's serial port is there.
+    /// Tells whether the board's serial port is there.
     #[must_use]
     pub fn is_plugged(&self) -> bool {
         self.sim.usb_state() == UsbState::Ready
@@ -192,7 +192,7 @@ impl VirtualRig {
         Some(self.connection)
     }
 
-    /// Whether a connection is the one that is open.
+    /// Tells whether a connection is the one that is open.
     #[must_use]
     pub fn has(&self, connection: u64) -> bool {
         self.open && self.connection == connection

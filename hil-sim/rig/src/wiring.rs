@@ -57,7 +57,7 @@ pub const GATE_HIGH: f64 = 2.0;
 const CRYSTAL_HZ: u64 = 8_000_000;
 const BLACK_PILL_CRYSTAL_HZ: u64 = 25_000_000;
 
-/// Which board it is.
+/// The kind of board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum BoardKind {
     /// STM32F4DISCOVERY
@@ -99,7 +99,7 @@ pub fn board() -> SimBuilder {
         .i2c_bus(SCL, SDA)
 }
 
-/// Where the firmware's ELF is by default: what the environment variable
+/// Default path of the firmware's ELF: what the environment variable
 /// says, else where `cargo xtask build` puts it.
 #[must_use]
 pub fn default_elf() -> PathBuf {

@@ -1,4 +1,4 @@
-//! How well frames of two cameras coincide, by the truth.
+//! The phase of the frames of two cameras, by the ground truth.
 //!
 //! The phase error of a pair is the middle of exposure of the depth frame minus
 //! that of the phone's middle row, in true time. A frame of the phone is paired

@@ -1,4 +1,4 @@
-//! How well frames coincide from launch to launch, by the truth.
+//! Phase and drift of the frames from launch to launch, by the ground truth.
 //!
 //! A launch is a rig of its own seed: clocks up to ±50 ppm and hours apart,
 //! sensors mounted at random. On each rig two sessions are run on virtual time
@@ -29,24 +29,24 @@ use crate::virtual_session::Bench;
 use crate::whole_chain::new_folder;
 use crate::workers;
 
-/// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
+/// Figures of the paper for its rig (66.3 µs IQR and 61.6 µs SD of the phase
 /// from launch to launch, 16.34 µs/min of drift).
 pub(crate) const PAPER: (f64, f64, f64) = (66.3, 61.6, 16.34);
 
-/// What is to be measured.
+/// Settings of the measurement.
 #[derive(Clone, Debug)]
 pub struct FrameSyncOptions {
     /// The first rig's seed; the others follow it.
     pub first_seed: u64,
-    /// How many rigs.
+    /// Number of rigs.
     pub launches: u32,
     /// Length of each recording, seconds of board time.
     pub seconds: u32,
-    /// How many rigs run at the same time.
+    /// Number of rigs that run at the same time.
     pub jobs: u32,
     /// Folder of the recordings.
     pub out: PathBuf,
-    /// What runs.
+    /// The programs that run.
     pub programs: Programs,
     /// Recordings are kept; otherwise they go as soon as they are judged.
     pub keep: bool,
@@ -59,15 +59,15 @@ pub struct Launch {
     pub seed: u64,
     /// Phase error at the start, µs.
     pub phase_error_us: f64,
-    /// What the session said about it, 1-sigma, µs.
+    /// Its stated 1-sigma, µs.
     pub phase_sigma_us: f64,
     /// Drift of the phase, µs a minute.
     pub drift_us_per_min: f64,
-    /// What the session said about it, 1-sigma, µs a minute.
+    /// Its stated 1-sigma, µs a minute.
     pub drift_sigma_us_per_min: f64,
     /// Error of the clock offset at the start, µs.
     pub offset_error_us: f64,
-    /// What the session said about it, 1-sigma, µs.
+    /// Its stated 1-sigma, µs.
     pub offset_sigma_us: f64,
     /// The twist alone.
     pub twist: TwistVerdict,
@@ -78,7 +78,7 @@ pub struct Launch {
 /// Launches of one kind in a few numbers.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Spread {
-    /// How many.
+    /// Their number.
     pub launches: usize,
     /// Mean phase error, µs.
     pub bias_us: f64,

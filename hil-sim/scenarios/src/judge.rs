@@ -1,4 +1,4 @@
-//! What a session decided, against what was true.
+//! Compares what a session decided with the ground truth.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ use stm32f4_sim::time::SimTime;
 /// Ticks of the board in a second of its time.
 const TICK_HZ: u64 = protocol::TICK_HZ as u64;
 
-/// What is known about a run that nobody in it knew.
+/// The ground truth of a run.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// The board's crystal.
@@ -47,7 +47,7 @@ pub struct OffsetError {
     pub sigma_us: f64,
 }
 
-/// What a twist said of the clocks, judged at its own reference.
+/// Errors of a twist's relation, at its own reference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TwistVerdict {
     /// The offset.
@@ -83,7 +83,7 @@ pub struct Verdict {
     pub recorded_s: f64,
 }
 
-/// What a session said of a further phone, judged.
+/// Errors of what a session said of a further phone.
 #[derive(Clone, Debug, Serialize)]
 pub struct OtherVerdict {
     /// Its name.
@@ -93,12 +93,12 @@ pub struct OtherVerdict {
     pub offset_start: OffsetError,
     /// The relation that was best known in the end, at the end of the span.
     pub offset_end: OffsetError,
-    /// Where its frames lay at the beginning of the recorded span: what was said
+    /// Position of its frames at the beginning of the recorded span: what was said
     /// minus the truth.
     pub placement: OffsetError,
-    /// How they moved, by the truth, µs/min.
+    /// Their drift, by the ground truth, µs/min.
     pub drift_us_per_min: f64,
-    /// What was said of that minus the truth, µs/min.
+    /// Stated drift minus the true one, µs/min.
     pub drift_error_us_per_min: f64,
     /// Stated 1-sigma of it, µs/min.
     pub drift_sigma_us_per_min: f64,
@@ -111,7 +111,7 @@ pub struct Timebase {
 }
 
 impl Timebase {
-    /// How many ticks a first guess may be off: far less than the shortest period.
+    /// Most ticks by which a first guess may be off: far less than the shortest period.
     pub(crate) const NEAR: u64 = 100;
 
     /// The tick count that was zero at `zero`.
@@ -204,7 +204,7 @@ pub(crate) fn read_streams(folder: &Path) -> Result<(Vec<Ticks>, u64)> {
 }
 
 impl Truth {
-    /// What a run has left.
+    /// Files of a run.
     ///
     /// # Errors
     ///
@@ -221,7 +221,7 @@ impl Truth {
         })
     }
 
-    /// What the phone's clock truly read at a tick, minus the board's time, in
+    /// True reading of the phone's clock at a tick, minus the board's time, in
     /// nanoseconds.
     fn offset_ns(&self, phone: &Oscillator, base: &Timebase, at: Ticks) -> f64 {
         let true_time = self.board.true_at(base.time(at));
@@ -231,7 +231,7 @@ impl Truth {
         (phone - scaled / 6) as f64 - (scaled % 6) as f64 / 6.0
     }
 
-    /// How wrong a stated relation is at a tick.
+    /// Error of a stated relation at a tick.
     fn error_of(
         &self,
         phone: &Oscillator,
@@ -246,7 +246,7 @@ impl Truth {
         }
     }
 
-    /// How wrong a twist's relation is where it is known best, and its skew.
+    /// Error of a twist's relation where it is known best, and of its skew.
     fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel, base: &Timebase) -> TwistVerdict {
         /// Half of the distance over which the true skew is taken, seconds: the
         /// clock is read in whole nanoseconds.
@@ -402,7 +402,7 @@ impl Truth {
     }
 }
 
-/// What the last accepted twist before a span said.
+/// Relation from the last accepted twist before a span.
 fn last_twist(twists: &[Twist], span: Span) -> Option<ClockModel> {
     twists
         .iter()

@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
-/// What all sessions need.
+/// The programs and files that all sessions need.
 #[derive(Clone, Debug)]
 pub struct Programs {
     /// The program `smartdepthsync`.
@@ -53,7 +53,7 @@ impl Programs {
     }
 }
 
-/// How a program ended, and what it said.
+/// Exit and output of a program.
 pub(crate) fn said(output: &Output) -> String {
     format!(
         "{}: {}{}",

@@ -29,7 +29,7 @@ impl SimImu {
         lost
     }
 
-    /// Where the register's address goes after an access.
+    /// Next address of the register after an access.
     fn step_pointer(&mut self) {
         self.pointer = self.map.after(self.pointer);
     }

@@ -1,4 +1,4 @@
-//! Which sensor it is, and what it is like: plain data.
+//! The sensor and its properties: plain data.
 
 use nalgebra::Rotation3;
 
@@ -11,7 +11,7 @@ use crate::oscillator::OscillatorConfig;
 use crate::random::{Seed, Stream};
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 
-/// Which sensor it is.
+/// The sensor's model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum SensorModel {
     /// The published rig's.
@@ -57,7 +57,7 @@ impl SensorModel {
 /// A sensor's imperfections and times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimImuConfig {
-    /// Which sensor it is.
+    /// The sensor's model.
     pub model: SensorModel,
     /// Gyroscope, in rad/s.
     pub gyro: ChannelConfig,

@@ -16,7 +16,7 @@ pub enum Fault {
     /// start condition with the address byte as 0, repeated starts included.
     /// Happens to the next `times` transactions that get so far.
     Nack {
-        /// Which byte; only bytes that the sensor acknowledges count and can be hit.
+        /// Number of the byte; only bytes that the sensor acknowledges count and can be hit.
         byte: u32,
         /// Number of times.
         times: u32,

@@ -86,7 +86,7 @@ pub(super) trait RegisterMap: core::fmt::Debug + Send {
     /// A master writes a register.
     fn store(&mut self, register: u8, value: u8) -> Stored;
 
-    /// Where the address goes after an access.
+    /// Next address after an access.
     fn after(&self, register: u8) -> u8;
 
     /// The sample's bytes, in the order of their registers.

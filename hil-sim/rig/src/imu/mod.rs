@@ -71,7 +71,7 @@ pub(crate) const ADDRESS: u8 = 0x68;
 /// Address of the identity in all maps.
 const IDENTITY: u8 = 0x75;
 
-/// Where a transaction on the bus stands.
+/// State of a transaction on the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Transaction {
     /// The bus is idle, or talks to somebody else.

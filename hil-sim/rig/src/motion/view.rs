@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use super::Motion;
 
-/// Distance of the grid's points, in seconds.
+/// Spacing of the grid's points, in seconds.
 const STEP: f64 = 1e-3;
 /// Points kept: half a second, more than the slowest low-pass looks at.
 const KEPT: usize = 512;

@@ -37,7 +37,7 @@ pub(super) enum Reply {
     Error(String),
     /// Success, followed by a file.
     File {
-        /// Where it is.
+        /// Its path.
         path: PathBuf,
         /// The name to announce.
         name: String,
@@ -208,7 +208,7 @@ pub(super) struct App {
     /// Number of times that the app was opened again.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
-    /// Where the app has no threads: what it does later.
+    /// Work for later, where the app has no threads.
     agenda: Mutex<Option<Vec<(TrueTime, Due)>>>,
 }
 

@@ -28,7 +28,7 @@ pub struct FrameTimes {
     /// With the exposure and the frame period of this recording.
     camera: CameraConfig,
     jitter: Random,
-    /// Which frames are lost and doubled.
+    /// Frames that are lost and doubled.
     losses: Random,
 }
 
@@ -99,7 +99,7 @@ impl FrameTimes {
         self.first_ns.saturating_add(since)
     }
 
-    /// Distance of frames, in nanoseconds of the boot clock.
+    /// Frame period, in nanoseconds of the boot clock.
     #[must_use]
     pub fn period_ns(&self) -> f64 {
         self.camera.frame_period_ns

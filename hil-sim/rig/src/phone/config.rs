@@ -27,7 +27,7 @@ pub struct PhoneConfig {
     pub app: AppConfig,
     /// When a video is rendered.
     pub video: VideoMode,
-    /// Where the app saves its files; a temporary folder if not given.
+    /// Folder of the app's files; a temporary one if not given.
     pub storage: Option<PathBuf>,
     /// The name that `get_video` gives its file, instead of the true one.
     pub video_name: Option<String>,
@@ -100,7 +100,7 @@ pub struct SensorConfig {
 /// The rolling-shutter camera and its video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraConfig {
-    /// Distance of frames in nanoseconds of the phone's clock.
+    /// Frame period, in nanoseconds of the phone's clock.
     pub frame_period_ns: f64,
     /// Exposure of each row, nanoseconds.
     pub exposure_ns: u64,
@@ -149,7 +149,7 @@ pub struct CameraConfig {
 pub struct Handset<'a> {
     /// Its name, where the rig has several.
     pub name: Option<&'a str>,
-    /// Where it is reached.
+    /// Its address.
     pub address: String,
     /// Its configuration.
     pub config: &'a PhoneConfig,

@@ -102,7 +102,7 @@ impl SimPhone {
         })
     }
 
-    /// Where it listens.
+    /// Its address.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.link.address()

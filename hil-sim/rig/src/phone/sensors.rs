@@ -29,7 +29,7 @@ const BLOCK: u64 = 2048;
 /// west, z up).
 const EARTH_FIELD: [f64; 3] = [20.0, 0.0, -43.0];
 
-/// Which sensor.
+/// The sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Accelerometer,

@@ -123,7 +123,7 @@ impl Link {
         })
     }
 
-    /// Where the phone is, when it is on the network.
+    /// Address of the phone, when it is on the network.
     pub(super) fn address(&self) -> SocketAddr {
         self.address
     }

@@ -7,7 +7,7 @@ use scenarios::demo::stage::StageOptions;
 use scenarios::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
 use scenarios::whole_chain::several::{self, SeveralPlan};
 
-/// Which rig is shown.
+/// The rig that is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum RigKind {
     /// A phone and a depth camera.

@@ -13,7 +13,7 @@ pub(crate) struct Args {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// How much virtual time, for example 6h or 3min.
+    /// Virtual time to run, for example 6h or 3min.
     #[arg(long = "for", value_name = "DURATION", default_value = "6h",
           value_parser = rig::serve::duration)]
     length: Duration,

@@ -28,7 +28,7 @@ pub const SECONDS: std::ops::RangeInclusive<u32> = 5..=3600;
 /// apart, the least that `smartdepthsync profile learn` takes a skew from.
 const TEACHING_SECONDS: u32 = 60;
 
-/// What to show.
+/// Settings of a demo.
 #[derive(Clone, Debug)]
 pub struct DemoOptions {
     /// The rig and where its files go.
@@ -39,7 +39,7 @@ pub struct DemoOptions {
     pub fresh: bool,
 }
 
-/// What a run has left.
+/// Files of a run.
 #[derive(Debug)]
 pub struct Demo {
     /// The figures.

@@ -49,7 +49,7 @@ pub struct SessionFigures {
     pub phase_error_us: f64,
     /// Change of that, µs a minute.
     pub drift_us_per_min: f64,
-    /// What is missing.
+    /// Losses.
     pub lost: u64,
     /// Length of the recorded span, seconds of board time.
     pub recorded_s: f64,

@@ -25,14 +25,14 @@ use rig::table::Table;
 use rig::wiring;
 use stm32f4_sim::time::SimTime;
 
-/// What a stage is made of.
+/// Parts of a stage.
 #[derive(Clone, Debug)]
 pub struct StageOptions {
     /// The one seed of all randomness.
     pub seed: u64,
     /// Folder for recordings, the phone's files and the profile.
     pub out: PathBuf,
-    /// What runs.
+    /// The programs that run.
     pub programs: Programs,
     /// At most so many times real time.
     pub speed: f64,

@@ -132,7 +132,7 @@ impl Bench {
         })
     }
 
-    /// What is known so far.
+    /// Progress so far.
     pub(super) fn compared(&self) -> Compared {
         self.truth.compared()
     }

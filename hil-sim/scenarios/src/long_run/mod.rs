@@ -23,14 +23,14 @@ use bench::{Bench, STEPS_A_SECOND};
 use rig::random::Seed;
 use stm32f4_sim::time::SimTime;
 
-/// How much the resident memory may grow, in bytes: pages that the allocator
+/// Most growth of the resident memory, in bytes: pages that the allocator
 /// has not given back.
 const GROWTH_ALLOWED: i64 = 2 << 20;
 
 /// Virtual seconds of a slice with or without a full link.
 const SLICE_S: u64 = 10;
 
-/// What to run.
+/// Settings of a run.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The firmware's ELF; without this, the default one.
@@ -42,7 +42,7 @@ pub struct Options {
     /// Share of the time in which the link is filled up, in percent: so many of
     /// every hundred slices of 10 s.
     pub full_link_percent: u64,
-    /// Whether the camera's photodiode is on the strobe input: 540 edges a second.
+    /// True if the camera's photodiode is on the strobe input: 540 edges a second.
     pub strobe: bool,
 }
 
@@ -51,7 +51,7 @@ pub struct Options {
 pub struct Interrupt {
     /// Whose.
     pub name: &'static str,
-    /// How often its handler ran.
+    /// Number of times that its handler ran.
     pub entries: u64,
     /// Longest time from the request to the handler's first instruction; none
     /// for a handler that only the firmware itself requests.
@@ -62,7 +62,7 @@ pub struct Interrupt {
     pub longest_run_us: f64,
 }
 
-/// How many bytes a number took on the wire at the begin and at the end: postcard
+/// Bytes that a number took on the wire at the begin and at the end: postcard
 /// writes seven bits a byte.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Growth {
@@ -76,7 +76,7 @@ pub struct Growth {
     pub to_bytes: u32,
 }
 
-/// What a run gave. Everything but wall time and memory is simulated, and the
+/// Result of a run. Everything but wall time and memory is simulated, and the
 /// same on every machine.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
@@ -141,7 +141,7 @@ impl Report {
     }
 }
 
-/// What is known while a run goes on.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
     /// Virtual time.

@@ -15,7 +15,7 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 
 use super::SharedRig;
 
-/// How often it is asked.
+/// Time from one question to the next.
 const ASKED_EVERY: Duration = Duration::from_millis(40);
 
 /// Starts to read the clock of the rig's first phone.
@@ -58,7 +58,7 @@ struct VirtualClock {
 }
 
 impl VirtualClock {
-    /// What comes of the question at a time; nothing where the link is silent.
+    /// Answer to the question at a time; nothing where the link is silent.
     fn exchange(&mut self, sent: Duration) -> Option<PhoneExchange> {
         self.asked += 1;
         let nonce = self.asked;

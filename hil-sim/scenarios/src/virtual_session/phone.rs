@@ -22,10 +22,10 @@ use super::SharedRig;
 /// Longest wait for an answer, beyond the time that a request takes by its nature.
 const MARGIN: Duration = Duration::from_secs(15);
 
-/// How long the app itself waits for frames before it gives up on `video_start`.
+/// Time for which the app itself waits for frames before it gives up on `video_start`.
 const FRAMES: Duration = Duration::from_secs(10);
 
-/// How long sensors that are busy are tried again, and how long before a download.
+/// Time for which sensors that are busy are tried again, and the same before a download.
 const BUSY: Duration = Duration::from_secs(6);
 const BUSY_WITH_VIDEO: Duration = Duration::from_secs(120);
 
@@ -50,7 +50,7 @@ pub(super) struct VirtualPhone {
     place: usize,
 }
 
-/// What is asked.
+/// A request to the app.
 struct Question {
     request: &'static str,
     line: String,
@@ -64,7 +64,7 @@ struct Reply {
     file: Option<PathBuf>,
 }
 
-/// What follows an answer.
+/// The step after an answer.
 enum Next<T> {
     Done(Result<T, PhoneError>),
     Ask(Question),
@@ -180,7 +180,7 @@ fn is_busy(error: &PhoneError) -> bool {
     error.refusal() == Some(Refusal::SensorsBusy)
 }
 
-/// Whether the sensors are free, by the answer to [`SHORTEST_IMU`].
+/// Tells whether the sensors are free, by the answer to [`SHORTEST_IMU`].
 fn is_free(reply: Result<Reply, PhoneError>) -> Result<(), PhoneError> {
     match reply {
         Ok(_) => Ok(()),

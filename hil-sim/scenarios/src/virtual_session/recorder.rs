@@ -14,7 +14,7 @@ use rig::k4a_mkv::{self, K4aSettings};
 
 use super::SharedRig;
 
-/// What becomes of a recorder.
+/// Fate of a recorder.
 #[derive(Debug, Default)]
 pub struct RecorderFate {
     ends: Cell<bool>,
@@ -37,7 +37,7 @@ impl RecorderFate {
 pub(super) struct VirtualRecorder {
     rig: SharedRig,
     fate: Rc<RecorderFate>,
-    /// Where it writes, and the first frame that is its own.
+    /// The file that it writes, and the first frame that is its own.
     recording: Option<(PathBuf, usize)>,
     frames: Vec<FrameRecord>,
     end: Option<RecorderEnd>,

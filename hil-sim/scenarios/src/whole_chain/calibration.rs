@@ -13,7 +13,7 @@ use crate::programs::{Programs, ask};
 use crate::whole_chain::evaluation::{Measured, bias, phase_at};
 use stm32f4_sim::time::SimDuration;
 
-/// What may be left of the bias in the middle of the next recording, in sigmas of what the
+/// Most that may be left of the bias in the middle of the next recording, in sigmas of what the
 /// two sessions state of their phase.
 const LIMIT_SIGMAS: f64 = 3.0;
 
@@ -25,26 +25,26 @@ const TWISTS: u32 = 3;
 const LEARNT_S: u32 = 60;
 const LEARNT_TWISTS: u32 = 4;
 
-/// What came out.
+/// The figures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CalibrationFigures {
-    /// What was hidden in the camera, µs.
+    /// The constant that was hidden in the camera, µs.
     pub hidden_us: f64,
     /// Bias of the recording before, as measured and by the truth, µs.
     pub before: Measured,
-    /// What was written into the profile, with its 1-sigma, µs.
+    /// The constant that was written into the profile, with its 1-sigma, µs.
     pub written_us: (f64, f64),
     /// Bias of the next recording, µs.
     pub after: Measured,
     /// Phase error in the middle of the next recording, by the truth, µs.
     pub left_us: f64,
-    /// What the first session states of its phase at its end, where the bias is measured, and
+    /// Phase that the first session states at its end, where the bias is measured, and
     /// the next of its own in the middle, together, 1-sigma, µs.
     pub sigma_us: f64,
 }
 
 impl CalibrationFigures {
-    /// Whether the bias of the next recording is gone, by the truth.
+    /// Tells whether the bias of the next recording is gone, by the truth.
     #[must_use]
     pub fn good(&self) -> bool {
         self.left_us.abs() <= LIMIT_SIGMAS * self.sigma_us

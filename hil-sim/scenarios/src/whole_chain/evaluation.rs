@@ -40,7 +40,7 @@ impl Measured {
         self.value - self.truth
     }
 
-    /// Whether the truth is within the stated uncertainty (99 %).
+    /// Tells whether the truth is within the stated uncertainty (99 %).
     #[must_use]
     pub fn within(&self) -> bool {
         self.error().abs() <= self.uncertainty_99
@@ -87,7 +87,7 @@ impl EvaluationFigures {
         ]
     }
 
-    /// Whether enough seeds are right within the stated uncertainty.
+    /// Tells whether enough seeds are right within the stated uncertainty.
     #[must_use]
     pub fn good(&self) -> bool {
         self.columns()

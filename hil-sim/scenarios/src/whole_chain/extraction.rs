@@ -22,7 +22,7 @@ const PAIR_NS: i64 = 16_665_000;
 /// Errors of many timestamps, µs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
-    /// How many.
+    /// Their number.
     pub count: usize,
     /// Root mean square.
     pub rms_us: f64,
@@ -52,7 +52,7 @@ impl Errors {
     }
 }
 
-/// What came out.
+/// The figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExtractionFigures {
     /// Seconds of board time that were recorded.
@@ -74,7 +74,7 @@ pub struct ExtractionFigures {
 }
 
 impl ExtractionFigures {
-    /// Whether all is within the limits.
+    /// Tells whether all is within the limits.
     #[must_use]
     pub fn good(&self) -> bool {
         self.phone_start.largest_us <= PHONE_LIMIT_US

@@ -41,7 +41,7 @@ use rig::rig_config::RigConfig;
 use rig::wiring::{self, BoardKind};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
-/// How long the rig is twisted at first, seconds: the session connects, and
+/// Length of the first twist, seconds: the session connects, and
 /// then needs 9 s of it.
 const TWIST_S: f64 = 45.0;
 /// Between two twists of a session, and how much longer it is twisted for each, seconds.
@@ -63,15 +63,15 @@ pub struct Plan {
     pub hidden_delay: SimDuration,
     /// Twists before the recording.
     pub twists: u32,
-    /// Which board.
+    /// The board.
     pub board: BoardKind,
-    /// Which IMU on it.
+    /// The IMU on it.
     pub imu: SensorModel,
-    /// Which depth camera.
+    /// The depth camera.
     pub camera: Family,
-    /// What is true of the rig.
+    /// Values of the rig's models.
     pub values: ModelValues,
-    /// Whether a [`ball`](rig::ball) swings before the phone's camera.
+    /// True if a [`ball`](rig::ball) swings before the phone's camera.
     pub ball: bool,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.
@@ -133,7 +133,7 @@ pub struct Recorded {
     pub phone: PathBuf,
     /// The profile that it was made with.
     pub profile: PathBuf,
-    /// What the session says.
+    /// The session's file.
     pub session: SessionFile,
     /// The truth.
     pub truth: Truth,
@@ -144,7 +144,7 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// What a session has left in `folder`.
+    /// The files of a session in `folder`.
     pub(crate) fn of(
         folder: PathBuf,
         phone: PathBuf,

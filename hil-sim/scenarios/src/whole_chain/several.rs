@@ -41,10 +41,10 @@ const CAMERAS: [(&str, Pin, u8, u32, f64); 3] = [
     ("top", wiring::OUTPUTS[2], 4, 2, 8_000.5),
 ];
 
-/// How long after the recorded span the depth recorder has stopped, ticks.
+/// Time after the recorded span at which the depth recorder has stopped, ticks.
 const RECORDER_STOPS: u64 = TICK_HZ as u64;
 
-/// What the phones' seeds are apart.
+/// Difference between the phones' seeds.
 const NEXT_SEED: u64 = 1_000;
 
 /// One rig and how long it records.
@@ -73,7 +73,7 @@ pub struct PhoneFigures {
     pub grid_offset_us: f64,
     /// The same minus the truth, µs.
     pub grid_error_us: f64,
-    /// How they move, as extracted, µs/min.
+    /// Their drift, as extracted, µs/min.
     pub grid_drift_us_per_min: f64,
 }
 
@@ -97,13 +97,13 @@ pub struct LidarFigures {
     pub seconds: usize,
     /// Those that are not at the tick of their edge at the lidar's pin.
     pub off: usize,
-    /// Those with another UTC than the lidar was told.
+    /// Those with another UTC than the lidar was sent.
     pub other_utc: usize,
-    /// What went wrong on the lidar's inputs.
+    /// Errors on the lidar's inputs.
     pub faults: LidarFaults,
 }
 
-/// What came out.
+/// The figures.
 #[derive(Clone, Debug, Serialize)]
 pub struct SeveralFigures {
     /// Simulated: always true.
@@ -114,7 +114,7 @@ pub struct SeveralFigures {
     pub recorded_s: f64,
     /// The phones, the reference first.
     pub phones: Vec<PhoneFigures>,
-    /// What the session said of the further phones.
+    /// The session's statements about the further phones.
     pub session: Vec<OtherVerdict>,
     /// Frame sync of the reference phone: depth minus phone at the beginning, µs.
     pub phase_us: f64,
@@ -135,7 +135,7 @@ pub struct SeveralFigures {
 }
 
 impl SeveralFigures {
-    /// Whether all is within the limits: phones and depth camera in µs, what the
+    /// Tells whether all is within the limits: phones and depth camera in µs, what the
     /// board itself makes to the tick.
     #[must_use]
     pub fn good(&self) -> bool {
@@ -207,7 +207,7 @@ impl SeveralFigures {
 }
 
 /// Records, extracts and judges; everything lies below `out` then. What is done next
-/// is told with `tell`.
+/// is reported with `tell`.
 ///
 /// # Errors
 ///
@@ -413,8 +413,8 @@ impl Judge<'_> {
                 i64::try_from(self.recorded.base.ticks(second.pulse).as_nanos()) == Ok(at)
             });
             match second.map(|second| second.utc) {
-                Some(Some(told)) if told * 1_000_000_000 == utc => {}
-                // The last one may end with the session, before it was told.
+                Some(Some(sent)) if sent * 1_000_000_000 == utc => {}
+                // The last one may end with the session, before it was sent.
                 Some(None) if index + 1 == rows.len() => {}
                 Some(_) => other_utc += 1,
                 None => off += 1,

@@ -47,11 +47,11 @@ pub(crate) struct AdbPhone {
     _folder: tempfile::TempDir,
 }
 
-/// What the phone's side knows.
+/// State of the phone's side.
 struct Phone {
     /// Its files.
     root: PathBuf,
-    /// What its processor's programs are run with.
+    /// Emulator of its processor's programs.
     emulator: &'static str,
     /// The cable, while it is in.
     cable: Mutex<Option<TcpStream>>,
@@ -113,7 +113,7 @@ impl AdbPhone {
             .env("ANDROID_ADB_SERVER_PORT", self.server.port.to_string())
     }
 
-    /// What `adb` prints.
+    /// Output of `adb`.
     pub(crate) fn adb(&self, arguments: &[&str]) -> String {
         let output = self.show(Command::new("adb").args(arguments)).output();
         let output = output.unwrap();
@@ -121,7 +121,7 @@ impl AdbPhone {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// What `adb` says of it.
+    /// State of the phone by `adb`.
     fn state(&self) -> Option<String> {
         let list = self.adb(&["devices"]);
         let mut lines = list.lines().filter_map(|line| line.split_once('\t'));
@@ -301,7 +301,7 @@ impl Phone {
         self.root.join(path.trim_start_matches('/'))
     }
 
-    /// What a line prints, in the folder that stands for the phone's root.
+    /// Output of a line, in the folder that stands for the phone's root.
     fn shell(&self, line: &str) -> io::Result<Vec<u8>> {
         let line = line
             .replace("/data/", "data/")
@@ -378,7 +378,7 @@ impl End {
     }
 }
 
-/// What comes on a stream.
+/// Our side of a stream that comes.
 struct Input {
     end: End,
     coming: Receiver<Vec<u8>>,
@@ -397,7 +397,7 @@ impl Read for Input {
     }
 }
 
-/// What goes: a message at a time.
+/// Our side of a stream that goes: a message at a time.
 struct Output {
     end: End,
     taken: Receiver<()>,

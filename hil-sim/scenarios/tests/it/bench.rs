@@ -138,7 +138,7 @@ pub(crate) fn problems(session: &SessionFile) -> Vec<&str> {
     session.problems.iter().map(|p| p.kind.as_str()).collect()
 }
 
-/// How a session ended that has a folder.
+/// Outcome of a session that has a folder.
 pub(crate) fn outcome(run: &Run) -> SessionOutcome {
     match &run.ended {
         Ok(Some(ended)) => ended.file.outcome.unwrap(),
@@ -146,7 +146,7 @@ pub(crate) fn outcome(run: &Run) -> SessionOutcome {
     }
 }
 
-/// Whether an event is of a kind.
+/// True if an event is of a kind.
 pub(crate) type IsIt = fn(&SessionEvent) -> bool;
 
 /// The states of a session, each with the event that begins it.

@@ -9,12 +9,12 @@ use crate::support;
 use test_support::documents::{Code, arguments, pages};
 use test_support::root;
 
-/// What the help of a command says.
+/// Help of a command.
 #[derive(Debug, Default)]
 struct Help {
     options: BTreeSet<String>,
     below: BTreeMap<String, Help>,
-    /// What follows is another program's.
+    /// The rest is another program's.
     passes_on: bool,
 }
 
@@ -53,7 +53,7 @@ impl Help {
         help
     }
 
-    /// What of a command line is not there.
+    /// Words of a command line that do not exist.
     fn unknown(&self, words: &[String]) -> Option<String> {
         let mut help = self;
         for (index, word) in words.iter().enumerate() {

@@ -404,11 +404,11 @@ fn an_exposure_that_the_frames_leave_open_is_stated() {
         exposures.iter().any(|e| (e - 2000.0).abs() < 10.0),
         "{exposures:?}"
     );
-    let told = Settings {
+    let known = Settings {
         exposure_us: Some(2000.0),
         ..hint(&long)
     };
-    let result = long.evaluate(&told).unwrap();
+    let result = long.evaluate(&known).unwrap();
     assert!(error_us(&long, &result).abs() < 0.3, "{result:?}");
 }
 

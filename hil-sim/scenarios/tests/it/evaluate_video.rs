@@ -137,10 +137,12 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     }
     .write_mp4(&small, Quality::RateFactor(20));
     let inputs = [good.clone(), small.clone(), dark.clone()];
-    let mut told = 0;
-    let (result, shown) =
-        precision::evaluate(&inputs, &settings, 16, &|| false, &mut |_, _, _| told += 1).unwrap();
-    assert_eq!((result.recordings.len(), told), (1, 3));
+    let mut reported = 0;
+    let (result, shown) = precision::evaluate(&inputs, &settings, 16, &|| false, &mut |_, _, _| {
+        reported += 1
+    })
+    .unwrap();
+    assert_eq!((result.recordings.len(), reported), (1, 3));
     let reasons: Vec<&str> = result.left_out.iter().map(|l| l.reason.as_str()).collect();
     assert!(reasons[0].contains("320x720"), "{reasons:?}");
     assert!(reasons[1].contains("no strobe flashes"), "{reasons:?}");

@@ -143,7 +143,7 @@ fn a_closed_recording_is_read_to_the_last_pixel() {
     assert_eq!(count, 120);
 }
 
-/// What a crash of the recorder leaves: no information, no start offset, no cues,
+/// Leaves what a crash of the recorder leaves: no information, no start offset, no cues,
 /// no size.
 fn crashed(imu: bool) -> Vec<u8> {
     let mut writer = record(imu);

@@ -1,5 +1,5 @@
 //! Depth recordings by the camera maker's own library (from PyPI), whose tags decide the
-//! times: mode, delays, sync mode; and one that mkvmerge wrote anew.
+//! times: mode, delays, sync mode; and one that mkvmerge wrote again.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -241,7 +241,7 @@ fn the_files_own_tags_decide_the_times() {
     assert!(!report.depth.as_ref().unwrap().damaged.is_empty());
     said(&report, "checksum is wrong");
 
-    // Written anew with times in whole milliseconds.
+    // Written again with times in whole milliseconds.
     let merged = case.path("merged.mkv");
     let done = Command::new("mkvmerge")
         .arg("-q")

@@ -71,7 +71,7 @@ impl Drop for Served {
     }
 }
 
-/// What the documented commands cannot know of this rig, and a shorter recording.
+/// Adds what the documented commands cannot know of this rig, and a shorter recording.
 fn on_this_rig(command: &str, rig: &Served, recorder: &str) -> Vec<String> {
     let mut words: Vec<String> = command.split_whitespace().map(str::to_owned).collect();
     let mut add = |more: &[&str]| words.extend(more.iter().map(|word| (*word).to_owned()));

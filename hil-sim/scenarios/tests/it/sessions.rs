@@ -68,7 +68,7 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     as_sent(&folder, &session, &samples);
 }
 
-/// What is in the file is what was in the sensor's registers, bit for bit, in
+/// Compares the file with the sensor's registers, bit for bit, in
 /// this program's reader and in public ones.
 fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
     let scale = session.imu.as_ref().unwrap().scale;

@@ -48,7 +48,7 @@ const HALF_TRAIN_NS: f64 = 6_362_500.0;
 const EXPOSURE_NS: f64 = 4_000_000.0;
 const READOUT_NS: f64 = 11_005_800.0;
 
-/// What to make.
+/// Settings of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Synthetic {
     pub(crate) seed: u64,
@@ -60,9 +60,9 @@ pub(crate) struct Synthetic {
     pub(crate) drop_probability: f64,
     /// The depth recording has an IMU track.
     pub(crate) camera_imu: bool,
-    /// Whether there is a depth recording at all.
+    /// True if there is a depth recording at all.
     pub(crate) depth: bool,
-    /// Whether there are the phone's files.
+    /// True if there are the phone's files.
     pub(crate) phone: bool,
     /// Size of the depth images.
     pub(crate) image: (u32, u32),
@@ -124,7 +124,7 @@ pub(crate) struct DepthTruth {
     pub(crate) pulse: u64,
     /// Centre of exposure in board time, ns.
     pub(crate) center_ns: i64,
-    /// Whether it is in the file.
+    /// True if it is in the file.
     pub(crate) delivered: bool,
 }
 

@@ -37,22 +37,22 @@ fn stamps(images: &[RawImage]) -> Vec<(i64, u32)> {
 }
 
 /// The same, as the script tells them.
-fn told_stamps(told: &Value) -> Vec<(i64, u32)> {
+fn reported_stamps(reported: &Value) -> Vec<(i64, u32)> {
     let stamp = |pair: &Value| {
         let crc = u32::try_from(pair[1].as_u64().unwrap()).unwrap();
         (pair[0].as_i64().unwrap(), crc)
     };
-    told.as_array().unwrap().iter().map(stamp).collect()
+    reported.as_array().unwrap().iter().map(stamp).collect()
 }
 
 /// An IMU sample: times in µs, and axes.
 type Sample = (i64, [f32; 3], i64, [f32; 3]);
 
-fn told_imu(told: &Value) -> Vec<Sample> {
+fn reported_imu(reported: &Value) -> Vec<Sample> {
     let axes = |axes: &Value| [0, 1, 2].map(|n| axes[n].as_f64().unwrap() as f32);
     let time = |time: &Value| time.as_i64().unwrap();
     let sample = |s: &Value| (time(&s[0]), axes(&s[1]), time(&s[2]), axes(&s[3]));
-    told.as_array().unwrap().iter().map(sample).collect()
+    reported.as_array().unwrap().iter().map(sample).collect()
 }
 
 fn samples(imu: &[CameraImu]) -> Vec<Sample> {
@@ -75,10 +75,10 @@ fn contents(recording: &mut Recording<impl Read + Seek>) -> Batch {
     all
 }
 
-/// Everything in a recording of the library, against what the script told of it; of one
+/// Everything in a recording of the library, against what the script reports of it; of one
 /// that was not closed, what had come to the disk.
-fn holds(folder: &Path, told: &Value, closed: bool) {
-    let name = told["file"].as_str().unwrap();
+fn holds(folder: &Path, reported: &Value, closed: bool) {
+    let name = reported["file"].as_str().unwrap();
     let mut recording = Recording::open(&folder.join(name)).unwrap();
     assert_eq!(recording.was_closed(), closed, "{name}");
     assert_eq!(
@@ -86,7 +86,7 @@ fn holds(folder: &Path, told: &Value, closed: bool) {
         Some(&br#"{"made": "up"}"#[..]),
         "{name}"
     );
-    let size = match told["mode"].as_u64() {
+    let size = match reported["mode"].as_u64() {
         Some(2) => (640, 576),
         _ => (320, 288),
     };
@@ -102,30 +102,33 @@ fn holds(folder: &Path, told: &Value, closed: bool) {
     }
     let all = contents(&mut recording);
     let (depth, ir, imu) = (all.depth, all.ir, samples(&all.imu));
-    let (mut told_depth, mut told_ir) = (told_stamps(&told["depth"]), told_stamps(&told["ir"]));
-    let mut told_samples = told_imu(&told["imu"]);
+    let (mut reported_depth, mut reported_ir) = (
+        reported_stamps(&reported["depth"]),
+        reported_stamps(&reported["ir"]),
+    );
+    let mut reported_samples = reported_imu(&reported["imu"]);
     if !closed {
         assert!(
             depth.len() >= 3 && imu.len() > 1000,
             "{name}: {} images",
             depth.len()
         );
-        told_depth.truncate(depth.len());
-        told_ir.truncate(ir.len());
-        told_samples.truncate(imu.len());
+        reported_depth.truncate(depth.len());
+        reported_ir.truncate(ir.len());
+        reported_samples.truncate(imu.len());
     }
-    assert_eq!(stamps(&depth), told_depth, "{name}: depth");
-    assert_eq!(stamps(&ir), told_ir, "{name}: infrared");
-    assert!(imu == told_samples, "{name}: IMU");
+    assert_eq!(stamps(&depth), reported_depth, "{name}: depth");
+    assert_eq!(stamps(&ir), reported_ir, "{name}: infrared");
+    assert!(imu == reported_samples, "{name}: IMU");
 }
 
 #[test]
 fn recordings_of_the_makers_library_are_read_exactly() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let told = run("write", folder);
+    let reported = run("write", folder);
     let of = |name: &str| {
-        let files = told.as_array().unwrap();
+        let files = reported.as_array().unwrap();
         files.iter().find(|file| file["file"] == name).unwrap()
     };
     for name in ["mjpg.mkv", "nv12.mkv", "yuy2.mkv", "bgra.mkv"] {
@@ -159,18 +162,21 @@ fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
         .arg(&path)
         .status();
     assert!(unpacked.unwrap().success());
-    let told = run("read", &path);
+    let reported = run("read", &path);
 
     let mut recording = Recording::open(&path).unwrap();
     assert!(recording.was_closed() && recording.color().unwrap().is_jpeg());
     assert_eq!(recording.size(), (320, 288));
     assert_eq!(
         recording.tag("K4A_DEPTH_MODE"),
-        told["K4A_DEPTH_MODE"].as_str()
+        reported["K4A_DEPTH_MODE"].as_str()
     );
-    let start = told["start_timestamp_offset_usec"].as_i64().unwrap();
+    let start = reported["start_timestamp_offset_usec"].as_i64().unwrap();
     assert_eq!(recording.start_offset(), StartOffset::Tag(start * 1000));
-    let delay = told["subordinate_delay_off_master_usec"].as_u64().unwrap() * 1000;
+    let delay = reported["subordinate_delay_off_master_usec"]
+        .as_u64()
+        .unwrap()
+        * 1000;
     assert_eq!(
         recording.tag("K4A_SUBORDINATE_DELAY_NS"),
         Some(&*delay.to_string())
@@ -183,11 +189,11 @@ fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
         }
     }
     assert_eq!(all.depth.len(), 6);
-    assert_eq!(stamps(&all.depth), told_stamps(&told["depth"]));
-    assert_eq!(stamps(&all.ir), told_stamps(&told["ir"]));
-    assert_eq!(stamps(&all.color), told_stamps(&told["color"]));
+    assert_eq!(stamps(&all.depth), reported_stamps(&reported["depth"]));
+    assert_eq!(stamps(&all.ir), reported_stamps(&reported["ir"]));
+    assert_eq!(stamps(&all.color), reported_stamps(&reported["color"]));
     let imu = samples(&all.imu);
-    assert!(imu.len() > 100 && imu == told_imu(&told["imu"]));
+    assert!(imu.len() > 100 && imu == reported_imu(&reported["imu"]));
 }
 
 #[test]
@@ -248,7 +254,7 @@ fn the_makers_library_reads_what_the_simulated_camera_records() {
     assert_eq!(tracks, [false, true, true, true]);
     assert_eq!(read["K4A_DEVICE_SERIAL_NUMBER"], "000123456789");
     assert_eq!(read["K4A_DEPTH_MODE"], "NFOV_UNBINNED");
-    assert_eq!(told_stamps(&read["depth"]), depth);
-    assert_eq!(told_stamps(&read["ir"]), ir);
-    assert_eq!(told_imu(&read["imu"]), imu);
+    assert_eq!(reported_stamps(&read["depth"]), depth);
+    assert_eq!(reported_stamps(&read["ir"]), ir);
+    assert_eq!(reported_imu(&read["imu"]), imu);
 }
