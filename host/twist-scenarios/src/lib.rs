@@ -20,9 +20,11 @@ use grip::{Held, rise};
 
 mod grip;
 mod scenarios;
+mod views;
 
 pub use grip::Grip;
 pub use scenarios::{Scenario, scenarios};
+pub use views::RealMotion;
 
 /// Motion of the rig.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod memory;
+mod real_streams;
+mod recordings;
 mod robustness;
 mod statistics;
 mod stretches;

@@ -219,7 +219,8 @@ impl Course {
     }
 
     fn unsupported(&self) -> Vec<(f64, f64)> {
-        self.0.course.unsupported.clone()
+        let stretches = self.0.course.unsupported.iter();
+        stretches.map(|own| (own.from_s, own.to_s)).collect()
     }
 
     /// Gates that refused windows, with the number of windows.

@@ -19,9 +19,6 @@ const STEP_COST: f64 = 60.0;
 /// it by [`NOTABLE`], a square.
 const MOST_BEGINNINGS: usize = 1000;
 const NOTABLE: f64 = 6.0;
-/// A stretch that nothing supports may hold a step: 1-sigma in seconds for each second of
-/// distance from what is supported.
-const UNSUPPORTED: f64 = 100e-6;
 
 /// A step of one clock against the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,6 +29,18 @@ pub struct ClockStep {
     pub to_s: f64,
     /// Change of b − a, seconds.
     pub by: WithSigma,
+}
+
+/// A stretch that contradicts the relation, or in which there is motion but nothing that
+/// could be related.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Unsupported {
+    /// Begin in time of clock a, seconds; −∞ before the first estimate.
+    pub from_s: f64,
+    /// End, likewise.
+    pub to_s: f64,
+    /// What is added to the 1-sigma of the offset within it, in squares, seconds.
+    pub sigma_s: f64,
 }
 
 /// Estimates of a stretch of time in which no clock stepped, at least one.
@@ -49,9 +58,10 @@ pub struct ClockCourse {
     segments: Vec<Segment>,
     /// Steps between the segments, in order of time.
     pub steps: Vec<ClockStep>,
-    /// Stretches (from, to) of clock a, seconds, over which the relation is not supported:
-    /// there is motion, but nothing that could be related. The sigma grows within them.
-    pub unsupported: Vec<(f64, f64)>,
+    /// Stretches over which the relation is not supported, with a larger sigma.
+    pub unsupported: Vec<Unsupported>,
+    /// Part of the offset's 1-sigma that all estimates share, seconds: it is in every sigma.
+    pub common_s: f64,
     /// Number of estimates that are used.
     pub used: usize,
     /// Number of estimates that contradict the rest.
@@ -226,13 +236,47 @@ impl ClockCourse {
                 },
             }
         };
-        Some(Self {
+        let mut course = Self {
             steps: segments.windows(2).map(step).collect(),
             segments,
             unsupported: Vec::new(),
+            common_s: 0.0,
             used,
             contradicting,
-        })
+        };
+        course.unsupported = course.contradicted(&sorted);
+        Some(course)
+    }
+
+    /// From one used estimate to the next, where another is in between.
+    fn contradicted(&self, sorted: &[ClockRelation]) -> Vec<Unsupported> {
+        let used: Vec<f64> = self
+            .segments
+            .iter()
+            .flat_map(|s| &s.smoothed)
+            .map(|r| r.reference)
+            .collect();
+        let others = sorted.iter().filter(|own| !used.contains(&own.reference));
+        let stretch = |own: &ClockRelation| {
+            let next = used.partition_point(|&at| at < own.reference);
+            Unsupported {
+                from_s: next.checked_sub(1).map_or(f64::NEG_INFINITY, |k| used[k]),
+                to_s: used.get(next).copied().unwrap_or(f64::INFINITY),
+                sigma_s: (own.offset - self.at(own.reference).offset).abs(),
+            }
+        };
+        others.map(stretch).collect()
+    }
+
+    /// The same of estimates whose 1-sigma has a part, in seconds, that all share.
+    pub(crate) fn with_common(estimates: &[(ClockRelation, f64)], wander: Wander) -> Option<Self> {
+        let alone = estimates.iter().map(|&(mut own, common_s)| {
+            own.covariance[0][0] -= common_s * common_s;
+            own
+        });
+        let mut course = Self::from_estimates(&alone.collect::<Vec<_>>(), wander)?;
+        course.common_s = estimates.iter().map(|own| own.1).fold(0.0, f64::max);
+        Some(course)
     }
 
     /// The same course, but where the clocks were followed ([`crate::tracker::followed`]):
@@ -262,10 +306,10 @@ impl ClockCourse {
         let middle = |step: &ClockStep| 0.5 * (step.from_s + step.to_s);
         let segment = self.steps.partition_point(|step| middle(step) <= at);
         let mut relation = self.segments[segment.min(self.segments.len() - 1)].at(at);
-        let inside = |&&(from, to): &&(f64, f64)| from < at && at < to;
-        if let Some(&(from, to)) = self.unsupported.iter().find(inside) {
-            let distance = (at - from).min(to - at);
-            relation.covariance[0][0] += (UNSUPPORTED * distance).powi(2);
+        relation.covariance[0][0] += self.common_s * self.common_s;
+        let inside = |own: &&Unsupported| own.from_s < at && at < own.to_s;
+        for own in self.unsupported.iter().filter(inside) {
+            relation.covariance[0][0] += own.sigma_s * own.sigma_s;
         }
         relation
     }
@@ -294,7 +338,7 @@ impl ClockCourse {
         let stretches = self
             .unsupported
             .iter_mut()
-            .flat_map(|(from, to)| [from, to]);
+            .flat_map(|own| [&mut own.from_s, &mut own.to_s]);
         for time in times.chain(stretches) {
             *time += a_s;
         }

@@ -9,7 +9,7 @@
 //! Slow differences (filters, nonlinearity, flexing) are not faults of samples;
 //! the local median of the difference is taken away before judging.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::calibration::Calibration;
 use crate::coarse::Usable;
@@ -36,7 +36,8 @@ pub(crate) struct Misfit {
     pub(crate) sigmas: f64,
 }
 
-/// Samples of a stream that do not fit to the smooth rate of the other.
+/// Samples of a stream that do not fit to the smooth rate of the other, whose noise in that
+/// has the 1-sigma `noise_of_other`, rad/s.
 ///
 /// `other_time` carries this stream's time to the other's, `calibration` the
 /// other's rate to this one's axes. The scale is local: where the rig is knocked
@@ -44,6 +45,7 @@ pub(crate) struct Misfit {
 pub(crate) fn outliers(
     (t, w, usable): Usable<'_>,
     other: &Signal,
+    noise_of_other: f64,
     other_time: impl Fn(f64) -> f64,
     calibration: &Calibration,
 ) -> Vec<Misfit> {
@@ -62,8 +64,10 @@ pub(crate) fn outliers(
         return Vec::new();
     }
     let contrasts = difference.map(|axis| robust::without_local_median(&axis));
+    // The noise of the other, which is smooth, hardly shows in the median of the contrasts.
     let scale_of = |part: &[f64]| {
-        robust::mad_sigma(part.to_vec()).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
+        let own = robust::mad_sigma(part.to_vec()).unwrap_or(0.0);
+        own.hypot(noise_of_other).max(LEAST_NOISE)
     };
     let overall = contrasts.each_ref().map(|contrast| scale_of(contrast));
     let sigmas = |k: usize| {
@@ -106,6 +110,91 @@ pub(crate) fn outliers(
         .into_iter()
         .filter(|m| m.sigmas > threshold)
         .collect()
+}
+
+/// Evidence of the other stream about a deviation of some stamps.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Evidence {
+    /// Odds that the content is earlier than its stamps by the deviation, and not at its stamps.
+    odds: f64,
+    /// Shift (s) and rate that the deviation makes where it is taken for the clocks'.
+    pub(crate) effect: Vector2<f64>,
+}
+
+impl Evidence {
+    /// Probability that the content is earlier by the deviation, from that beforehand.
+    pub(crate) fn probability(&self, prior: f64) -> f64 {
+        let odds = self.odds * prior / (1.0 - prior);
+        if odds.is_finite() {
+            odds / (1.0 + odds)
+        } else {
+            1.0
+        }
+    }
+
+    /// A part of the covariance of (shift, rate) if the deviation may be in them.
+    pub(crate) fn open(&self, weight: f64) -> Matrix2<f64> {
+        self.effect * self.effect.transpose() * weight
+    }
+}
+
+/// Least 1-sigma of a deviation, as a part of it.
+const LEAST_SIGMA: f64 = 0.05;
+
+/// Compares samples with the smooth rate of the other stream: is their content earlier than
+/// their stamps by `later_s`, or not? Arguments as of [`outliers`]; the effect is at `reference`.
+///
+/// With `s` the slope of the other's rate, sample minus prediction is
+/// `−s·(η + u·ρ + θ·later)`; shift η and rate ρ are free, and θ is 1 or 0.
+pub(crate) fn evidence(
+    (t, w, usable): Usable<'_>,
+    other: &Signal,
+    other_time: impl Fn(f64) -> f64,
+    calibration: &Calibration,
+    reference: f64,
+    later_s: impl Fn(usize) -> f64,
+) -> Option<Evidence> {
+    let mut seen = Vec::with_capacity(t.len());
+    let mut errors = [(); 3].map(|()| Vec::with_capacity(t.len()));
+    for k in (0..t.len()).filter(|&k| usable[k]) {
+        if let Some((x, slope)) = other.at(other_time(t[k])) {
+            let error = calibration.residual(&x.into(), &w[k].into());
+            seen.push((k, calibration.matrix * Vector3::from(slope), error));
+            (0..3).for_each(|axis| errors[axis].push(error[axis]));
+        }
+    }
+    let weights = errors.map(|axis| {
+        let sigma = robust::mad_sigma(axis).unwrap_or(LEAST_NOISE);
+        sigma.max(LEAST_NOISE).powi(-2)
+    });
+    let weights = Vector3::from(weights);
+    // Of each sample its row, information and score.
+    let each = seen.into_iter().map(|(k, slope, error)| {
+        let row = Vector3::new(1.0, t[k] - reference, later_s(k));
+        let weighed = slope.component_mul(&weights);
+        (row, weighed.dot(&slope), -weighed.dot(&error))
+    });
+    let each: Vec<(Vector3<f64>, f64, f64)> = each.collect();
+    let mut normal = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for (row, information, score) in &each {
+        normal += row * row.transpose() * *information;
+        right += row * *score;
+    }
+    let inverse = normal.try_inverse()?;
+    let found = inverse * right;
+    let mut scatter = 0.0;
+    for block in each.chunks(SCALE_BLOCK) {
+        let left = |(row, information, score): &(Vector3<f64>, f64, f64)| {
+            row * (score - information * row.dot(&found))
+        };
+        let block: Vector3<f64> = block.iter().map(left).sum();
+        scatter += inverse.row(2).transpose().dot(&block).powi(2);
+    }
+    let variance = scatter.max(inverse[(2, 2)]).max(LEAST_SIGMA * LEAST_SIGMA);
+    let effect = normal.fixed_view::<2, 2>(0, 0).try_inverse()? * normal.fixed_view::<2, 1>(0, 2);
+    let odds = ((found[2] - 0.5) / variance).exp();
+    Some(Evidence { odds, effect })
 }
 
 /// A stretch of time with a common displacement.

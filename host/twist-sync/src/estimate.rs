@@ -7,10 +7,11 @@
 
 use std::fmt;
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 
+use crate::axes::{self, LateAxis};
 use crate::calibration::{self, Calibration};
-use crate::clock::{ClockRelation, Wander, transition};
+use crate::clock::{ClockRelation, Wander, WithSigma, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
 use crate::fit::{self, Fit};
@@ -20,6 +21,7 @@ use crate::interpolant::Vec3;
 use crate::lag;
 use crate::pair::{Pair, Settings};
 use crate::rigid::{self, Stretch};
+use crate::samples::Made;
 use crate::signal::Signal;
 use crate::stream::CheckedStream;
 use crate::swing;
@@ -29,6 +31,10 @@ use crate::track::GyroTrack;
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 /// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
 const LONGEST_FILTER_S: f64 = 4e-3;
+/// Probability of a late axis beyond which its samples are taken for late.
+const BEYOND_DOUBT: f64 = 0.999;
+/// An axis that is later than this has its samples moved, seconds.
+const MUCH_LATER_S: f64 = 0.3e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: f64 = 8.0;
 /// Part of the samples left out above which a warning is given.
@@ -124,6 +130,9 @@ pub struct Report {
     pub residual_rms: Option<f64>,
     /// Rms of the motion over the overlap and the axes, rad/s.
     pub motion_rms: Option<f64>,
+    /// Part of the offset's 1-sigma that all estimates of these streams share, seconds: what
+    /// the filters' dispersion and the resolution of coarse stamps leave open.
+    pub common_s: f64,
     /// Time both recordings have in common and that was used, seconds.
     pub overlap_s: Option<f64>,
     /// Faults of both streams, those of a first.
@@ -174,6 +183,36 @@ pub enum Warning {
         /// Its 1-sigma in seconds.
         sigma_s: f64,
     },
+    /// The timestamps of a stream have steps; rounded or cut off, half a step is part of the sigma.
+    CoarseStamps {
+        /// The stream.
+        stream: Stream,
+        /// A step in seconds.
+        resolution_s: f64,
+    },
+    /// The samples of a stream lie on straight lines between slower ones.
+    Interpolated {
+        /// The stream.
+        stream: Stream,
+        /// Rate of the slower ones, Hz.
+        rate_hz: f64,
+    },
+    /// The samples of a stream are slower ones, each held for a while.
+    Held {
+        /// The stream.
+        stream: Stream,
+        /// Rate of the slower ones, Hz.
+        rate_hz: f64,
+    },
+    /// An axis comes late against the other two, to which the offset belongs.
+    LateAxis {
+        /// The stream.
+        stream: Stream,
+        /// 0 to 2 for x to z.
+        axis: usize,
+        /// By so much.
+        by: WithSigma,
+    },
     /// Many samples of a stream were left out.
     ManyLeftOut {
         /// The stream.
@@ -195,6 +234,30 @@ impl fmt::Display for Warning {
                 "the timestamps leave {:.1} µs open (few resets of a sawtooth, or two equal \
                  classes of samples); it is part of the sigma",
                 sigma_s * 1e6
+            ),
+            Self::CoarseStamps {
+                stream,
+                resolution_s,
+            } => write!(
+                f,
+                "the timestamps of {stream} have steps of {} ms; half a step is part of the sigma",
+                resolution_s * 1e3
+            ),
+            Self::Interpolated { stream, rate_hz } => write!(
+                f,
+                "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
+            ),
+            Self::Held { stream, rate_hz } => write!(
+                f,
+                "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
+            ),
+            Self::LateAxis { stream, axis, by } => write!(
+                f,
+                "axis {} of {stream} comes {:.0} ± {:.0} µs later than its other two, to which \
+                 the offset belongs",
+                ["x", "y", "z"][*axis % 3],
+                by.value * 1e6,
+                by.sigma * 1e6
             ),
             Self::ManyLeftOut { stream, part } => write!(
                 f,
@@ -272,13 +335,38 @@ fn related(
         in_one_relation = 1.0 - steps / one_body;
         signals = pair.signals(options.low_pass_hz);
     }
-    let fit = settings.fitted(&signals, start)?;
-    let (mut fit, kept_share) = if options.handle_faults {
-        pair.without_faults(fit, signals, &settings)?
-    } else {
-        (fit, 1.0)
-    };
+    let mut fit = settings.fitted(&signals, start)?;
+    let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
+    let mut late_axis = None;
+    if options.handle_faults {
+        // What is late beyond doubt would be taken for faults.
+        let late = axes::found(&fit, settings.fit.oversampling);
+        late_axis = late
+            .and_then(|late| late.axis)
+            .filter(|late| late.probability > BEYOND_DOUBT && late.by.value.abs() > MUCH_LATER_S);
+        if let Some(late) = &late_axis {
+            pair.advance(late);
+            signals = pair.signals(options.low_pass_hz);
+            fit = settings.fitted(&signals, fit.link)?;
+        }
+        let (changed, left_open) = pair.review(&fit, &signals, &settings);
+        if changed {
+            signals = pair.signals(options.low_pass_hz);
+            fit = settings.fitted(&signals, fit.link)?;
+        }
+        (fit, signals, kept_share) = pair.without_faults(fit, signals, &settings)?;
+        open = left_open + pair.open_jumps(&fit, &signals, &settings);
+    }
     flexing::include_mount(&mut fit, &settings);
+    // An axis that was advanced says nothing more about the offset.
+    let least = late_axis.map_or(0.0, |late| late.variance);
+    if let Some(late) = axes::found(&fit, settings.fit.oversampling) {
+        fit.link.at_model += late.shift_s;
+        let wider = (late.variance.max(least) / fit.covariance[(0, 0)]).max(1.0);
+        let wider = Matrix2::from_diagonal(&Vector2::new(wider.sqrt(), 1.0));
+        fit.covariance = wider * fit.covariance * wider;
+        late_axis = late_axis.or(late.axis);
+    }
     let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
     let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
     swing::include_swings(
@@ -286,18 +374,26 @@ fn related(
         settings.fit.oversampling,
         classes[0].max(classes[1]),
     );
+    let noise_s = fit.covariance[(0, 0)].sqrt();
+    fit.covariance += open;
+    report.common_s = common_s(pair, &fit, options);
     let clock = clock_of(pair, &fit, options);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());
+    let used_s = report.overlap_s.unwrap_or(0.0);
     report.gates.extend([
         Gate::usable(kept),
         Gate::one_relation(in_one_relation * kept_share),
-        Gate::consistent(crosscheck::local_scatter(&fit, PARTS)),
+        Gate::overlap(used_s, options.min_overlap_s),
+        Gate::consistent(
+            crosscheck::local_scatter(&fit, PARTS),
+            PARTS.sqrt() * noise_s,
+        ),
         Gate::sigma(clock.covariance[0][0].sqrt(), options.sigma_limit_s),
         Gate::skew(clock.skew, clock.covariance[1][1].sqrt()),
         Gate::settled(fit.settled),
     ]);
-    report.warnings = warnings(pair, &fit);
+    report.warnings = warnings(pair, &fit, late_axis);
     report.together = together(pair, &fit);
     Some((clock, calibration))
 }
@@ -338,6 +434,13 @@ fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
     }
 }
 
+/// 1-sigma of the offset that every estimate of these streams shares, seconds: of the
+/// filters' dispersion, and half a step of coarse stamps.
+fn common_s(pair: &Pair<'_>, fit: &Fit, options: &Options) -> f64 {
+    let coarse = pair.model.resolution_s.hypot(pair.data.resolution_s);
+    dispersion_s(fit, options).hypot(0.5 * coarse)
+}
+
 /// The relation of clock b to clock a, at the reference at which offset and skew
 /// are independent.
 fn clock_of(pair: &Pair<'_>, fit: &Fit, options: &Options) -> ClockRelation {
@@ -356,8 +459,9 @@ fn clock_of(pair: &Pair<'_>, fit: &Fit, options: &Options) -> ClockRelation {
     let link = fit.link.moved_to(centroid);
     let mut covariance = step * fit.covariance * step.transpose();
     covariance[(0, 0)] += unresolved_s(pair).powi(2)
-        + dispersion_s(fit, options).powi(2)
+        + common_s(pair, fit, options).powi(2)
         + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
+    covariance[(1, 1)] += pair.model.unresolved_skew.powi(2) + pair.data.unresolved_skew.powi(2);
     // The same error, over the time in which the information is.
     let square_span = (ideal[(0, 0)] + to_centroid * ideal[(0, 1)]) / ideal[(1, 1)];
     if square_span > 0.0 {
@@ -421,7 +525,7 @@ fn together(pair: &Pair<'_>, fit: &Fit) -> Vec<(f64, f64)> {
         .collect()
 }
 
-fn warnings(pair: &Pair<'_>, fit: &Fit) -> Vec<Warning> {
+fn warnings(pair: &Pair<'_>, fit: &Fit, late_axis: Option<LateAxis>) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let n = fit.nodes.len().max(1) as f64;
     let mean = fit::mean(fit.nodes.iter().map(|n| n.y));
@@ -439,10 +543,32 @@ fn warnings(pair: &Pair<'_>, fit: &Fit) -> Vec<Warning> {
     if sigma_s > 0.0 {
         warnings.push(Warning::TimeLeftOpen { sigma_s });
     }
-    for stream in [&pair.model, &pair.data] {
-        let part = 1.0 - stream.usable_part();
+    warnings.extend(late_axis.map(|late| {
+        Warning::LateAxis {
+            stream: if late.of_data {
+                &pair.data
+            } else {
+                &pair.model
+            }
+            .stream,
+            axis: late.axis,
+            by: late.by,
+        }
+    }));
+    for checked in [&pair.model, &pair.data] {
+        let (stream, resolution_s) = (checked.stream, checked.resolution_s);
+        if resolution_s > 0.0 {
+            warnings.push(Warning::CoarseStamps {
+                stream,
+                resolution_s,
+            });
+        }
+        warnings.extend(checked.made.map(|made| match made {
+            Made::Interpolated(rate_hz) => Warning::Interpolated { stream, rate_hz },
+            Made::Held(rate_hz) => Warning::Held { stream, rate_hz },
+        }));
+        let part = 1.0 - checked.usable_part();
         if part > MANY_LEFT_OUT {
-            let stream = stream.stream;
             warnings.push(Warning::ManyLeftOut { stream, part });
         }
     }

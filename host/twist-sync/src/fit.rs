@@ -312,6 +312,7 @@ pub(crate) fn fit(
     let mut quiet = LocalWeights::default();
     let mut settled = false;
     let mut solved = None;
+    let mut last_s = f64::INFINITY;
     for iteration in 0..options.iterations {
         view.look(&link, &calibration, &mut nodes)?;
         if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
@@ -328,6 +329,7 @@ pub(crate) fn fit(
         }
         calibration.step(&step.as_slice()[..SHIFT]);
         let frozen = weights.is_some() || iteration >= WEIGHTS_FROZEN;
+        last_s = step[SHIFT].abs();
         if frozen && step[SHIFT].abs().max(step[RATE].abs()) < options.settled_s {
             settled = true;
             break;
@@ -339,6 +341,8 @@ pub(crate) fn fit(
     let inverse = solved?.inverse();
     let ideal_covariance =
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
+    // Streams with large errors of their stamps settle slowly.
+    settled |= last_s < SETTLED_SIGMAS * ideal_covariance[(0, 0)].sqrt();
     let influences: Vec<(f64, Vector2<f64>)> = nodes
         .iter()
         .map(|n| (n.t, influence(n, &link, &inverse, &weights_now)))
@@ -368,6 +372,9 @@ pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix
     let mixed = correlation * (size(0) * size(1)).sqrt();
     Matrix2::new(size(0), mixed, mixed, size(1))
 }
+
+/// A last step of so many sigmas does no harm.
+const SETTLED_SIGMAS: f64 = 0.02;
 
 /// Iteration from which the weights stay, so that the fit settles.
 const WEIGHTS_FROZEN: usize = 5;

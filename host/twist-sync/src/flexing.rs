@@ -6,7 +6,7 @@
 //! `y = x − κ·y″ + 2ζκ^(3/2)·y‴`: fast motion is larger, which shows, and late by
 //! `2ζκ^(3/2)·ω²`, which is an error of the offset. Where a is carried by b, `x` and `y`
 //! change roles. Without these terms the former is a residual that is correlated in time:
-//! the long-run covariance, which sees 0.12 s of it, states too much for the shift (over a
+//! the long-run covariance, which sees 0.3 s of it, states too much for the shift (over a
 //! twist `x′·x″` cancels) and too little for the rate.
 //!
 //! A mount is as stiff as it is about each of its axes, so `κ` is a symmetric matrix, here
@@ -39,6 +39,9 @@ const THIRD_S: f64 = 0.02;
 /// Significance, as a chi-square of six degrees of freedom, from which a mount is taken
 /// for flexing: by chance one twist in two million.
 const SHOWS: f64 = 40.0;
+/// Part of the residual's power at most that a mount leaves: in real streams the second
+/// derivative also explains a little of what has other causes.
+const EARNS: f64 = 0.7;
 /// Prior of `ζ`, mean and 1-sigma: joints of metal 0.03 to 0.07, rubber 0.05, dampers 0.3
 /// (Adams and Askenazi, *Building Better Products with Finite Element Analysis*).
 const ZETA: (f64, f64) = (0.1, 0.1);
@@ -80,6 +83,11 @@ pub(crate) fn include_mount(fit: &mut Fit, settings: &Settings) {
         };
         for ((node, b), row) in nodes.iter_mut().zip(&bent).zip(&rows) {
             node.residual = b.node.residual - row * solution;
+        }
+        let power = |node: &Node| node.residual.dot(&(fit.weights * node.residual)) * node.weight;
+        let before: f64 = bent.iter().map(|b| power(&b.node)).sum();
+        if nodes.iter().map(power).sum::<f64>() > EARNS * before {
+            return;
         }
         if round + 1 == ROUNDS {
             finish(fit, settings, (nodes, rows, weights), &solution, &inverse);

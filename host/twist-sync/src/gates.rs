@@ -24,8 +24,10 @@ const LEAST_USABLE: f64 = 0.5;
 const LEAST_ONE_BODY: f64 = 1.0 / 3.0;
 /// Least part of the information that one relation of the clocks must hold.
 const LEAST_SHARE: f64 = 0.6;
-/// Largest rms disagreement between parts of the overlap, seconds.
+/// Largest rms disagreement between parts of the overlap, seconds; or so many times what noise
+/// explains: of eight parts, by chance one twist in a million.
 const LOCAL_SCATTER_S: f64 = 400e-6;
+const TIMES_BY_NOISE: f64 = 2.5;
 /// Largest plausible rate difference of two crystal clocks.
 const LARGEST_SKEW: f64 = 500e-6;
 
@@ -172,11 +174,13 @@ impl Gate {
         )
     }
 
-    pub(crate) fn consistent(scatter_s: f64) -> Self {
-        let (value, limit) = (1e6 * scatter_s, 1e6 * LOCAL_SCATTER_S);
-        Self::at_most("consistent", value, limit, "µs rms between parts").or(
+    /// `by_noise_s` is the disagreement that the sigma explains.
+    pub(crate) fn consistent(scatter_s: f64, by_noise_s: f64) -> Self {
+        let limit_s = LOCAL_SCATTER_S.hypot(TIMES_BY_NOISE * by_noise_s);
+        let unit = "µs rms between parts";
+        Self::at_most("consistent", 1e6 * scatter_s, 1e6 * limit_s, unit).or(
             "parts of the overlap disagree about the offset",
-            "hold both firmly to each other, and twist again",
+            "the timestamps of a device wander, or the two were not held firmly: twist again",
         )
     }
 

@@ -135,8 +135,8 @@ fn rival(best: &Tried, others: &[Tried]) -> f64 {
 fn candidates(pair: &Pair<'_>, options: &Options) -> Vec<f64> {
     let (model, data) = (&pair.model, &pair.data);
     let mut candidates = coarse::candidates(
-        (&model.t, model.w, &model.usable),
-        (&data.t, data.w, &data.usable),
+        (&model.t, &model.w, &model.usable),
+        (&data.t, &data.w, &data.usable),
         options.min_overlap_s,
     );
     if let Some((centre, half_width)) = options.search {

@@ -6,6 +6,7 @@
 // A refusal carries its report, and there is one a twist.
 #![allow(clippy::result_large_err)]
 
+mod axes;
 mod calibration;
 mod classes;
 mod clock;
@@ -40,7 +41,7 @@ mod track;
 pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
-pub use course::{ClockCourse, ClockStep};
+pub use course::{ClockCourse, ClockStep, Unsupported};
 pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
 pub use gates::Gate;

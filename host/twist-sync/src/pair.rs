@@ -5,13 +5,16 @@
 //! which is decided by the recordings themselves, not by the order in which they
 //! are given: exchanging them negates the offset at the same instant.
 
-use crate::calibration;
-use crate::crosscheck::{self, Misfit, Stretch};
-use crate::faults::{Fault, FaultKind, LeftOut, Why};
+use nalgebra::Matrix2;
+
+use crate::axes::LateAxis;
+use crate::calibration::{self, Calibration};
+use crate::crosscheck::{self, Evidence, Misfit, Stretch};
+use crate::faults::{Action, Fault, FaultKind, LeftOut, Why};
 use crate::fit::{self, Fit, FitOptions, Link};
 use crate::neighbours;
 use crate::rigid;
-use crate::signal::{Resampled, Signal, kernel_sigma_s};
+use crate::signal::{Resampled, Signal, kernel_length_s, kernel_sigma_s};
 use crate::stream::CheckedStream;
 
 /// Left out on either side of a displaced stretch: its ends are known to a block.
@@ -53,18 +56,16 @@ impl Settings {
     pub(crate) fn new(low_pass_hz: f64, pair: &Pair<'_>) -> Self {
         let kernel_s = kernel_sigma_s(low_pass_hz);
         let step_s = 0.75 * kernel_s;
-        // Length of white noise whose variance the filter leaves, per node.
-        let kernel_length_s = 2.0 * std::f64::consts::PI.sqrt() * kernel_s;
-        let in_band = |s: &CheckedStream<'_>| s.noise_variance() * s.step_s / kernel_length_s;
+        let in_band = |s: &CheckedStream<'_>| s.smooth_noise(low_pass_hz).powi(2);
         Self {
             low_pass_hz,
             step_s,
             fit: FitOptions {
                 iterations: 40,
                 settled_s: 1e-9,
-                oversampling: (kernel_length_s / step_s).max(1.0),
+                oversampling: (kernel_length_s(low_pass_hz) / step_s).max(1.0),
                 noise_variance: in_band(&pair.model) + in_band(&pair.data),
-                memory_s: 0.12,
+                memory_s: 0.3,
             },
         }
     }
@@ -174,7 +175,7 @@ impl<'a> Pair<'a> {
         mut fit: Fit,
         mut signals: Signals,
         settings: &Settings,
-    ) -> Option<(Fit, f64)> {
+    ) -> Option<(Fit, Signals, f64)> {
         let mut kept_share = 1.0;
         for _ in 0..4 {
             let outliers = self.leave_out_outliers(&fit, &signals, settings);
@@ -193,7 +194,147 @@ impl<'a> Pair<'a> {
                 break;
             }
         }
-        Some((fit, kept_share))
+        Some((fit, signals, kept_share))
+    }
+
+    /// Looks at the faults that each stream shows alone with the eyes of the other, and takes
+    /// back those that the content does not bear out. Gives whether there were any, and the
+    /// covariance of (shift, rate) that stays open.
+    pub(crate) fn review(
+        &mut self,
+        fit: &Fit,
+        signals: &Signals,
+        settings: &Settings,
+    ) -> (bool, Matrix2<f64>) {
+        let (mut changed, mut open) = (false, Matrix2::zeros());
+        for of_data in [false, true] {
+            let pattern = self.stream(of_data).pattern.as_ref();
+            if let Some(pattern) = pattern.filter(|p| p.sawtooth.is_some()) {
+                let evidence = self.evidence_of(of_data, fit, signals, settings);
+                let usable = &self.stream(of_data).usable;
+                let found = evidence(usable, &|k| pattern.later_s[k]);
+                drop(evidence);
+                if let Some(found) = found {
+                    let stream = self.stream_mut(of_data);
+                    let part = stream.correct_sawtooth(|prior| found.probability(prior));
+                    open += found.open(part * (1.0 - part));
+                    changed |= part > 0.0;
+                }
+            }
+            let stream = self.stream(of_data);
+            let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
+            let classes: Vec<Fault> = stream.faults.iter().filter(is_class).cloned().collect();
+            if classes.is_empty() {
+                continue;
+            }
+            let evidence = self.evidence_of(of_data, fit, signals, settings);
+            let is_borne_out = |class: &Fault| {
+                let mut usable = stream.usable.clone();
+                let mut later = vec![0.0; stream.t.len()];
+                for &k in &class.samples {
+                    usable[k] = true;
+                    later[k] = class.displacement_s.unwrap_or(0.0);
+                }
+                let found = evidence(&usable, &|k| later[k]);
+                found.is_none_or(|found| found.probability(0.5) > 0.5)
+            };
+            let denied = classes.into_iter().filter(|class| !is_borne_out(class));
+            let denied: Vec<Fault> = denied.collect();
+            drop(evidence);
+            let stream = self.stream_mut(of_data);
+            for class in denied {
+                if class.action == Action::LeftOut {
+                    class.samples.iter().for_each(|&k| stream.usable[k] = true);
+                    changed = true;
+                } else {
+                    stream.unresolved_s = 0.0;
+                }
+                stream.faults.retain(|fault| *fault != class);
+            }
+        }
+        (changed, open)
+    }
+
+    /// Covariance of (shift, rate) by lone jumps of the stamps that are in what is used: if the
+    /// clock jumped, nobody knows which side is right.
+    pub(crate) fn open_jumps(
+        &self,
+        fit: &Fit,
+        signals: &Signals,
+        settings: &Settings,
+    ) -> Matrix2<f64> {
+        let mut open = Matrix2::zeros();
+        for of_data in [false, true] {
+            let stream = self.stream(of_data);
+            let jumps = stream.pattern.as_ref().filter(|p| p.sawtooth.is_none());
+            if let Some(jumps) = jumps {
+                let evidence = self.evidence_of(of_data, fit, signals, settings);
+                let found = evidence(&stream.usable, &|k| jumps.later_s[k]);
+                open += found.map_or(Matrix2::zeros(), |found| found.open(found.probability(0.5)));
+            }
+        }
+        open
+    }
+
+    /// Takes back the lateness of an axis.
+    pub(crate) fn advance(&mut self, late: &LateAxis) {
+        let stream = self.stream_mut(late.of_data);
+        stream.advance_axis(late.axis, late.by.value);
+    }
+
+    fn stream_mut(&mut self, of_data: bool) -> &mut CheckedStream<'a> {
+        if of_data {
+            &mut self.data
+        } else {
+            &mut self.model
+        }
+    }
+
+    fn stream(&self, of_data: bool) -> &CheckedStream<'a> {
+        if of_data { &self.data } else { &self.model }
+    }
+
+    /// Asks one stream about the stamps of the other: which samples, and by how much each may
+    /// be stamped too late.
+    fn evidence_of(
+        &self,
+        of_data: bool,
+        fit: &Fit,
+        signals: &Signals,
+        settings: &Settings,
+    ) -> impl Fn(&[bool], &dyn Fn(usize) -> f64) -> Option<Evidence> {
+        let wide_hz = settings.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
+        let other = signals.resampled[usize::from(!of_data)].smoothed(wide_hz);
+        let (link, reference, calibration) = if of_data {
+            (fit.link, fit.link.at_data, fit.calibration)
+        } else {
+            (fit.link, fit.link.at_model, self.backwards(fit, settings))
+        };
+        let stream = self.stream(of_data);
+        let (t, w) = (stream.t.clone(), stream.w.to_vec());
+        move |usable, later_s| {
+            let time = |t: f64| {
+                if of_data {
+                    link.model_time(t)
+                } else {
+                    link.data_time(t)
+                }
+            };
+            crosscheck::evidence(
+                (&t, &w, usable),
+                &other,
+                time,
+                &calibration,
+                reference,
+                later_s,
+            )
+        }
+    }
+
+    /// The model's rate from the data's.
+    fn backwards(&self, fit: &Fit, settings: &Settings) -> Calibration {
+        let rates = fit.nodes.iter().map(|n| (n.y, n.x));
+        calibration::regress(rates, settings.fit.noise_variance)
     }
 
     /// Leaves out single samples of either stream; whether there were any.
@@ -202,19 +343,18 @@ impl<'a> Pair<'a> {
         let [wide_model, wide_data] = signals.resampled.each_ref().map(|r| r.smoothed(wide_hz));
         let (model, data, link) = (&self.model, &self.data, fit.link);
         let of_data = crosscheck::outliers(
-            (&data.t, data.w, &data.usable),
+            (&data.t, &data.w, &data.usable),
             &wide_model,
+            model.smooth_noise(wide_hz),
             |t| link.model_time(t),
             &fit.calibration,
         );
         let of_model = crosscheck::outliers(
-            (&model.t, model.w, &model.usable),
+            (&model.t, &model.w, &model.usable),
             &wide_data,
+            data.smooth_noise(wide_hz),
             |t| link.data_time(t),
-            &calibration::regress(
-                fit.nodes.iter().map(|n| (n.y, n.x)),
-                settings.fit.noise_variance,
-            ),
+            &self.backwards(fit, settings),
         );
         // One fault may show in both: it belongs to the stream where it is larger.
         let near_s = 1.5 * (model.step_s + data.step_s);

@@ -22,7 +22,7 @@ use std::num::NonZero;
 use std::{panic, thread};
 
 use crate::clock::ClockRelation;
-use crate::course::ClockCourse;
+use crate::course::{ClockCourse, Unsupported};
 use crate::estimate::{Estimate, Options, Refusal, Warning, estimate_offset};
 use crate::gates::Gate;
 use crate::search;
@@ -44,6 +44,9 @@ const LONGEST: usize = 32;
 const FOLLOWS_S: f64 = 0.5;
 /// A stretch of motion without any estimate that is as long is not supported, seconds.
 const UNSUPPORTED_S: f64 = 25.0;
+/// 1-sigma of the offset there, in seconds for each second of its length: a clock may be steered
+/// or step.
+const UNSUPPORTED_RATE: f64 = 100e-6;
 /// Two clocks are this far apart in rate at most.
 const MOST_SKEW: f64 = 500e-6;
 /// Most samples of one window: a stream with more of them in that time is damaged.
@@ -145,7 +148,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
         for (window, result) in batch.into_iter().zip(results) {
             found.take(window, result, options);
         }
-        if let Some(latest) = found.estimates.last() {
+        if let Some((latest, _)) = found.estimates.last() {
             expected = Prior::Relation(*latest);
         }
         if ended {
@@ -252,7 +255,8 @@ impl Window {
 /// Estimates, and windows that wait for their neighbours.
 #[derive(Default)]
 struct Found {
-    estimates: Vec<ClockRelation>,
+    /// With the part of the 1-sigma that all of them share, seconds.
+    estimates: Vec<(ClockRelation, f64)>,
     /// Refused windows, and why; each waits for another one of its size.
     waiting: Vec<(Window, Refusal)>,
     refused: Vec<RefusedWindows>,
@@ -273,7 +277,8 @@ impl Found {
     }
 
     fn accept(&mut self, estimate: &Estimate) {
-        self.estimates.push(estimate.clock);
+        let common_s = estimate.report.common_s;
+        self.estimates.push((estimate.clock, common_s));
         for warning in &estimate.report.warnings {
             let kind = std::mem::discriminant(warning);
             let known = self.warnings.iter_mut();
@@ -346,11 +351,13 @@ impl Found {
         windows: usize,
         options: &Options,
     ) -> Result<RecordingClock, RecordingError<E>> {
-        let of = |key: &ClockRelation| key.reference;
-        self.estimates.sort_by(|x, y| of(x).total_cmp(&of(y)));
-        let Some(mut course) = ClockCourse::from_estimates(&self.estimates, options.wander) else {
+        let all = &mut self.estimates;
+        all.sort_by(|x, y| x.0.reference.total_cmp(&y.0.reference));
+        let estimates: Vec<ClockRelation> = all.iter().map(|own| own.0).collect();
+        let course = ClockCourse::with_common(all, options.wander);
+        let Some(mut course) = course else {
             let most = self.refused.iter().max_by_key(|own| own.count);
-            return Err(RecordingError::NoRelation(if self.estimates.is_empty() {
+            return Err(RecordingError::NoRelation(if estimates.is_empty() {
                 most.map_or_else(
                     || "they have no time in common".into(),
                     |most| most.gate.to_string(),
@@ -358,15 +365,17 @@ impl Found {
             } else {
                 format!(
                     "{} windows give relations that contradict each other",
-                    self.estimates.len()
+                    estimates.len()
                 )
             }));
         };
-        course.unsupported = unsupported(self.unrelated, &self.estimates);
+        course
+            .unsupported
+            .extend(unsupported(self.unrelated, &estimates));
         Ok(RecordingClock {
             course,
             windows,
-            estimates: self.estimates,
+            estimates,
             refused: self.refused,
             warnings: self.warnings,
         })
@@ -374,7 +383,7 @@ impl Found {
 }
 
 /// Long stretches of windows that could not be related, without any estimate in them.
-fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> Vec<(f64, f64)> {
+fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> Vec<Unsupported> {
     unrelated.sort_by(|x, y| x.0.total_cmp(&y.0));
     let is_parted = |from: f64, to: f64| {
         estimates
@@ -388,8 +397,15 @@ fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> V
             _ => stretches.push((from, to)),
         }
     }
-    stretches.retain(|(from, to)| to - from > UNSUPPORTED_S);
-    stretches
+    let long = stretches
+        .into_iter()
+        .filter(|(from, to)| to - from > UNSUPPORTED_S);
+    long.map(|(from_s, to_s)| Unsupported {
+        from_s,
+        to_s,
+        sigma_s: UNSUPPORTED_RATE * (to_s - from_s),
+    })
+    .collect()
 }
 
 /// The estimates of a batch, on all cores. One estimate stays on one thread: it takes some

@@ -6,13 +6,17 @@
 //! where `d` is its displacement; summed over a class of samples that recurs
 //! with a fixed period, displacements far below the noise of one sample show.
 //!
-//! * **Clipping**: a plateau at the extreme value.
+//! * **Spikes**: single samples far off all around them.
+//! * **Clipping**: a plateau at which the motion, by its slope before and after, would have
+//!   gone on. A peak of the motion that falls on one step of a coarse sensor has none.
 //! * **Copies**: neighbours that agree to the bit in all three axes while noise
 //!   or motion makes that implausible. Which of the two is stale is decided by
 //!   their displacements; if that cannot be seen, both are left out.
 //! * **Displaced class**: the period and phase with the most significant
 //!   displacement, found one after the other, since a faulty class also spoils
 //!   the predictions of its neighbours.
+//! * **Interpolated streams** ([`Made`]): samples that lie on straight lines between others.
+//!   Nothing is left out of them.
 //!
 //! Limits: of two classes of equal size (period 2) nobody can tell from this
 //! alone which one is right; it is reported as unresolved time.
@@ -21,7 +25,25 @@ use crate::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::Vec3;
 use crate::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
-use crate::robust::higher;
+use crate::robust;
+
+/// A sample is a spike only beyond this distance from those around it, rad/s, and so many
+/// times their own deviation.
+const SPIKE: f64 = 1.0;
+const SPIKE_SIGMAS: f64 = 15.0;
+/// The motion would have gone on beyond a clipped plateau by so many steps of the sensor and
+/// sigmas of its noise.
+const CLIPPED_STEPS: f64 = 6.0;
+const CLIPPED_SIGMAS: f64 = 4.0;
+
+/// Samples that were not taken one by one, and the rate of those that were, Hz.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Made {
+    /// By straight lines between them.
+    Interpolated(f64),
+    /// By holding each for a while.
+    Held(f64),
+}
 
 /// Result of the checks of one stream's samples.
 #[derive(Default)]
@@ -30,27 +52,48 @@ pub(crate) struct SampleCheck {
     pub(crate) noise: Vec3,
     /// Uncertainty of the stream's time that a fault leaves open, seconds.
     pub(crate) unresolved_s: f64,
+    pub(crate) made: Option<Made>,
     /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
 }
 
-/// Checks the samples and clears `usable` where they are to be left out.
-pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -> SampleCheck {
+/// Checks the samples, whose stamps have steps of `resolution_s`, and clears `usable` where they are to be left out.
+pub(crate) fn check(
+    stream: Stream,
+    samples: Samples<'_>,
+    resolution_s: f64,
+    usable: &mut [bool],
+) -> SampleCheck {
     let mut out = SampleCheck::default();
     let fault = |kind, members| Fault::new(stream, kind, members, Action::LeftOut);
 
-    let clipped = clipped(samples.w, usable);
+    let spikes = spikes(samples.w, usable);
+    if !spikes.is_empty() {
+        leave_out(usable, &spikes);
+        out.faults.push(fault(FaultKind::Outlier, spikes));
+    }
+    let mut against = samples.predictions(usable);
+    out.noise = noise_of(&against);
+    let clipped = clipped(samples.w, usable, &out.noise);
     if !clipped.is_empty() {
         leave_out(usable, &clipped);
         out.faults.push(fault(FaultKind::Clipped, clipped));
+        against = samples.predictions(usable);
+        out.noise = noise_of(&against);
     }
-
-    let mut against = samples.predictions(usable);
-    out.noise = noise_of(&against);
+    out.made = interpolated(samples, usable).map(Made::Interpolated);
+    if out.made.is_some() {
+        return out;
+    }
 
     let pairs = copies(samples.w, usable, &out.noise);
     if !pairs.is_empty() {
         let (stale, displacement_s) = stale_copies(samples, usable, &pairs, &out.noise);
+        let all = kept(usable).len();
+        if pairs.len() * 5 > all * 2 {
+            let fresh = (all - pairs.len()) as f64;
+            out.made = Some(Made::Held(fresh / all as f64 / samples.step_s));
+        }
         leave_out(usable, &stale);
         against = samples.predictions(usable);
         out.noise = noise_of(&against);
@@ -62,7 +105,7 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
         });
     }
 
-    leave_out_displaced(stream, samples, usable, against, &mut out);
+    leave_out_displaced(stream, samples, resolution_s, usable, against, &mut out);
     out
 }
 
@@ -71,6 +114,7 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
 fn leave_out_displaced(
     stream: Stream,
     samples: Samples<'_>,
+    resolution_s: f64,
     usable: &mut [bool],
     mut against: Vec<Against>,
     out: &mut SampleCheck,
@@ -80,6 +124,10 @@ fn leave_out_displaced(
         let Some(class) = classes::most_displaced(samples, usable, &against, &out.noise) else {
             break;
         };
+        // Coarse stamps recur with the sampling.
+        if class.displacement_s.abs() < resolution_s {
+            break;
+        }
         let left = kept(usable);
         let members: Vec<usize> = left
             .iter()
@@ -107,29 +155,91 @@ fn leave_out_displaced(
     }
 }
 
+/// Single samples, or a few, far off those around them.
+fn spikes(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
+    let kept = kept(usable);
+    let mut hit = vec![false; w.len()];
+    for axis in 0..3 {
+        let values: Vec<f64> = kept.iter().map(|&k| w[k][axis]).collect();
+        let off = robust::without_local_median(&values);
+        for at in (0..off.len()).filter(|&at| off[at].abs() > SPIKE) {
+            let around = at.saturating_sub(4)..(at + 5).min(values.len());
+            let local = robust::mad_sigma(values[around].to_vec()).unwrap_or(0.0);
+            hit[kept[at]] |= off[at].abs() > SPIKE_SIGMAS * local;
+        }
+    }
+    (0..w.len()).filter(|&k| hit[k]).collect()
+}
+
 /// Samples at a plateau of the largest or smallest value of an axis.
-fn clipped(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
+fn clipped(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<usize> {
     let mut hit = vec![false; w.len()];
     for axis in 0..3 {
         for sign in [1.0, -1.0] {
+            let value = |k: usize| sign * w[k][axis];
             let values = (0..w.len()).filter(|&k| usable[k]);
-            let values = values.map(|k| (k, sign * w[k][axis]));
-            let extreme = values.clone().map(|v| v.1).fold(0.0, higher);
+            let extreme = values.clone().map(value).fold(0.0, robust::higher);
             if extreme < 1.0 {
                 continue;
             }
             let level = extreme * (1.0 - 1e-6);
-            let top: Vec<usize> = values.filter(|v| v.1 >= level).map(|v| v.0).collect();
-            let runs = top.chunk_by(|k, next| next - k == 1);
-            let longest = runs.map(<[usize]>::len).max().unwrap_or(0);
-            if longest >= 3 || (longest == 2 && top.len() >= 6) {
-                for k in top {
-                    hit[k] = true;
-                }
+            let top: Vec<usize> = values.filter(|&k| value(k) >= level).collect();
+            if top.len() < 3 {
+                continue;
+            }
+            let changes = w.windows(2).map(|p| (p[1][axis] - p[0][axis]).abs());
+            let step = changes.filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
+            let least = CLIPPED_STEPS * step + CLIPPED_SIGMAS * noise[axis];
+            // Beyond the plateau the motion would have gone on by its slope.
+            let beyond = |run: &[usize]| {
+                let (first, last) = (run[0], run[run.len() - 1]);
+                let before = extreme - value(first.checked_sub(3)?);
+                let after = extreme - sign * w.get(last + 3)?[axis];
+                Some(before.min(after) / 3.0 * (run.len() + 1) as f64 / 4.0)
+            };
+            let runs: Vec<&[usize]> = top.chunk_by(|k, next| next - k == 1).collect();
+            let is_clipped = |run: &&&[usize]| beyond(run).is_some_and(|rate| rate > least);
+            let clipped: usize = runs.iter().filter(is_clipped).map(|run| run.len()).sum();
+            if clipped >= 3 {
+                top.iter().for_each(|&k| hit[k] = true);
             }
         }
     }
     (0..w.len()).filter(|&k| hit[k]).collect()
+}
+
+/// The rate in Hz of the samples between which all others are interpolated on straight lines;
+/// `None` of a stream that is not made so.
+fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
+    let Samples { t, w, step_s } = samples;
+    let is_near = |k: usize| usable[k - 1] && usable[k] && usable[k + 1];
+    let bend = |k: usize, axis: usize| {
+        let (before, after) = (t[k] - t[k - 1], t[k + 1] - t[k]);
+        let line = (w[k - 1][axis] * after + w[k + 1][axis] * before) / (before + after);
+        (w[k][axis] - line).abs()
+    };
+    let (mut triples, mut straight, mut single) = (0.0, 0.0, [0.0; 3]);
+    for k in (3..w.len().saturating_sub(3)).filter(|&k| is_near(k)) {
+        if (0..3).any(|axis| w[k][axis] == w[k - 1][axis] || w[k][axis] == w[k + 1][axis]) {
+            continue;
+        }
+        triples += 1.0;
+        let on_line = |axis: usize| {
+            let around = [k - 2, k - 1, k + 1, k + 2].map(|near| bend(near, axis));
+            bend(k, axis) < 1e-3 * around.into_iter().fold(0.0, robust::higher)
+        };
+        let each: [bool; 3] = std::array::from_fn(on_line);
+        if each == [true; 3] {
+            straight += 1.0;
+        } else {
+            (0..3).for_each(|axis| single[axis] += f64::from(u8::from(each[axis])));
+        }
+    }
+    let others = f64::max(triples - straight, 1.0);
+    let by_chance = triples * single.iter().map(|n| n / others).product::<f64>();
+    let shows = straight > 0.05 * triples && straight > 3.0 * by_chance + 8.0;
+    // Each sample of the slower stream bends the line in two triples.
+    shows.then(|| 0.5 * (triples - straight) / triples / step_s)
 }
 
 /// Neighbours that are equal to the bit where they should not be: (first, second).
@@ -268,7 +378,7 @@ mod tests {
     fn a_clean_stream_is_clean() {
         let (t, w) = stream(|k| STEP * k as f64);
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::B, samples(&t, &w), &mut usable);
+        let checked = check(Stream::B, samples(&t, &w), 0.0, &mut usable);
         assert!(checked.faults.is_empty(), "{:?}", checked.faults);
         assert!(usable.iter().all(|&u| u));
         assert!(
@@ -282,7 +392,7 @@ mod tests {
     fn a_displaced_class_is_found_and_measured() {
         let (t, w) = stream(|k| STEP * k as f64 - if k % 10 == 7 { 1e-3 } else { 0.0 });
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::B, samples(&t, &w), &mut usable);
+        let checked = check(Stream::B, samples(&t, &w), 0.0, &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         let fault = &checked.faults[0];
         assert_eq!(fault.kind, FaultKind::DisplacedClass);
@@ -298,7 +408,7 @@ mod tests {
             w[k] = w[k - 1];
         }
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::B, samples(&t, &w), &mut usable);
+        let checked = check(Stream::B, samples(&t, &w), 0.0, &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         let fault = &checked.faults[0];
         assert_eq!(fault.kind, FaultKind::CopiedSample);
@@ -314,10 +424,68 @@ mod tests {
             v[0] = v[0].clamp(-2.5, 2.5);
         }
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::A, samples(&t, &w), &mut usable);
+        let checked = check(Stream::A, samples(&t, &w), 0.0, &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         assert_eq!(checked.faults[0].kind, FaultKind::Clipped);
         assert!((0..4500).all(|k| usable[k] != (w[k][0].abs() >= 2.5)));
+    }
+
+    #[test]
+    fn peaks_on_steps_of_a_coarse_sensor_are_not_clipped() {
+        // Steps of 16 and 70 mdps and of 1/16 °/s, at which a slow peak stands for long.
+        for step in [16e-3_f64, 70e-3, 62.5e-3].map(f64::to_radians) {
+            for lowest in [0.0, 1e-3, 5e-3] {
+                let (t, mut w) = stream(|k| STEP * k as f64);
+                for (k, v) in w.iter_mut().enumerate() {
+                    let clean = motion(STEP * k as f64);
+                    for (x, clean) in v.iter_mut().zip(clean) {
+                        *x = ((clean + (*x - clean) * lowest / 1.5e-3) / step).round() * step;
+                    }
+                }
+                let mut usable = vec![true; t.len()];
+                let checked = check(Stream::A, samples(&t, &w), 0.0, &mut usable);
+                let clipped = |f: &Fault| f.kind == FaultKind::Clipped;
+                assert!(!checked.faults.iter().any(clipped), "{step} {lowest}");
+            }
+        }
+    }
+
+    #[test]
+    fn spikes_are_left_out_and_nothing_beside_them() {
+        let (t, mut w) = stream(|k| STEP * k as f64);
+        for k in [700, 1500, 2200, 2201, 3000] {
+            w[k][1] += 150.0;
+        }
+        let mut usable = vec![true; t.len()];
+        let checked = check(Stream::A, samples(&t, &w), 0.0, &mut usable);
+        assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
+        assert_eq!(checked.faults[0].samples, [700, 1500, 2200, 2201, 3000]);
+    }
+
+    #[test]
+    fn an_interpolated_stream_is_named_and_left_alone() {
+        let (_, w) = stream(|k| STEP * k as f64);
+        // As if at 120 Hz, raised to 286 Hz.
+        let at = |x: f64| -> Vec3 {
+            let k = x as usize;
+            std::array::from_fn(|axis| w[k][axis] + (w[k + 1][axis] - w[k][axis]) * x.fract())
+        };
+        let t: Vec<f64> = (0..4000).map(|k| f64::from(k) / 286.0).collect();
+        let raised: Vec<Vec3> = (0..4000)
+            .map(|k| at(f64::from(k) * 120.0 / 286.0))
+            .collect();
+        let mut usable = vec![true; t.len()];
+        let stream = Samples {
+            t: &t,
+            w: &raised,
+            step_s: 1.0 / 286.0,
+        };
+        let checked = check(Stream::A, stream, 0.0, &mut usable);
+        let Some(Made::Interpolated(rate_hz)) = checked.made else {
+            panic!("{:?}", checked.made);
+        };
+        assert!((rate_hz - 120.0).abs() < 3.0, "{rate_hz}");
+        assert!(checked.faults.is_empty());
     }
 
     #[test]
@@ -326,7 +494,7 @@ mod tests {
         let w = vec![[0.0; 3]; 1000];
         let mut usable = vec![true; 1000];
         assert!(
-            check(Stream::A, samples(&t, &w), &mut usable)
+            check(Stream::A, samples(&t, &w), 0.0, &mut usable)
                 .faults
                 .is_empty()
         );

@@ -37,6 +37,11 @@ pub(crate) fn kernel_sigma_s(low_pass_hz: f64) -> f64 {
     std::f64::consts::LN_2.sqrt() / (std::f64::consts::TAU * low_pass_hz)
 }
 
+/// Length in seconds of white noise whose variance that kernel leaves.
+pub(crate) fn kernel_length_s(low_pass_hz: f64) -> f64 {
+    2.0 * std::f64::consts::PI.sqrt() * kernel_sigma_s(low_pass_hz)
+}
+
 /// The usable samples on an even grid, piece by piece, before any filter.
 #[derive(Debug, Clone)]
 pub(crate) struct Resampled {

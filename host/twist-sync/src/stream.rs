@@ -1,12 +1,14 @@
 //! One stream after the checks that need no other.
 
+use std::borrow::Cow;
+
 use crate::GyroTrack;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use crate::interpolant::Vec3;
+use crate::interpolant::{Uneven, Vec3};
 use crate::neighbours::{self, Samples};
-use crate::samples;
-use crate::signal::Resampled;
-use crate::timestamps;
+use crate::samples::{self, Made};
+use crate::signal::{self, Resampled};
+use crate::timestamps::{self, Pattern};
 
 /// Rates above this are no rates, rad/s.
 const LARGEST_RATE: f64 = 1e4;
@@ -17,13 +19,20 @@ pub(crate) struct CheckedStream<'a> {
     /// Clock reading at relative time zero, without the filter's delay, seconds.
     pub(crate) epoch_s: f64,
     pub(crate) t: Vec<f64>,
-    pub(crate) w: &'a [Vec3],
+    pub(crate) w: Cow<'a, [Vec3]>,
     pub(crate) usable: Vec<bool>,
     /// Typical distance of samples, seconds.
     pub(crate) step_s: f64,
     noise: Vec3,
-    /// 1-sigma of time that the faults leave open, seconds.
+    /// 1-sigma of time that the faults leave open, seconds; of its rate.
     pub(crate) unresolved_s: f64,
+    pub(crate) unresolved_skew: f64,
+    /// Step of coarse stamps, seconds; 0 of fine ones.
+    pub(crate) resolution_s: f64,
+    /// Deviation of the stamps that may be the samples' own.
+    pub(crate) pattern: Option<Pattern>,
+    /// Rate of the samples from which the stream was made, Hz, and how.
+    pub(crate) made: Option<Made>,
     pub(crate) faults: Vec<Fault>,
 }
 
@@ -47,25 +56,37 @@ impl<'a> CheckedStream<'a> {
             stream,
             epoch_s: track.epoch_s - delay_s,
             t: checked.t,
-            w,
+            w: Cow::Borrowed(w),
             usable: checked.usable,
             step_s: checked.step_s,
             noise: [0.0; 3],
             unresolved_s: checked.unresolved_s,
+            unresolved_skew: checked.unresolved_skew,
+            resolution_s: checked.resolution_s,
+            pattern: checked.pattern,
+            made: None,
             faults: checked.faults,
         };
         if handle_faults {
+            // Jumps of the stamps are no displaced samples; those of the samples are not theirs.
+            let pattern = out.pattern.as_ref().filter(|p| p.sawtooth.is_some());
+            let even = pattern.map(|pattern| {
+                let pairs = out.t.iter().zip(&pattern.later_s);
+                pairs.map(|(t, later)| t - later).collect::<Vec<f64>>()
+            });
             let samples = Samples {
-                t: &out.t,
+                t: even.as_deref().unwrap_or(&out.t),
                 w,
                 step_s: out.step_s,
             };
-            let own = samples::check(stream, samples, &mut out.usable);
+            let own = samples::check(stream, samples, out.resolution_s, &mut out.usable);
+            out.made = own.made;
             out.noise = own.noise;
             out.unresolved_s = out.unresolved_s.hypot(own.unresolved_s);
             out.faults.extend(own.faults);
         } else {
             out.t = t.to_vec();
+            (out.pattern, out.unresolved_skew) = (None, 0.0);
             out.faults
                 .retain(|f| matches!(f.kind, FaultKind::NotFinite | FaultKind::TimestampOrder));
             out.usable.fill(true);
@@ -76,8 +97,53 @@ impl<'a> CheckedStream<'a> {
         Some(out)
     }
 
+    /// Removes the sawtooth of the stamps by the part that is its probability, which is given.
+    pub(crate) fn correct_sawtooth(&mut self, probability: impl Fn(f64) -> f64) -> f64 {
+        let Some(Pattern { later_s, sawtooth }) = self.pattern.take() else {
+            return 0.0;
+        };
+        let Some(sawtooth) = sawtooth else {
+            return 0.0;
+        };
+        let part = probability(sawtooth.prior);
+        if part < 1e-3 {
+            return 0.0;
+        }
+        self.t
+            .iter_mut()
+            .zip(&later_s)
+            .for_each(|(t, later)| *t -= part * later);
+        self.unresolved_s = self.unresolved_s.hypot(part.sqrt() * sawtooth.open_s);
+        self.unresolved_skew = self.unresolved_skew.hypot(part.sqrt() * sawtooth.open_skew);
+        if part > 0.5 {
+            self.faults.push(sawtooth.fault);
+        }
+        part
+    }
+
+    /// Gives an axis the rates that it shows `later_s` later.
+    pub(crate) fn advance_axis(&mut self, axis: usize, later_s: f64) {
+        let kept = neighbours::kept(&self.usable);
+        let times: Vec<f64> = kept.iter().map(|&k| self.t[k]).collect();
+        let rates: Vec<Vec3> = kept.iter().map(|&k| self.w[k]).collect();
+        let Some(recorded) = Uneven::new(&times, &rates) else {
+            return;
+        };
+        let last = recorded.domain().1;
+        let w = self.w.to_mut();
+        for k in kept {
+            // Beyond the end nothing is known.
+            let at = self.t[k] + later_s;
+            if at > last || at < times[0] {
+                self.usable[k] = false;
+            } else {
+                w[k][axis] = recorded.value(at)[axis];
+            }
+        }
+    }
+
     pub(crate) fn resampled(&self, low_pass_hz: f64) -> Resampled {
-        Resampled::new(&self.t, self.w, &self.usable, self.step_s, low_pass_hz)
+        Resampled::new(&self.t, &self.w, &self.usable, self.step_s, low_pass_hz)
     }
 
     pub(crate) fn usable_count(&self) -> usize {
@@ -120,6 +186,11 @@ impl<'a> CheckedStream<'a> {
     /// White noise of one sample, mean of the axes, (rad/s)².
     pub(crate) fn noise_variance(&self) -> f64 {
         self.noise.iter().map(|n| n * n).sum::<f64>() / 3.0
+    }
+
+    /// 1-sigma of what a low-pass leaves of it, rad/s.
+    pub(crate) fn smooth_noise(&self, low_pass_hz: f64) -> f64 {
+        (self.noise_variance() * self.step_s / signal::kernel_length_s(low_pass_hz)).sqrt()
     }
 
     pub(crate) fn leave_out(

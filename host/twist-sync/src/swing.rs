@@ -1,7 +1,7 @@
 //! Time errors that change slowly: their uncertainty, and the estimate with them.
 //!
 //! The timestamps of a phone may swing against the content over seconds, by tens of µs.
-//! The long-run covariance of the fit reaches over 0.12 s only and takes such a swing for
+//! The long-run covariance of the fit reaches over 0.3 s only and takes such a swing for
 //! a part of the relation. So the local displacements `d` of the overlap, each from the
 //! same information, are taken once more as `d = shift + rate·u + g(u) + noise`, with `g`
 //! a stationary process of rms τ and length T. Its covariance is

@@ -9,18 +9,24 @@
 //!   sequence are left out (longest increasing subsequence), so one wild value
 //!   costs one sample, not the rest of the recording.
 //! * **Outliers**: one timestamp late or early between regular neighbours.
+//! * **Coarse stamps**: all are whole multiples of a decimal step, and their distances are
+//!   not equal. If they are rounded or cut off is not known: half a step remains as an
+//!   uncertainty.
 //! * **Sawtooth**: a device whose sensor clock is steered in steps shows small
 //!   jumps of one size and sign with a slow drift in between. Jumps and drift
-//!   together average out, so the correction removes the jumps *and* the
-//!   straight line through them: the mean and the rate of the timestamps stay
-//!   what they were. With fewer than [`FEW_RESETS`] jumps the phase of the
+//!   together average out. With two jumps or more the drift is the jumps' size over their
+//!   distance; of a single one only the least distance is known ([`LONE_DRIFT`]), and that is
+//!   an uncertainty of the skew. With fewer than [`FEW_RESETS`] jumps the phase of the
 //!   sawtooth is not known, and its height over √12 remains as an uncertainty
-//!   ([`Timestamps::unresolved_s`]).
+//!   ([`Timestamps::unresolved_s`]). If the stamps jump or the samples do, only
+//!   the other stream can tell ([`Pattern`]).
+//! * **A jump** of another kind is left as it is, and told to the comparison with the other
+//!   stream.
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::neighbours::{self, leave_out};
-use crate::robust::{self, Line};
+use crate::robust;
 
 /// Below this number of jumps a sawtooth's mean is uncertain.
 const FEW_RESETS: usize = 3;
@@ -29,6 +35,24 @@ const FEW_RESETS: usize = 3;
 const LEAST_RESET_S: f64 = 8e-6;
 /// Largest jump that is taken for one with fewer of them.
 const LARGEST_LONE_RESET_S: f64 = 100e-6;
+
+/// Drift of a sawtooth of which a single jump is seen, mean and 1-sigma, in jumps over the
+/// longer part of the recording before or after it: of periods evenly over their logarithm,
+/// weighted by the probability that one jump is seen.
+const LONE_DRIFT: (f64, f64) = (0.52, 0.25);
+/// The drift between jumps that are seen, 1-sigma as a part of it: devices do not jump evenly.
+const UNEVEN_DRIFT: f64 = 0.02;
+/// The mean of a sawtooth of several jumps, 1-sigma as a part of a jump: where between two
+/// samples it jumps is not known.
+const UNEVEN_MEAN: f64 = 0.01;
+
+/// No sampling jumps by less than this part of its step, but stamps do.
+const OWN_JUMP: f64 = 0.1;
+
+/// Resolutions of stamps that are looked for, seconds, the coarsest first.
+const RESOLUTIONS_S: [f64; 9] = [20e-3, 10e-3, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5];
+/// Distance of a stamp from a multiple, as a part of the resolution.
+const NEAR_MULTIPLE: f64 = 0.02;
 
 /// Longest gap within a recording, seconds.
 const LONGEST_GAP_S: f64 = 60.0;
@@ -45,8 +69,34 @@ pub(crate) struct Timestamps {
     pub(crate) step_s: f64,
     /// 1-sigma of the mean of the timestamps that the faults leave open, seconds.
     pub(crate) unresolved_s: f64,
+    /// The same of their rate.
+    pub(crate) unresolved_skew: f64,
+    /// Step of coarse stamps, seconds; 0 of fine ones.
+    pub(crate) resolution_s: f64,
+    /// Deviation of the stamps that may be the samples' own.
+    pub(crate) pattern: Option<Pattern>,
     /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
+}
+
+/// Deviation of stamps from a regular course: either the stamps deviate, or the samples were
+/// taken so.
+pub(crate) struct Pattern {
+    /// Of each stamp, seconds.
+    pub(crate) later_s: Vec<f64>,
+    /// A sawtooth, whose size, if it is the stamps', leaves time and skew open.
+    pub(crate) sawtooth: Option<Sawtooth>,
+}
+
+/// What a sawtooth leaves open where it is the stamps'.
+pub(crate) struct Sawtooth {
+    /// 1-sigma of the mean of the stamps, seconds.
+    pub(crate) open_s: f64,
+    /// The same of their rate.
+    pub(crate) open_skew: f64,
+    /// Probability, before the content is looked at, that the stamps jump and not the samples.
+    pub(crate) prior: f64,
+    pub(crate) fault: Fault,
 }
 
 impl Timestamps {
@@ -72,6 +122,9 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
             .collect(),
         step_s: 0.0,
         unresolved_s: 0.0,
+        unresolved_skew: 0.0,
+        resolution_s: 0.0,
+        pattern: None,
         faults: Vec::new(),
     };
     let mut kept = neighbours::kept(&out.usable);
@@ -90,11 +143,29 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
     let step = robust::median(&steps).filter(|&step| step > 0.0)?;
     out.step_s = step;
 
-    let mut outliers = fault(FaultKind::TimestampOutlier, isolated(&kept, &steps, step));
-    outliers.period = recurrence(&outliers.samples);
-    out.leave_out(&mut kept, outliers);
-
-    correct_sawtooth(stream, &kept, &mut out);
+    let equal = out
+        .faults
+        .iter()
+        .find(|f| f.kind == FaultKind::TimestampOrder);
+    let equal = equal.map_or(0, |fault| fault.count);
+    out.resolution_s = resolution(t, &kept, &steps, step, equal);
+    // Steps of coarse stamps are no faults.
+    if out.resolution_s == 0.0 {
+        let mut outliers = fault(FaultKind::TimestampOutlier, isolated(&kept, &steps, step));
+        outliers.period = recurrence(&outliers.samples);
+        out.leave_out(&mut kept, outliers);
+        look_for_jumps(stream, &kept, &mut out);
+    } else {
+        // Where few stamps step otherwise, the error is as long as the recording.
+        let q = out.resolution_s;
+        let odd = steps.iter().filter(|d| (*d - step).abs() > 0.5 * q);
+        let is_slow = odd.count() < 2 * FEW_RESETS;
+        let span_s = t[kept[kept.len() - 1]] - t[kept[0]];
+        out.unresolved_skew = if is_slow { 0.5 } else { 0.2 } * q / span_s;
+        if is_slow {
+            out.unresolved_s = q / 12.0_f64.sqrt();
+        }
+    }
 
     let gaps: Vec<usize> = kept
         .windows(2)
@@ -185,7 +256,73 @@ fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     out
 }
 
-fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
+/// Step of coarse stamps, of which `equal` repeated the one before; 0 of fine ones.
+fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize) -> f64 {
+    let first = t[kept[0]];
+    let is_multiple = |q: f64| {
+        let off = |&k: &usize| {
+            let x = (t[k] - first) / q;
+            (x - x.round()).abs() > NEAR_MULTIPLE
+        };
+        let most = kept.len() / 50;
+        kept.iter().filter(|&k| off(k)).take(most + 1).count() <= most
+    };
+    let Some(q) = RESOLUTIONS_S.into_iter().find(|&q| is_multiple(q)) else {
+        return 0.0;
+    };
+    // Even sampling that fits the step, with gaps, needs none.
+    let is_odd = |d: f64| {
+        let whole = d / step;
+        (whole - whole.round()).abs() * step > 0.5 * q
+    };
+    let odd = steps.iter().any(|&d| is_odd(d));
+    // Lost samples do not recur as evenly as the steps that a slower sampling leaves out.
+    let double: Vec<usize> = (0..steps.len())
+        .filter(|&k| steps[k] > 1.5 * step)
+        .collect();
+    let apart: Vec<usize> = double.windows(2).map(|p| p[1] - p[0]).collect();
+    let usual = apart.iter().sum::<usize>() as f64 / apart.len().max(1) as f64;
+    let even = apart
+        .iter()
+        .filter(|&&n| (n as f64 - usual).abs() < 1.0)
+        .count();
+    let beats = apart.len() >= 8 && even * 10 > apart.len() * 9 && double.len() * 50 > steps.len();
+    let is_coarse = odd || beats || equal * 200 > kept.len();
+    if is_coarse { q } else { 0.0 }
+}
+
+/// The jumps with those that fall on a sample that was left out: where the distance is a
+/// multiple of the usual one.
+fn with_missed(
+    jumps: Vec<(usize, f64)>,
+    size: f64,
+    kept: &[usize],
+    t: &[f64],
+) -> Vec<(usize, f64)> {
+    let apart = |p: &[(usize, f64)]| t[p[1].0] - t[p[0].0];
+    let spacing: Vec<f64> = jumps.windows(2).map(apart).collect();
+    let usual = robust::median(&spacing).filter(|_| jumps.len() > FEW_RESETS);
+    let Some(usual) = usual else {
+        return jumps;
+    };
+    let mut all = Vec::with_capacity(jumps.len());
+    for (n, &jump) in jumps.iter().enumerate() {
+        if let Some(&before) = n.checked_sub(1).and_then(|n| jumps.get(n)) {
+            let between = apart(&[before, jump]);
+            let missed = (between / usual).round() as usize;
+            for k in 1..missed.min(kept.len()) {
+                let at = t[before.0] + between * k as f64 / missed as f64;
+                let place = kept.partition_point(|&k| t[k] < at);
+                all.push((kept[place], size));
+            }
+        }
+        all.push(jump);
+    }
+    all
+}
+
+/// Removes a sawtooth, or tells a lone jump to the comparison with the other stream.
+fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let step = out.step_s;
     let adjacent = kept
         .windows(2)
@@ -211,42 +348,71 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         .iter()
         .filter(|s| (*s / size - 1.0).abs() < 0.4)
         .count();
-    if alike * 5 < sizes.len() * 4 {
-        return;
-    }
+    let times: Vec<f64> = jumps.iter().map(|(k, _)| out.t[*k]).collect();
+    let first = times[0];
+    let (begin, end) = (out.t[kept[0]], out.t[kept[kept.len() - 1]]);
     // One or two large jumps are a step of the clock, not a sawtooth.
-    if jumps.len() < FEW_RESETS && size.abs() > LARGEST_LONE_RESET_S {
-        return;
-    }
-    // Accumulated jumps, without the straight line through them.
-    let mut stairs: Vec<(f64, f64)> = Vec::with_capacity(kept.len());
+    let is_sawtooth = alike * 5 >= sizes.len() * 4
+        && (jumps.len() >= FEW_RESETS || size.abs() <= LARGEST_LONE_RESET_S);
+    let (drift, drift_sigma) = if !is_sawtooth {
+        (0.0, 0.0)
+    } else if jumps.len() == 1 {
+        let longer = (first - begin).max(end - first);
+        (size / longer * LONE_DRIFT.0, size / longer * LONE_DRIFT.1)
+    } else {
+        let spacing: Vec<f64> = times.windows(2).map(|p| p[1] - p[0]).collect();
+        let drift = robust::median(&spacing).map_or(0.0, |spacing| size / spacing);
+        (drift, drift * UNEVEN_DRIFT / (jumps.len() as f64).sqrt())
+    };
+    let jumps = if is_sawtooth {
+        with_missed(jumps, size, kept, &out.t)
+    } else {
+        jumps
+    };
+    // Accumulated jumps less the drift; between two jumps, which come half a step before the
+    // sample that shows them, their mean is zero.
     let mut sum = 0.0;
+    let after = jumps.iter().map(|&(k, jump)| {
+        sum += jump;
+        sum - 0.5 * jump - drift * (out.t[k] - 0.5 * step - first)
+    });
+    let mean = after.sum::<f64>() / jumps.len() as f64;
+    let mean = if is_sawtooth { mean } else { 0.0 };
+    let mut later_s = vec![0.0; out.t.len()];
     let mut next = jumps.iter().peekable();
+    let mut sum = 0.0;
     for &k in kept {
         while let Some((_, jump)) = next.next_if(|(at, _)| *at <= k) {
             sum += jump;
         }
-        stairs.push((out.t[k], sum));
+        later_s[k] = sum - drift * (out.t[k] - first) - mean;
     }
-    let line = Line::through(&stairs);
-    for (&k, &(x, s)) in kept.iter().zip(&stairs) {
-        out.t[k] = x - (s - line.mean - line.slope * (x - line.centre));
-    }
-    if jumps.len() < FEW_RESETS {
-        out.unresolved_s = size.abs() / 12.0_f64.sqrt();
-    }
-    let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
-    let samples = jumps.into_iter().map(|(k, _)| k).collect();
-    out.faults.push(Fault {
-        period: robust::median(&spacing),
-        displacement_s: Some(size),
-        ..Fault::new(
-            stream,
-            FaultKind::TimestampSawtooth,
-            samples,
-            Action::Corrected,
-        )
+    let sawtooth = is_sawtooth.then(|| {
+        let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+        let is_lone = jumps.len() < FEW_RESETS;
+        let samples = jumps.into_iter().map(|(k, _)| k).collect();
+        let kind = FaultKind::TimestampSawtooth;
+        Sawtooth {
+            open_s: size.abs()
+                * if is_lone {
+                    12.0_f64.sqrt().recip()
+                } else {
+                    UNEVEN_MEAN
+                },
+            open_skew: drift_sigma.abs(),
+            prior: if size.abs() < OWN_JUMP * step {
+                0.9
+            } else {
+                0.5
+            },
+            fault: Fault {
+                period: robust::median(&spacing),
+                displacement_s: Some(size),
+                ..Fault::new(stream, kind, samples, Action::Corrected)
+            },
+        }
     });
+    out.pattern = Some(Pattern { later_s, sawtooth });
 }
 
 #[cfg(test)]
@@ -308,18 +474,46 @@ mod tests {
             .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
             .collect();
         let checked = check(Stream::B, &t, &vec![true; 4500]).unwrap();
-        assert_eq!(checked.faults.len(), 1);
-        let fault = &checked.faults[0];
-        assert_eq!(fault.kind, FaultKind::TimestampSawtooth);
-        assert_eq!((fault.count, fault.period), (17, Some(250.0)));
-        let worst = checked
-            .t
-            .iter()
+        // It is for the other stream to say that it is the stamps'.
+        assert_eq!((checked.faults.len(), &checked.t), (0, &t));
+        let pattern = checked.pattern.unwrap();
+        let sawtooth = pattern.sawtooth.unwrap();
+        assert_eq!(sawtooth.fault.kind, FaultKind::TimestampSawtooth);
+        assert_eq!(
+            (sawtooth.fault.count, sawtooth.fault.period),
+            (17, Some(250.0))
+        );
+        let undone = t.iter().zip(&pattern.later_s).map(|(t, later)| t - later);
+        let worst = undone
             .zip(regular(4500))
             .map(|(a, b)| (a - b).abs())
             .fold(0.0, f64::max);
         assert!(worst < 3e-6, "{worst}");
-        assert_eq!(checked.unresolved_s, 0.0);
+        assert!(sawtooth.open_s < 1e-6 && checked.unresolved_s == 0.0);
+    }
+
+    #[test]
+    fn coarse_stamps_are_told_from_even_ones() {
+        let cases = [
+            // Step of the samples, resolution of the stamps, what is to be found.
+            (8.333e-3, 1e-3, 1e-3),
+            (11.86e-3, 10e-3, 10e-3),
+            (3.497e-3, 1e-3, 1e-3),
+            (5e-3, 1e-9, 0.0),
+            (10e-3, 10e-3, 0.0),
+            (10e-3, 1e-3, 0.0),
+            (2.0001e-3, 1e-9, 0.0),
+        ];
+        for (step, resolution, expected) in cases {
+            let t: Vec<f64> = (0..1000)
+                .filter(|k| k % 97 != 5)
+                .map(|k| (step * f64::from(k) / resolution + 1e-6).floor() * resolution)
+                .collect();
+            let checked = check(Stream::A, &t, &vec![true; t.len()]).unwrap();
+            assert_eq!(checked.resolution_s, expected, "{step} {resolution}");
+            let noted = |f: &Fault| matches!(f.kind, FaultKind::Gap | FaultKind::TimestampOrder);
+            assert!(checked.faults.iter().all(noted), "{:?}", checked.faults);
+        }
     }
 
     #[test]

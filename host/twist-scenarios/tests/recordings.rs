@@ -1,0 +1,96 @@
+//! Whole recordings whose clocks step, whose windows are weak, or that do not belong together.
+
+use rayon::prelude::*;
+use twist_scenarios::{Motion, Twist, TwistSpec};
+use twist_sync::{ClockRelation, GyroTrack, Options, course_of_tracks, estimate_offset};
+
+/// Minutes of being carried around, at 100 Hz.
+fn carried(seed: u64, seconds: f64, peak: f64) -> Twist {
+    let mut spec = TwistSpec {
+        motion: Motion::Natural(peak, 2.0 * peak),
+        duration_s: seconds,
+        ..TwistSpec::default()
+    };
+    (spec.a.rate_hz, spec.b.rate_hz) = (100.0, 100.01);
+    twist_scenarios::twist(&spec, seed)
+}
+
+#[test]
+fn a_step_of_a_clock_is_found_with_its_time_and_size() {
+    for (trial, (at, by_s)) in [
+        (0.22, 10e-3),
+        (0.3, -1.0),
+        (0.55, 1.0),
+        (0.8, 3.5),
+        (0.6, -2e-3),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let mut twist = carried(9000 + 1000 * trial as u64, 100.0, 0.8);
+        let from = (twist.b.len() as f64 * at) as usize;
+        twist.b.t[from..].iter_mut().for_each(|t| *t += by_s);
+        let step_s = twist.a.epoch_s + 100.0 * at;
+        let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::of_windows()).unwrap();
+        let [step] = clock.course.steps[..] else {
+            panic!("{at} {by_s}: {:?}", clock.course.steps);
+        };
+        assert!(
+            step.from_s - 0.5 < step_s && step_s < step.to_s + 0.5,
+            "{step:?} {step_s}"
+        );
+        assert!(
+            (step.by.value - by_s).abs() < 4.0 * step.by.sigma,
+            "{step:?}"
+        );
+        for tenth in 0..10 {
+            let at_s = twist.a.epoch_s + 5.0 + 10.0 * f64::from(tenth);
+            let expected = twist.offset_at(at_s) + if at_s > step_s { by_s } else { 0.0 };
+            let found = clock.course.at(at_s).offset_at(at_s);
+            let error = found.value - expected;
+            assert!(
+                error.abs() < 4.5 * found.sigma || (at_s - step_s).abs() < 5.0,
+                "{at} {by_s}: {error} at {tenth}, {}",
+                found.sigma
+            );
+        }
+    }
+}
+
+#[test]
+fn weak_windows_add_up() {
+    // Each window alone is above the limit; the whole is not.
+    let options = Options {
+        sigma_limit_s: 110e-6,
+        ..Options::of_windows()
+    };
+    for trial in 0..3 {
+        let twist = carried(31_000 + 1000 * trial, 100.0, 0.2);
+        let whole = estimate_offset(&twist.a, &twist.b, &options).unwrap();
+        let clock = course_of_tracks(&twist.a, &twist.b, None, &options).unwrap();
+        let at_s = whole.clock.reference;
+        let found: ClockRelation = clock.course.at(at_s);
+        let error = found.offset - twist.offset_at(at_s);
+        assert!(error.abs() < 4.0 * found.offset_at(at_s).sigma, "{error}");
+    }
+}
+
+#[test]
+fn recordings_that_do_not_belong_together_are_refused() {
+    let tracks: Vec<Twist> = (0..25)
+        .map(|k| carried(50_000 + 1000 * k, 40.0, 0.8))
+        .collect();
+    let pairs: Vec<(usize, usize)> = (0..25)
+        .flat_map(|i| (0..25).map(move |j| (i, j)))
+        .filter(|(i, j)| i != j)
+        .collect();
+    assert_eq!(pairs.len(), 600);
+    let is_accepted = |&&(i, j): &&(usize, usize)| {
+        let (a, b): (&GyroTrack, &GyroTrack) = (&tracks[i].a, &tracks[j].b);
+        estimate_offset(a, b, &Options::of_windows()).is_ok()
+            || (i + j).is_multiple_of(10)
+                && course_of_tracks(a, b, None, &Options::of_windows()).is_ok()
+    };
+    let accepted: Vec<_> = pairs.par_iter().filter(is_accepted).collect();
+    assert!(accepted.is_empty(), "{accepted:?}");
+}
