@@ -105,6 +105,14 @@ impl BoardModel {
         }
     }
 
+    /// The board with this key.
+    #[must_use]
+    pub fn from_key(key: &str) -> Option<Self> {
+        [Self::Discovery, Self::BlackPill]
+            .into_iter()
+            .find(|board| board.key() == key)
+    }
+
     /// Whether it has the further outputs, 2 to 4, and the pulse per second with its
     /// sentences.
     #[must_use]

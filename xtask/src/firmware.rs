@@ -16,7 +16,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::{process, tools};
+use crate::{image, process, tools};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 const FIRMWARE: &str = "firmware";
@@ -95,6 +95,20 @@ pub(crate) fn build_black_pill() -> Result<PathBuf> {
 pub(crate) fn build_with_wrong_pll() -> Result<()> {
     let elf = built(&["build", "--release", "--features", "wrong-pll"])?;
     keep(&elf, "-wrong-pll").map(drop)
+}
+
+/// Puts the images of these ELFs beside the host tool, where `board flash` looks for them.
+pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
+    for elf in elves {
+        let name = elf.file_name().context("an ELF without a name")?;
+        let to = process::target_dir()
+            .join("release")
+            .join(name)
+            .with_extension("dfu");
+        std::fs::write(&to, image::dfu_image(elf)?)
+            .with_context(|| format!("cannot write {}", to.display()))?;
+    }
+    Ok(())
 }
 
 /// Copies an ELF to the same name with an ending, and returns that.

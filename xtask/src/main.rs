@@ -10,6 +10,7 @@ mod docs;
 mod extract_bench;
 mod figures;
 mod firmware;
+mod image;
 mod package;
 mod process;
 mod sync_bench;
@@ -121,10 +122,11 @@ fn run(command: Command) -> Result<()> {
 
 fn build() -> Result<()> {
     firmware::build_with_wrong_pll()?;
-    firmware::build_black_pill()?;
+    let black_pill = firmware::build_black_pill()?;
     let elf = firmware::build()?;
     firmware::build_agent()?;
     process::cargo(["build", "--release", "--workspace"])?;
+    firmware::make_images(&[&elf, &black_pill])?;
     println!("firmware: {}", elf.display());
     Ok(())
 }
@@ -133,7 +135,7 @@ fn flash(board: firmware::Board) -> Result<()> {
     if !process::answers("probe-rs", &["--version"]) {
         bail!(
             "there is no probe-rs on the PATH: see https://probe.rs for how to install it, or \
-             docs/flash.md for two ways without it"
+             docs/flash.md for the ways without it"
         );
     }
     firmware::flash(board)

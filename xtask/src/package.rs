@@ -7,16 +7,12 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
-use object::read::elf::{FileHeader as _, ProgramHeader as _};
-
+use crate::image::{FLASH, dfu_image, raw_image};
 use crate::process;
+use anyhow::{Context, Result, bail};
 
 /// Name of the package and of the program.
 const NAME: &str = "smartdepthsync";
-
-/// Where the firmware's flash begins.
-const FLASH: u64 = 0x0800_0000;
 
 /// Builds `target/package/smartdepthsync_<version>_<arch>.deb` from what was built,
 /// and tries it. `elves` are the firmware's, one a board.
@@ -89,61 +85,25 @@ pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// ELF and raw image of each board, and the SHA-256 of all.
+/// ELF, raw image and image for DFU of each board, and the SHA-256 of all.
 fn firmware(elves: &[PathBuf], folder: &Path) -> Result<()> {
     let mut names = Vec::new();
     for elf in elves {
-        let [elf_name, image_name] = file_names(elf)?;
+        let [elf_name, raw_name, dfu_name] = file_names(elf)?;
         install(elf, &folder.join(&elf_name), 0o644)?;
-        let bytes = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
-        write(&folder.join(&image_name), &image(&bytes)?)?;
-        names.extend([elf_name, image_name]);
+        write(&folder.join(&raw_name), &raw_image(elf)?)?;
+        write(&folder.join(&dfu_name), &dfu_image(elf)?)?;
+        names.extend([elf_name, raw_name, dfu_name]);
     }
     let sums = process::text(Command::new("sha256sum").args(names).current_dir(folder))?;
     write(&folder.join("SHA256SUMS"), format!("{sums}\n").as_bytes())
 }
 
-/// What a board's ELF and its raw image are called in the package.
-fn file_names(elf: &Path) -> Result<[String; 2]> {
+/// What a board's ELF and its images are called in the package.
+fn file_names(elf: &Path) -> Result<[String; 3]> {
     let name = elf.file_name().and_then(|name| name.to_str());
     let name = name.context("an ELF without a name")?;
-    Ok([format!("{name}.elf"), format!("{name}.bin")])
-}
-
-/// What the flash holds, from its begin: the loaded segments at their physical
-/// addresses, 0xFF between them.
-fn image(elf: &[u8]) -> Result<Vec<u8>> {
-    let header = object::elf::FileHeader32::<object::Endianness>::parse(elf)
-        .context("the firmware is no 32-bit ELF")?;
-    let endian = header.endian()?;
-    let mut image = Vec::new();
-    for segment in header.program_headers(endian, elf)? {
-        let size = u64::from(segment.p_filesz(endian));
-        if segment.p_type(endian) != object::elf::PT_LOAD || size == 0 {
-            continue;
-        }
-        let at = u64::from(segment.p_paddr(endian))
-            .checked_sub(FLASH)
-            .context("the firmware has a part outside of the flash")?;
-        let data = segment
-            .data(endian, elf)
-            .ok()
-            .context("the firmware's ELF is cut off")?;
-        let at = usize::try_from(at)?;
-        if at + data.len() > 1 << 20 {
-            bail!("the firmware is larger than the flash");
-        }
-        if image.len() < at + data.len() {
-            image.resize(at + data.len(), 0xFF);
-        }
-        if let Some(place) = image.get_mut(at..at + data.len()) {
-            place.copy_from_slice(data);
-        }
-    }
-    if image.is_empty() {
-        bail!("the firmware's ELF has nothing to load");
-    }
-    Ok(image)
+    Ok([".elf", ".bin", ".dfu"].map(|ending| format!("{name}{ending}")))
 }
 
 fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
@@ -159,7 +119,7 @@ fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
          Section: science\n\
          Priority: optional\n\
          Depends: libc6, libgcc-s1\n\
-         Recommends: ffmpeg, udev\n\
+         Recommends: ffmpeg, udev, dfu-util\n\
          Installed-Size: {}\n\
          Description: hardware sync of a phone's video with a depth camera\n \
          Host tool of SmartDepthSync: twists, aligns, records, extracts and evaluates.\n \
@@ -211,7 +171,7 @@ fn try_it(package: &Path, root: &Path, elves: &[PathBuf]) -> Result<()> {
     // The first word of an image is the stack's top, in the RAM; the second the
     // reset handler, in the flash.
     for elf in elves {
-        let [_, image_name] = file_names(elf)?;
+        let [_, image_name, _] = file_names(elf)?;
         let image = fs::read(firmware.join(&image_name))
             .with_context(|| format!("{image_name} is not installed"))?;
         let word = |at: usize| {

@@ -5,6 +5,7 @@
 //! - [`Stream`]: the numbered streams of the board, what came and what was lost.
 //! - [`Board`]: a conversation on a transport, with calls that wait for the answer.
 //! - [`imu`]: the board's IMU samples in SI units.
+//! - [`image`]: images of the firmware.
 //! - [`gnss`]: the board as a lidar's GNSS receiver.
 #![forbid(unsafe_code)]
 
@@ -12,6 +13,7 @@ mod calls;
 mod conversation;
 mod error;
 pub mod gnss;
+pub mod image;
 pub mod imu;
 mod listen;
 mod streams;

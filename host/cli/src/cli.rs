@@ -48,6 +48,8 @@ enum Command {
     Ports,
     /// Show who the board is: ID, firmware, uptime, last reset
     Info(commands::info::Args),
+    /// The board itself: put firmware on it
+    Board(commands::board::Args),
     /// Measure whether a new board does what it must, with a report to send
     BringUp(commands::bring_up::Args),
     /// Make the profile of a rig by questions, check the rig, and name the next command
@@ -87,6 +89,7 @@ enum Command {
 impl Command {
     fn run(&self, context: &Context) -> Result<ExitStatus, Failure> {
         match self {
+            Self::Board(args) => commands::board::run(args, context),
             Self::Info(args) => commands::info::run(args, context),
             Self::Evaluate(args) => commands::evaluate::run(args, context),
             Self::Ports => commands::ports::run(context),

@@ -1,5 +1,6 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
+pub(crate) mod board;
 pub(crate) mod bring_up;
 pub(crate) mod completions;
 pub(crate) mod doctor;

@@ -2,6 +2,7 @@
 //! `cargo test -p smartdepthsync --test it verify_command` runs one module.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod board_flash;
 mod connect;
 mod documented_commands;
 mod evaluate_command;

@@ -1,0 +1,192 @@
+//! `board flash` with a board that answers and a stand-in for `dfu-util`, a script that keeps the
+//! chip's flash in a file. What dfu-util and the chip's loader do with each other is not shown
+//! here; the firmware's way into the ROM and back is (`hil-sim/rig/tests/it/board.rs`).
+#![cfg(unix)]
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::support::{StandIn, code, frame, hello, polite};
+use protocol::{Answer, Command as BoardCommand, DeviceToHost, HostToDevice, Refusal, Reply};
+use serde_json::Value;
+
+/// Lines as dfu-util 0.11 prints them.
+const DFU_UTIL: &str = r#"#!/bin/sh
+cd "$(dirname "$0")" || exit 1
+case "$1" in
+--version) exit 0 ;;
+--list)
+    [ -e rom ] && echo 'Found DFU: [0483:df11] ver=2200, devnum=9, cfg=1, intf=0, path="1-2", alt=1, name="@Option Bytes  /0x1FFFC000/01*016 e", serial="3262355B3231"' &&
+        echo 'Found DFU: [0483:df11] ver=2200, devnum=9, cfg=1, intf=0, path="1-2", alt=0, name="@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg", serial="3262355B3231"'
+    exit 0 ;;
+esac
+[ "$1 $2 $3 $4 $5" = "--device ,0483:df11 --alt 0 --dfuse-address" ] || exit 64
+case "$7" in
+--download) [ "$6" = 0x08000000 ] && head -c -16 "$8" > flash ;;
+--upload)
+    size=${6#0x08000000:}
+    head -c "${size%:leave}" flash > "$8"
+    [ -e worn ] && printf x | dd of="$8" bs=1 seek=7 conv=notrunc 2>/dev/null
+    case "$size" in *:leave) rm -f rom; touch left ;; esac ;;
+esac
+exit 0
+"#;
+
+/// An image whose suffix is made here bit by bit.
+fn image(board: &str, revision: &str) -> Vec<u8> {
+    let mut bytes = vec![0x5A; 3_000];
+    bytes.extend(format!("SmartDepthSync image;{board};0.1.0;{revision};").bytes());
+    bytes.extend(*b"\xFF\xFF\x11\xDF\x83\x04\x00\x01UFD\x10");
+    let mut crc = u32::MAX;
+    for byte in &bytes {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = (crc >> 1) ^ (if crc & 1 == 1 { 0xEDB8_8320 } else { 0 });
+        }
+    }
+    bytes.extend(crc.to_le_bytes());
+    bytes
+}
+
+/// A board that is off the bus while `rom` is there, and runs `revision` afterwards.
+fn board(folder: &Path, answer: Result<(), Refusal>, revision: &'static str) -> StandIn {
+    let folder = folder.to_owned();
+    StandIn::new(move |command: HostToDevice| {
+        if folder.join("rom").exists() {
+            return Vec::new();
+        }
+        match command.command {
+            BoardCommand::RestartIntoRom(_) => {
+                if answer.is_ok() {
+                    fs::write(folder.join("rom"), "").unwrap();
+                }
+                frame(&DeviceToHost::Answer(Answer {
+                    id: command.id,
+                    result: answer.map(Reply::RestartIntoRom),
+                }))
+            }
+            BoardCommand::SayHello(_) if folder.join("left").exists() => {
+                let mut now = hello();
+                now.git_revision = revision.try_into().unwrap();
+                let mut bytes = frame(&DeviceToHost::Hello(now));
+                bytes.extend(frame(&DeviceToHost::Answer(Answer {
+                    id: command.id,
+                    result: Ok(Reply::SayHello(())),
+                })));
+                bytes
+            }
+            _ => polite(command),
+        }
+    })
+}
+
+fn flash(folder: &Path, board: &StandIn, more: &[&str]) -> Output {
+    let mut path = folder.as_os_str().to_owned();
+    path.push(":/usr/bin:/bin");
+    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .env("PATH", path)
+        .args(["board", "flash", "--json", "--port", &board.path, "--image"])
+        .arg(folder.join("image.dfu"))
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
+    const NEW: &str = "fedcba987654";
+    let good = || image("black-pill", NEW);
+    let mut damaged = good();
+    damaged[100] ^= 1;
+    let busy = Refusal::OutputRunning;
+    // Image, answer, revision that runs afterwards, file that is there, exit code, word.
+    for (name, image, answer, after, there, expected, word) in [
+        ("in order", good(), Ok(()), NEW, None, 0, NEW),
+        (
+            "worn flash",
+            good(),
+            Ok(()),
+            NEW,
+            Some("worn"),
+            1,
+            "does not hold",
+        ),
+        ("another runs", good(), Ok(()), "0000", None, 1, "0000"),
+        (
+            "an output runs",
+            good(),
+            Err(busy),
+            NEW,
+            None,
+            3,
+            "stop it first",
+        ),
+        ("damaged", damaged, Ok(()), NEW, None, 3, "is damaged"),
+        (
+            "cut",
+            good()[..900].to_vec(),
+            Ok(()),
+            NEW,
+            None,
+            3,
+            "cut short",
+        ),
+        (
+            "other board",
+            image("discovery", NEW),
+            Ok(()),
+            NEW,
+            None,
+            3,
+            "is for a STM32F4DISCOVERY",
+        ),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        fs::write(folder.join("dfu-util"), DFU_UTIL).unwrap();
+        fs::set_permissions(folder.join("dfu-util"), fs::Permissions::from_mode(0o755)).unwrap();
+        fs::write(folder.join("image.dfu"), &image).unwrap();
+        if let Some(there) = there {
+            fs::write(folder.join(there), "").unwrap();
+        }
+        let board = board(folder, answer, after);
+        let output = flash(folder, &board, &[]);
+        assert_eq!(code(&output), expected, "{name}: {output:?}");
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(said.contains(word), "{name}: {said}");
+        let was_written = folder.join("flash").exists();
+        assert_eq!(was_written, expected != 3, "{name}");
+        if expected == 0 {
+            let written = fs::read(folder.join("flash")).unwrap();
+            assert_eq!(written, image[..image.len() - 16]);
+            assert!(!folder.join("rom").exists());
+        }
+    }
+}
+
+/// Where no firmware answers, the person names the board and starts the loader.
+#[test]
+fn a_board_without_firmware_is_flashed_when_it_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("dfu-util"), DFU_UTIL).unwrap();
+    fs::set_permissions(folder.join("dfu-util"), fs::Permissions::from_mode(0o755)).unwrap();
+    fs::write(
+        folder.join("image.dfu"),
+        image("black-pill", "fedcba987654"),
+    )
+    .unwrap();
+    fs::write(folder.join("rom"), "").unwrap();
+    let board = board(folder, Ok(()), "fedcba987654");
+    let unnamed = flash(folder, &board, &[]);
+    assert_eq!(code(&unnamed), 10, "{unnamed:?}");
+    let error = serde_json::from_slice::<Value>(&unnamed.stdout).unwrap()["error"].clone();
+    assert!(
+        error["next_step"].as_str().unwrap().contains("--board"),
+        "{error}"
+    );
+    let named = flash(folder, &board, &["--board", "black-pill"]);
+    assert_eq!(code(&named), 0, "{named:?}");
+}
