@@ -9,10 +9,12 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::DWT;
 use protocol::{HandlerTime, Handlers};
 
-pub(crate) static TRIGGER_TIME: Meter = Meter::new();
-pub(crate) static OUTPUTS_TIME: Meter = Meter::new();
-pub(crate) static HANDOVER_TIME: Meter = Meter::new();
-pub(crate) static USB_TIME: Meter = Meter::new();
+use crate::board::leds::{self, Led};
+
+pub(crate) static TRIGGER_TIME: Meter = Meter::new(Led::Pulse);
+pub(crate) static OUTPUTS_TIME: Meter = Meter::new(Led::Imu);
+pub(crate) static HANDOVER_TIME: Meter = Meter::new(Led::Fault);
+pub(crate) static USB_TIME: Meter = Meter::new(Led::Link);
 
 /// Starts the counter, again if it was stopped.
 #[allow(unsafe_code, reason = "nobody else uses the debug unit")]
@@ -29,11 +31,14 @@ pub(crate) struct Meter {
     /// Wraps.
     cycles: AtomicU32,
     worst: AtomicU32,
+    /// Pin that is high meanwhile, with the feature `scope`.
+    led: Led,
 }
 
 impl Meter {
-    const fn new() -> Self {
+    const fn new(led: Led) -> Self {
         Self {
+            led,
             calls: AtomicU32::new(0),
             cycles: AtomicU32::new(0),
             worst: AtomicU32::new(0),
@@ -44,7 +49,13 @@ impl Meter {
     /// loads and stores do.
     pub(crate) fn of(&self, handler: impl FnOnce()) {
         let begin = DWT::cycle_count();
+        if cfg!(feature = "scope") {
+            leds::drive(self.led, true);
+        }
         handler();
+        if cfg!(feature = "scope") {
+            leds::drive(self.led, false);
+        }
         let took = DWT::cycle_count().wrapping_sub(begin);
         let add = |counter: &AtomicU32, more: u32| {
             let sum = counter.load(Ordering::Relaxed).wrapping_add(more);

@@ -59,7 +59,7 @@ pub(crate) fn init(_: Owned) {
 
 fn make_output(led: Led) {
     let pin = BOARD.leds[led as usize];
-    set(led, false);
+    drive(led, false);
     port(pin.port)
         .moder()
         .modify(|w| w.set_moder(pin.pin.into(), Moder::OUTPUT));
@@ -79,8 +79,16 @@ pub(crate) fn show_imu_fault(on: bool) {
     set(Led::Fault, on || RUN_FAILED.load(Ordering::Relaxed));
 }
 
-/// Switches an LED. One write to the bit-set register: safe from any context.
+/// Switches an LED; with the feature `scope` the pins are the handlers'.
 pub(crate) fn set(led: Led, on: bool) {
+    if !cfg!(feature = "scope") {
+        drive(led, on);
+    }
+}
+
+/// Switches an LED's pin. One write to the bit-set register: safe from any context.
+#[inline]
+pub(super) fn drive(led: Led, on: bool) {
     let pin = BOARD.leds[led as usize];
     port(pin.port).bsrr().write(|w| {
         if on != pin.active_low {
@@ -100,5 +108,5 @@ pub(crate) fn show_fault() {
     });
     let _ = pac::RCC.ahb1enr().read();
     make_output(Led::Fault);
-    set(Led::Fault, true);
+    drive(Led::Fault, true);
 }
