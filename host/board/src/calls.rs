@@ -145,6 +145,12 @@ impl Board {
         self.wire.link.now()
     }
 
+    /// The link's clock without the system's steering ([`Link::steady`]).
+    #[must_use]
+    pub fn steady(&self) -> Duration {
+        self.wire.link.steady()
+    }
+
     /// Leaves the board unread for so long.
     pub fn pause(&mut self, time: Duration) {
         self.wire.link.pause(time);

@@ -21,8 +21,8 @@ use std::fmt;
 use std::time::Duration;
 
 use board::BoardError;
-use protocol::BoardSettings;
 use protocol::usb::serial_number;
+use protocol::{BoardSettings, Output};
 use recording::finding::{Finding, Severity};
 use serde::Serialize;
 
@@ -35,7 +35,7 @@ const FORMAT: u32 = 1;
 pub enum Part {
     /// The trigger's edges, widths and aligns, against read-back and strobe input.
     Trigger,
-    /// A further output against the strobe input.
+    /// The further outputs against the strobe input.
     Outputs,
     /// Intervals of data-ready; the IMU's recovery from an unplugged SDA.
     Imu,
@@ -61,8 +61,8 @@ impl Part {
 pub enum Prompt {
     /// The part that is measured now.
     Measures(Part),
-    /// To put the wire at PA2 from PA5 to PE11.
-    MoveStrobeWire,
+    /// To put the wire at PA2 onto this output.
+    MoveStrobeWire(Output),
     /// To unplug SDA of the IMU.
     UnplugSda,
     /// To plug SDA in again.
@@ -71,16 +71,20 @@ pub enum Prompt {
 
 impl fmt::Display for Prompt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+        let text = match self {
             Self::Measures(Part::Trigger) => "trigger: edges, widths, aligns ...",
-            Self::Measures(Part::Outputs) => "output 2 ...",
+            Self::Measures(Part::Outputs) => "outputs 2 to 4 ...",
             Self::Measures(Part::Imu) => "IMU: data-ready ...",
             Self::Measures(Part::Link) => "USB: throughput, a host that does not read ...",
             Self::Measures(Part::Clock) => "crystal ...",
-            Self::MoveStrobeWire => "-> move the wire at PA2 from PA5 to PE11",
+            Self::MoveStrobeWire(Output::Camera) => "-> move the wire at PA2 to PA5",
+            Self::MoveStrobeWire(Output::Two) => "-> move the wire at PA2 to PE11",
+            Self::MoveStrobeWire(Output::Three) => "-> move the wire at PA2 to PE13",
+            Self::MoveStrobeWire(Output::Four) => "-> move the wire at PA2 to PE14",
             Self::UnplugSda => "-> unplug SDA of the IMU (PB7)",
             Self::PlugSdaIn => "-> plug SDA in again",
-        })
+        };
+        f.write_str(text)
     }
 }
 

@@ -2,7 +2,15 @@
 
 use std::fmt;
 
-use protocol::{Capture, Edge, Period, Pulse, TickDelta, Ticks, TriggerStatus};
+use protocol::{Capture, Edge, Period, Pulse, TICK_HZ, TickDelta, Ticks, TriggerStatus};
+
+/// The most by which equal delays may differ: a signal that changes just when its
+/// input is sampled is seen a tick later.
+pub(crate) const TICK_OF_DOUBT: i64 = 1;
+
+/// The longest plausible way from an edge to its capture: 0.5 µs. Some three clocks of
+/// synchroniser and eight of filter (RM0090 18.4.7) are 0.2 µs.
+pub(crate) const MAX_DELAY: i64 = (TICK_HZ / 2_000_000) as i64;
 
 /// Where the pulses of a train must be: the floor of an exact sum.
 #[derive(Clone, Copy, Debug)]
@@ -102,6 +110,14 @@ impl Trains {
     /// How many pulses were compared and how far they were off, in words.
     pub(crate) fn on_grid_text(&self) -> String {
         format!("{} pulses, {} off", self.on_grid, self.grid_error)
+    }
+
+    /// All pulses were read back, after one constant.
+    pub(crate) fn is_read_back(&self) -> bool {
+        let spread = self.read_back_delay.spread();
+        self.read_back == self.pulses
+            && self.read_back_delay.within(0, MAX_DELAY)
+            && spread.is_some_and(|spread| spread <= TICK_OF_DOUBT)
     }
 
     /// A pulse was compared with its grid and is so far off.

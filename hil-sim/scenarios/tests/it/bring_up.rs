@@ -20,11 +20,11 @@ use rig::rig_config::RigConfig;
 use rig::virtual_rig::VirtualRig;
 use rig::wiring;
 use scenarios::virtual_session::SharedRig;
-use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
+use stm32f4_sim::time::SimDuration;
 
 /// A board with its wires, and whoever is at it.
-struct Bench {
+pub(crate) struct Bench {
     rig: SharedRig,
     jumpers: Arc<Mutex<Jumpers>>,
     board: Board,
@@ -32,11 +32,15 @@ struct Bench {
 
 impl Bench {
     fn new(seed: u64, jumpers: Jumpers) -> Self {
-        Self::with_clock(seed, jumpers, 1.0)
+        Self::with_link(seed, jumpers, |link| link)
     }
 
-    /// The computer's clock runs at `rate` of the board's.
-    fn with_clock(seed: u64, jumpers: Jumpers, rate: f64) -> Self {
+    /// What is said goes through another link.
+    pub(crate) fn with_link(
+        seed: u64,
+        jumpers: Jumpers,
+        through: impl FnOnce(Box<dyn Link>) -> Box<dyn Link>,
+    ) -> Self {
         let mut config = RigConfig::published(Seed(seed));
         config.depth_camera = None;
         let jumpers = Arc::new(Mutex::new(jumpers));
@@ -44,7 +48,7 @@ impl Bench {
         let rig = VirtualRig::new(config, board, Vec::new()).unwrap();
         let mut rig = SharedRig::boot(rig).unwrap();
         let link = rig.connect(None).unwrap();
-        let board = Board::connect_from(Box::new(OffClock { link, rate }), 1).unwrap();
+        let board = Board::connect_from(through(link), 1).unwrap();
         Self {
             rig,
             jumpers,
@@ -69,9 +73,20 @@ impl Bench {
 
     /// Measures with somebody who does what they are asked for.
     fn measure_attended(&mut self, parts: &[Part], keep: bool) -> Report {
+        self.measure_attended_for(parts, Duration::ZERO, keep)
+    }
+
+    pub(crate) fn measure_attended_for(
+        &mut self,
+        parts: &[Part],
+        clock: Duration,
+        keep: bool,
+    ) -> Report {
         let (rig, jumpers) = (&self.rig, &self.jumpers);
         let obeys = |prompt| match prompt {
-            Prompt::MoveStrobeWire => lock(jumpers).strobe = Some(Pin::PE11),
+            Prompt::MoveStrobeWire(output) => {
+                lock(jumpers).strobe = Some(wiring::OUTPUTS[usize::from(output.number()) - 2]);
+            }
             Prompt::UnplugSda => sensor(rig, Fault::HoldSda(None)),
             Prompt::PlugSdaIn => sensor(rig, Fault::ReleaseSda),
             Prompt::Measures(_) => {}
@@ -81,30 +96,36 @@ impl Bench {
             is_there: true,
             stop: &|| false,
         };
-        let plan = Plan {
-            parts,
-            clock: Duration::ZERO,
-            keep,
-        };
+        let plan = Plan { parts, clock, keep };
         run(&mut self.board, somebody, plan).unwrap()
     }
 }
 
 fn sensor(rig: &SharedRig, fault: Fault) {
+    sensor_in(rig, SimDuration::ZERO, fault);
+}
+
+fn sensor_in(rig: &SharedRig, time: SimDuration, fault: Fault) {
     rig.with(|rig| {
         let imu = rig.parts().imu.as_ref().unwrap();
-        lock(imu).schedule(rig.now(), fault);
+        lock(imu).schedule(rig.now() + time, fault);
     });
 }
 
-/// A link of a computer whose clock is off.
+/// A link of a computer whose clock runs at `rate` of the board's, and is steered to `steered` of
+/// that.
 struct OffClock {
     link: Box<dyn Link>,
     rate: f64,
+    steered: f64,
 }
 
 impl Link for OffClock {
     fn now(&self) -> Duration {
+        self.link.now().mul_f64(self.rate * self.steered)
+    }
+
+    fn steady(&self) -> Duration {
         self.link.now().mul_f64(self.rate)
     }
 
@@ -148,9 +169,10 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         "strobe input",
         "pulse width",
         "output 2 on the strobe input",
-        "pulse width of output 2",
-        "output 2 beside the trigger",
+        "pulse width of output 3",
+        "output 4 beside the trigger",
         "sample rate",
+        "clock of the IMU",
         "data-ready",
         "recovery of the IMU",
         "trigger beside a failed IMU",
@@ -161,6 +183,7 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         "handler of the outputs",
         "handler of the hand-over",
         "handler of USB",
+        "masked interrupts",
         "core and stack",
     ] {
         check(&report, name);
@@ -198,6 +221,49 @@ fn measured_delays_are_kept_and_hold() {
     assert_severities(&report, &[(name, Severity::Good)]);
     let text = &check(&report, "strobe input").finding.text;
     assert!(text.contains(", 0 ticks after"), "{text}");
+}
+
+/// A wire bounces while it is plugged in: that is no fault. A contact that never holds is.
+#[test]
+fn the_sensor_recovers_from_a_wire_that_bounces_and_not_from_a_loose_one() {
+    let ms = SimDuration::from_millis;
+    let loose: Vec<u64> = (0..16).map(|n| 300 + 400 * n).collect();
+    for (again, severity) in [
+        (&[20, 90, 130][..], Severity::Good),
+        (&loose, Severity::Bad),
+    ] {
+        let mut bench = Bench::new(37, Jumpers::default());
+        let rig = &bench.rig;
+        let plugs = |prompt| match prompt {
+            Prompt::UnplugSda => sensor(rig, Fault::HoldSda(None)),
+            Prompt::PlugSdaIn => {
+                sensor(rig, Fault::ReleaseSda);
+                for &at in again {
+                    sensor_in(rig, ms(at), Fault::HoldSda(None));
+                    sensor_in(rig, ms(at + 40), Fault::ReleaseSda);
+                }
+            }
+            Prompt::Measures(_) | Prompt::MoveStrobeWire(_) => {}
+        };
+        let somebody = Operator {
+            say: &plugs,
+            is_there: true,
+            stop: &|| false,
+        };
+        let plan = Plan {
+            parts: &[Part::Imu],
+            clock: Duration::ZERO,
+            keep: false,
+        };
+        let report = run(&mut bench.board, somebody, plan).unwrap();
+        assert_severities(
+            &report,
+            &[
+                ("recovery of the IMU", severity),
+                ("trigger beside a failed IMU", Severity::Good),
+            ],
+        );
+    }
 }
 
 #[test]
@@ -260,12 +326,20 @@ fn a_slow_handler_fails() {
 /// The limit is 100 ppm; a look at the port every millisecond adds some 20 over a minute.
 #[test]
 fn the_crystal_is_compared_with_the_computers_clock() {
-    for (ppm, severity) in [
-        (0.0, Severity::Good),
-        (150.0, Severity::Bad),
-        (-150.0, Severity::Bad),
+    for (ppm, steered_ppm, severity) in [
+        (0.0, 0.0, Severity::Good),
+        (70.0, 500.0, Severity::Good),
+        (-70.0, -500.0, Severity::Good),
+        (150.0, 0.0, Severity::Bad),
+        (-150.0, 0.0, Severity::Bad),
     ] {
-        let mut bench = Bench::with_clock(35, Jumpers::default(), 1.0 + ppm * 1e-6);
+        let mut bench = Bench::with_link(35, Jumpers::default(), |link| {
+            Box::new(OffClock {
+                link,
+                rate: 1.0 + ppm * 1e-6,
+                steered: 1.0 + steered_ppm * 1e-6,
+            })
+        });
         let report = bench
             .measure(&[Part::Clock], Duration::from_secs(30))
             .unwrap();

@@ -38,3 +38,4 @@ mod vendor_k4a;
 mod virtual_session;
 mod whole_chain;
 mod whole_rig;
+mod wrong_boards;

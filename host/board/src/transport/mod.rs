@@ -18,6 +18,11 @@ pub trait Link {
     /// the next.
     fn now(&self) -> Duration;
 
+    /// The same clock, but for what the system does to steer it towards the right time.
+    fn steady(&self) -> Duration {
+        self.now()
+    }
+
     /// Sends all bytes.
     ///
     /// # Errors

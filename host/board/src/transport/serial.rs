@@ -158,6 +158,16 @@ impl Link for SerialLink {
         program_time()
     }
 
+    /// The system's steering may be 500 ppm (adjtimex).
+    #[cfg(target_os = "linux")]
+    fn steady(&self) -> Duration {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::MonotonicRaw);
+        Duration::new(
+            time.tv_sec.try_into().unwrap_or(0),
+            time.tv_nsec.try_into().unwrap_or(0),
+        )
+    }
+
     fn send(&mut self, mut bytes: &[u8]) -> Result<(), LinkError> {
         let started = Instant::now();
         while !bytes.is_empty() {

@@ -29,6 +29,12 @@ const MAX_CLOCK_PPM: f64 = 100.0;
 
 const UNREAD: &str = "a host that does not read";
 
+/// The firmware masks everything only while no edge of the trigger is due for so long, µs.
+const MASKED_US: f64 = 15.0;
+
+/// A tenth of the millisecond in which the queues to the hand-over do not fill, µs.
+const MASKED_BELOW_US: f64 = 100.0;
+
 const SLOW: &str = "wait states, or a handler of higher priority that takes too long";
 
 /// Which handler, by what name, and the longest that it may take, in µs: the trigger's
@@ -125,6 +131,17 @@ impl Session<'_> {
             let worst = cycles_us(times().map(|time| time.worst).max().unwrap_or(0));
             let mean = cycles_us(times().map(|time| time.mean()).max().unwrap_or(0));
             let busy = times().map(|time| time.cycles).max().unwrap_or(0);
+            let unmetered = times().any(|time| time.calls > 0 && time.cycles == 0);
+            if unmetered {
+                self.check(
+                    name,
+                    false,
+                    String::from("called, but in zero cycles"),
+                    "a cycle counter that runs",
+                    "the core's cycle counter stands still: take a debug probe off and reset",
+                );
+                continue;
+            }
             self.check(
                 name,
                 worst <= limit_us,
@@ -136,6 +153,15 @@ impl Session<'_> {
                 SLOW,
             );
         }
+        let all = cycles_us(most(|status| status.masked.all));
+        let below = cycles_us(most(|status| status.masked.below_trigger));
+        self.check(
+            "masked interrupts",
+            all <= MASKED_US && below <= MASKED_BELOW_US,
+            format!("all for {all:.1} µs at most, those below the trigger for {below:.1} µs"),
+            format!("{MASKED_US:.0} µs, {MASKED_BELOW_US:.0} µs"),
+            SLOW,
+        );
         let load = most(|status| status.cpu_permille.into());
         let stack = |status: &Status| status.stack_used * 100 / status.stack_size.max(1);
         let stack = heard.statuses.iter().map(stack).max().unwrap_or(0);
@@ -171,7 +197,7 @@ impl Session<'_> {
                 }
                 let (ticks, trip) = self.board.ping()?;
                 if quickest.is_none_or(|(least, ..)| trip < least) {
-                    let host = (self.board.now().saturating_sub(trip / 2)).as_secs_f64();
+                    let host = (self.board.steady().saturating_sub(trip / 2)).as_secs_f64();
                     quickest = Some((trip, host, ticks.as_secs_f64()));
                 }
             }
