@@ -60,7 +60,7 @@ fn constants(phone: &Handset<'_>) -> String {
     let name = phone.name.map(|name| format!("name = \"{name}\"\n"));
     format!(
         "{name}address = \"{address}\"\nrows = {rows}\nreadout_us = {readout:.4}\n\
-         gyro_delay_us = {delay}\n",
+         readout_sigma_us = 0.0\ngyro_delay_us = {delay}\ngyro_delay_sigma_us = 0.0\n",
         name = name.unwrap_or_default(),
         address = phone.address,
         rows = camera.rows,

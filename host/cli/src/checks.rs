@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use recording::profile::Profile;
-use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, micros_text};
 use session::checks::{Checks, Fault};
 use session::housekeeping::free_space;
 
@@ -73,9 +73,8 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
         None => checks.warn(
             CHECK_BIAS,
             format!(
-                "not measured: there may be ms between the cameras (± {} µs of that from the \
-                 trigger to the middle of the depth exposure)",
-                profile.depth.center_offset_sigma_us
+                "not measured: until it is, the phase is known to ± {} at best",
+                micros_text(profile.constant_sigma_us())
             ),
             "measure it: `smartdepthsync evaluate precision ... --calibrate`",
         ),

@@ -114,7 +114,9 @@ fn write_board(folder: &Path) {
         writer.imu(&sample, number as u32).unwrap();
     }
     writer.finish().unwrap();
-    let mut session = SessionFile::new("walk".into(), Profile::published().unwrap());
+    let mut profile = Profile::published().unwrap();
+    profile.phone.gyro_delay_us = 0.0;
+    let mut session = SessionFile::new("walk".into(), profile);
     session.phones[0].clock = Some(relation());
     session.save(folder).unwrap();
 }

@@ -256,13 +256,16 @@ impl Model {
             );
         }
         if let Center::Fixed(center) = mode.center {
-            let off = (depth.center_offset_us - center).abs();
-            if off > FAR_SIGMAS * mode.sigma_us.hypot(depth.center_offset_sigma_us) {
+            let given = depth.center_offset_us;
+            let is_of = |other: &Mode| matches!(other.center, Center::Fixed(at) if at == given);
+            let off = (given - center).abs();
+            let is_far = off > FAR_SIGMAS * mode.sigma_us.hypot(depth.center_offset_sigma_us);
+            // The train of pulses is known where the delay before it is not.
+            if is_far || given != center && self.modes().any(is_of) {
                 object(
                     format!(
-                        "depth.center_offset_us is {} µs, but the middle of exposure of {} comes {center} µs \
+                        "depth.center_offset_us is {given} µs, but the middle of exposure of {} comes {center} µs \
                          after the edge ({})",
-                        depth.center_offset_us,
                         mode.name,
                         mode.basis.word()
                     ),

@@ -135,6 +135,8 @@ pub struct Phone {
     pub exposure_us: f64,
     /// From the start of exposure of the first row to that of the last, µs.
     pub readout_us: f64,
+    /// 1-sigma of it, µs.
+    pub readout_sigma_us: f64,
     /// Rows of the video.
     pub rows: u32,
     /// The row that is synchronised, from 0; the middle if not given.
@@ -169,9 +171,21 @@ impl Phone {
     /// synchronised, µs.
     #[must_use]
     pub fn middle_row_us(&self) -> f64 {
+        self.readout_us * self.middle_row_part()
+    }
+
+    /// The part of the readout that goes by before the row that is synchronised.
+    fn middle_row_part(&self) -> f64 {
         let last = f64::from(self.rows.saturating_sub(1).max(1));
-        let middle = self.middle_row.unwrap_or(0.5 * last);
-        self.readout_us * middle / last
+        self.middle_row.map_or(0.5, |middle| middle / last)
+    }
+
+    /// 1-sigma of what its own constants put into the phase, µs: the delay of its gyroscope
+    /// and the start of the row that is synchronised.
+    #[must_use]
+    pub fn constant_sigma_us(&self) -> f64 {
+        self.gyro_delay_sigma_us
+            .hypot(self.readout_sigma_us * self.middle_row_part())
     }
 }
 
@@ -424,7 +438,7 @@ impl Profile {
 
     /// 1-sigma of the constant between the middles of the two exposures, µs: of the bias,
     /// once that is measured; until then from the trigger's edge to the middle of the depth
-    /// exposure, and of the delay of the phone's gyroscope.
+    /// exposure, and of the phone's own constants.
     #[must_use]
     pub fn constant_sigma_us(&self) -> f64 {
         match self.frame_sync.bias_measured {
@@ -434,14 +448,14 @@ impl Profile {
     }
 
     /// The same for another phone, µs. The bias was measured with the first phone, and has
-    /// the error of that one's delay in it.
+    /// the errors of that one's constants in it.
     #[must_use]
     pub fn other_constant_sigma_us(&self, phone: &Phone) -> f64 {
         let common = match self.frame_sync.bias_measured {
-            Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.gyro_delay_sigma_us),
+            Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.constant_sigma_us()),
             None => self.depth.center_offset_sigma_us,
         };
-        common.hypot(phone.gyro_delay_sigma_us)
+        common.hypot(phone.constant_sigma_us())
     }
 
     /// Length of the trigger pulse, ticks.

@@ -243,6 +243,9 @@ pub struct Alignment {
     /// ([`Profile::constant_sigma_us`]).
     #[serde(default)]
     pub constant_sigma_us: Option<f64>,
+    /// Whether that is of a measured bias, and not of what was assumed.
+    #[serde(default)]
+    pub bias_is_measured: bool,
     /// Distance of phone frames in the phone's time, ns.
     pub frame_period_ns: f64,
     /// 1-sigma of it, ns, where it is known.
@@ -276,16 +279,36 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// How well phase and drift are known, in words.
+    /// How well phase and drift are known, in words. What is assumed of the constant and what is
+    /// known of the clocks are added as the root of their squares.
     #[must_use]
     pub fn promise(&self) -> String {
-        let constant = self.constant_sigma_us.map_or(String::new(), |sigma_us| {
-            format!(" (of it a constant ± {sigma_us:.1} µs)")
-        });
+        let (phase, constant) = (
+            self.phase_sigma_us,
+            self.constant_sigma_us.unwrap_or_default(),
+        );
+        let clocks = (phase * phase - constant * constant).max(0.0).sqrt();
+        let until = match self.bias_is_measured {
+            true => String::new(),
+            false => format!(
+                " until the bias is measured (± {} of clocks and frames)",
+                micros_text(clocks)
+            ),
+        };
         format!(
-            "phase ± {:.1} µs{constant}, drift ± {:.1} µs/min (1-sigma, predicted)",
-            self.phase_sigma_us, self.drift_sigma_us_per_min
+            "phase known to ± {}{until}, drift ± {:.1} µs/min (1-sigma, predicted)",
+            micros_text(phase),
+            self.drift_sigma_us_per_min
         )
+    }
+}
+
+/// A span of µs as people write it: of a millisecond and more in ms.
+#[must_use]
+pub fn micros_text(micros: f64) -> String {
+    match micros.abs() < 1_000.0 {
+        true => format!("{micros:.1} µs"),
+        false => format!("{:.1} ms", micros * 1e-3),
     }
 }
 

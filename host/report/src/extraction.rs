@@ -16,6 +16,7 @@ use crate::chart::{self, Data};
 use crate::page::Page;
 use crate::summary::{Facts, Summary};
 use recording::finding::{Finding, Severity};
+use recording::session_file::micros_text;
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
@@ -248,7 +249,7 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
 /// How well depth − phone is known, in words behind it.
 fn known(pairs: &PairsReport) -> String {
     pairs.sigma_us.map_or(String::new(), |sigma_us| {
-        format!(" ± {sigma_us:.1} µs (1-sigma)")
+        format!(" ± {} (1-sigma)", micros_text(sigma_us))
     })
 }
 

@@ -224,6 +224,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             center_offset_us,
             bias_us,
             constant_sigma_us: Some(constant_sigma_us),
+            bias_is_measured: profile.frame_sync.bias_measured.is_some(),
             frame_period_ns,
             frame_period_sigma_ns: Some(frame_period_sigma_ns),
             frame_period_source: frames.source,

@@ -7,6 +7,7 @@
 mod adb_phone;
 mod bench;
 mod bring_up;
+mod default_profile;
 mod doctor;
 mod documented_commands;
 mod evaluate_rendered;

@@ -2,9 +2,10 @@
 
 use std::fmt::Write as _;
 
+use recording::session_file::micros_text;
 use session::event::Tracked;
 
-use super::state::State;
+use super::state::{PhaseNow, State};
 
 /// Tells whether the phone's clock is read, and the phone's temperature.
 pub(super) fn lock(tracked: &Tracked) -> String {
@@ -15,6 +16,16 @@ pub(super) fn lock(tracked: &Tracked) -> String {
     tracked.temperature.map_or(lock.to_owned(), |celsius| {
         format!("{lock}, phone {celsius:.1} °C")
     })
+}
+
+/// Tells how well the phase is known.
+pub(super) fn known(now: &PhaseNow) -> String {
+    let until = if now.is_assumed {
+        " until measured"
+    } else {
+        ""
+    };
+    format!("phase known to ± {}{until}", micros_text(now.sigma_us))
 }
 
 /// The state as one plain line.
@@ -54,7 +65,7 @@ fn write_all(line: &mut String, state: &State) -> std::fmt::Result {
         write!(line, " pulse {pulse}")?;
     }
     if let Some(now) = state.phase_now() {
-        write!(line, " phase {:+.2} ± {:.1} µs", now.phase_us, now.sigma_us)?;
+        write!(line, "  {}, grid {:+.2} µs", known(&now), now.phase_us)?;
         if now.is_twist_due {
             line.push_str(", time for another twist");
         }

@@ -20,7 +20,7 @@ use twist_sync::coach::Coach;
 use super::sentences::sentence;
 use crate::advice::remedy;
 use rate::{Connected, LIDAR, Rate, drop_before, state_word};
-pub(crate) use shown::{Disk, Keys, Losses, Phone, Rates, Sensor, Trigger, Twist};
+pub(crate) use shown::{Disk, Keys, Losses, PhaseNow, Phone, Rates, Sensor, Trigger, Twist};
 
 /// Length of the gyroscope that is shown, ticks.
 const SHOWN: u64 = 10 * TICK_HZ as u64;

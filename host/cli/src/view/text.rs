@@ -13,7 +13,7 @@ use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Par
 
 use protocol::Ticks;
 
-use super::plain::{line, lock};
+use super::plain::{known, line, lock};
 use super::state::{Keys, State, Twist};
 
 /// Below this the chart is left out.
@@ -56,7 +56,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
         None => SENSORS_MIN,
     };
     sensors.truncate(usize::from(area.height.saturating_sub(needed)));
-    let panels_height = if area.width >= WIDE { 8 } else { 14 };
+    let panels_height = if area.width >= WIDE { 9 } else { 16 };
     let middle_min = match (&twist, area.height >= CHART_MIN) {
         (Some(_), _) => TWIST_ROWS,
         (None, true) => CHART_ROWS,
@@ -119,7 +119,7 @@ fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let [left, right] = if area.width >= WIDE {
         Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(area)
     } else {
-        Layout::vertical([Constraint::Length(7), Constraint::Length(7)]).areas(area)
+        Layout::vertical([Constraint::Length(9), Constraint::Length(7)]).areas(area)
     };
     let block = |title: &'static str| Block::bordered().title(title).border_style(DIM);
     frame.render_widget(
@@ -341,8 +341,8 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect) {
         "q      stop; what was recorded is kept",
         "h      this help, and away again",
         "",
-        "phase: the last pulse against the grid it was sent to,",
-        "       and how well that grid is known (1-sigma)",
+        "phase known to: of the two exposures' middles (1-sigma)",
+        "phase: the last pulse against the grid it was sent to",
         "clocks: error of phone time in board time now (1-sigma)",
     ];
     let width = 60.min(area.width);
@@ -433,12 +433,19 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
         (None, _) => (String::from("-"), Style::new()),
     };
     let (phase, phase_style) = phase_text(state);
-    let mut lines = vec![
+    let known = state.phase_now().map(|now| {
+        let style = if now.is_assumed { WARN } else { GOOD };
+        // Terminals need not have the sign.
+        let text = known(&now).replace('±', "+-").replace('µ', "u");
+        Line::styled(text, style.add_modifier(Modifier::BOLD))
+    });
+    let mut lines: Vec<Line<'_>> = known.into_iter().collect();
+    lines.extend([
         fact("train", format!("{train}{}", fps.unwrap_or_default()), BOLD),
         fact("pulse", pulse, bad_if(trigger.late > 0)),
         fact("phase", phase, phase_style),
         fact("read-back", readback, readback_style),
-    ];
+    ]);
     let reference = state.phones.first();
     match reference.and_then(|phone| state.clock_now(phone)) {
         Some(known) => {
@@ -456,19 +463,20 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
     lines
 }
 
+/// The trigger on its grid. How well the grid itself is known stands in the first line.
 fn phase_text(state: &State) -> (String, Style) {
     let Some(now) = state.phase_now() else {
         return (String::from("not aligned yet"), Style::new());
     };
-    let (phase, sigma) = (now.phase_us, now.sigma_us);
+    let phase = now.phase_us;
     match now.tracked {
-        _ if now.is_twist_due => (format!("+-{sigma:.0} us: time for a TWIST"), WARN),
+        _ if now.is_twist_due => (String::from("time for a TWIST"), WARN),
         Some(tracked) => (
-            format!("{phase:+.1} us +-{sigma:.1} us, {}", lock(&tracked)),
+            format!("{phase:+.1} us, {}", lock(&tracked)),
             if tracked.holds { GOOD } else { WARN },
         ),
         None => (
-            format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
+            format!("{phase:+.2} us off grid"),
             if phase == 0.0 { GOOD } else { BAD },
         ),
     }

@@ -98,6 +98,7 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
         &[
             ("exposure_us", phone.exposure_us, SPAN, "µs"),
             ("readout_us", phone.readout_us, SPAN, "µs"),
+            ("readout_sigma_us", phone.readout_sigma_us, SPAN, "µs"),
             ("rows", f64::from(phone.rows), 2.0..=1e5, ""),
         ],
     )?;

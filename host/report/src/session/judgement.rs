@@ -12,7 +12,7 @@ use phone::video_files;
 use recording::finding::{Finding, Severity};
 use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
-    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, micros_text,
 };
 use timebase::PhoneNanos;
 
@@ -38,7 +38,10 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     let text = match (severity, parts.as_slice()) {
         (_, [only]) => only.text.clone(),
         (Severity::Good, _) => String::from("Everything is there, and nothing of it is unknown."),
-        (Severity::Check, _) => format!("Recorded, but not all is there or known: {open}."),
+        (Severity::Check, _) => {
+            let phase = unmeasured(session).unwrap_or_default();
+            format!("{phase}Recorded, but not all is there or known: {open}.")
+        }
         (Severity::Bad, _) => format!("Not usable as it is: {open}."),
     };
     Summary {
@@ -48,6 +51,15 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
         parts,
         facts: facts(session),
     }
+}
+
+/// How well the phase is known where the bias was not measured: what is to be read first.
+fn unmeasured(session: &SessionFile) -> Option<String> {
+    let alignment = session.alignment.filter(|known| !known.bias_is_measured)?;
+    let phase = micros_text(alignment.phase_sigma_us);
+    Some(format!(
+        "The phase is known to ± {phase} until the bias is measured. "
+    ))
 }
 
 /// The checks before the recording that were not good.

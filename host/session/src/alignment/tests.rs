@@ -9,6 +9,8 @@ use timebase::PhoneNanos;
 fn profile() -> Profile {
     let mut profile = Profile::published().unwrap();
     profile.depth.center_offset_sigma_us = 0.0;
+    profile.phone.gyro_delay_sigma_us = 0.0;
+    profile.phone.readout_sigma_us = 0.0;
     profile
 }
 
@@ -355,16 +357,21 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     changed.depth.center_offset_sigma_us = 1_000.0;
     changed.phone.gyro_delay_sigma_us = 750.0;
     with((1_250.0, 1_250.0), &changed);
+    let stated = of(&changed).promise();
     assert!(
-        of(&changed)
-            .promise()
-            .contains("(of it a constant ± 1250.0 µs)")
+        stated.starts_with("phase known to ± 1.3 ms until the bias is measured (± 10.6 µs"),
+        "{stated}"
     );
+    // Half of the readout goes by before the middle row.
+    changed.phone.gyro_delay_sigma_us = 450.0;
+    changed.phone.readout_sigma_us = 1_200.0;
+    with((1_250.0, 1_250.0), &changed);
     changed.frame_sync.bias_sigma_us = 0.4;
     with((1_250.0, 1_250.0), &changed);
     // Measured with the first phone, whose delay is in it.
     changed.frame_sync.bias_measured = Some(date(2026, 1, 31));
     with((0.4, 1_060.660_247), &changed);
+    assert!(of(&changed).promise().starts_with("phase known to ± 10.6 µs, drift"));
 }
 
 #[test]

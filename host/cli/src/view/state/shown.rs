@@ -32,9 +32,11 @@ pub(crate) struct PhaseNow {
     /// The last pulse against the grid, µs; where the phone's clock is followed, how late
     /// the trigger is on its frames.
     pub(crate) phase_us: f64,
-    /// 1-sigma of the grid against the phone's frames now, µs, without that of the constant
-    /// between the cameras.
+    /// 1-sigma of the phase now, µs: of the grid against the phone's frames, and of the
+    /// constant between the cameras.
     pub(crate) sigma_us: f64,
+    /// True if the constant is assumed, not measured.
+    pub(crate) is_assumed: bool,
     /// True if that is more than a twist may have.
     pub(crate) is_twist_due: bool,
     /// Where the phone's clock is followed.
@@ -241,11 +243,12 @@ impl State {
         let off_us = off.0 as f64 * 1e6 / f64::from(TICK_HZ);
         let now = BoardSeconds::from(self.now);
         let untracked_us = || phase_sigma_us_now(alignment, now, self.temperature);
+        let tracked_us = self.tracked.map(|tracked| tracked.sigma_us);
+        let constant_us = alignment.constant_sigma_us.unwrap_or_default();
         Some(PhaseNow {
             phase_us: self.tracked.map_or(off_us, |tracked| tracked.phase_us),
-            sigma_us: self
-                .tracked
-                .map_or_else(untracked_us, |tracked| tracked.sigma_us),
+            sigma_us: tracked_us.unwrap_or_else(untracked_us).hypot(constant_us),
+            is_assumed: !alignment.bias_is_measured,
             is_twist_due: self.is_twist_due,
             tracked: self.tracked,
         })
