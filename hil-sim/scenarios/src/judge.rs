@@ -285,7 +285,7 @@ impl Truth {
         let phase_ns = reference
             .video
             .context("the session has started no video")?
-            .phase
+            .on_boot_clock()
             .0;
         let twist = last_twist(&reference.twists, span).context("no twist related the clocks")?;
         let video = video_at(&self.videos, phase_ns)?;
@@ -366,7 +366,8 @@ impl Truth {
         let before = last_twist(&said.twists, span).context("no twist related its clock")?;
         let clock = said.clock.context("its clock is not related")?;
         let placed = said.placement.context("its frames are not placed")?;
-        let phase_ns = said.video.context("it has started no video")?.phase.0;
+        let phase_ns = said.video.context("it has started no video")?;
+        let phase_ns = phase_ns.on_boot_clock().0;
         let video = video_at(videos, phase_ns)?;
         let mut phases = self.phases(phone, video, base, span);
         let period_us = video.frames.period_ns() * 1e-3;

@@ -318,7 +318,10 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         }
         PhoneError::StartUndone { cause } => return phone_step(cause),
         PhoneError::StalePhase { .. } => {
-            "nothing records now: run it again. (A video was begun on the phone itself, or by a start that failed)"
+            "nothing records now: run it again. (A video was begun on the phone itself, or by a start that failed.) If it fails each time, the frames are on another clock: connect the phone by USB with `adb`, which reads both"
+        }
+        PhoneError::FrameClock { .. } => {
+            "restart the phone and keep its screen on, so that both clocks are one; or let it sleep for a minute"
         }
         PhoneError::Adb(error) => return adb_step(error),
         PhoneError::NoGyroscope => {

@@ -15,7 +15,7 @@ use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose};
-use recording::session_file::{PHONES_FOLDER, SessionFile};
+use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 
 /// A phone and its files.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +28,8 @@ pub(crate) struct PhoneInput {
     pub(crate) constants: Constants,
     /// What the profile says about it.
     pub(crate) profile: Option<Phone>,
+    /// The clock of its sensors minus that of its frames, ns.
+    pub(crate) boot_minus_frames_ns: i64,
     /// Its folder below the output; the output itself for the phone that the trigger
     /// was aligned to.
     pub(crate) folder: PathBuf,
@@ -261,11 +263,16 @@ fn find_phones(
         let own = own.filter(|own| !several || own.is_dir());
         find_phone(own.as_deref(), place)
     };
+    let behind_ns = |said: Option<&PhoneRecord>| {
+        let video = said.and_then(|said| said.video);
+        video.map_or(0, |video| video.boot_minus_frames_ns)
+    };
     let reference = PhoneInput {
         name: Some(session.profile.phone.name.clone()),
         files: files_of(&session.profile.phone.name, phone)?,
         constants,
         profile: Some(session.profile.phone.clone()),
+        boot_minus_frames_ns: behind_ns(session.reference()),
         folder: PathBuf::new(),
     };
     let mut others = Vec::new();
@@ -276,6 +283,7 @@ fn find_phones(
             files: files_of(&phone.name, None)?,
             constants: constants.of_other(phone, said, &session.profile),
             profile: Some(phone.clone()),
+            boot_minus_frames_ns: behind_ns(said),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }

@@ -8,17 +8,13 @@ use super::answer::{MalformedAnswer, ServerVersion};
 use super::connection::Connection;
 use super::download::{SavedVideo, check_free, receive};
 use super::error::{PROBE, PhoneError};
-use super::requests::{ImuBody, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
+use super::requests::{Asked, ImuBody, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
 use super::samples::PhoneSample;
 use super::settings::{Settings, StopSignal};
 use timebase::PhoneNanos;
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Frame durations from a start to the phase at least: it is the timestamp of frame 60,
-/// counted from 0, and the first frame comes later than the request.
-const PHASE_FRAMES: f64 = 59.0;
 
 /// How long a phone that cannot be reached is tried again to stop its video.
 const UNREACHABLE: Duration = Duration::from_secs(5);
@@ -237,14 +233,14 @@ impl PhoneClient {
     ///
     /// The app toggles: asked while a video runs, it stops that one, and answers at once
     /// with that one's phase, or with an error 10 s later. So an answer that comes before
-    /// the frames can is refused. `asked` is the phone's clock by now, if it is known;
-    /// without it the time of this system counts. Whether a video was begun by a start
+    /// the frames can is refused. `asked` is what is known of the phone's clocks by now;
+    /// without it the time of this system counts ([`VideoStart::checked`]). Whether a video was begun by a start
     /// that fails is not known: see [`PhoneClient::undo_start`].
     ///
     /// # Errors
     ///
     /// The link, the app's refusal, or the phase of another video.
-    pub fn start_video(&mut self, asked: Option<PhoneNanos>) -> Result<VideoStart, PhoneError> {
+    pub fn start_video(&mut self, asked: Option<Asked>) -> Result<VideoStart, PhoneError> {
         const REQUEST: &str = "video_start";
         if !self.served {
             self.probe()?;
@@ -253,15 +249,7 @@ impl PhoneClient {
         let first = APP_PHASE_TIMEOUT.saturating_add(self.settings.margin);
         let body = self.short_exchange(REQUEST, "video_start\n", first)?;
         let start = VideoStart::parse(&body).map_err(|source| self.damaged(REQUEST, source))?;
-        let took = asked.map_or_else(
-            || begun.elapsed().as_secs_f64(),
-            |asked| start.phase.0.saturating_sub(asked.0) as f64 * 1e-9,
-        );
-        let early = PHASE_FRAMES * start.frame_duration_ns * 1e-9 - took;
-        if early > 0.0 {
-            return Err(PhoneError::StalePhase { early });
-        }
-        Ok(start)
+        start.checked(asked, begun.elapsed(), first)
     }
 
     /// After a start that failed: sees to it that no video runs that it may have begun.

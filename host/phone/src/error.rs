@@ -118,11 +118,22 @@ pub enum PhoneError {
     /// another video, which this request has stopped.
     #[error(
         "the phone was recording already: its answer to video_start is of another video \
-         ({early:.1} s before its frames can be), and the request has stopped that one"
+         ({early:.1} s before its frames can be), and the request has stopped that one; or its \
+         frames are on another clock than its gyroscope"
     )]
     StalePhase {
         /// By how much it was too soon, seconds.
         early: f64,
+    },
+    /// The frames may be on either of the phone's clocks.
+    #[error(
+        "whether the phone stamps its frames with the clock of its sensors cannot be told: it has \
+         slept for {slept_s:.3} s since it was started, by which the other clock is behind, and \
+         both fit"
+    )]
+    FrameClock {
+        /// How long it slept, seconds.
+        slept_s: f64,
     },
     /// A start failed, and what it may have begun was stopped.
     #[error("{cause}; the phone was told to stop")]

@@ -38,7 +38,7 @@ pub use answer::ServerVersion;
 pub use client::PhoneClient;
 pub use download::SavedVideo;
 pub use error::PhoneError;
-pub use requests::{ImuRequest, VideoStart};
+pub use requests::{Asked, ImuRequest, VideoStart};
 pub use samples::{PhoneSample, save_samples};
 pub use settings::{Settings, StopSignal};
 

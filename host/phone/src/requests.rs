@@ -148,9 +148,82 @@ pub struct VideoStart {
     /// Exposure time in nanoseconds. From v.0.1.1 on, and only where the
     /// camera reports it.
     pub exposure_ns: Option<u64>,
+    /// The clock of the phone's sensors minus that of its frames, ns.
+    pub boot_minus_frames_ns: i64,
 }
 
+/// The phone's clocks at the moment at which a video is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Asked {
+    /// The clock of its sensors, `CLOCK_BOOTTIME`.
+    pub boot: PhoneNanos,
+    /// How far `CLOCK_MONOTONIC` is behind that, ns: the time that the phone has slept. Nothing
+    /// if nobody has read both.
+    pub slept_ns: Option<i64>,
+}
+
+impl From<PhoneNanos> for Asked {
+    fn from(boot: PhoneNanos) -> Self {
+        Self {
+            boot,
+            slept_ns: None,
+        }
+    }
+}
+
+/// Frame durations from a start to the phase at least.
+const PHASE_FRAMES: f64 = 59.0;
+
+/// Two clocks that are nearer than this are one, ns: they are read one after the other.
+const ONE_CLOCK_NS: i64 = 1_000;
+
 impl VideoStart {
+    /// Holds the answer against the moment of its request, since when `took` has passed on this
+    /// computer; it came within `patience`.
+    ///
+    /// Android stamps frames with the sensors' clock where the camera says `REALTIME`, and else
+    /// mostly with `CLOCK_MONOTONIC`, which stands still while the phone sleeps; the app says
+    /// neither. The phase lies between request and answer on one of the two clocks alone where
+    /// the phone has slept for longer than that.
+    ///
+    /// # Errors
+    ///
+    /// The phase is before its frames can be, or its clock cannot be told.
+    pub fn checked(
+        self,
+        asked: Option<Asked>,
+        took: Duration,
+        patience: Duration,
+    ) -> Result<Self, PhoneError> {
+        let least_s = PHASE_FRAMES * self.frame_duration_ns * 1e-9;
+        let after_s = |behind_ns: i64| {
+            asked.map_or(took.as_secs_f64(), |asked| {
+                let phase = self.phase.0.saturating_add(behind_ns);
+                phase.saturating_sub(asked.boot.0) as f64 * 1e-9
+            })
+        };
+        let early = least_s - after_s(0);
+        let slept = asked.and_then(|asked| asked.slept_ns);
+        let Some(slept) = slept.filter(|slept| slept.abs() > ONE_CLOCK_NS) else {
+            return match early > 0.0 {
+                true => Err(PhoneError::StalePhase { early }),
+                false => Ok(self),
+            };
+        };
+        let fits = |behind| (least_s..=patience.as_secs_f64()).contains(&after_s(behind));
+        match (fits(0), fits(slept)) {
+            (true, false) => Ok(self),
+            (false, true) => Ok(Self {
+                boot_minus_frames_ns: slept,
+                ..self
+            }),
+            (true, true) => Err(PhoneError::FrameClock {
+                slept_s: slept as f64 * 1e-9,
+            }),
+            (false, false) => Err(PhoneError::StalePhase { early }),
+        }
+    }
+
     /// Reads the body of an answer. Lines that later versions of the app may add are passed
     /// over.
     ///
@@ -172,6 +245,7 @@ impl VideoStart {
             frame_duration_ns,
             // The app writes 0 where the camera does not report an exposure.
             exposure_ns: exposure.transpose()?.filter(|&ns| ns > 0),
+            boot_minus_frames_ns: 0,
         })
     }
 }
@@ -319,6 +393,50 @@ mod tests {
             &[],
         ] {
             assert!(start(lines).is_err(), "{lines:?}");
+        }
+    }
+
+    /// Frames of a phone that was asked at 40,000 s of its sensors' clock, and answered 2.5 s
+    /// later with the frame of 2.4 s after that.
+    #[test]
+    fn the_clock_of_the_frames_is_told_by_when_they_can_be() {
+        let second = 1_000_000_000_i64;
+        let asked = |slept_ns| Asked {
+            boot: PhoneNanos(40_000 * second),
+            slept_ns,
+        };
+        let start = |behind_ns: i64| VideoStart {
+            phase: PhoneNanos(40_002 * second + second * 4 / 10 - behind_ns),
+            frame_duration_ns: 1e9 / 30.0,
+            exposure_ns: None,
+            boot_minus_frames_ns: 0,
+        };
+        let checked = |behind_ns, slept_ns| {
+            start(behind_ns).checked(
+                Some(asked(slept_ns)),
+                Duration::ZERO,
+                Duration::from_secs(25),
+            )
+        };
+        let hour = 3_600 * second;
+        for (behind, slept, offset) in [
+            (0, None, 0),
+            (0, Some(0), 0),
+            (0, Some(-700), 0),
+            (0, Some(hour), 0),
+            (hour, Some(hour), hour),
+            (30 * second, Some(30 * second), 30 * second),
+        ] {
+            let start = checked(behind, slept).unwrap();
+            assert_eq!(start.boot_minus_frames_ns, offset, "{behind} {slept:?}");
+        }
+        for (behind, slept) in [(hour, None), (hour, Some(2 * hour)), (hour, Some(0))] {
+            let error = checked(behind, slept).unwrap_err();
+            assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
+        }
+        for (behind, slept) in [(0, Some(5 * second)), (0, Some(20_000))] {
+            let error = checked(behind, slept).unwrap_err();
+            assert!(matches!(error, PhoneError::FrameClock { .. }), "{error}");
         }
     }
 }

@@ -14,7 +14,7 @@ use std::time::Duration;
 use crate::adb;
 use crate::{
     PhoneClient, PhoneError, PhoneSample, SavedVideo, ServerVersion, Settings, StopSignal,
-    VideoStart,
+    VideoStart, requests::Asked,
 };
 use timebase::PhoneNanos;
 
@@ -120,7 +120,7 @@ impl PhoneTask {
 
     /// Starts a video, at this time of the phone's clock if it is known.
     #[must_use]
-    pub fn start_video(&self, asked: Option<PhoneNanos>) -> Pending<VideoStart> {
+    pub fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
         self.ask(move |phone| phone.connect()?.start_video(asked))
     }
 

@@ -217,9 +217,19 @@ pub struct Video {
     pub frame_duration_ns: f64,
     /// Exposure as the app reported it, ns.
     pub exposure_ns: Option<u64>,
+    /// The clock of the phone's sensors (`CLOCK_BOOTTIME`) minus the clock of its frames, ns: 0
+    /// if they are one. Everything that the app says of frames is on the latter.
+    #[serde(default)]
+    pub boot_minus_frames_ns: i64,
 }
 
 impl Video {
+    /// The phase on the clock of the phone's sensors.
+    #[must_use]
+    pub const fn on_boot_clock(&self) -> PhoneNanos {
+        PhoneNanos(self.phase.0.saturating_add(self.boot_minus_frames_ns))
+    }
+
     /// The exposure, µs, if the app reported one.
     #[must_use]
     pub fn exposure_us(&self) -> Option<f64> {

@@ -246,7 +246,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
 /// Board time of the middle of the frame that the phone gave the timestamp of.
 fn middle(clock: &ClockModel, video: &Video, exposure_us: f64, middle_row_us: f64) -> BoardSeconds {
     let to_middle = (exposure_us / 2.0 + middle_row_us) * 1e-6;
-    clock.to_board(PhoneSeconds(video.phase.seconds().0 + to_middle))
+    clock.to_board(PhoneSeconds(video.on_boot_clock().seconds().0 + to_middle))
 }
 
 /// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and

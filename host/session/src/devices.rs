@@ -12,7 +12,7 @@ use board::transport::Link;
 use jiff::Zoned;
 use phone::agent::PhoneExchange;
 use phone::task::{Pending, PhoneTask};
-use phone::{PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
+use phone::{Asked, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use recording::profile::Depth;
 use recording::writer::WallClock;
 use serde::Serialize;
@@ -34,8 +34,8 @@ pub trait Phone {
     fn probe(&self) -> Pending<ServerVersion>;
     /// Records the gyroscope.
     fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>>;
-    /// Starts a video, at this time of the phone's clock if it is known.
-    fn start_video(&self, asked: Option<PhoneNanos>) -> Pending<VideoStart>;
+    /// Starts a video, at this time of the phone's clocks if it is known.
+    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart>;
     /// Stops the video.
     fn stop_video(&self) -> Pending<()>;
     /// Does it record a video?
@@ -59,7 +59,7 @@ impl Phone for PhoneTask {
         Self::gyroscope(self, length)
     }
 
-    fn start_video(&self, asked: Option<PhoneNanos>) -> Pending<VideoStart> {
+    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
         Self::start_video(self, asked)
     }
 

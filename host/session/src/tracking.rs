@@ -71,6 +71,8 @@ pub(crate) struct Tracking {
     /// The relation that the tracker has.
     known: Option<ClockModel>,
     temperature: Option<f64>,
+    /// How far the phone's `CLOCK_MONOTONIC` is behind its `CLOCK_BOOTTIME`, ns.
+    slept_ns: Option<i64>,
     following: Option<Following>,
     reported: Duration,
     /// The phase that was reported last.
@@ -161,6 +163,7 @@ pub(crate) fn start(
         asking: Asking::default(),
         known: None,
         temperature: None,
+        slept_ns: None,
         following: None,
         reported: Duration::ZERO,
         tracked: None,
@@ -177,6 +180,9 @@ impl Tracking {
     ) -> Result<(), Stop> {
         for exchange in self.phone_clock.exchanges() {
             let answer = exchange.answer;
+            // The second clock is read after the first: of all pairs the nearest counts.
+            let slept_ns = answer.boot_ns.saturating_sub(answer.monotonic_ns);
+            self.slept_ns = self.slept_ns.max(Some(slept_ns));
             let tenths = answer.temperature.map(f64::from);
             self.temperature = tenths.map(|tenths| tenths / 10.0);
             let between = (exchange.sent, exchange.received);
@@ -199,6 +205,11 @@ impl Tracking {
             });
         }
         Ok(())
+    }
+
+    /// How long the phone has slept since its start, ns, once both of its clocks were read.
+    pub(crate) const fn slept_ns(&self) -> Option<i64> {
+        self.slept_ns
     }
 
     /// 1-sigma of the phase, µs, as it was reported last.
@@ -388,6 +399,7 @@ mod tests {
             phase: PhoneNanos(106_000_000_000),
             frame_duration_ns: 1e9 / 30.0,
             exposure_ns: Some(1_000_000),
+            boot_minus_frames_ns: 0,
         };
         let profile = Profile::published().unwrap();
         let planned = plan(&profile, &Twists::of(clock).course(), &video).unwrap();

@@ -2,15 +2,15 @@
 
 use std::time::Duration;
 
-use phone::VideoStart;
 use phone::adb::{copy_command, get_files_command};
+use phone::{Asked, VideoStart};
 use recording::session_file::Video;
 
 use crate::alignment::placement;
 use crate::error::{Stop, is_of_phone};
 use crate::event::{Device, SessionEvent};
 use crate::log::Log;
-use crate::phones::{Phones, VideoNews};
+use crate::phones::{Phones, REFERENCE, VideoNews};
 use crate::session::Session;
 
 /// How long after its first failure a phone is asked again to stop its video.
@@ -37,8 +37,19 @@ pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
         .phones
         .places()
         .map(|place| session.log.phone(place).clock);
-    let times: Vec<_> = clocks
-        .map(|clock| Some(clock?.ticks_to_phone(now)))
+    // What reads the clocks is at the reference alone.
+    let slept_ns = |place| {
+        let tracking = session.tracking.as_ref();
+        tracking.filter(|_| place == REFERENCE)?.slept_ns()
+    };
+    let times: Vec<Option<Asked>> = (0..)
+        .zip(clocks)
+        .map(|(place, clock)| {
+            Some(Asked {
+                boot: clock?.ticks_to_phone(now),
+                slept_ns: slept_ns(place),
+            })
+        })
         .collect();
     let answers = session.ask_phones(
         without_video,
@@ -86,9 +97,21 @@ fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Re
         phase: start.phase,
         frame_duration_ns: start.frame_duration_ns,
         exposure_ns: start.exposure_ns,
+        boot_minus_frames_ns: start.boot_minus_frames_ns,
     };
     session.log.phone_mut(place).video = Some(video);
     session.log.save()?;
+    if video.boot_minus_frames_ns != 0 {
+        let remark = format!(
+            "{} stamps its frames with CLOCK_MONOTONIC, which is {:.6} s behind its sensors' \
+             clock: corrected",
+            session.phones.name(place),
+            video.boot_minus_frames_ns as f64 * 1e-9
+        );
+        session
+            .log
+            .report(SessionEvent::AlignmentRemark { remark })?;
+    }
     session.log.report(SessionEvent::VideoStarted {
         phone: session.phones.name(place),
         video,

@@ -115,7 +115,7 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
         let answer = Answer {
             nonce,
             boot_ns: now_ns,
-            monotonic_ns: now_ns,
+            monotonic_ns: now_ns - app.config.slept_ns,
             temperature: Some(314),
         };
         stream.write_all(&answer.bytes())?;

@@ -31,6 +31,8 @@ pub struct PhoneConfig {
     pub storage: Option<PathBuf>,
     /// The name that `get_video` gives its file, instead of the true one.
     pub video_name: Option<String>,
+    /// How long it has slept since it was started, ns: `CLOCK_MONOTONIC` stood still then.
+    pub slept_ns: i64,
 }
 
 /// One copy of the app: its settings, and what its phone takes time for. The lines that
@@ -120,6 +122,9 @@ pub struct CameraConfig {
     pub lost: f64,
     /// Share of the frames that the app gets twice, with one timestamp.
     pub doubled: f64,
+    /// The frames are stamped with `CLOCK_MONOTONIC`, as by most cameras whose
+    /// `SENSOR_INFO_TIMESTAMP_SOURCE` is `UNKNOWN`.
+    pub is_on_monotonic: bool,
     /// White noise on the frame timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
     /// Shortest and longest time from the start of a recording to its first
@@ -237,6 +242,15 @@ impl PhoneConfig {
             video: VideoMode::OnRequest,
             storage: None,
             video_name: None,
+            slept_ns: 0,
+        }
+    }
+
+    /// By how much the clock of the frames is behind that of the sensors, ns.
+    pub(super) const fn frames_behind_ns(&self) -> i64 {
+        match self.camera.is_on_monotonic {
+            true => self.slept_ns,
+            false => 0,
         }
     }
 }
@@ -251,6 +265,7 @@ impl CameraConfig {
             period_of_exposure: 0.0,
             lost: 0.0,
             doubled: 0.0,
+            is_on_monotonic: false,
             row_time_ns: 10_200.0,
             rows: 1080,
             columns: 64,

@@ -33,6 +33,7 @@ impl App {
             return None;
         }
         let (stamp_ns, period_ns) = frames.phase();
+        let stamp_ns = stamp_ns - self.config.frames_behind_ns();
         let exposure_ns = frames.exposure_ns();
         recording.phase_taken = true;
         Some(Phase {
@@ -168,7 +169,9 @@ impl App {
             {
                 names.save_sensor(kind, &self.sensors.samples(kind, truth.start_ns, to))?;
             }
-            names.save_timestamps(&truth.frames.stamps(truth.count.unwrap_or(0)))
+            let behind = self.config.frames_behind_ns();
+            let stamps = truth.frames.stamps(truth.count.unwrap_or(0)).into_iter();
+            names.save_timestamps(&stamps.map(|stamp| stamp - behind).collect::<Vec<_>>())
         };
         files().map_err(|e| format!("cannot save the recording's files: {e}"))?;
         if self.config.video == VideoMode::OnStop && truth.count.unwrap_or(0) > 0 {

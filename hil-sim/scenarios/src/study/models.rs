@@ -333,6 +333,7 @@ impl Rig {
             phase: PhoneNanos(phase),
             frame_duration_ns,
             exposure_ns: Some(frames.exposure_ns()),
+            boot_minus_frames_ns: 0,
         };
         let alignment = plan(profile, course, &video)?.alignment;
         let first = (TO_ARRIVAL_S * 1e9 / frames.period_ns()) as usize;

@@ -304,6 +304,7 @@ fn align(
         phase: PhoneNanos((phase + FRAME_JITTER_NS * random.normal()).round() as i64),
         frame_duration_ns: period_ns + reported * random.normal(),
         exposure_ns: Some(1_000_000),
+        boot_minus_frames_ns: 0,
     };
     let course = Twists::of(clock).course();
     let alignment = plan(&profile, &course, &video)?.alignment;

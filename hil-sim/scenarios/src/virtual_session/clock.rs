@@ -72,9 +72,10 @@ impl VirtualClock {
         };
         let read = after(asked, there);
         let received = board.board_at(after(read, back));
-        let now_ns = self.rig.with(|rig| {
+        let (now_ns, slept_ns) = self.rig.with(|rig| {
             let phone = rig.phones.first()?;
-            Some(phone.oscillator().nanos_at(read))
+            let slept_ns = phone.handset().config.slept_ns;
+            Some((phone.oscillator().nanos_at(read), slept_ns))
         })?;
         Some(PhoneExchange {
             sent,
@@ -82,7 +83,7 @@ impl VirtualClock {
             answer: Answer {
                 nonce,
                 boot_ns: now_ns,
-                monotonic_ns: now_ns,
+                monotonic_ns: now_ns - slept_ns,
                 temperature: Some(314),
             },
         })

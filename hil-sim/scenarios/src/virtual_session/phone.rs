@@ -12,7 +12,7 @@ use ::phone::error::Refusal;
 use ::phone::file_name::safe_file_name;
 use ::phone::requests::{ImuBody, VideoHeader};
 use ::phone::task::Pending;
-use ::phone::{ImuRequest, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
+use ::phone::{Asked, ImuRequest, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use ::session::devices::Phone;
 use rig::phone::{Answer, RequestId};
 use timebase::PhoneNanos;
@@ -31,9 +31,6 @@ const BUSY_WITH_VIDEO: Duration = Duration::from_secs(120);
 
 /// Pause between two tries.
 const PAUSE: Duration = Duration::from_millis(250);
-
-/// Frame durations from a start to the phase at least.
-const PHASE_FRAMES: f64 = 59.0;
 
 /// The most bytes of an answer.
 const MOST: u64 = 1 << 30;
@@ -290,7 +287,7 @@ impl Phone for VirtualPhone {
         })
     }
 
-    fn start_video(&self, asked: Option<PhoneNanos>) -> Pending<VideoStart> {
+    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
         let begun = self.rig.now();
         let question = Question {
             patience: FRAMES + MARGIN,
@@ -300,14 +297,7 @@ impl Phone for VirtualPhone {
             let request = "video_start";
             let start = VideoStart::parse(&reply?.body)
                 .map_err(|source| PhoneError::Malformed { request, source })?;
-            let took = asked.map_or((now - begun).as_secs_f64(), |asked| {
-                start.phase.0.saturating_sub(asked.0) as f64 * 1e-9
-            });
-            let early = PHASE_FRAMES * start.frame_duration_ns * 1e-9 - took;
-            match early > 0.0 {
-                true => Err(PhoneError::StalePhase { early }),
-                false => Ok(start),
-            }
+            start.checked(asked, now - begun, FRAMES + MARGIN)
         })
     }
 

@@ -19,6 +19,7 @@ mod extract_truth;
 mod extract_vendor;
 mod faults;
 mod first_recording;
+mod frame_clock;
 mod imu_csv;
 mod json_objects;
 mod live_view;

@@ -62,7 +62,7 @@ fn an_answer_before_its_frames_is_not_an_answer() {
         wait_s(&bench, 4.0);
         let now = bench.phone.oscillator().nanos_at(bench.clock.now());
         let error = client
-            .start_video(known.then_some(PhoneNanos(now)))
+            .start_video(known.then_some(PhoneNanos(now).into()))
             .unwrap_err();
         assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
         let error = client.undo_start(error);
@@ -73,7 +73,7 @@ fn an_answer_before_its_frames_is_not_an_answer() {
         client.reconnect().unwrap();
         let now = bench.phone.oscillator().nanos_at(bench.clock.now());
         client
-            .start_video(known.then_some(PhoneNanos(now)))
+            .start_video(known.then_some(PhoneNanos(now).into()))
             .unwrap();
         assert!(bench.phone.is_recording());
     }

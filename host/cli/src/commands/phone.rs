@@ -207,7 +207,7 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
         exposure_ns: Option<u64>,
     }
     // A phone that records already is left alone: the request would stop its video.
-    let asked = client.clock()?;
+    let asked = client.clock()?.map(Into::into);
     let start = client.start_video(asked).map_err(|error| {
         if !error.is_before_request() {
             context.say(format!(

@@ -65,7 +65,11 @@ impl Extraction<'_> {
         if let Some(path) = &files.frames {
             let read = PhoneRows::open(path).and_then(|mut rows| Ok((rows.timestamps()?, rows)));
             match read {
-                Ok((read, rows)) => {
+                Ok((mut read, rows)) => {
+                    let boot = |stamp: &mut PhoneNanos| {
+                        stamp.0 = stamp.0.saturating_add(input.boot_minus_frames_ns);
+                    };
+                    read.iter_mut().flatten().for_each(boot);
                     rows_of_frames = read;
                     self.note_faults(input, "frame timestamps", rows.faults());
                 }

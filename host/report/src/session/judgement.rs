@@ -391,6 +391,7 @@ mod tests {
             phase: timebase::PhoneNanos(42),
             frame_duration_ns: 33e6,
             exposure_ns: None,
+            boot_minus_frames_ns: 0,
         });
         let judged = board_and_phone(folder.path(), &session);
         assert_eq!(judged.severity, Severity::Check);

@@ -37,6 +37,7 @@ fn video() -> Video {
         phase: PhoneNanos(36_110_000_000_000),
         frame_duration_ns: 33_330_652.542,
         exposure_ns: Some(4_000_000),
+        boot_minus_frames_ns: 0,
     }
 }
 
