@@ -4,6 +4,7 @@ use toml_edit::{Array, DocumentMut, Item, value};
 
 use crate::outcome::{ExitStatus, Failure};
 use recording::camera::{Basis, Mode, Model};
+use recording::profile::edit;
 use recording::profile::{DEFAULT, Profile};
 
 /// Exposure of a camera whose exposure is set, where nobody says it, µs.
@@ -100,15 +101,14 @@ pub(crate) fn text(camera: &Camera, set: &[(&[&str], Item)]) -> Result<String, F
         (&["depth", "pulse_width_us"], value(model.pulse.width_us)),
     ];
     for (path, new) in own.iter().chain(set) {
-        let item = path
+        let missing = || broken(format!("it has no {}", path.join(".")));
+        let (key, tables) = path.split_last().ok_or_else(missing)?;
+        let table = tables
             .iter()
-            .try_fold(document.as_item_mut(), |item, key| item.get_mut(key));
-        let item = item.ok_or_else(|| broken(format!("it has no {}", path.join("."))))?;
-        let old = item.as_value().map(|value| value.decor().clone());
-        *item = new.clone();
-        if let (Some(old), Some(value)) = (old, item.as_value_mut()) {
-            *value.decor_mut() = old;
-        }
+            .try_fold(document.as_table_mut(), |table, key| {
+                table.get_mut(key)?.as_table_mut()
+            });
+        edit::set(table.ok_or_else(missing)?, key, new.clone());
     }
     if let Some(table) = document.get_mut("depth").and_then(Item::as_table_mut) {
         table.decor_mut().set_prefix(camera.comment());

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use recording::RecordingError;
+use recording::profile::ProfileError;
 use video::VideoError;
 
 use super::drift::MIN_FRAMES;
@@ -136,9 +138,12 @@ pub enum EvaluateError {
     /// Flashes in too few frames.
     #[error("{path}: {found} frames with flashes, at least {MIN_FRAMES} are needed")]
     TooFewFrames { path: PathBuf, found: usize },
-    /// A rig profile that is not TOML, or has something else at our key.
-    #[error("{path}: {message}")]
-    Profile { path: PathBuf, message: String },
+    /// The rig profile.
+    #[error(transparent)]
+    Profile(#[from] ProfileError),
+    /// The recording's session.
+    #[error(transparent)]
+    Session(#[from] RecordingError),
 }
 
 impl EvaluateError {

@@ -44,10 +44,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
 }
 
 fn applied(folder: &Path) -> Result<Option<Applied>, EvaluateError> {
-    let session = SessionFile::load(folder).map_err(|error| EvaluateError::Profile {
-        path: folder.join(SESSION_FILE),
-        message: format!("the recording's session was not understood: {error}"),
-    })?;
+    let session = SessionFile::load(folder)?;
     Ok(session.alignment.map(|alignment| Applied {
         bias_us: alignment.bias_us,
         exposure_us: alignment.exposure_us,

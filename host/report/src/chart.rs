@@ -19,7 +19,7 @@ pub use envelope::{Column, Envelope};
 use head::{Head, USUAL_LINES, head};
 
 /// Size of a drawing of one chart, pixels.
-pub const SIZE: (u32, u32) = (800, 340);
+const SIZE: (u32, u32) = (800, 340);
 
 /// Size of all type, pixels.
 const LABEL: i32 = 27;
@@ -38,7 +38,7 @@ const MOST: f64 = 1e12;
 const NARROWEST: f64 = 1e-9;
 
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
-pub const COLOURS: [Ink; 4] = [
+const COLOURS: [Ink; 4] = [
     Ink::rgb(0, 114, 178),
     Ink::rgb(213, 94, 0),
     Ink::rgb(0, 158, 115),

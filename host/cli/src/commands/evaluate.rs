@@ -257,10 +257,8 @@ impl From<EvaluateError> for Failure {
                 "begin the video a second before the depth camera runs, so that it also shows the \
                  scene alone; or give --row-time and --exposure if they are known",
             ),
-            E::Profile { .. } => (
-                ExitStatus::Usage,
-                "check the path; `smartdepthsync profile check` says what is wrong in a profile",
-            ),
+            E::Profile(error) => return error.into(),
+            E::Session(error) => return error.into(),
         };
         Self::new(status, error.to_string()).next_step(step)
     }

@@ -64,7 +64,7 @@ const CASES: &str = "\
 2 | evaluate precision --rotation 45 folder | 90 | help COMMAND
 2 | evaluate drift --from 3 --to 2 folder | before the end | help evaluate
 2 | evaluate drift --row-time nan folder | row time | help evaluate
-2 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | profile check
+13 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | smartdepthsync setup
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
 2 | evaluate drift folder | no images | png

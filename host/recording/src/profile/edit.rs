@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use toml_edit::{DocumentMut, Table, TomlError};
+use toml_edit::{DocumentMut, Item, Table, TomlError};
 
 use super::error::syntax;
 use super::{Profile, ProfileError};
@@ -49,12 +49,24 @@ pub fn phone_table<'a>(
     }
 }
 
+/// Sets a key of a table; the comments before and behind its old value stay.
+pub fn set(table: &mut Table, key: &str, mut new: Item) {
+    let Some(old) = table.get_mut(key) else {
+        table.insert(key, new);
+        return;
+    };
+    if let (Some(old), Some(value)) = (old.as_value(), new.as_value_mut()) {
+        *value.decor_mut() = old.decor().clone();
+    }
+    *old = new;
+}
+
 /// The table of this name, which is added if it is missing.
 ///
 /// # Errors
 ///
 /// It is no table.
-pub(crate) fn table<'a>(
+pub fn table<'a>(
     document: &'a mut DocumentMut,
     name: &str,
     path: &Path,
