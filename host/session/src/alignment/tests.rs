@@ -372,7 +372,11 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     // Measured with the first phone, whose delay is in it.
     changed.frame_sync.bias_measured = Some(date(2026, 1, 31));
     with((0.4, 1_060.660_247), &changed);
-    assert!(of(&changed).promise().starts_with("phase known to ± 10.6 µs, drift"));
+    assert!(
+        of(&changed)
+            .promise()
+            .starts_with("phase known to ± 10.6 µs, drift")
+    );
 }
 
 #[test]
