@@ -20,6 +20,8 @@ sys.path.insert(0, str(SOURCES))
 # For the workers.
 os.environ["PYTHONPATH"] = str(SOURCES)
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+# Ray has its workers wait for every other program (niceness 15).
+os.environ["RAY_worker_niceness"] = "0"
 
 import boto3
 import fsspec

@@ -28,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     given = vars(parser.parse_args(arguments))
     try:
         rows = fleet(given.pop("source"), given.pop("out"), **given)
+    except ImportError as error:
+        print(f"error: {error}; pip install 'smartdepthsync-data[fleet,s3]'", file=sys.stderr)
+        return 1
     except (OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -11,6 +11,7 @@ from typing import Any
 
 import fsspec
 from fsspec.core import url_to_fs
+from fsspec.implementations.local import LocalFileSystem
 
 from . import table, work
 from .work import FAILED, PART, Job
@@ -49,6 +50,8 @@ def fleet(
     """
     import ray
 
+    # Nodes have other working directories.
+    source, out = (_whole(url, storage or {}) for url in (source, out))
     store, root = url_to_fs(out, **(storage or {}))
     more = {
         "program": program, "options": tuple(options), "threads": threads, "scratch": scratch,
@@ -86,11 +89,18 @@ def fleet(
     return rows
 
 
+def _whole(url: str, storage: dict[str, Any]) -> str:
+    store, root = url_to_fs(url, **storage)
+    return store.unstrip_protocol(root) if isinstance(store, LocalFileSystem) else url
+
+
 def find(source: str, out: str, **more: Any) -> list[Job]:
     """The recordings below a place, the largest first."""
     store, root = url_to_fs(source, **more.get("storage", {}))
     found = store.find(root, detail=True)
     folders = {str(PurePosixPath(path).parent) for path in found if path.endswith(f"/{RECORDING}")}
+    if root in folders:
+        raise ValueError(f"{source} is a recording itself; give the folder that it is in")
     files: dict[str, list[tuple[str, int, str]]] = {folder: [] for folder in folders}
     for path, info in found.items():
         # A file belongs to the innermost recording that it is in.
@@ -99,7 +109,7 @@ def find(source: str, out: str, **more: Any) -> list[Job]:
             known = info.get("ETag") or info.get("mtime") or info.get("last_modified")
             files[folder].append((path[len(folder) + 1 :], info["size"], str(known)))
     jobs = [
-        Job(folder[len(root) + 1 :] or ".", tuple(sorted(its)), source, out, **more)
+        Job(folder[len(root) + 1 :], tuple(sorted(its)), source, out, **more)
         for folder, its in files.items()
     ]
     return sorted(jobs, key=lambda job: (-job.size, job.name))
@@ -107,11 +117,9 @@ def find(source: str, out: str, **more: Any) -> list[Job]:
 
 def _rows(store: fsspec.AbstractFileSystem, paths: list[str]) -> dict[str, Any]:
     """The rows that are there, read many at a time."""
-    import json
-
     store.invalidate_cache()
     there = store.cat(paths, on_error="omit", recursive=False)
-    return {path: json.loads(text) for path, text in there.items()}
+    return {path: work.parsed_row(text) for path, text in there.items()}
 
 
 def _run(

@@ -70,10 +70,10 @@ class Job:
         """Whether an earlier row is of this recording in the state or of the digest given."""
         return (
             row is not None
-            and row["verdict"] != FAILED
-            and row["version"] == version
-            and row["options"] == list(self.options)
-            and all(row[key] == value for key, value in same.items())
+            and row.get("verdict") in VERDICTS.values()
+            and row.get("version") == version
+            and row.get("options") == list(self.options)
+            and all(row.get(key) == value for key, value in same.items())
         )
 
 
@@ -92,7 +92,9 @@ def extract(job: Job) -> dict[str, Any]:
     begin = monotonic()
     store, root = url_to_fs(job.out, **job.storage)
     target = f"{root}/{job.name}"
-    earlier = _row(store, f"{target}.json")
+    earlier = None
+    with suppress(FileNotFoundError):
+        earlier = parsed_row(store.cat_file(f"{target}.json"))
     version = version_of(job.program)
     if job.is_finished_by(earlier, version, state=job.state):
         # By an attempt whose node was lost after all was written.
@@ -133,11 +135,12 @@ def extract(job: Job) -> dict[str, Any]:
     return row
 
 
-def _row(store: fsspec.AbstractFileSystem, path: str) -> dict[str, Any] | None:
-    try:
-        return json.loads(store.cat_file(path))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
+def parsed_row(text: bytes) -> dict[str, Any] | None:
+    """A row out of its file; None if it is not one."""
+    with suppress(ValueError):
+        found = json.loads(text)
+        return found if isinstance(found, dict) else None
+    return None
 
 
 def put(store: fsspec.AbstractFileSystem, file: Path, target: str) -> None:
