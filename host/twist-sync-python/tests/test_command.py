@@ -4,21 +4,27 @@ The real twist that comes with the package is written in each form; files of for
 are written by the libraries of others: rosbags, mcap, numpy.
 """
 
+import bz2
 import contextlib
+import ctypes as C
 import io
 import json
 import os
 import pathlib
+import re
+import struct
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import unittest
 
 import numpy as np
 
 import twist_sync
-from twist_sync import command, files, text
+from twist_sync import command, files, text, video
 
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 A = command.EXAMPLE / "mcu_gyro_data.csv"
 B = command.EXAMPLE / "smartphone_gyro_data.csv"
 TABLE = np.loadtxt(B, delimiter=",", skiprows=1)
@@ -38,7 +44,9 @@ def run(*arguments):
 
 
 def rows(form, t=T, w=W):
-    return "".join(form.format(t, *row) + "\n" for t, row in zip(t.tolist(), w.tolist(), strict=True))
+    return "".join(
+        form.format(t, *row) + "\n" for t, row in zip(t.tolist(), w.tolist(), strict=True)
+    )
 
 
 def iso(t):
@@ -117,13 +125,32 @@ class Texts(Folder):
                 step = (read.t - read.t[0]) - (NS - NS[0])
                 self.assertLess(np.abs(step).max(), 1001)
 
+    def test_plain_tables_are_not_read_line_by_line(self):
+        slow = text._slow
+        self.addCleanup(setattr, text, "_slow", slow)
+        text._slow = lambda *_: self.fail("line by line")
+        for name in ("OpenCamera-Sensors", "Sensor Logger", "phyphox", "EuRoC", "PX4"):
+            path = self.file("b.csv", TEXTS[name][0])
+            self.assertEqual(len(twist_sync.read(path).t), len(T))
+
     def test_what_cannot_be_found_can_be_said(self):
         path = self.file("b.txt", "7\n" + rows("5 {2} {3} {1} {0}", (T - T[0]) * 1e6))
         code, _, err = run(A, path)
         self.assertEqual(code, 5)
         self.assertIn("--columns", err)
-        given = ["--columns", "mcu_time,mcu_x,mcu_y,mcu_z", "--columns", "5,4,2,3", "--time-unit", "s", "--time-unit", "us"]
-        self.assertAlmostEqual(self.offset(A, path, *given)["offset_s"], 947848.638473 - T[0], delta=1e-3)
+        given = [
+            "--columns",
+            "mcu_time,mcu_x,mcu_y,mcu_z",
+            "--columns",
+            "5,4,2,3",
+            "--time-unit",
+            "s",
+            "--time-unit",
+            "us",
+        ]
+        self.assertAlmostEqual(
+            self.offset(A, path, *given)["offset_s"], 947848.638473 - T[0], delta=1e-3
+        )
         code, _, err = run(A, path, "--columns", "a", "--columns", "b", "--columns", "c")
         self.assertEqual(code, 2)
         code, _, err = run(A, B, "--columns", "mcu_time,mcu_x,mcu_y,nothing")
@@ -150,7 +177,9 @@ class Texts(Folder):
             + rows("{},{},{},{},0,0,0"))  # fmt: skip
         code, _, err = run(A, path)
         self.assertEqual((code, "@gyro left" in err), (5, True), err)
-        self.assertAlmostEqual(self.offset(A, f"{path}@gyro left")["offset_s"], 947848.638473, delta=2e-6)
+        self.assertAlmostEqual(
+            self.offset(A, f"{path}@gyro left")["offset_s"], 947848.638473, delta=2e-6
+        )
 
     def test_damage_is_an_error_with_its_line(self):
         for content, said in [
@@ -179,7 +208,10 @@ def write_bag(path, kind, samples, topics=("/imu/data",)):
 
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
     types = store.types
-    Time, Vector3, Imu = (types[k] for k in ("builtin_interfaces/msg/Time", "geometry_msgs/msg/Vector3", "sensor_msgs/msg/Imu"))
+    Time, Vector3, Imu = (
+        types[k]
+        for k in ("builtin_interfaces/msg/Time", "geometry_msgs/msg/Vector3", "sensor_msgs/msg/Imu")
+    )
     Header, Quaternion = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Quaternion"]
     Text = types["std_msgs/msg/String"]
     if kind == "ros1":
@@ -206,7 +238,9 @@ def write_bag(path, kind, samples, topics=("/imu/data",)):
                     linear_acceleration_covariance=np.zeros(9),
                 )
                 # Received later than measured: the header counts.
-                writer.write(connection, ns + 5_000_000 + k % 7 * 10**6, pack(message, Imu.__msgtype__))
+                writer.write(
+                    connection, ns + 5_000_000 + k % 7 * 10**6, pack(message, Imu.__msgtype__)
+                )
             if k % 100 == 0:
                 writer.write(chat, ns + 10**6, pack(Text(data="hello"), Text.__msgtype__))
 
@@ -260,6 +294,29 @@ class Bags(Folder):
         self.assertEqual((code, "its topics: /chat" in err), (5, True), err)
 
 
+def insta360(t, w):
+    """A video of an Insta360 camera without a picture: behind the boxes of MP4 stand records,
+    each before its format, kind and length, and a trailer. By InsvHeader.java, FrameHeader.java,
+    GyroV2Record.java and extra_metadata.proto of <https://github.com/alex-plekhanov/insvtools>;
+    samples are about half of 65536, which is 4000 °/s."""
+
+    counts = np.round(np.degrees(w) / 4000 * 65536).astype(int) + 32768
+    half = 32768
+    samples = b"".join(
+        struct.pack("<Q6H", round(at * 1e6), half, half, half, *row)
+        for at, row in zip(t.tolist(), counts.tolist(), strict=True)
+    )
+    # Protocol buffers: 2 (text) is the camera, 62 (bool) says that the samples are raw.
+    camera = b"\x12\x07Tests 1\xf0\x03\x01"
+    records = b"".join(
+        content + bytes([0, kind]) + len(content).to_bytes(4, "little")
+        for kind, content in ((3, samples), (1, camera))
+    )
+    trailer = bytes(32) + (len(records) + 72).to_bytes(4, "little") + (3).to_bytes(4, "little")
+    begin = b"\0\0\0\x10ftypmp41\0\0\0\0\0\0\0\x08moov"
+    return begin + records + trailer + b"8db42d694ccc418790edff439fe026bf"
+
+
 class Others(Folder):
     def test_arrays_of_numpy(self):
         path = self.folder / "b.npz"
@@ -269,6 +326,59 @@ class Others(Folder):
         self.assertLess(abs(self.offset(A, self.folder / "out/b.npz")["offset_s"]), 1e-6)
         np.savez(path, acc=ACC, gyro=W)
         self.assertEqual(run(A, path)[0], 5)
+
+    def test_matroska_of_the_cameras_maker_is_read_as_its_own_library_does(self):
+        """The file was written by libk4arecord; its reader is the oracle."""
+        packed = next((ROOT / "hil-sim/scenarios/tests/data").glob("k4arecord*.mkv.bz2"))
+        path = self.file("depth.mkv", bz2.decompress(packed.read_bytes()))
+        libraries = pathlib.Path(sysconfig.get_path("purelib")) / "pyk4a_bundle.libs"
+        _, _, k4a = (
+            C.CDLL(os.fspath(next(libraries.glob(name))), C.RTLD_GLOBAL)
+            for name in ("libudev*", "libk4a-*", "libk4arecord-*")
+        )
+
+        class Sample(C.Structure):
+            _fields_ = [
+                ("temperature", C.c_float),
+                ("acc", C.c_float * 3),
+                ("acc_us", C.c_uint64),
+                ("gyro", C.c_float * 3),
+                ("gyro_us", C.c_uint64),
+            ]
+
+        handle, sample = C.c_void_p(), Sample()
+        self.assertEqual(k4a.k4a_playback_open(os.fspath(path).encode(), C.byref(handle)), 0)
+        expected = []
+        while k4a.k4a_playback_get_next_imu_sample(handle, C.byref(sample)) == 0:
+            expected.append((sample.gyro_us, *sample.gyro))
+        k4a.k4a_playback_close(handle)
+        self.assertGreater(len(expected), 300)
+        expected = np.array(expected)
+        read = twist_sync.read(path)
+        np.testing.assert_array_equal(read.t // 1000, expected[:, 0])
+        np.testing.assert_array_equal(read.w, expected[:, 1:])
+        self.assertEqual([len(frames) for frames in read.frames.values()], [6, 6, 6])
+        # Cut off anywhere, it gives what is there.
+        whole = path.read_bytes()
+        cut = twist_sync.read(self.file("cut.mkv", whole[: len(whole) // 2]))
+        self.assertIn("ends within", cut.notes[0])
+        np.testing.assert_array_equal(cut.t, read.t[: len(cut.t)])
+
+    @unittest.skipIf(sys.version_info >= (3, 13), "telemetry-parser has no wheel")
+    def test_a_video_of_insta360_by_telemetry_parser(self):
+        pair = self.offset(A, self.file("VID.insv", insta360(T - T[0], W)))
+        self.assertLess(abs(pair["offset_s"] + T[0] - 947848.638473), 2 * pair["offset_sigma_s"])
+
+    def test_frames_of_a_video_are_those_that_ffmpeg_wrote(self):
+        path = self.folder / "a.mp4"
+        make = "ffmpeg -v error -f lavfi -i testsrc=size=64x64:rate=30000/1001 -frames:v 40 -bf 2 -c:v libx264"
+        subprocess.run([*make.split(), path], check=True)
+        show = "ffprobe -v error -select_streams v -show_entries packet=pts_time -of csv=p=0"
+        said = subprocess.run([*show.split(), path], check=True, capture_output=True, text=True)
+        expected = sorted(float(line.strip(",")) for line in said.stdout.split())
+        with path.open("rb") as file:
+            frames = video.mp4_frames(file)
+        np.testing.assert_allclose(frames * 1e-9, expected, atol=1e-6)
 
     def test_a_folder_of_a_phones_app(self):
         self.file("phone/Gyroscope.csv", TEXTS["Sensor Logger"][0])
@@ -288,7 +398,12 @@ class Others(Folder):
             ("b.bag", ros1[:100] + bytes(3000)),
             ("c.mcap", b"\x89MCAP0\r\n" + bytes(range(256)) * 20),
             ("d.db3", b"SQLite format 3\0" + bytes(100)),
-            ("e.mkv", b"\x1a\x45\xdf\xa3" + b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff" + b"\xff" * 99),
+            (
+                "e.mkv",
+                b"\x1a\x45\xdf\xa3"
+                + b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff"
+                + b"\xff" * 99,
+            ),
             ("f.mp4", b"\0\0\0\x10ftypmp41\0\0\0\0\xff\xff\xff\xffmoov" + bytes(99)),
             ("g.npz", packed[: len(packed) // 2]),
             ("h.zip", b"PK\x03\x04" + bytes(30)),
@@ -320,7 +435,11 @@ class Others(Folder):
                 self.file("telemetry_parser.py", parser + body)
                 code, _, err = run(A, video)
                 self.assertEqual((code, said in err), (5, True), err)
-        self.file("telemetry_parser.py", parser + "return [{'timestamp_ms': k / 2, 'gyro': (180.0, 0.0, -90.0 * k)} for k in range(9)]")
+        self.file(
+            "telemetry_parser.py",
+            parser
+            + "return [{'timestamp_ms': k / 2, 'gyro': (180.0, 0.0, -90.0 * k)} for k in range(9)]",
+        )
         read = twist_sync.read(video)
         self.assertIn("Cam (A1)".replace("A1", "A\x1b1"), read.form)
         np.testing.assert_array_equal(read.t, np.arange(9) * 500_000)
@@ -338,11 +457,18 @@ class Command(Folder):
         self.assertIsNone(found["network"])
         self.assertAlmostEqual(pair["offset_s"], 947848.638473, delta=2e-6)
         self.assertAlmostEqual(pair["offset_sigma_s"], 23.7e-6, delta=1e-7)
-        self.assertTrue(all(gate["passed"] and {"value", "limit"} <= gate.keys() for gate in pair["gates"]))
+        self.assertTrue(
+            all(gate["passed"] and {"value", "limit"} <= gate.keys() for gate in pair["gates"])
+        )
         self.assertEqual(np.shape(pair["rotation"]), (3, 3))
-        self.assertEqual([f["kind"] for f in pair["faults"] if f["recording"] == A.name], ["outlier"])
+        self.assertEqual(
+            [f["kind"] for f in pair["faults"] if f["recording"] == A.name], ["outlier"]
+        )
 
-        rest = self.file("rest.csv", "t,x,y,z\n" + rows("{},{},{},{}", T, W * 0 + 1e-3 * np.sin(np.arange(len(T)))[:, None]))
+        rest = self.file(
+            "rest.csv",
+            "t,x,y,z\n" + rows("{},{},{},{}", T, W * 0 + 1e-3 * np.sin(np.arange(len(T)))[:, None]),
+        )
         code, out, _ = run("--json", A, rest)
         pair = json.loads(out)["pairs"][0]
         self.assertEqual((code, pair["accepted"], pair["offset_s"]), (3, False, None))
@@ -350,7 +476,13 @@ class Command(Folder):
         code, out, _ = run(A, rest)
         self.assertIn(f"rest.csv - {A.name}: REFUSED", out)
 
-        for arguments in ([], [A], [A, B, "--delay-us", "1,2,3"], [A, B, "--low-pass-hz", "4"], [A, B, "--no-such"]):
+        for arguments in (
+            [],
+            [A],
+            [A, B, "--delay-us", "1,2,3"],
+            [A, B, "--low-pass-hz", "4"],
+            [A, B, "--no-such"],
+        ):
             self.assertEqual(run(*arguments)[0], 2, arguments)
         code, _, err = run(A, "no such.csv")
         self.assertEqual((code, "no such.csv: No such file" in err), (5, True), err)
@@ -379,12 +511,16 @@ class Command(Folder):
         self.assertEqual(len(found["pairs"]), 3)
         (loop,) = found["network"]["loops"]
         self.assertLess(loop["closure_rms_s"], loop["sigma_rms_s"])
-        self.assertEqual([k["recording"] for k in found["network"]["clocks"]], ["gyro.csv", "gyro.csv"])
+        self.assertEqual(
+            [k["recording"] for k in found["network"]["clocks"]], ["gyro.csv", "gyro.csv"]
+        )
         self.assertEqual(plot.read_bytes()[:4], b"\x89PNG")
         self.assertEqual(c.read_bytes(), before)
         for name, original in (("2_gyro.csv", b), ("3_gyro.csv", c)):
             written = out / name
-            self.assertEqual(len(written.read_text().splitlines()), len(original.read_text().splitlines()))
+            self.assertEqual(
+                len(written.read_text().splitlines()), len(original.read_text().splitlines())
+            )
             after = self.offset(A, written)
             self.assertLess(abs(after["offset_s"]), 5e-6)
         self.assertIn('"a, 7"', (out / "3_gyro.csv").read_text())
@@ -394,16 +530,29 @@ class Command(Folder):
     def test_whole_recordings_say_their_windows(self):
         rng = np.random.default_rng(5)
         t = np.arange(0, 70, 1 / 200)
-        w = sum(np.sin(2 * np.pi * f * t[:, None] + p) for f, p in zip(rng.uniform(0.3, 3, 12), rng.uniform(0, 6, (12, 3))))
+        w = sum(
+            np.sin(2 * np.pi * f * t[:, None] + p)
+            for f, p in zip(rng.uniform(0.3, 3, 12), rng.uniform(0, 6, (12, 3)))
+        )
         form = "t,gx,gy,gz\n"
-        a = self.file("a.csv", form + rows("{:.9f},{:.6f},{:.6f},{:.6f}", t, w + rng.normal(0, 1e-3, w.shape)))
-        b = self.file("b.csv", form + rows("{:.9f},{:.6f},{:.6f},{:.6f}", t * (1 + 2e-5) + 7, w + rng.normal(0, 1e-3, w.shape)))
+        a = self.file(
+            "a.csv", form + rows("{:.9f},{:.6f},{:.6f},{:.6f}", t, w + rng.normal(0, 1e-3, w.shape))
+        )
+        b = self.file(
+            "b.csv",
+            form
+            + rows(
+                "{:.9f},{:.6f},{:.6f},{:.6f}", t * (1 + 2e-5) + 7, w + rng.normal(0, 1e-3, w.shape)
+            ),
+        )
         pair = self.offset(a, b, "--plot", self.folder / "a.svg")
         windows = pair["windows"]
         self.assertGreaterEqual(windows["used"], 6)
         self.assertEqual(windows["refused"], sum(one["windows"] for one in pair["refused_windows"]))
         self.assertEqual((pair["steps"], pair["unsupported"]), ([], []))
-        self.assertLess(abs(pair["offset_s"] - 7 - 2e-5 * pair["reference_s"]), 5 * pair["offset_sigma_s"])
+        self.assertLess(
+            abs(pair["offset_s"] - 7 - 2e-5 * pair["reference_s"]), 5 * pair["offset_sigma_s"]
+        )
         self.assertIn("windows", run(a, b)[1])
         self.assertIsNone(self.offset(a, b, "--twist")["windows"])
         self.assertIsNotNone(self.offset(A, B, "--whole", "--max-sigma-us", "5000")["windows"])
@@ -411,7 +560,9 @@ class Command(Folder):
     def test_it_starts_fast_and_the_example_takes_under_a_second(self):
         def seconds(*arguments):
             before = os.times()
-            done = subprocess.run([sys.executable, "-m", "twist_sync", *arguments], capture_output=True)
+            done = subprocess.run(
+                [sys.executable, "-m", "twist_sync", *arguments], capture_output=True
+            )
             self.assertEqual(done.returncode, 0, done.stderr)
             # Of the processor, so that other work on the machine does not count.
             after = os.times()
@@ -420,6 +571,21 @@ class Command(Folder):
         times = {"--version": 0.4, "--example": 1.0}
         for argument, limit in times.items():
             self.assertLess(min(seconds(argument) for _ in range(3)), limit)
+
+    def test_commands_of_the_documents_are_those_of_the_program(self):
+        pages = [
+            ROOT / "README.md",
+            *(ROOT / "docs").glob("*.md"),
+            ROOT / "host/twist-sync-python/README.md",
+        ]
+        parser = command.parser()
+        seen = 0
+        for page in pages:
+            for words in re.findall(r"(?m)(?:^|`)twist-sync( [^`#\n]*)", page.read_text()):
+                options = {word for word in words.split() if word.startswith("--")}
+                self.assertLessEqual(options, parser._option_string_actions.keys(), (page, words))
+                seen += 1
+        self.assertGreater(seen, 10)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import correlate, correlation_lags
 from twistnsync.twistnsync import TimeSync
 
@@ -26,6 +27,8 @@ BOOT_S = 1000.25
 SKEW = 12e-6
 #: Twists of three devices.
 LOOPS = int(os.environ.get("LOOPS", "12"))
+#: Twists for the published package.
+TWISTS = int(os.environ.get("TWISTS", "40"))
 
 
 def read(path):
@@ -41,9 +44,9 @@ def recordings(seconds, seed, peak=2.5, unrelated=False, rate=500):
         f = rng.uniform(0.3, 3.0, (3, 12))
         p = rng.uniform(0, 2 * np.pi, (3, 12))
         rms = peak / 3
-        return lambda t: rms * np.sum(
-            np.sin(2 * np.pi * f * t[:, None, None] + p), axis=2
-        ) / np.sqrt(6)
+        return lambda t: (
+            rms * np.sum(np.sin(2 * np.pi * f * t[:, None, None] + p), axis=2) / np.sqrt(6)
+        )
 
     of_a = motion()
     of_b = motion() if unrelated else of_a
@@ -83,6 +86,31 @@ class Twists(unittest.TestCase):
             published.append(t_b[0] - t_a[0] + sync.time_delay - truth(4.5))
         largest = [max(map(abs, errors)) for errors in (ours, plain, published)]
         self.assertLess(20 * largest[0], min(largest[1:]), largest)
+
+    def test_the_published_package_is_a_step_off_where_its_spline_falls(self):
+        errors = {1: [], 0: []}
+        for seed in range(TWISTS):
+            t_a, w_a, t_b, w_b = recordings(9, seed)
+            sync = TimeSync(w_a, w_b, t_a - t_a[0], t_b - t_b[0], True)
+            sync.resample(step=None)
+            sync.obtain_delay()
+            top = int(np.argmax(sync.cor))
+            spline = CubicSpline(np.arange(len(sync.cor)), sync.cor, bc_type="natural").derivative()
+            roots = spline.roots(extrapolate=False)
+            nearest = roots[np.argmin(np.abs(roots - top))]
+            step = sync._dt
+            right = (nearest - len(sync._xx1_new) + 1) * step
+            falls = int(spline(top) < 0)
+            self.assertAlmostEqual((sync.time_delay - right) / step, falls, delta=1e-3)
+            errors[falls].append(t_b[0] - t_a[0] + right - truth(4.5))
+        self.assertGreater(len(errors[1]), 3)
+        self.assertGreater(len(errors[0]), 3)
+        returned = np.concatenate([errors[1], errors[0]])
+        published = np.concatenate([np.add(errors[1], step), errors[0]])
+        rms = [1e3 * np.mean(e**2) ** 0.5 for e in (published, returned)]
+        print(
+            f"of {TWISTS} {len(errors[1])} are a step too large: {rms[0]:.2f} ms rms, else {rms[1]:.2f}"
+        )
 
     def test_every_scenario_as_the_crate_has_it_to_the_bit(self):
         accepted = refused = 0
@@ -140,7 +168,9 @@ class Twists(unittest.TestCase):
         t_a, w_a, t_b, w_b = recordings(9, 2)
         nanos = np.round(t_b * 1e9).astype(np.int64)
         dates = nanos.astype("M8[ns]")
-        found = twist_sync.estimate(np.round(t_a * 1e9).astype(np.int64).astype("M8[ns]"), w_a, dates, w_b)
+        found = twist_sync.estimate(
+            np.round(t_a * 1e9).astype(np.int64).astype("M8[ns]"), w_a, dates, w_b
+        )
         back = found.clock.b_to_a(t_b)
         self.assertLess(np.abs(back - (t_b - BOOT_S) / (1 + SKEW)).max(), 50e-6)
         on_a = found.clock.b_to_a(nanos)
@@ -201,7 +231,11 @@ class Networks(unittest.TestCase):
         return twist_sync.Clock(100.0, offset, 0.0, np.diag([sigma**2, 0.0]))
 
     def test_a_loop_that_does_not_close_is_shared_by_its_pairs(self):
-        pairs = {(0, 1): self.pair(5, 1e-6), (1, 2): self.pair(2, 1e-6), (0, 2): self.pair(7 + 3e-6, 1e-6)}
+        pairs = {
+            (0, 1): self.pair(5, 1e-6),
+            (1, 2): self.pair(2, 1e-6),
+            (0, 2): self.pair(7 + 3e-6, 1e-6),
+        }
         network = twist_sync.Network(3, pairs)
         value, sigma = network.offsets(100.0)
         np.testing.assert_allclose(value[:, 0], [0, 5 + 1e-6, 7 + 2e-6], atol=1e-9)
@@ -231,19 +265,27 @@ class Networks(unittest.TestCase):
             t_c, w_c, _, _ = recordings(9, seed, rate=416)
             w_c = w_c @ turn.T + rng.normal(0, 1e-4, w_c.shape)
             tracks = [(t_a, w_a), (t_b, w_b), (t_c + 50.0, w_c)]
-            made = [twist_sync.Recording(pathlib.Path(n), n, np.round(t * 1e9).astype(int), w) for n, (t, w) in zip("abc", tracks)]
+            made = [
+                twist_sync.Recording(pathlib.Path(n), n, np.round(t * 1e9).astype(int), w)
+                for n, (t, w) in zip("abc", tracks)
+            ]
             solved = twist_sync.sync(made)
-            (error, sigma), = solved.network.closures(4.5).values()
+            ((error, sigma),) = solved.network.closures(4.5).values()
             loops.append((error[0], sigma[0]))
             on_b, sigma_b = solved.clock(1).offset(4_500_000_000)
             on_c, sigma_c = solved.clock(2).offset(4_500_000_000)
-            squares += [((on_b[0] - truth(4.5)) / sigma_b[0]) ** 2, ((on_c[0] - 50) / sigma_c[0]) ** 2]
+            squares += [
+                ((on_b[0] - truth(4.5)) / sigma_b[0]) ** 2,
+                ((on_c[0] - 50) / sigma_c[0]) ** 2,
+            ]
         loops = np.array(loops)
         self.assertTrue((np.abs(loops[:, 0]) < loops[:, 1]).all(), loops)
         ratio = np.mean(squares) ** 0.5
         self.assertTrue(0.6 < ratio < 1.5, ratio)
         rms = np.sqrt(np.mean(loops**2, axis=0)) * 1e6
-        print(f"{LOOPS} loops close to {rms[0]:.3f} µs rms, stated {rms[1]:.2f}; clocks: error over sigma {ratio:.2f} rms")
+        print(
+            f"{LOOPS} loops close to {rms[0]:.3f} µs rms, stated {rms[1]:.2f}; clocks: error over sigma {ratio:.2f} rms"
+        )
 
 
 class Documents(unittest.TestCase):
@@ -256,7 +298,9 @@ class Documents(unittest.TestCase):
             self.assertEqual(cell["outputs"], [])
             exec("".join(cell["source"]), names)
         self.assertEqual(len(names["figure"].axes), 6)
-        np.testing.assert_allclose(names["solved"].clock(1).b_to_a(names["phone"].t), names["on_board"], atol=2)
+        np.testing.assert_allclose(
+            names["solved"].clock(1).b_to_a(names["phone"].t), names["on_board"], atol=2
+        )
 
 
 if __name__ == "__main__":

@@ -58,11 +58,15 @@ class _Topics:
 
     def chosen(self, path: Path, form: str, notes: list[str]) -> Recording:
         if self.wanted is None and len(self.samples) > 1:
-            raise Unreadable(f"several gyroscopes: {', '.join(self.samples)}: name one, as {path.name}@/TOPIC")
+            raise Unreadable(
+                f"several gyroscopes: {', '.join(self.samples)}: name one, as {path.name}@/TOPIC"
+            )
         topic = self.wanted or next(iter(self.samples), "")
         if topic not in self.samples:
             there = ", ".join(sorted({*self.samples, *self.others})) or "none"
-            raise Unreadable(f"{form} without sensor_msgs/Imu on topic {topic or 'any'}; its topics: {there[:300]}")
+            raise Unreadable(
+                f"{form} without sensor_msgs/Imu on topic {topic or 'any'}; its topics: {there[:300]}"
+            )
         if self.broken:
             notes.append(f"{self.broken} messages cannot be decoded")
         table = self.samples[topic]
@@ -131,7 +135,9 @@ def reader(path: Path) -> Any:
 
     if path.suffix == ".db3":
         if not (path.parent / "metadata.yaml").is_file():
-            raise Unreadable("a ROS 2 bag in sqlite3 without its metadata.yaml: run `ros2 bag reindex` on its folder")
+            raise Unreadable(
+                "a ROS 2 bag in sqlite3 without its metadata.yaml: run `ros2 bag reindex` on its folder"
+            )
         path = path.parent
     is_folder = path.is_dir()
     if not is_folder and path.suffix != ".bag":
@@ -146,9 +152,9 @@ def _bag(path: Path, topic: str | None) -> Recording:
     notes: list[str] = []
     with reader(path) as bag:
         for connection in bag.connections:
-            found.samples.setdefault(connection.topic, []) if connection.msgtype in IMU else found.others.add(
-                connection.topic
-            )
+            found.samples.setdefault(
+                connection.topic, []
+            ) if connection.msgtype in IMU else found.others.add(connection.topic)
         wanted = [c for c in bag.connections if c.msgtype in IMU and topic in (None, c.topic)]
         if len({c.topic for c in wanted}) == 1:
             try:

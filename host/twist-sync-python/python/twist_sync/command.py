@@ -27,50 +27,92 @@ FILE@TOPIC names one of several gyroscopes of a file. Exit codes: 0, 3 refused (
 not say it), 2 usage, 5 a file cannot be read or written."""
 
 
-def _arguments(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    out = argparse.ArgumentParser(
         "twist-sync",
         description="Puts recordings of gyroscopes that were fixed to each other on one clock.",
         epilog=EPILOG,
     )
-    add = parser.add_argument
-    add("recordings", metavar="FILE", nargs="*", help="CSV, text, npz, bags of ROS 1 and 2, MCAP, Matroska, videos")
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument("--twist", action="store_true", help="take them as one short twist (default: by length)")
+    add = out.add_argument
+    add(
+        "recordings",
+        metavar="FILE",
+        nargs="*",
+        help="CSV, text, npz, bags of ROS 1 and 2, MCAP, Matroska, videos",
+    )
+    length = out.add_mutually_exclusive_group()
+    length.add_argument(
+        "--twist", action="store_true", help="take them as one short twist (default: by length)"
+    )
     length.add_argument("--whole", action="store_true", help="take them window by window")
     add("--json", action="store_true", help="print one JSON object")
-    add("--write", metavar="DIR", type=Path, help="write each again, on the clock of the first, into this folder")
+    add(
+        "--write",
+        metavar="DIR",
+        type=Path,
+        help="write each again, on the clock of the first, into this folder",
+    )
     add("--plot", metavar="FILE", type=Path, help="draw it: png, svg or pdf")
     add("--example", action="store_true", help="two real recordings that come with the package")
-    add("--columns", metavar="T,X,Y,Z", action="append", default=[], help=_once("columns of time and rates, by name or number from 1"))
+    add(
+        "--columns",
+        metavar="T,X,Y,Z",
+        action="append",
+        default=[],
+        help=_once("columns of time and rates, by name or number from 1"),
+    )
     add("--unit", action="append", choices=RATE_UNITS, default=[], help=_once("of the rates"))
     add("--time-unit", action="append", choices=TIME_UNITS, default=[], help=_once("of the times"))
-    add("--delay-us", metavar="US,US", help="delays of the gyroscopes' low-pass filters, in the order of the files")
-    add("--max-sigma-us", metavar="US", type=float, help="refuse an offset (of a window) with a larger 1-sigma")
-    add("--low-pass-hz", metavar="HZ", type=float, help="-3 dB frequency of the zero-phase low-pass, 5 to 100")
+    add(
+        "--delay-us",
+        metavar="US,US",
+        help="delays of the gyroscopes' low-pass filters, in the order of the files",
+    )
+    add(
+        "--max-sigma-us",
+        metavar="US",
+        type=float,
+        help="refuse an offset (of a window) with a larger 1-sigma",
+    )
+    add(
+        "--low-pass-hz",
+        metavar="HZ",
+        type=float,
+        help="-3 dB frequency of the zero-phase low-pass, 5 to 100",
+    )
     add("--keep-faults", action="store_true", help="do not look for faults of the streams")
     add("--version", action="version", version=f"twist-sync {__version__}")
-    options = parser.parse_args(arguments)
+    return out
+
+
+def _arguments(arguments: list[str] | None) -> argparse.Namespace:
+    of_line = parser()
+    options = of_line.parse_args(arguments)
     if options.example:
-        options.recordings = [str(EXAMPLE / name) for name in ("mcu_gyro_data.csv", "smartphone_gyro_data.csv")]
+        options.recordings = [
+            str(EXAMPLE / name) for name in ("mcu_gyro_data.csv", "smartphone_gyro_data.csv")
+        ]
     count = len(options.recordings)
     if count < 2:
-        parser.error("expected two or more recordings, or --example")
+        of_line.error("expected two or more recordings, or --example")
     for name in ("columns", "unit", "time_unit"):
         given = getattr(options, name)
         if len(given) not in (0, 1, count):
-            parser.error(f"--{name.replace('_', '-')} once, or once for each of {count} recordings")
+            of_line.error(
+                f"--{name.replace('_', '-')} once, or once for each of {count} recordings"
+            )
         setattr(options, name, given * count if len(given) == 1 else given or [None] * count)
     try:
         options.delays = [float(us) * 1e-6 for us in (options.delay_us or "").split(",") if us]
     except ValueError:
-        parser.error(f"--delay-us {options.delay_us}: expected microseconds, as 1900,0")
+        of_line.error(f"--delay-us {options.delay_us}: expected microseconds, as 1900,0")
     if options.delays and len(options.delays) != count:
-        parser.error(f"--delay-us: expected {count} numbers, as 1900,0")
+        of_line.error(f"--delay-us: expected {count} numbers, as 1900,0")
     if options.low_pass_hz is not None and not 5 <= options.low_pass_hz <= 100:
-        parser.error(f"--low-pass-hz {options.low_pass_hz}: expected 5 to 100")
+        of_line.error(f"--low-pass-hz {options.low_pass_hz}: expected 5 to 100")
     if options.max_sigma_us is not None and not options.max_sigma_us > 0:
-        parser.error("--max-sigma-us: expected a number above 0")
+        of_line.error("--max-sigma-us: expected a number above 0")
     return options
 
 
@@ -97,7 +139,9 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     each = zip(options.recordings, options.columns, options.unit, options.time_unit, strict=True)
     recordings = [
-        files.read(path, columns=columns.split(",") if columns else None, unit=unit, time_unit=time_unit)
+        files.read(
+            path, columns=columns.split(",") if columns else None, unit=unit, time_unit=time_unit
+        )
         for path, columns, unit, time_unit in each
     ]
     settings = {"low_pass_hz": options.low_pass_hz, "handle_faults": not options.keep_faults}
@@ -153,7 +197,9 @@ def _pair(pair: Pair, solved: Synchronized) -> dict[str, Any]:
     names = "reference_s offset_s offset_sigma_s skew_ppm skew_sigma_ppm reference_ns offset_ns rotation".split()
     out |= dict.fromkeys(names)
     if clock is not None:
-        reference_ns, offset_ns = (n + round(s * 1e9) for n, s in ((first, clock.reference), (between, clock.offset)))
+        reference_ns, offset_ns = (
+            n + round(s * 1e9) for n, s in ((first, clock.reference), (between, clock.offset))
+        )
         out |= {
             "reference_s": reference_ns * 1e-9,
             "offset_s": offset_ns * 1e-9,
@@ -181,7 +227,10 @@ def _pair(pair: Pair, solved: Synchronized) -> dict[str, Any]:
     out["faults"] = [
         {
             "recording": by_name[f.stream],
-            **{name: getattr(f, name) for name in ("kind", "count", "period", "displacement", "action")},
+            **{
+                name: getattr(f, name)
+                for name in ("kind", "count", "period", "displacement", "action")
+            },
         }
         for f in (report.faults if report else [])
     ]
@@ -211,7 +260,9 @@ def _network(solved: Synchronized) -> dict[str, Any] | None:
         {
             "recording": names[k],
             "reference_ns": first + round(length / 2 * 1e9),
-            "offset_ns": int(solved.recordings[k].t[0]) - first + round(float(value[k, LOOKS // 2]) * 1e9),
+            "offset_ns": int(solved.recordings[k].t[0])
+            - first
+            + round(float(value[k, LOOKS // 2]) * 1e9),
             "offset_sigma_s": float(sigma[k, LOOKS // 2]),
             "largest_sigma_s": float(sigma[k].max()),
         }
@@ -230,7 +281,13 @@ def _network(solved: Synchronized) -> dict[str, Any] | None:
 
 def _object(solved: Synchronized) -> dict[str, Any]:
     recordings = [
-        {"file": str(r.path), "form": r.form, "samples": len(r.t), "duration_s": r.seconds, "notes": r.notes}
+        {
+            "file": str(r.path),
+            "form": r.form,
+            "samples": len(r.t),
+            "duration_s": r.seconds,
+            "notes": r.notes,
+        }
         for r in solved.recordings
     ]
     pairs = [_pair(pair, solved) for pair in solved.pairs]
@@ -249,7 +306,9 @@ def _text(solved: Synchronized, found: dict[str, Any]) -> str:
     lines = []
     for recording in found["recordings"]:
         name = Path(recording["file"]).name
-        lines.append(f"{name}: {recording['samples']} samples, {recording['duration_s']:.2f} s; {recording['form']}")
+        lines.append(
+            f"{name}: {recording['samples']} samples, {recording['duration_s']:.2f} s; {recording['form']}"
+        )
         lines += [f"   {note}" for note in recording["notes"]]
     for pair in found["pairs"]:
         names = f"{pair['b']} - {pair['a']}"
@@ -267,9 +326,12 @@ def _text(solved: Synchronized, found: dict[str, Any]) -> str:
                 f"   {windows['windows']} windows: {windows['used']} estimates used, {windows['contradicting']} contradict "
                 f"the rest; {windows['refused']} windows refused"
             )
-            lines += [f"      {one['windows']} of them: {one['text']}" for one in pair["refused_windows"]]
             lines += [
-                f"   {start:.1f} to {end:.1f} s: not supported, nothing could be related there" for start, end in pair["unsupported"]
+                f"      {one['windows']} of them: {one['text']}" for one in pair["refused_windows"]
+            ]
+            lines += [
+                f"   {start:.1f} to {end:.1f} s: not supported, nothing could be related there"
+                for start, end in pair["unsupported"]
             ]
         lines += [
             f"   step of {step['by'] * 1e3:+.3f} ± {step['sigma'] * 1e3:.3f} ms between {step['start']:.1f} and {step['end']:.1f} s of {pair['a']}"
@@ -277,7 +339,9 @@ def _text(solved: Synchronized, found: dict[str, Any]) -> str:
         ]
         for fault in pair["faults"]:
             kind = fault["kind"].replace("_", " ")
-            lines.append(f"   {fault['recording']}: {fault['count']} x {kind}, {_FAULTS[fault['action']]}")
+            lines.append(
+                f"   {fault['recording']}: {fault['count']} x {kind}, {_FAULTS[fault['action']]}"
+            )
         lines += [f"   {part['text']}" for part in pair["left_out"]]
         lines += [f"   warning: {warning}" for warning in pair["warnings"]]
     if network := found["network"]:

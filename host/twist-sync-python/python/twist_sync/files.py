@@ -51,8 +51,12 @@ def _only(folder: Path) -> Path:
         if len(found) == 1:
             return found[0]
         if found:
-            raise Unreadable(f"several recordings in the folder: {', '.join(p.name for p in found[:9])}; name one")
-    raise Unreadable("a folder without a bag (metadata.yaml), MCAP, Matroska, video or Gyroscope.csv")
+            raise Unreadable(
+                f"several recordings in the folder: {', '.join(p.name for p in found[:9])}; name one"
+            )
+    raise Unreadable(
+        "a folder without a bag (metadata.yaml), MCAP, Matroska, video or Gyroscope.csv"
+    )
 
 
 def kind(path: Path) -> str:
@@ -70,7 +74,9 @@ def kind(path: Path) -> str:
     if first.startswith(b"PK\x03\x04"):
         return "zip"
     logs = (b"\x06\x0e\x2b\x34", b"GYROFLOW IMU LOG", b"H Product:Blackb")
-    if first[4:8] in (b"ftyp", b"wide", b"mdat", b"moov", b"RED1", b"RED2") or first.startswith(logs):
+    if first[4:8] in (b"ftyp", b"wide", b"mdat", b"moov", b"RED1", b"RED2") or first.startswith(
+        logs
+    ):
         return "video"
     return "text"
 
@@ -248,8 +254,14 @@ def _zip(path: Path, topic: str | None, more: tuple[Any, ...]) -> Recording:
 def _npz(path: Path) -> Recording:
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    tables = {k: a for k, a in arrays.items() if a.ndim == 2 and a.shape[1] == 3 and a.dtype.kind in "fiu"}
-    named = [k for k in tables if k.lower() in ("w", "rates", "omega") or "gyr" in k.lower() or "ang" in k.lower()]
+    tables = {
+        k: a for k, a in arrays.items() if a.ndim == 2 and a.shape[1] == 3 and a.dtype.kind in "fiu"
+    }
+    named = [
+        k
+        for k in tables
+        if k.lower() in ("w", "rates", "omega") or "gyr" in k.lower() or "ang" in k.lower()
+    ]
     choice = named or list(tables)
     lines = [k for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiuM"]
     if len(choice) != 1:
@@ -257,9 +269,13 @@ def _npz(path: Path) -> Recording:
         raise Unreadable(f"expected one array of rates of shape (n, 3), found {there[:300]}")
     rates = tables[choice[0]]
     times = [k for k in lines if len(arrays[k]) == len(rates)]
-    times = [k for k in times if k.lower() == "t" or "time" in k.lower() or "stamp" in k.lower()] or times
+    times = [
+        k for k in times if k.lower() == "t" or "time" in k.lower() or "stamp" in k.lower()
+    ] or times
     if len(times) != 1 or len(rates) < 2:
-        raise Unreadable(f"expected one array of times as long as {choice[0]} {rates.shape}, found {times}")
+        raise Unreadable(
+            f"expected one array of times as long as {choice[0]} {rates.shape}, found {times}"
+        )
     t = arrays[times[0]]
     if t.dtype.kind == "M":
         unit, nanos = "ns", t.astype("M8[ns]").astype(np.int64)

@@ -61,7 +61,9 @@ def read(path: Path) -> Recording:
     notes: list[str] = []
     with path.open("rb") as file:
         size = path.stat().st_size
-        while (kind := _number(file, True)) is not None and (length := _number(file, False)) is not None:
+        while (kind := _number(file, True)) is not None and (
+            length := _number(file, False)
+        ) is not None:
             if kind in _ENTERED:
                 continue
             end = file.tell() + length

@@ -76,7 +76,9 @@ class Network:
         for _ in range(devices):
             joined |= {k for pair in pairs if joined & set(pair) for k in pair}
         if apart := [str(k + 1) for k in range(devices) if k not in joined]:
-            raise Refused(f"no chain of relations leads from the first recording to number {', '.join(apart)}")
+            raise Refused(
+                f"no chain of relations leads from the first recording to number {', '.join(apart)}"
+            )
 
     def _chains(self, a: Floats) -> tuple[Floats, Floats]:
         """Offsets and variances along the chain of pairs with the least variance (Bellman and Ford)."""
@@ -86,6 +88,8 @@ class Network:
         for _ in range(1, self.devices):
             for (i, j), relation in self.pairs.items():
                 for start, end, sign in ((i, j, 1), (j, i, -1)):
+                    if end == 0 or not np.isfinite(variance[start]).any():
+                        continue
                     t = a + value[start]
                     there = relation.at(t if sign > 0 else relation._b_to_a(t))
                     of_end = variance[start] + there.covariance[..., 0, 0]
@@ -144,6 +148,8 @@ class DeviceClock(_Relation):
         return self._network.offsets(a.ravel())[0][self._device].reshape(a.shape)
 
     def _b_to_a(self, b: Floats) -> Floats:
+        if self._network.devices == 2:
+            return self._network.pairs[0, 1]._b_to_a(b)
         # The offset changes by the skew, at most 1e-3, times the error before.
         a = b
         for _ in range(4):
@@ -154,7 +160,9 @@ class DeviceClock(_Relation):
         """Offset b - a and its 1-sigma, s, at times of clock a in integer ns."""
         local = (np.atleast_1d(np.asarray(a, dtype=np.int64)) - self._first_ns[0]) * 1e-9
         value, sigma = self._network.offsets(local)
-        return value[self._device] + (self._first_ns[1] - self._first_ns[0]) * 1e-9, sigma[self._device]
+        return value[self._device] + (self._first_ns[1] - self._first_ns[0]) * 1e-9, sigma[
+            self._device
+        ]
 
     def _exact(self, t: ArrayLike, to_b: bool) -> Any:
         """By times from each one's first sample, so that no digits are lost."""
@@ -204,13 +212,19 @@ def _in_one_unit(recordings: list[Recording]) -> list[Recording]:
     """Gyroscopes on one body turn at the same rate, so a ratio near 57 or 1000 is a unit, where no
     unit is named."""
     typical = [typical_rate(r.w) for r in recordings]
-    known = [t for t, r in zip(typical, recordings, strict=True) if not r.unit_is_guess] or [min(typical)]
+    known = [t for t, r in zip(typical, recordings, strict=True) if not r.unit_is_guess] or [
+        min(typical)
+    ]
     out = []
     for own, recording in zip(typical, recordings, strict=True):
-        factors = [f for f in (180 / np.pi, 1e3, 180e3 / np.pi) if 0.5 < own / max(known[0], 1e-9) / f < 2]
+        factors = [
+            f for f in (180 / np.pi, 1e3, 180e3 / np.pi) if 0.5 < own / max(known[0], 1e-9) / f < 2
+        ]
         if factors and recording.unit_is_guess:
             note = f"its rates are {own / known[0]:.0f} times those of the others: divided by {factors[0]:.5g}"
-            recording = replace(recording, w=recording.w / factors[0], notes=[*recording.notes, note])
+            recording = replace(
+                recording, w=recording.w / factors[0], notes=[*recording.notes, note]
+            )
         out.append(recording)
     return out
 
@@ -256,11 +270,15 @@ def sync(
         Unreadable: A file gives no gyroscope.
     """
     if len(recordings) < 2 or (delays and len(delays) != len(recordings)):
-        raise ValueError(f"{len(recordings)} recordings and {len(delays)} delays; expected two or more, and as many")
+        raise ValueError(
+            f"{len(recordings)} recordings and {len(delays)} delays; expected two or more, and as many"
+        )
     read = _in_one_unit([r if isinstance(r, Recording) else files.read(r) for r in recordings])
     for recording in read:
         if recording.seconds <= 0:
-            raise Unreadable(f"{recording.path}: its times do not rise; give --columns and --time-unit")
+            raise Unreadable(
+                f"{recording.path}: its times do not rise; give --columns and --time-unit"
+            )
     pairs = []
     for a, b in itertools.combinations(range(len(read)), 2):
         of_pair = {"a_delay": delays[a], "b_delay": delays[b]} if delays else {}

@@ -30,7 +30,9 @@ def twist(
     t_a: ArrayLike, w_a: ArrayLike, t_b: ArrayLike, w_b: ArrayLike, found: Estimate
 ) -> Figure:
     """Both gyroscopes before and after, the residual and the offset over time, of a twist."""
-    return _figure([(_seconds(t_a), np.asarray(w_a), _seconds(t_b), np.asarray(w_b), found, ("a", "b"))])
+    return _figure(
+        [(_seconds(t_a), np.asarray(w_a), _seconds(t_b), np.asarray(w_b), found, ("a", "b"))]
+    )
 
 
 def course(found: Course) -> Figure:
@@ -70,7 +72,9 @@ def _of_pair(recordings: list[Recording], pair: Pair) -> tuple[Any, ...]:
 def _figure(pairs: list[tuple[Any, ...]]) -> Figure:
     import matplotlib.pyplot as plt
 
-    rows = plt.subplots(6, len(pairs), figsize=(9 * len(pairs), 12), layout="constrained", squeeze=False)
+    rows = plt.subplots(
+        6, len(pairs), figsize=(9 * len(pairs), 12), layout="constrained", squeeze=False
+    )
     for column, pair in enumerate(pairs):
         _draw([row[column] for row in rows[1]], *pair)
     return rows[0]
@@ -102,7 +106,7 @@ def _draw(
     _envelope(before, t_a - first, motion, lw=1.5, alpha=0.6, label=names[0])
     _envelope(before, t_b - t_b[0], np.linalg.norm(w_b, axis=1), lw=0.8, label=names[1])
     before.set(ylabel="rate, rad/s", xlabel="s from each one's first sample", title="before")
-    before.legend(loc="upper right")
+    before.legend(loc="upper left")
     if found is None:
         for panel in panels[1:]:
             panel.set_axis_off()
@@ -129,23 +133,29 @@ def _draw(
         shown = (centre - DETAIL_S / 2, centre + DETAIL_S / 2)
     part = (on_a >= shown[0]) & (on_a <= shown[1])
     for k, panel in enumerate(panels[1:4]):
-        panel.plot(on_a[part] - first, there[part, k], lw=4, alpha=0.4, label=f"{names[0]}, in the axes of {names[1]}")
+        panel.plot(
+            on_a[part] - first,
+            there[part, k],
+            lw=4,
+            alpha=0.4,
+            label=f"{names[0]}, in the axes of {names[1]}",
+        )
         panel.plot(on_a[part] - first, w_b[part, k], lw=1, label=names[1])
         panel.set_ylabel(f"{'xyz'[k]}, rad/s")
     panels[1].set_title("after")
-    panels[1].legend(loc="upper right")
+    panels[1].legend(loc="upper left")
     rest = (w_b - there) * 1e3
     for k in range(3):
         _envelope(panels[4], on_a - first, rest[:, k], lw=0.5, label="xyz"[k])
     # What was left out must not press the rest flat.
     panels[4].set_ylim(*(np.nanquantile(np.abs(rest), 0.99) * 3 * np.array([-1, 1])))
     panels[4].set(ylabel="residual, mrad/s")
-    panels[4].legend(loc="upper right")
+    panels[4].legend(loc="upper left")
     if isinstance(found, Estimate):
         for stretch in found.report.left_out:
             for panel in panels[1:5]:
                 panel.axvspan(stretch.start, stretch.end, color="tab:pink", alpha=0.2)
-    _offset(panels[5], found, (max(on_a[0], t_a[0]), min(on_a[-1], t_a[-1])), first)
+    _offset(panels[5], found, (max(on_a[0], t_a[0]), min(on_a[-1], t_a[-1])), first, names[0])
     middle = relation.at(0.5 * (on_a[0] + on_a[-1]))
     before.set_title(
         f"{names[1]} - {names[0]}: ± {middle.offset_sigma * 1e6:.2f} µs, "
@@ -153,7 +163,9 @@ def _draw(
     )
 
 
-def _offset(panel: Any, found: Estimate | Course, span: tuple[float, float], zero: float) -> None:
+def _offset(
+    panel: Any, found: Estimate | Course, span: tuple[float, float], zero: float, name: str = "a"
+) -> None:
     """The offset over time with its sigma, less a straight line."""
     first, last = span
     t = np.linspace(first, last, 300)
@@ -170,10 +182,12 @@ def _offset(panel: Any, found: Estimate | Course, span: tuple[float, float], zer
         values = np.array([e.offset for e in found.estimates])
         sigmas = np.array([e.offset_sigma for e in found.estimates])
         panel.errorbar(at - zero, rest(at, values), sigmas * 1e6, fmt=".", label="windows")
-    panel.plot(t - zero, rest(t, offset), label="smoothed" if isinstance(found, Course) else "offset")
+    panel.plot(
+        t - zero, rest(t, offset), label="smoothed" if isinstance(found, Course) else "offset"
+    )
     panel.fill_between(
         t - zero, rest(t, offset - sigma), rest(t, offset + sigma), alpha=0.3, label="± 1 sigma"
     )
-    panel.set_xlabel("s from the first sample of a")
-    panel.set_ylabel(f"b - a less {slope * 1e6:+.3f} ppm, µs")
-    panel.legend()
+    panel.set_xlabel(f"s from the first sample of {name}")
+    panel.set_ylabel(f"offset less\n{slope * 1e6:+.3f} ppm, µs")
+    panel.legend(loc="upper left")

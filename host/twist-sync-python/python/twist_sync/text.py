@@ -37,7 +37,19 @@ FASTEST = 20.0
 HEAD = 1 << 18
 LONGEST_LINE = 1 << 16
 
-_GYRO = {"gyro", "gyr", "gyroscope", "angular", "rotation", "rot", "omega", "w", "g", "av", "angvel"}
+_GYRO = {
+    "gyro",
+    "gyr",
+    "gyroscope",
+    "angular",
+    "rotation",
+    "rot",
+    "omega",
+    "w",
+    "g",
+    "av",
+    "angvel",
+}
 _OTHER = set(
     "acc accel acceleration accelerometer mag magn magnetometer magnetic gravity linear user euler"
     " orientation quaternion attitude a m gf temp position pos pose covariance integral setpoint"
@@ -180,7 +192,7 @@ def _layout(head: str, columns: list[str] | None, topic: str | None) -> Layout:
         shown = next((line for line in lines if line.strip()), "")[:60]
         raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
     first = rows[0]
-    data = [lines[k] for k in rows[:20]]
+    data = [lines[k] for k in rows]
     delimiter = _delimiter(data)
     width = len(split(data[0], delimiter))
     header = next(
@@ -257,10 +269,12 @@ def _by_values(rows: list[str], layout: Layout) -> list[int]:
     if _is_iso(fields[0][0]):
         fields = [[str(k), *row[1:]] for k, row in enumerate(fields)]
     table = np.array([[_number(_dot(f, layout)) for f in row] for row in fields], dtype=float)
-    rising = [k for k in range(table.shape[1]) if np.all(np.diff(table[:, k]) >= 0) and np.ptp(table[:, k])]
-    ends = [k for k in (0, 3) if k in rising and np.all(table[:, k] >= 0)]
+    rising = [k for k in (0, 3) if k < table.shape[1] and np.all(np.diff(table[:, k]) >= 0)]
+    rising = [k for k in rising if np.ptp(table[:, k]) and np.all(table[:, k] >= 0)]
     if len(rows) == 1:
-        ends = [int(np.argmax(np.abs(table[0, :4])))]
+        rising = [int(np.argmax(np.abs(table[0, :4])))]
+    # Of a slow motion the rates may rise too, but not by even steps.
+    ends = sorted(rising, key=lambda k: np.std(np.diff(table[:, k])) / np.ptp(table[:, k]))[:1]
     width = table.shape[1]
     if len(ends) == 1 and (width == 4 or (width == 7 and ends == [0])):
         rest = [k for k in range(4) if k != ends[0]]
@@ -282,7 +296,10 @@ def _dot(field: str, layout: Layout) -> str:
 
 def iso_nanos(text: str) -> int:
     """Nanoseconds since 1970 of an ISO time; without a zone, of UTC."""
-    found = re.fullmatch(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?", text.strip())
+    found = re.fullmatch(
+        r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?",
+        text.strip(),
+    )
     if not found:
         raise ValueError(f"could not read {text[:40]!r} as a time")
     whole = int(np.datetime64(f"{found[1]}T{found[2]}", "s").astype(np.int64))
@@ -305,7 +322,9 @@ def rows(file: IO[str], layout: Layout) -> Iterator[tuple[int, str, list[str] | 
             # A recorder that was stopped in the middle of its last line.
             if not file.readline() and len(fields) <= width:
                 return
-            raise Unreadable(f"line {number}: expected {width} columns, found {len(fields)}: {text[:60]}")
+            raise Unreadable(
+                f"line {number}: expected {width} columns, found {len(fields)}: {text[:60]}"
+            )
         yield number, line, fields
 
 
@@ -364,7 +383,7 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, int] | No
                     skiprows=layout.first_row,
                     usecols=layout.columns,
                     quotechar='"',
-                    comments=("#", "%"),
+                    comments="#",
                     ndmin=1,
                 )
         except (ValueError, OverflowError):
@@ -386,7 +405,10 @@ def open_text(path: Path) -> IO[str]:
 def plausible_time(times: np.ndarray) -> str:
     """The unit in which the samples are as far apart as those of a gyroscope."""
     step = abs(float(times[-1]) - float(times[0])) / max(len(times) - 1, 1)
-    return next((unit for unit in ("s", "ms", "us") if step * TIME_UNITS[unit] <= LONGEST_STEP_S * 1e9), "ns")
+    return next(
+        (unit for unit in ("s", "ms", "us") if step * TIME_UNITS[unit] <= LONGEST_STEP_S * 1e9),
+        "ns",
+    )
 
 
 def to_nanos(times: np.ndarray, unit: str) -> np.ndarray:
@@ -431,13 +453,23 @@ def read(
     if not len(times):
         raise Unreadable("no rows of samples")
     exact = layout.is_iso or len(layout.columns) > 4
-    by = "ISO" if layout.is_iso else "given" if time_unit else "named" if layout.time_unit else "by their distance"
+    by = (
+        "ISO"
+        if layout.is_iso
+        else "given"
+        if time_unit
+        else "named"
+        if layout.time_unit
+        else "by their distance"
+    )
     layout.time_unit = "ns" if exact else time_unit or layout.time_unit or plausible_time(times)
     nanos = to_nanos(times, layout.time_unit)
     of_rate = "given" if unit else "named" if layout.rate_unit else "by their size"
     layout.rate_unit = unit or layout.rate_unit or plausible_rate(rates)
     name = [layout.names[k] for k in layout.columns]
-    separator = {None: "white space", "\t": "tabs", ";": "semicolons", ",": "commas"}[layout.delimiter]
+    separator = {None: "white space", "\t": "tabs", ";": "semicolons", ",": "commas"}[
+        layout.delimiter
+    ]
     form = (
         f"text with {separator}: times of {name[0]!r} in {layout.time_unit} ({by}), rates of "
         f"{', '.join(map(repr, name[1:4]))} in {layout.rate_unit} ({of_rate})"

@@ -125,5 +125,7 @@ def mp4_frames(file: BinaryIO) -> np.ndarray:
 
 
 def _pairs(table: bytes) -> np.ndarray:
-    words = np.frombuffer(table[8 : 8 + (len(table) - 8) // 8 * 8], ">u4") if len(table) >= 8 else []
+    words = (
+        np.frombuffer(table[8 : 8 + (len(table) - 8) // 8 * 8], ">u4") if len(table) >= 8 else []
+    )
     return np.array(words, dtype=np.uint32).reshape(-1, 2)

@@ -35,7 +35,9 @@ def write(folder: Path, solved: Synchronized) -> list[str]:
     said = []
     names = [r.name for r in solved.recordings]
     for number, recording in enumerate(solved.recordings):
-        name = recording.name if names.count(recording.name) == 1 else f"{number + 1}_{recording.name}"
+        name = (
+            recording.name if names.count(recording.name) == 1 else f"{number + 1}_{recording.name}"
+        )
         clock = solved.clock(number)
         out = folder / name
         if out.exists():
@@ -60,7 +62,9 @@ def _again(recording: Recording, clock: DeviceClock, out: Path) -> str:
         with np.load(recording.path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         unit = text.TIME_UNITS["ns"] if arrays[recording.topic].dtype.kind == "M" else 1
-        arrays[recording.topic] = clock.b_to_a(recording.t).astype("M8[ns]" if unit != 1 else np.int64)
+        arrays[recording.topic] = clock.b_to_a(recording.t).astype(
+            "M8[ns]" if unit != 1 else np.int64
+        )
         np.savez(out, **arrays)
         return f"{out}: times of {recording.topic!r} in ns"
     table = out.with_name(f"{out.name}_gyro.csv")
@@ -68,12 +72,16 @@ def _again(recording: Recording, clock: DeviceClock, out: Path) -> str:
     return f"{table}: {len(recording.t)} samples"
 
 
-def _list(path: Path, clock: DeviceClock, times: np.ndarray, rates: np.ndarray | None = None) -> None:
+def _list(
+    path: Path, clock: DeviceClock, times: np.ndarray, rates: np.ndarray | None = None
+) -> None:
     first = clock.b_to_a(times)
     sigma = np.round(clock.offset(first)[1] * 1e9).astype(np.int64)
     with path.open("x", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["time_ns", "own_ns", "sigma_ns", *(["x", "y", "z"] if rates is not None else [])])
+        table.writerow(
+            ["time_ns", "own_ns", "sigma_ns", *(["x", "y", "z"] if rates is not None else [])]
+        )
         columns = [first, times, sigma, *(rates.T if rates is not None else [])]
         table.writerows(zip(*(column.tolist() for column in columns), strict=True))
 
@@ -96,7 +104,9 @@ def _text(recording: Recording, clock: DeviceClock, out: Any) -> int:
                 except ValueError:
                     times.append(0)
     kind = np.int64 if all(isinstance(t, int) for t in times) else np.float64
-    moved = iter(clock.b_to_a(text.to_nanos(np.array(times, dtype=kind), layout.time_unit or "ns")).tolist())
+    moved = iter(
+        clock.b_to_a(text.to_nanos(np.array(times, dtype=kind), layout.time_unit or "ns")).tolist()
+    )
     table = csv.writer(out, delimiter=layout.delimiter or " ", lineterminator="")
     with text.open_text(recording.path) as file:
         for _, line, fields in text.rows(file, layout):
@@ -143,7 +153,9 @@ def _moved(
     near = (stamp > recording.t.min() - _NEAR) & (stamp < recording.t.max() + _NEAR)
     stamp = np.where(near, clock.b_to_a(np.where(near, stamp, recording.t[0])), no)
     if log.min() < 0 or stamp[near].min(initial=0) < 0:
-        raise Unreadable(f"{recording.path}: times before the first clock's zero cannot be in a bag; put it first")
+        raise Unreadable(
+            f"{recording.path}: times before the first clock's zero cannot be in a bag; put it first"
+        )
     for number, (channel, _, raw, ros1, _) in enumerate(each()):
         if near[number]:
             order = (bags.stamp(raw, ros1) or "<")[0]
@@ -154,7 +166,11 @@ def _moved(
     kept = int(((np.array(stamps) != no) & ~near).sum())
     return (
         f"{len(log)} messages, {near.sum()} stamps of headers"
-        + (f", log times first moved by {-shift * 1e-9:.6f} s onto the gyroscope's clock" if shift else "")
+        + (
+            f", log times first moved by {-shift * 1e-9:.6f} s onto the gyroscope's clock"
+            if shift
+            else ""
+        )
         + (f"; {kept} stamps of another clock are left as they are" if kept else "")
     )
 
@@ -171,9 +187,17 @@ def _mcap(recording: Recording, clock: DeviceClock, out: Path) -> str:
 
     def each() -> Iterator[tuple[Any, int, bytes, bool, bool]]:
         for schema, channel, message in bags.mcap_messages(recording.path, []):
-            has_header = schema is not None and _leads_with_header(schema.data.decode(errors="replace"))
+            has_header = schema is not None and _leads_with_header(
+                schema.data.decode(errors="replace")
+            )
             channel.of_message = (schema, message)
-            yield channel, message.log_time, message.data, channel.message_encoding == "ros1", has_header
+            yield (
+                channel,
+                message.log_time,
+                message.data,
+                channel.message_encoding == "ros1",
+                has_header,
+            )
 
     with out.open("xb") as file, recording.path.open("rb") as source:
         writer = Writer(file)
@@ -185,17 +209,24 @@ def _mcap(recording: Recording, clock: DeviceClock, out: Path) -> str:
         def put(channel: Any, log: int, raw: bytes) -> None:
             schema, message = channel.of_message
             if schema is not None and schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
             if channel.id not in ids:
                 ids[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
+                    channel.topic,
+                    channel.message_encoding,
+                    schemas[channel.schema_id],
+                    channel.metadata,
                 )
             writer.add_message(ids[channel.id], log, raw, log, message.sequence)
 
         said = _moved(recording, clock, each, put)
         try:
             for one in reader.iter_attachments():
-                writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+                writer.add_attachment(
+                    one.create_time, one.log_time, one.name, one.media_type, one.data
+                )
             for data in reader.iter_metadata():
                 writer.add_metadata(data.name, data.metadata)
         except Exception as error:  # Of a file without an index.
