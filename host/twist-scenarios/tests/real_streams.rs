@@ -329,3 +329,56 @@ fn a_jump_of_the_stamps_is_found_or_in_the_sigma() {
     );
     assert!(accepted > 0.25 * TRIALS as f64 && squares < 1.4 * 1.4 * accepted);
 }
+
+/// Rates of sines, without any noise, as people try it.
+#[test]
+fn exact_data_are_right_to_a_tenth_of_a_microsecond() {
+    let motion = |t: f64| {
+        let (x, y) = (2.0 * (3.0 * t).sin(), 1.5 * (4.2 * t).sin());
+        [
+            x + (7.1 * t).cos(),
+            y,
+            (2.3 * t).cos() - 0.7 * (5.7 * t).sin(),
+        ]
+    };
+    for (a_hz, b_hz) in [
+        (100.0, 100.0),
+        (200.0, 100.0),
+        (500.0, 500.0),
+        (100.0, 120.0),
+    ] {
+        for one_axis in [false, true] {
+            let track = |hz: f64, later_s: f64| {
+                let t: Vec<f64> = (0..(10.0 * hz) as usize).map(|k| k as f64 / hz).collect();
+                let rate = |t: &f64| match motion(t + later_s) {
+                    [x, _, _] if one_axis => [x, 0.0, 0.0],
+                    all => all,
+                };
+                GyroTrack::from_seconds(&t, t.iter().map(rate).collect())
+            };
+            let (a, b) = (track(a_hz, 0.0), track(b_hz, 0.123_456_7));
+            let estimate = estimate_offset(&a, &b, &Options::default());
+            let estimate = estimate.unwrap_or_else(|refusal| panic!("{a_hz} {b_hz}: {refusal}"));
+            assert!(
+                (estimate.clock.offset + 0.123_456_7).abs() < 0.1e-6,
+                "{a_hz} {b_hz}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_recording_as_a_whole_is_said_first() {
+    let first = |change: fn(&mut [f64; 3])| {
+        let mut twist = twist_scenarios::twist(&TwistSpec::default(), 71_000);
+        twist.b.w.iter_mut().for_each(change);
+        // Not the same twist: it is refused for more than one reason.
+        let other = twist_scenarios::twist(&TwistSpec::default(), 72_000).a;
+        let refusal = estimate_offset(&other, &twist.b, &Options::default()).unwrap_err();
+        let failed = refusal.report.gates.iter().find(|gate| !gate.passed);
+        failed.map(|gate| gate.name)
+    };
+    assert_eq!(first(|w| *w = [w[0], 0.0, 0.0]), Some("axes"));
+    assert_eq!(first(|w| *w = w.map(f64::to_degrees)), Some("unit"));
+    assert_eq!(first(|_| {}), Some("explained"));
+}

@@ -35,7 +35,7 @@ pub struct ClockStep {
 /// could be related.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Unsupported {
-    /// Begin in time of clock a, seconds; −∞ before the first estimate.
+    /// Begin in time of clock a, seconds.
     pub from_s: f64,
     /// End, likewise.
     pub to_s: f64,
@@ -259,9 +259,13 @@ impl ClockCourse {
         let others = sorted.iter().filter(|own| !used.contains(&own.reference));
         let stretch = |own: &ClockRelation| {
             let next = used.partition_point(|&at| at < own.reference);
+            let after = used.get(next).map(|at| at - own.reference);
+            let before = next.checked_sub(1).map(|k| own.reference - used[k]);
+            // At either end as far as on the other side.
+            let to = after.or(before).unwrap_or(0.0);
             Unsupported {
-                from_s: next.checked_sub(1).map_or(f64::NEG_INFINITY, |k| used[k]),
-                to_s: used.get(next).copied().unwrap_or(f64::INFINITY),
+                from_s: own.reference - before.unwrap_or(to),
+                to_s: own.reference + to,
                 sigma_s: (own.offset - self.at(own.reference).offset).abs(),
             }
         };

@@ -308,9 +308,38 @@ pub fn estimate_offset(
             if found.is_none() && report.is_passed() {
                 report.gates.push(Gate::unsolvable());
             }
+            // What explains the other reasons comes first.
+            let causes = causes([&pair.model, &pair.data]);
+            report
+                .gates
+                .splice(0..0, causes.into_iter().filter(|gate| !gate.passed));
             Err(Refusal { report })
         }
     }
+}
+
+/// Faults of recordings as a whole that make all else fail.
+fn causes(streams: [&CheckedStream<'_>; 2]) -> [Gate; 2] {
+    let used = |s: &CheckedStream<'_>| -> Vec<Vector3<f64>> {
+        let kept = (0..s.w.len()).filter(|&k| s.usable[k]);
+        kept.map(|k| s.w[k].into()).collect()
+    };
+    let rates = streams.map(used);
+    let constant = |rates: &Vec<Vector3<f64>>| {
+        let is_constant = |&axis: &usize| rates.iter().all(|w| w[axis] == rates[0][axis]);
+        (0..3).filter(is_constant).count()
+    };
+    let [a, b] = rates.each_ref().map(constant);
+    let [x, y] = rates
+        .each_ref()
+        .map(|w| fit::variance(w.iter().copied()).sqrt());
+    // A recording without any motion says nothing about its unit.
+    let ratio = if x.min(y) > 0.0 {
+        x.max(y) / x.min(y)
+    } else {
+        1.0
+    };
+    [Gate::axes(a.max(b)), Gate::unit(ratio)]
 }
 
 /// The relation of the clocks and of the sensors, all gates judged; `None` where a

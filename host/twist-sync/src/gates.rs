@@ -53,6 +53,8 @@ pub struct Gate {
 }
 
 impl Gate {
+    /// Largest ratio of the motions of two recordings, one of which may be mostly at rest.
+    const LARGEST_RATIO: f64 = 20.0;
     /// Part of the motion's rms below which the unexplained rest does not put the
     /// lag in doubt.
     pub(crate) const MOSTLY_EXPLAINED: f64 = UNEXPLAINED_AT_FIRST;
@@ -117,6 +119,20 @@ impl Gate {
     pub(crate) fn motion(rms: f64) -> Self {
         let advice = "twist the rig by hand for some seconds";
         Self::at_least("motion", rms, LEAST_MOTION, "rad/s rms").or("too little motion", advice)
+    }
+
+    /// `constant` axes have the same value all the time, of the stream that has more of them.
+    pub(crate) fn axes(constant: usize) -> Self {
+        let reason = "of a stream two axes are constant";
+        let advice = "give the rates about all three axes, and check the columns";
+        Self::at_most("axes", constant as f64, 1.0, "axes").or(reason, advice)
+    }
+
+    /// `ratio` of the larger to the smaller motion of the two.
+    pub(crate) fn unit(ratio: f64) -> Self {
+        let reason = "the rates of one are many times those of the other";
+        let advice = "check the units: both must be in rad/s, which is 57.3 degrees a second";
+        Self::at_most("unit", ratio, Self::LARGEST_RATIO, "times").or(reason, advice)
     }
 
     pub(crate) fn overlap(common_s: f64, limit_s: f64) -> Self {

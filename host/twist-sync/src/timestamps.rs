@@ -291,8 +291,8 @@ fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize)
     if is_coarse { q } else { 0.0 }
 }
 
-/// The jumps with those that fall on a sample that was left out: where the distance is a
-/// multiple of the usual one.
+/// The jumps with those that fall on a sample that was left out, where the distance is a
+/// multiple of the usual one, and without those that follow too soon.
 fn with_missed(
     jumps: Vec<(usize, f64)>,
     size: f64,
@@ -305,10 +305,13 @@ fn with_missed(
     let Some(usual) = usual else {
         return jumps;
     };
-    let mut all = Vec::with_capacity(jumps.len());
-    for (n, &jump) in jumps.iter().enumerate() {
-        if let Some(&before) = n.checked_sub(1).and_then(|n| jumps.get(n)) {
+    let mut all: Vec<(usize, f64)> = Vec::with_capacity(jumps.len());
+    for &jump in &jumps {
+        if let Some(&before) = all.last() {
             let between = apart(&[before, jump]);
+            if between < 0.5 * usual {
+                continue;
+            }
             let missed = (between / usual).round() as usize;
             for k in 1..missed.min(kept.len()) {
                 let at = t[before.0] + between * k as f64 / missed as f64;
@@ -344,16 +347,19 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let Some(size) = robust::median(&sizes) else {
         return;
     };
-    let alike = sizes
-        .iter()
-        .filter(|s| (*s / size - 1.0).abs() < 0.4)
-        .count();
+    let is_alike = |jump: &f64| (jump / size - 1.0).abs() < 0.4;
+    let alike = sizes.iter().filter(|jump| is_alike(jump)).count();
+    let is_mostly_alike = alike * 5 >= sizes.len() * 4;
+    let mut jumps = jumps;
+    if is_mostly_alike {
+        jumps.retain(|(_, jump)| is_alike(jump));
+    }
     let times: Vec<f64> = jumps.iter().map(|(k, _)| out.t[*k]).collect();
     let first = times[0];
     let (begin, end) = (out.t[kept[0]], out.t[kept[kept.len() - 1]]);
     // One or two large jumps are a step of the clock, not a sawtooth.
-    let is_sawtooth = alike * 5 >= sizes.len() * 4
-        && (jumps.len() >= FEW_RESETS || size.abs() <= LARGEST_LONE_RESET_S);
+    let is_sawtooth =
+        is_mostly_alike && (jumps.len() >= FEW_RESETS || size.abs() <= LARGEST_LONE_RESET_S);
     let (drift, drift_sigma) = if !is_sawtooth {
         (0.0, 0.0)
     } else if jumps.len() == 1 {
