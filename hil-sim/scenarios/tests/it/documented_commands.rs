@@ -1,4 +1,4 @@
-//! Every command of `hil-sim` and `cargo xtask`, and every option that the documents
+//! Every command of the three programs, and every option that the documents
 //! mention by itself, is in a program's `--help`.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -64,7 +64,10 @@ impl Help {
                 }
             } else if let Some(below) = help.below.get(word) {
                 help = below;
-            } else if index == 0 && word.chars().all(|c| c.is_ascii_lowercase() || c == '-') {
+            } else if index == 0
+                && word != "help"
+                && word.chars().all(|c| c.is_ascii_lowercase() || c == '-')
+            {
                 return Some(word.clone());
             }
         }
@@ -89,20 +92,28 @@ fn xtask() -> Help {
     Help::read(&program, &mut Vec::new())
 }
 
+fn smartdepthsync() -> Help {
+    Help::read(support::smartdepthsync(), &mut Vec::new())
+}
+
 fn hil_sim() -> Help {
     let program = Path::new(env!("CARGO_BIN_EXE_hil-sim"));
     Help::read(program, &mut Vec::new())
 }
 
 #[test]
-fn commands_of_the_other_programs_are_in_their_help() {
+fn commands_of_the_programs_are_in_their_help() {
     let mut wrong = Vec::new();
     // What `cargo xtask` passes on.
     let mut xtask = xtask();
     xtask.below.insert("hil-sim".to_owned(), hil_sim());
     let demo = hil_sim().below.remove("demo").unwrap();
     xtask.below.insert("demo".to_owned(), demo);
-    for (name, help, least) in [("cargo xtask", xtask, 30), ("hil-sim", hil_sim(), 3)] {
+    for (name, help, least) in [
+        ("cargo xtask", xtask, 30),
+        ("hil-sim", hil_sim(), 3),
+        ("smartdepthsync", smartdepthsync(), 60),
+    ] {
         assert!(help.below.len() > 5, "{help:?}");
         let mut checked = 0;
         for (page, text) in pages() {
@@ -126,7 +137,7 @@ fn options_that_stand_by_themselves_are_in_a_help() {
     let mut known = BTreeSet::new();
     hil_sim().all_options(&mut known);
     xtask().all_options(&mut known);
-    Help::read(support::smartdepthsync(), &mut Vec::new()).all_options(&mut known);
+    smartdepthsync().all_options(&mut known);
     // Of cargo and of the shell's tools.
     let others = ["locked", "no-default-features"];
     let mut checked = 0;
@@ -157,12 +168,14 @@ fn examples_and_fuzz_targets_are_there() {
             let words: Vec<&str> = line.split_whitespace().collect();
             for pair in words.windows(2) {
                 let found = match pair {
-                    ["--example", name] => ["host/twist-scenarios", "hil-sim/scenarios"]
-                        .iter()
-                        .any(|package| {
-                            let file = format!("{package}/examples/{name}.rs");
-                            root().join(file).is_file()
-                        }),
+                    ["--example", name] if line.contains("cargo ") => {
+                        ["host/twist-scenarios", "hil-sim/scenarios"]
+                            .iter()
+                            .any(|package| {
+                                let file = format!("{package}/examples/{name}.rs");
+                                root().join(file).is_file()
+                            })
+                    }
                     ["run", name] if line.contains("cargo +nightly fuzz") => {
                         ["host", "protocol"].iter().any(|package| {
                             let file = format!("{package}/fuzz/Cargo.toml");
@@ -192,4 +205,9 @@ fn the_check_finds_what_is_not_there() {
         arguments("cargo build -p hil-sim --release", "hil-sim"),
         None
     );
+    let help = smartdepthsync();
+    let unknown = |line: &str| help.unknown(&arguments(line, "smartdepthsync").unwrap());
+    assert_eq!(unknown("sudo smartdepthsync -v verify X --json"), None);
+    assert!(unknown("smartdepthsync verify X --out Y").is_some());
+    assert!(unknown("smartdepthsync evaluate precision --no-such").is_some());
 }

@@ -1,5 +1,5 @@
-//! Every command and option that the documents mention exists; every command has
-//! help, completions and a manual page; every command prints JSON if asked to.
+//! Every command in a block of the documents is a whole one; every command has help,
+//! completions and a manual page.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -15,54 +15,6 @@ fn run(args: &[&str]) -> Output {
         .args(args)
         .output()
         .unwrap()
-}
-
-/// Walks a command line as far as it is commands and options; says what is unknown.
-fn unknown(cli: &clap::Command, words: &[String]) -> Option<String> {
-    let mut command = cli;
-    let mut known: Vec<&clap::Arg> = cli.get_arguments().collect();
-    for (position, word) in words.iter().enumerate() {
-        if let Some(long) = word.strip_prefix("--") {
-            let name = long.split('=').next().unwrap();
-            let exists = name == "help"
-                || name == "version"
-                || name.is_empty()
-                || known.iter().any(|arg| arg.get_long() == Some(name));
-            if !exists {
-                return Some(format!("--{name} of `{}`", command.get_name()));
-            }
-        } else if let Some(below) = command.find_subcommand(word) {
-            command = below;
-            known.extend(below.get_arguments());
-        } else if position == 0 && !word.starts_with('-') && word != "help" {
-            let is_word = word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
-            if is_word && *word != "<command>" {
-                return Some(format!("the command {word}"));
-            }
-        }
-    }
-    None
-}
-
-#[test]
-fn everything_that_the_documents_mention_exists() {
-    let mut cli = Cli::command();
-    cli.build();
-    let mut checked = 0;
-    let mut wrong = Vec::new();
-    for (page, text) in pages() {
-        for line in Code::of(&text).all() {
-            let Some(words) = arguments(line, "smartdepthsync") else {
-                continue;
-            };
-            checked += 1;
-            if let Some(what) = unknown(&cli, &words) {
-                wrong.push(format!("{}: {what}: {line}", page.display()));
-            }
-        }
-    }
-    assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
-    assert!(checked >= 60, "only {checked} commands were found");
 }
 
 /// A line of a block is there to be typed: the program must take it as it stands.
@@ -86,21 +38,6 @@ fn every_command_in_a_block_is_a_whole_command() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(checked >= 40, "only {checked} commands were found");
-}
-
-#[test]
-fn the_check_finds_what_is_not_there() {
-    let mut cli = Cli::command();
-    cli.build();
-    let words = |line: &str| arguments(line, "smartdepthsync").unwrap();
-    let unknown = |line: &str| unknown(&cli, &words(line));
-    assert_eq!(unknown("smartdepthsync record --duration 5m"), None);
-    assert_eq!(unknown("sudo smartdepthsync -v verify X --json"), None);
-    assert!(unknown("smartdepthsync recrod").is_some());
-    assert!(unknown("smartdepthsync verify X --out Y").is_some());
-    assert!(unknown("smartdepthsync evaluate precision --no-such").is_some());
-    let build = "cargo build -p smartdepthsync --release";
-    assert_eq!(arguments(build, "smartdepthsync"), None);
 }
 
 fn all_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
