@@ -6,6 +6,7 @@ use serde::Serialize;
 use twist_sync::robust::mad_sigma;
 
 use super::classify::{FrameCounts, Reference};
+use super::evidence;
 use super::footage::Footage;
 use super::identity::Identity;
 use super::shown::Shown;
@@ -98,6 +99,12 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
         (Some(a), Some(b)) => (a.time_s, b.time_s),
         _ => return Err(too_few(0)),
     };
+
+    if let Some(doubt) = evidence::doubt(track.evidence, &footage, settings) {
+        return Err(doubt);
+    }
+    let places: Vec<(f64, f64)> = points.iter().map(|p| (p.time_s, p.bias_us)).collect();
+    evidence::in_step(&places, track.evidence, &footage, settings)?;
 
     let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());

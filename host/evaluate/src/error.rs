@@ -107,21 +107,29 @@ pub enum EvaluateError {
         to_s: String,
     },
     #[error(
-        "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train"
+        "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train{}", said(.lamp)
     )]
     NoFlashes {
         path: PathBuf,
         /// Frames looked at.
         frames: usize,
+        /// Name of what repeats in the picture instead.
+        lamp: Option<String>,
     },
-    /// Bands that a picture of anything may have.
+    /// Bands that nothing shows to be the depth camera's.
     #[error(
-        "{path}: there are bands that {flashes} flashes would make, but no frame without flashes to compare with: so few may be the picture itself"
+        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: there is no frame without them, and no end of the train in view{}", said(.lamp)
     )]
-    Chance {
+    Unproven { path: PathBuf, lamp: Option<String> },
+    /// Bands that move by themselves.
+    #[error(
+        "{path}: the bands move by {motion_us_per_s:.0} µs/s, {scatter_us:.0} µs about it: not the flashes of a camera in step with the phone{}", said(.lamp)
+    )]
+    NotInStep {
         path: PathBuf,
-        /// Flashes that would be in view.
-        flashes: usize,
+        motion_us_per_s: f64,
+        scatter_us: f64,
+        lamp: Option<String>,
     },
     /// Flashes, but no clean frames.
     #[error(
@@ -144,6 +152,11 @@ pub enum EvaluateError {
     /// The recording's session.
     #[error(transparent)]
     Session(#[from] RecordingError),
+}
+
+fn said(lamp: &Option<String>) -> String {
+    lamp.as_ref()
+        .map_or_else(String::new, |lamp| format!("; {lamp}"))
 }
 
 impl EvaluateError {

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::classify::{FrameCounts, Reference};
+use super::evidence::{self, Evidence};
 use super::footage::Footage;
 use super::identity::Identity;
 use super::shown::Shown;
@@ -57,6 +58,8 @@ pub struct RecordingResult {
     pub frame_sd_us: Option<f64>,
     /// Assignment of flashes to bands.
     pub identity: Identity,
+    /// What shows that they are flashes; a result without is left out.
+    pub evidence: Option<Evidence>,
     /// Counts of the frames.
     pub frames: FrameCounts,
     /// Source of the smooth part.
@@ -145,15 +148,30 @@ pub struct Evaluated {
 }
 
 /// Evaluates one recording from its last `frames` frames with flashes.
+///
+/// # Errors
+///
+/// No flashes, none in step with the phone, or nothing that shows them to be flashes.
 pub fn evaluate_recording(
     footage: Footage,
     settings: &Settings,
     frames: usize,
 ) -> Result<Evaluated, EvaluateError> {
+    let (evaluated, doubt) = measure(footage, settings, frames)?;
+    doubt.map_or(Ok(evaluated), Err)
+}
+
+/// Measures one recording; if nothing in it shows that it has flashes, with that error.
+fn measure(
+    footage: Footage,
+    settings: &Settings,
+    frames: usize,
+) -> Result<(Evaluated, Option<EvaluateError>), EvaluateError> {
     let settings = &settings.with_session(&footage);
     let (footage, track) = settled(footage, settings, frames.max(1))?;
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
     let places: Vec<(f64, f64)> = track.points.iter().map(|p| (p.time_s, p.bias_us)).collect();
+    evidence::in_step(&places, track.evidence, &footage, settings)?;
     let line = Line::fit(&places, 1);
     let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
@@ -188,15 +206,18 @@ pub fn evaluate_recording(
         amplitude: mean(&amplitudes),
         frame_sd_us: standard_deviation(&biases),
         identity: track.identity.clone(),
+        evidence: track.evidence,
         frames: track.counts,
         reference: track.reference,
         notes,
     };
-    Ok(Evaluated {
+    let doubt = evidence::doubt(track.evidence, &footage, settings);
+    let evaluated = Evaluated {
         result,
         shown: Shown::new(&footage, &track, settings),
         waited: footage.waited,
-    })
+    };
+    Ok((evaluated, doubt))
 }
 
 /// Finds the train in the last `frames` frames with flashes.
@@ -215,6 +236,7 @@ fn settled(
         counts.flicker > counts.used + counts.spare
     };
     let mut found = track(&footage, settings, Choice::Last(frames))?;
+    let evidence = found.evidence;
     for _ in 0..2 {
         let half = footage.frames.len() / 2;
         if !doubtful(&found) || half < frames {
@@ -236,6 +258,8 @@ fn settled(
             }
         }
     }
+    // All frames count as evidence, those too in which the train was still moved.
+    found.evidence = found.evidence.or(evidence);
     Ok((footage, found))
 }
 
@@ -257,39 +281,65 @@ pub fn evaluate(
     each: &mut Progress<'_>,
 ) -> Result<(Precision, Option<Evaluated>), EvaluateError> {
     settings.check()?;
-    let mut results: Vec<RecordingResult> = Vec::new();
+    let mut measured: Vec<(Evaluated, Option<EvaluateError>)> = Vec::new();
     let mut left_out = Vec::new();
-    let mut shown = None;
     for path in inputs {
         if stop() {
             break;
         }
-        let expected = results.first().map(|r| (r.width, r.height));
+        let proven = measured.iter().find(|(_, doubt)| doubt.is_none());
         // The recordings are of one camera.
         let settings = &Settings {
-            row_time_hint_us: results.first().map(|r| r.row_time_us),
+            row_time_hint_us: proven.map(|(first, _)| first.result.row_time_us),
             ..settings.clone()
         };
-        let evaluated = Footage::read(path, settings, expected, stop)
-            .and_then(|r| evaluate_recording(r, settings, frames));
-        match evaluated {
-            Ok(evaluated) => {
-                each(path, &Ok(evaluated.result.clone()), evaluated.waited);
-                results.push(evaluated.result.clone());
-                shown.get_or_insert(evaluated);
+        let expected = measured
+            .first()
+            .map(|(m, _)| (m.result.width, m.result.height));
+        let found = Footage::read(path, settings, expected, stop)
+            .and_then(|footage| measure(footage, settings, frames));
+        match found {
+            Ok((evaluated, doubt)) => {
+                if doubt.is_none() {
+                    each(path, &Ok(evaluated.result.clone()), evaluated.waited);
+                }
+                measured.push((evaluated, doubt));
             }
             Err(error) if inputs.len() == 1 || concerns_all(&error) => return Err(error),
-            Err(error) => {
-                let reason = error.to_string();
-                each(path, &Err(reason.clone()), Duration::ZERO);
-                left_out.push(LeftOut {
-                    path: path.clone(),
-                    reason,
-                });
+            Err(error) => leave_out(path, &error, each, &mut left_out),
+        }
+    }
+    evidence::compare(&mut measured, &settings.train);
+    let (mut results, mut shown) = (Vec::new(), None);
+    for (evaluated, doubt) in measured {
+        let path = evaluated.result.path.clone();
+        match doubt {
+            Some(error) if inputs.len() == 1 => return Err(error),
+            Some(error) => leave_out(&path, &error, each, &mut left_out),
+            None => {
+                if evaluated.result.evidence == Some(Evidence::Shift) {
+                    each(&path, &Ok(evaluated.result.clone()), evaluated.waited);
+                }
+                results.push(evaluated.result.clone());
+                shown.get_or_insert(evaluated);
             }
         }
     }
     Ok((summarise(results, left_out), shown))
+}
+
+fn leave_out(
+    path: &Path,
+    error: &EvaluateError,
+    each: &mut Progress<'_>,
+    left_out: &mut Vec<LeftOut>,
+) {
+    let reason = error.to_string();
+    each(path, &Err(reason.clone()), Duration::ZERO);
+    left_out.push(LeftOut {
+        path: path.to_owned(),
+        reason,
+    });
 }
 
 fn concerns_all(error: &EvaluateError) -> bool {

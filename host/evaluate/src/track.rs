@@ -27,6 +27,7 @@ use super::classify::{
     FrameClass, FrameCounts, Reference, Seen, classify, dark_scene, frames_of, mark_flicker,
     mean_of, recheck_dark, with_reference,
 };
+use super::evidence::{self, Evidence};
 use super::fit::{FrameFit, Model};
 use super::footage::Footage;
 use super::identity::{Identity, identify, unwrap_track};
@@ -36,7 +37,7 @@ use super::search::{CombSearch, Found, WideSearch};
 use super::stats::{mean, quantile, spread};
 use super::store::StoredFrame;
 use super::train::Shape;
-use super::{EvaluateError, Settings};
+use super::{EvaluateError, Settings, lamp};
 
 /// Degree of the smooth part without a reference.
 const DEGREE: usize = 5;
@@ -49,9 +50,6 @@ const REFERENCE_SHARE: f64 = 0.2;
 const COMPETITOR_DEGREE: usize = 13;
 /// By how much: share of the curve's sum of squares.
 const SHARPER: f64 = 0.2;
-/// Flashes that a train without any frame to compare with must show. Fewer bands at one
-/// distance are found in pictures of anything: the row time is free.
-const ENOUGH_FLASHES: usize = 4;
 /// Frames averaged for the report.
 const SHOWN_FRAMES: usize = 16;
 /// Frames fitted together for row time and exposure.
@@ -85,6 +83,8 @@ pub(crate) struct Track {
     pub(crate) joint: JointFit,
     /// Assignment of flashes to bands.
     pub identity: Identity,
+    /// What shows that they are flashes.
+    pub evidence: Option<Evidence>,
     /// Source of the smooth part.
     pub reference: Reference,
     /// Mean profile of at most 16 of the used frames, grey levels: the first ones, or
@@ -130,6 +130,7 @@ pub(crate) fn track(
         .ok_or_else(|| EvaluateError::NoFlashes {
             path: footage.path.clone(),
             frames: footage.frames.len(),
+            lamp: lamp::note(footage, settings),
         })?;
     let flicker = mark_flicker(
         &sighting.model,
@@ -138,6 +139,13 @@ pub(crate) fn track(
         &mut sighting.seen,
         &sighting.shape,
         settings.keep_flicker,
+    );
+    let evidence = evidence::find(
+        footage,
+        &sighting.model,
+        &sighting.seen,
+        &sighting.shape,
+        settings,
     );
     choice.spare(&mut sighting.seen);
     let counts = FrameCounts::of(&sighting.seen, footage.read);
@@ -155,7 +163,6 @@ pub(crate) fn track(
     // centre once more.
     let together = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
     let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
-    refuse_chance(&joint, sighting.reference, footage, settings)?;
     let shown = choice.shown(used.len());
     let mut fits = fit_each(&sighting.model, &used, &joint.shape());
     let (mean_profile, fitted_profile) = mean_profiles(
@@ -201,6 +208,7 @@ pub(crate) fn track(
         points,
         counts,
         identity,
+        evidence,
         reference: sighting.reference,
         mean_profile,
         fitted_profile,
@@ -381,37 +389,6 @@ fn priors(settings: &Settings) -> Priors {
             sigma: 0.02 * value + 5.0,
         }),
     }
-}
-
-/// Refuses a train that may be the picture itself: without a frame that shows the scene
-/// alone, and with few flashes in view or a row time that the fit does not know.
-fn refuse_chance(
-    joint: &JointFit,
-    reference: Reference,
-    footage: &Footage,
-    settings: &Settings,
-) -> Result<(), EvaluateError> {
-    let is_known = settings.row_time_us.is_some() && settings.exposure_us.is_some();
-    if reference != Reference::Polynomial || is_known {
-        return Ok(());
-    }
-    let rows = &footage.rows;
-    let seen = [0, rows.len.saturating_sub(1)].map(|i| rows.position(i) * joint.row_time_us);
-    let in_view = |bias_us: f64| {
-        let flashes = (0..settings.train.count).map(|k| settings.train.flash_us(k, bias_us));
-        flashes
-            .filter(|at| (seen[0]..=seen[1]).contains(at))
-            .count()
-    };
-    let flashes = joint.bias_us.iter().map(|&bias| in_view(bias)).max();
-    let flashes = flashes.unwrap_or_default();
-    if flashes >= ENOUGH_FLASHES && joint.row_time_sigma_us.is_finite() {
-        return Ok(());
-    }
-    Err(EvaluateError::Chance {
-        path: footage.path.clone(),
-        flashes,
-    })
 }
 
 /// A remark if the exposure hides the flashes.

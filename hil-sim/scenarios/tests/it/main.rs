@@ -10,6 +10,7 @@ mod bring_up;
 mod default_profile;
 mod doctor;
 mod documented_commands;
+mod evaluate_not_strobes;
 mod evaluate_rendered;
 mod evaluate_video;
 mod extract_mkv;

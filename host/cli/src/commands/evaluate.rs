@@ -252,10 +252,17 @@ impl From<EvaluateError> for Failure {
                 "look at the video: the re-transmitter's flashes must be in view, on a picture that \
                  is otherwise still",
             ),
-            E::Chance { .. } => (
+            E::Unproven { .. } => (
                 ExitStatus::Refused,
-                "begin the video a second before the depth camera runs, so that it also shows the \
-                 scene alone; or give --row-time and --exposure if they are known",
+                "record once more with the trigger moved (`smartdepthsync record --shift 400us`) and \
+                 give both recordings to `evaluate precision`; or begin the video a second before \
+                 the depth camera runs, so that it also shows the scene alone; or give --row-time \
+                 if it is known",
+            ),
+            E::NotInStep { .. } => (
+                ExitStatus::Refused,
+                "if the trigger is still being aligned there, choose a later time with --from; \
+                 otherwise switch lamps off that are dimmed",
             ),
             E::Profile(error) => return error.into(),
             E::Session(error) => return error.into(),

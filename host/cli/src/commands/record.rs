@@ -82,6 +82,10 @@ pub(crate) struct Args {
     /// Between two of these twists, in board time
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
     twist_gap: u64,
+    /// Align the trigger this far before the phone's frames: the second recording that
+    /// `evaluate precision` asks for when it cannot tell flashes from a lamp
+    #[arg(long, value_name = "TIME", value_parser = parse_real_time, conflicts_with = "calibrate")]
+    shift: Option<Duration>,
     /// Twist again at the end: a far better skew, and `profile learn` needs it
     #[arg(long)]
     second_twist: bool,
@@ -166,6 +170,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     }
     if let Some(name) = &args.reference {
         profile.set_reference(name)?;
+    }
+    if let Some(shift) = args.shift {
+        profile.frame_sync.bias_us += shift.as_secs_f64() * 1e6;
     }
     let to_teach = match args.calibrate {
         true => Some(calibrates(args, &place)?),
