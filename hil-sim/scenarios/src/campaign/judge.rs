@@ -325,7 +325,18 @@ fn judge_time_of_day(plan: &Plan, ended: &Ended, folder: &Path, zero: SimTime) -
         count += 1;
         let at = zero.as_secs_f64() + entry.at.as_secs_f64();
         let recorded_s = time.time_ref.nanos() as f64 * 1e-9 - POWER_ON_S as f64;
-        let is_near = |step_s: i64| (recorded_s - at - step_s as f64).abs() < HOST_TIME_S;
+        // While the host does not read, the board's messages grow old before it has them.
+        let stalls = plan.events.iter().filter(|e| e.fault == Fault::HostStalled);
+        let waited_s = stalls
+            .filter(|e| {
+                let began = e.begins(ended.happened.began).as_secs_f64();
+                (began - HOST_TIME_S..began + e.for_us as f64 * 1e-6).contains(&at)
+            })
+            .map(|e| e.for_us as f64 * 1e-6)
+            .fold(0.0, f64::max);
+        let is_near = |step_s: i64| {
+            (-HOST_TIME_S..HOST_TIME_S + waited_s).contains(&(recorded_s - at - step_s as f64))
+        };
         let before = step.is_none_or(|step| at < step + HOST_TIME_S) && is_near(0);
         let after = step.is_some_and(|step| at > step - HOST_TIME_S) && is_near(plan.clock_step_s);
         // While nothing comes from the board, its time is an old one.
