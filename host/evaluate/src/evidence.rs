@@ -51,6 +51,8 @@ pub enum Evidence {
     Ends(usize),
     /// One end of the train was in so many frames while it was sent onto the phone's.
     EndMoved(usize),
+    /// They came to rest from elsewhere in so many frames, as the session aligned the trigger.
+    Aligned(usize),
     /// They moved with the trigger from one recording to another.
     Shift,
 }
@@ -71,7 +73,7 @@ pub(crate) fn find(
     if known.is_some_and(|known| (shape.row_time_us / known - 1.0).abs() < ROW_TIME_AGREES) {
         return Some(Evidence::RowTime);
     }
-    ends(footage, model, seen, shape)
+    ends(footage, model, seen, shape).or_else(|| aligned(footage, model, seen))
 }
 
 /// True if the frames with flashes are brighter than those without, by about the light of
@@ -136,6 +138,25 @@ fn ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) -> Optio
     one.then_some(Evidence::EndMoved(found.len()))
 }
 
+/// Bands that came from elsewhere, in the video of a session that aligned the trigger.
+/// That they are at rest since, [`in_step`] says: what wanders has this too.
+fn aligned(footage: &Footage, model: &Model, seen: &[Seen]) -> Option<Evidence> {
+    footage.applied?;
+    let places: Vec<f64> = seen
+        .iter()
+        .filter(|s| s.class != FrameClass::Dark && s.fit.is_train(0.5))
+        .map(|s| s.fit.bias_us)
+        .collect();
+    let pitch = model.train.pitch_us;
+    let last = *places.last()?;
+    let is_elsewhere = |place: &&f64| {
+        let pitches = (**place - last) / pitch;
+        (pitches - pitches.round()).abs() > MOVED
+    };
+    let elsewhere = places.iter().filter(is_elsewhere).count();
+    (elsewhere >= FRAMES).then_some(Evidence::Aligned(elsewhere))
+}
+
 /// Refuses bands that move as no depth camera in step does: `points` are seconds and
 /// places, µs.
 pub(crate) fn in_step(
@@ -150,7 +171,7 @@ pub(crate) fn in_step(
     let even = line.residual_sd <= UNEVEN * settings.train.pitch_us;
     let fastest = match evidence {
         // Bars that wander through the picture have ends too, but do not come to rest.
-        Some(Evidence::EndMoved(_)) => STEADY_US_PER_S,
+        Some(Evidence::EndMoved(_) | Evidence::Aligned(_)) => STEADY_US_PER_S,
         _ => FASTEST_US_PER_S,
     };
     if even && line.slope.abs() <= fastest {

@@ -66,6 +66,7 @@ impl Help {
                 help = below;
             } else if index == 0
                 && word != "help"
+                && !word.starts_with('-')
                 && word.chars().all(|c| c.is_ascii_lowercase() || c == '-')
             {
                 return Some(word.clone());
