@@ -12,8 +12,8 @@ use serde::Serialize;
 use super::classify::{FrameClass, Seen, frames_of, mean_of};
 use super::fit::{FrameFit, Model};
 use super::footage::Footage;
-use super::precision::Evaluated;
 use super::stats::{Line, mean, spread};
+use super::track::{Choice, track};
 use super::train::{Shape, TrainGeometry};
 use super::{EvaluateError, Settings, lamp};
 
@@ -25,12 +25,15 @@ const LIGHT: f64 = 0.5;
 const SEARCHED: usize = 200;
 /// Flashes that are thought beyond each end of the train.
 const BEYOND: u32 = 2;
-/// Margin (χ²) by which the train must fit better than one that goes on.
-const DECIDED: f64 = 25.0;
+/// By how much more must be left of a frame, as a factor, if the train went on or had a
+/// flash less.
+const DECIDED: f64 = 1.5;
 /// Largest distance of the fitted row time from a known one, as a share.
 const ROW_TIME_AGREES: f64 = 0.015;
 /// Part of a pitch by which a train must have moved, or be moved by the second recording.
-const MOVED: f64 = 0.1;
+pub(crate) const MOVED: f64 = 0.1;
+/// The trigger is aligned in the first so many seconds.
+const BEGINNING_S: f64 = 60.0;
 /// Motion that two crystals, or a trigger that is sent slowly onto the frames, make at
 /// most: µs/s.
 const FASTEST_US_PER_S: f64 = 1000.0;
@@ -118,8 +121,7 @@ fn ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) -> Optio
             let y = model.detrend(&frame.rows);
             let worse = |y: &DVector<f64>, (other, moved): &(Model, f64)| {
                 let rss = other.local(y, &shape.at(fit.bias_us + moved)).rss;
-                let noise = fit.rss / y.len().max(1) as f64;
-                (rss - fit.rss) / (noise * fit.inflation).max(1e-12) > DECIDED
+                rss > DECIDED * fit.rss
             };
             let shows = [0, 1].map(|end| worse(&y, &longer[end]) && worse(&y, &shorter[end]));
             (shows != [false; 2]).then_some((fit.bias_us, shows))
@@ -185,37 +187,28 @@ pub(crate) fn in_step(
     })
 }
 
+/// Evidence in the beginning of a recording of which only a later part is used.
+fn before(footage: &Footage, settings: &Settings) -> Option<Evidence> {
+    let from_s = settings.from_s?;
+    let settings = Settings {
+        from_s: None,
+        to_s: Some((from_s + 2.0).min(BEGINNING_S)),
+        ..settings.clone()
+    };
+    let mut beginning = Footage::read(&footage.path, &settings, None, &|| false).ok()?;
+    beginning.applied = footage.applied;
+    track(&beginning, &settings, Choice::All).ok()?.evidence
+}
+
 /// The refusal of a recording without evidence.
 pub(crate) fn doubt(
     evidence: Option<Evidence>,
     footage: &Footage,
     settings: &Settings,
 ) -> Option<EvaluateError> {
+    let evidence = evidence.or_else(|| before(footage, settings));
     evidence.is_none().then(|| EvaluateError::Unproven {
         path: footage.path.clone(),
         lamp: lamp::note(footage, settings),
     })
-}
-
-/// Takes the doubt from recordings of which one was made with the trigger moved, if their
-/// bands moved by as much.
-pub(crate) fn compare(measured: &mut [(Evaluated, Option<EvaluateError>)], train: &TrainGeometry) {
-    let places: Vec<(f64, f64, f64)> = measured
-        .iter()
-        .map(|(m, _)| &m.result)
-        .map(|r| (r.applied_bias_us.unwrap_or(f64::NAN), r.bias_us, r.sigma_us))
-        .collect();
-    let off = |us: f64| us - (us / train.pitch_us).round() * train.pitch_us;
-    for ((evaluated, doubt), &(applied, bias, sigma)) in measured.iter_mut().zip(&places) {
-        let moved_with = |&(other_applied, other_bias, other_sigma): &(f64, f64, f64)| {
-            let shift = applied - other_applied;
-            let unlike = off(bias - other_bias + shift);
-            off(shift).abs() > MOVED * train.pitch_us
-                && unlike.abs() < 0.25 * MOVED * train.pitch_us + 4.0 * sigma.hypot(other_sigma)
-        };
-        if doubt.is_some() && places.iter().any(moved_with) {
-            evaluated.result.evidence = Some(Evidence::Shift);
-            *doubt = None;
-        }
-    }
 }

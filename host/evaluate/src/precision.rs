@@ -12,6 +12,7 @@ use super::identity::Identity;
 use super::shown::Shown;
 use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
 use super::track::{Choice, Track, track};
+use super::train::TrainGeometry;
 use super::{EvaluateError, Settings};
 
 /// Motion of the train within a recording's frames that is noted, µs.
@@ -309,7 +310,7 @@ pub fn evaluate(
             Err(error) => leave_out(path, &error, each, &mut left_out),
         }
     }
-    evidence::compare(&mut measured, &settings.train);
+    compare(&mut measured, &settings.train);
     let (mut results, mut shown) = (Vec::new(), None);
     for (evaluated, doubt) in measured {
         let path = evaluated.result.path.clone();
@@ -326,6 +327,30 @@ pub fn evaluate(
         }
     }
     Ok((summarise(results, left_out), shown))
+}
+
+/// Takes the doubt from recordings of which one was made with the trigger moved, if their
+/// bands moved by as much.
+fn compare(measured: &mut [(Evaluated, Option<EvaluateError>)], train: &TrainGeometry) {
+    let places: Vec<(f64, f64, f64)> = measured
+        .iter()
+        .map(|(m, _)| &m.result)
+        .map(|r| (r.applied_bias_us.unwrap_or(f64::NAN), r.bias_us, r.sigma_us))
+        .collect();
+    let off = |us: f64| us - (us / train.pitch_us).round() * train.pitch_us;
+    for ((evaluated, doubt), &(applied, bias, sigma)) in measured.iter_mut().zip(&places) {
+        let moved_with = |&(other_applied, other_bias, other_sigma): &(f64, f64, f64)| {
+            let shift = applied - other_applied;
+            let unlike = off(bias - other_bias + shift);
+            off(shift).abs() > evidence::MOVED * train.pitch_us
+                && unlike.abs()
+                    < 0.25 * evidence::MOVED * train.pitch_us + 4.0 * sigma.hypot(other_sigma)
+        };
+        if doubt.is_some() && places.iter().any(moved_with) {
+            evaluated.result.evidence = Some(Evidence::Shift);
+            *doubt = None;
+        }
+    }
 }
 
 fn leave_out(

@@ -56,7 +56,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
         None => SENSORS_MIN,
     };
     sensors.truncate(usize::from(area.height.saturating_sub(needed)));
-    let panels_height = if area.width >= WIDE { 9 } else { 16 };
+    let panels_height = if area.width >= WIDE { 8 } else { 16 };
     let middle_min = match (&twist, area.height >= CHART_MIN) {
         (Some(_), _) => TWIST_ROWS,
         (None, true) => CHART_ROWS,
@@ -119,7 +119,7 @@ fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let [left, right] = if area.width >= WIDE {
         Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(area)
     } else {
-        Layout::vertical([Constraint::Length(9), Constraint::Length(7)]).areas(area)
+        Layout::vertical([Constraint::Length(8), Constraint::Length(8)]).areas(area)
     };
     let block = |title: &'static str| Block::bordered().title(title).border_style(DIM);
     frame.render_widget(
@@ -421,11 +421,6 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
         word => word,
     };
     let fps = trigger.fps.map(|fps| format!(", {fps:.4} fps"));
-    let pulse = match trigger.pulse {
-        Some(pulse) if trigger.late > 0 => format!("{pulse}, {} LATE", trigger.late),
-        Some(pulse) => pulse.to_string(),
-        None => String::from("-"),
-    };
     let (readback, readback_style) = match (trigger.readback_ns, trigger.readback_missing) {
         (Some(ns), 0) => (format!("seen, {ns:.0} ns after the edge"), GOOD),
         (Some(ns), missing) => (format!("{ns:.0} ns, {missing} NOT SEEN"), BAD),
@@ -436,13 +431,13 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
     let known = state.phase_now().map(|now| {
         let style = if now.is_assumed { WARN } else { GOOD };
         // Terminals need not have the sign.
-        let text = known(&now).replace('±', "+-").replace('µ', "u");
+        let text = known(&now).replace("± ", "+-").replace('µ', "u");
+        let text = text.replace(" until measured", ", unmeasured");
         Line::styled(text, style.add_modifier(Modifier::BOLD))
     });
     let mut lines: Vec<Line<'_>> = known.into_iter().collect();
     lines.extend([
         fact("train", format!("{train}{}", fps.unwrap_or_default()), BOLD),
-        fact("pulse", pulse, bad_if(trigger.late > 0)),
         fact("phase", phase, phase_style),
         fact("read-back", readback, readback_style),
     ]);
@@ -498,13 +493,19 @@ fn state_lines(state: &State) -> Vec<Line<'static>> {
         n => format!(", {n} relinks"),
     };
     let is_whole = losses.messages + losses.damaged + u64::from(losses.reconnects) == 0;
+    let late = state.trigger.late;
+    let last = state.trigger.pulse;
+    let last = last.map_or(String::new(), |pulse| format!("{pulse}, "));
+    let pulses = match late {
+        0 => format!(
+            "{last}{:.1}/s, strobe {:.1}/s",
+            rates.pulses, rates.captures
+        ),
+        late => format!("{last}{late} LATE"),
+    };
     let mut lines = vec![
         imu,
-        fact(
-            "pulses",
-            format!("{:.2}/s, strobe {:.2}/s", rates.pulses, rates.captures),
-            Style::new(),
-        ),
+        fact("pulses", pulses, bad_if(late > 0)),
         fact(
             "lost",
             format!(
@@ -584,7 +585,8 @@ mod tests {
             "1:01 of 5:00",
             "30.0024 fps",
             "3456",
-            "+0.00 us off grid, +-",
+            "phase known to +-90.8 us, unmeasured",
+            "+0.00 us off grid",
             "seen, 83 ns",
             "+-4.8 us now, 1:40 old",
             "0 messages",

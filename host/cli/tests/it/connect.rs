@@ -153,12 +153,17 @@ fn a_wrong_command_line_has_the_code_of_usage() {
 fn the_udev_rule_names_this_board() {
     let rule = include_str!("../../../udev/60-smartdepthsync.rules");
     let rule: Vec<&str> = rule.lines().filter(|line| !line.starts_with('#')).collect();
-    assert_eq!(rule.len(), 1);
+    // The board's, and that of the loader in its ROM.
+    assert_eq!(rule.len(), 2);
     for part in [
         format!("ATTRS{{idVendor}}==\"{:04x}\"", usb::VENDOR_ID),
         format!("ATTRS{{idProduct}}==\"{:04x}\"", usb::PRODUCT_ID),
         format!("ATTRS{{product}}==\"{}\"", usb::PRODUCT),
     ] {
         assert!(rule[0].contains(&part), "the rule lacks {part}");
+    }
+    // AN2606: "STM Device in DFU Mode".
+    for part in ["idVendor}==\"0483\"", "idProduct}==\"df11\""] {
+        assert!(rule[1].contains(part), "the loader's rule lacks {part}");
     }
 }

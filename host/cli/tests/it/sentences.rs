@@ -68,6 +68,8 @@ const CASES: &str = "\
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
 2 | evaluate drift folder | no images | png
+# The board.
+2 | board flash --board nucleo | black-pill | help COMMAND
 # Profiles.
 13 | profile init text.txt | text.txt | not taken
 13 | profile init no/such/folder/rig.toml | no/such | check the path
