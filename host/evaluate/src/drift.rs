@@ -100,11 +100,11 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
         _ => return Err(too_few(0)),
     };
 
-    if let Some(doubt) = evidence::doubt(track.evidence, &footage, settings) {
+    let evidence = evidence::of(&track, &footage, settings);
+    if let Some(doubt) = evidence::doubt(evidence, &footage, settings) {
         return Err(doubt);
     }
-    let places: Vec<(f64, f64)> = points.iter().map(|p| (p.time_s, p.bias_us)).collect();
-    evidence::in_step(&places, track.evidence, &footage, settings)?;
+    evidence::in_step(&line, evidence, &footage, settings)?;
 
     let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());

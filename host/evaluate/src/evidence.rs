@@ -5,7 +5,6 @@
 //! missing in frames without a pulse, the train ends where the camera's exposure does,
 //! and it moves with the trigger. What shows nothing of this gives no figure.
 
-use nalgebra::DVector;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -13,7 +12,8 @@ use super::classify::{FrameClass, Seen, frames_of, mean_of};
 use super::fit::{FrameFit, Model};
 use super::footage::Footage;
 use super::stats::{Line, mean, spread};
-use super::track::{Choice, track};
+use super::store::StoredFrame;
+use super::track::{Choice, Track, track};
 use super::train::{Shape, TrainGeometry};
 use super::{EvaluateError, Settings, lamp};
 
@@ -107,23 +107,23 @@ fn ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) -> Optio
     };
     let longer = [false, true].map(|at_end| changed(BEYOND as i32, at_end));
     let shorter = [false, true].map(|at_end| changed(-1, at_end));
-    let lit: Vec<usize> = (0..seen.len())
-        .filter(|&i| {
-            seen.get(i)
-                .is_some_and(|s| s.class != FrameClass::Dark && s.fit.is_train(0.2))
-        })
+    let lit: Vec<(&StoredFrame, &FrameFit)> = footage
+        .frames
+        .iter()
+        .zip(seen)
+        .filter(|(_, s)| s.class != FrameClass::Dark && s.fit.is_train(0.2))
+        .map(|(frame, s)| (frame, &s.fit))
         .collect();
     let found: Vec<(f64, [bool; 2])> = spread(lit.len(), SEARCHED)
         .par_iter()
         .filter_map(|&place| {
-            let index = *lit.get(place)?;
-            let (frame, fit) = (footage.frames.get(index)?, &seen.get(index)?.fit);
+            let &(frame, fit) = lit.get(place)?;
             let y = model.detrend(&frame.rows);
-            let worse = |y: &DVector<f64>, (other, moved): &(Model, f64)| {
-                let rss = other.local(y, &shape.at(fit.bias_us + moved)).rss;
+            let is_worse = |(other, moved): &(Model, f64)| {
+                let rss = other.local(&y, &shape.at(fit.bias_us + moved)).rss;
                 rss > DECIDED * fit.rss
             };
-            let shows = [0, 1].map(|end| worse(&y, &longer[end]) && worse(&y, &shorter[end]));
+            let shows = [0, 1].map(|end| is_worse(&longer[end]) && is_worse(&shorter[end]));
             (shows != [false; 2]).then_some((fit.bias_us, shows))
         })
         .collect();
@@ -159,17 +159,14 @@ fn aligned(footage: &Footage, model: &Model, seen: &[Seen]) -> Option<Evidence> 
     (elsewhere >= FRAMES).then_some(Evidence::Aligned(elsewhere))
 }
 
-/// Refuses bands that move as no depth camera in step does: `points` are seconds and
-/// places, µs.
+/// Refuses bands that move as no depth camera in step does: `line` is their place, µs, over
+/// seconds.
 pub(crate) fn in_step(
-    points: &[(f64, f64)],
+    line: &Line,
     evidence: Option<Evidence>,
     footage: &Footage,
     settings: &Settings,
 ) -> Result<(), EvaluateError> {
-    let Some(line) = Line::fit(points, 1) else {
-        return Ok(());
-    };
     let even = line.residual_sd <= UNEVEN * settings.train.pitch_us;
     let fastest = match evidence {
         // Bars that wander through the picture have ends too, but do not come to rest.
@@ -187,7 +184,11 @@ pub(crate) fn in_step(
     })
 }
 
-/// Evidence in the beginning of a recording of which only a later part is used.
+/// Evidence in a recording, or in its beginning if only a later part is used.
+pub(crate) fn of(track: &Track, footage: &Footage, settings: &Settings) -> Option<Evidence> {
+    track.evidence.or_else(|| before(footage, settings))
+}
+
 fn before(footage: &Footage, settings: &Settings) -> Option<Evidence> {
     let from_s = settings.from_s?;
     let settings = Settings {
@@ -206,7 +207,6 @@ pub(crate) fn doubt(
     footage: &Footage,
     settings: &Settings,
 ) -> Option<EvaluateError> {
-    let evidence = evidence.or_else(|| before(footage, settings));
     evidence.is_none().then(|| EvaluateError::Unproven {
         path: footage.path.clone(),
         lamp: lamp::note(footage, settings),

@@ -110,9 +110,7 @@ impl Model {
 
     /// A profile without its smooth part.
     pub(crate) fn detrend(&self, profile: &[f32]) -> DVector<f64> {
-        let mut y = DVector::from_iterator(profile.len(), profile.iter().map(|&v| v.into()));
-        self.smooth.remove_from(&mut y);
-        y
+        self.smooth.outside(profile)
     }
 
     /// Linearises about `shape`; `y` has no smooth part.

@@ -1,6 +1,6 @@
 //! A name for bands that repeat at a rate of their own.
 
-use nalgebra::Complex;
+use nalgebra::{Complex, DVector};
 
 use super::Settings;
 use super::footage::Footage;
@@ -48,7 +48,7 @@ pub(crate) fn note(footage: &Footage, settings: &Settings) -> Option<String> {
         ),
     };
     Some(format!(
-        "its bands, {:.0} rows apart, are those of a light that flickers at {frequency}",
+        "its bands, {:.0} rows apart, move as those of a light would that flickers at {frequency}",
         bands.rows
     ))
 }
@@ -57,32 +57,25 @@ fn bands(footage: &Footage) -> Option<Bands> {
     let frames = footage.frames.get(..footage.frames.len().min(FRAMES))?;
     let rows = footage.rows.len as f64;
     let smooth = Basis::polynomials(footage.rows.len, 3);
-    let profiles: Vec<_> = frames
-        .iter()
-        .map(|frame| {
-            let rows = frame.rows.iter().map(|&v| f64::from(v));
-            let mut y = nalgebra::DVector::from_iterator(frame.rows.len(), rows);
-            smooth.remove_from(&mut y);
-            y
-        })
-        .collect();
-    let total: f64 = profiles.iter().map(|y| y.norm_squared()).sum();
+    let profiles: Vec<DVector<f64>> = frames.iter().map(|f| smooth.outside(&f.rows)).collect();
+    let total: f64 = profiles.iter().map(DVector::norm_squared).sum();
     let at = |periods: f64| -> Vec<Complex<f64>> {
         let turn = -std::f64::consts::TAU * periods / rows;
         let wave = |(i, v): (usize, &f64)| Complex::from_polar(*v, turn * i as f64);
-        let sum = |y: &nalgebra::DVector<f64>| y.iter().enumerate().map(wave).sum();
+        let sum = |y: &DVector<f64>| y.iter().enumerate().map(wave).sum();
         profiles.iter().map(sum).collect()
     };
     let power = |waves: &[Complex<f64>]| waves.iter().map(Complex::norm_sqr).sum::<f64>();
     let [from, to, step] = PERIODS;
     let steps = ((to.min(rows / 8.0) - from) / step).max(0.0) as usize;
-    let (periods, waves) = (0..=steps)
+    let (periods, power) = (0..=steps)
         .map(|i| from + step * i as f64)
-        .map(|periods| (periods, at(periods)))
-        .max_by(|a, b| power(&a.1).total_cmp(&power(&b.1)))?;
-    if 2.0 * power(&waves) < SHARE * rows * total {
+        .map(|periods| (periods, power(&at(periods))))
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+    if 2.0 * power < SHARE * rows * total {
         return None;
     }
+    let waves = at(periods);
     let gaps: Vec<f64> = frames
         .windows(2)
         .filter_map(|w| Some(w.get(1)?.time_s - w.first()?.time_s))

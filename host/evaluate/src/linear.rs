@@ -67,6 +67,13 @@ impl Basis {
         *y -= inside;
     }
 
+    /// The part of a profile outside the basis.
+    pub(crate) fn outside(&self, profile: &[f32]) -> DVector<f64> {
+        let mut y = DVector::from_iterator(profile.len(), profile.iter().map(|&v| v.into()));
+        self.remove_from(&mut y);
+        y
+    }
+
     /// Coefficients of the part of `y` inside the basis.
     pub(crate) fn coefficients(&self, y: &DVector<f64>) -> DVector<f64> {
         self.columns.tr_mul(y)

@@ -172,8 +172,11 @@ fn measure(
     let (footage, track) = settled(footage, settings, frames.max(1))?;
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
     let places: Vec<(f64, f64)> = track.points.iter().map(|p| (p.time_s, p.bias_us)).collect();
-    evidence::in_step(&places, track.evidence, &footage, settings)?;
     let line = Line::fit(&places, 1);
+    let evidence = evidence::of(&track, &footage, settings);
+    if let Some(line) = &line {
+        evidence::in_step(line, evidence, &footage, settings)?;
+    }
     let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let sigma_us = allowance * track.joint.mean_sigma_us.max(scatter);
@@ -207,12 +210,12 @@ fn measure(
         amplitude: mean(&amplitudes),
         frame_sd_us: standard_deviation(&biases),
         identity: track.identity.clone(),
-        evidence: track.evidence,
+        evidence,
         frames: track.counts,
         reference: track.reference,
         notes,
     };
-    let doubt = evidence::doubt(track.evidence, &footage, settings);
+    let doubt = evidence::doubt(evidence, &footage, settings);
     let evaluated = Evaluated {
         result,
         shown: Shown::new(&footage, &track, settings),
