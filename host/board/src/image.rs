@@ -109,22 +109,11 @@ fn marked(flash: &[u8]) -> Option<(BoardModel, String, String)> {
 mod tests {
     use super::*;
 
-    /// The suffix by its document: fields from the last byte backwards.
     fn image(mark: &str) -> Vec<u8> {
-        let mut bytes = vec![0xA5; 5_000];
-        bytes.extend(mark.bytes());
-        bytes.extend([0xFF; 100]);
-        bytes.extend([0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x00, 0x01]);
-        bytes.extend(b"UFD\x10");
-        let mut crc = u32::MAX;
-        for byte in &bytes {
-            crc ^= u32::from(*byte);
-            for _ in 0..8 {
-                crc = (crc >> 1) ^ (if crc & 1 == 1 { 0xEDB8_8320 } else { 0 });
-            }
-        }
-        bytes.extend(crc.to_le_bytes());
-        bytes
+        let mut flash = vec![0xA5; 5_000];
+        flash.extend(mark.bytes());
+        flash.extend([0xFF; 100]);
+        test_support::dfu_image(flash)
     }
 
     const MARK: &str = "SmartDepthSync image;black-pill;0.1.0;0123456789ab;";

@@ -1,5 +1,5 @@
 //! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
-//! and processes that are interrupted.
+//! images of firmware, and processes that are interrupted.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,6 +13,23 @@ pub mod interrupts;
 pub mod python;
 
 use std::path::{Path, PathBuf};
+
+/// An image of firmware for `dfu-util`: what goes into the flash, and the suffix by its document
+/// (USB DFU 1.1, appendix B), its CRC bit by bit.
+#[must_use]
+pub fn dfu_image(flash: Vec<u8>) -> Vec<u8> {
+    let mut bytes = flash;
+    bytes.extend(b"\xFF\xFF\x11\xDF\x83\x04\x00\x01UFD\x10");
+    let mut crc = u32::MAX;
+    for byte in &bytes {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = (crc >> 1) ^ (if crc & 1 == 1 { 0xEDB8_8320 } else { 0 });
+        }
+    }
+    bytes.extend(crc.to_le_bytes());
+    bytes
+}
 
 /// The workspace's folder.
 #[must_use]

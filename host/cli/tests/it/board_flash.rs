@@ -34,20 +34,10 @@ esac
 exit 0
 "#;
 
-/// An image whose suffix is made here bit by bit.
 fn image(board: &str, revision: &str) -> Vec<u8> {
-    let mut bytes = vec![0x5A; 3_000];
-    bytes.extend(format!("SmartDepthSync image;{board};0.1.0;{revision};").bytes());
-    bytes.extend(*b"\xFF\xFF\x11\xDF\x83\x04\x00\x01UFD\x10");
-    let mut crc = u32::MAX;
-    for byte in &bytes {
-        crc ^= u32::from(*byte);
-        for _ in 0..8 {
-            crc = (crc >> 1) ^ (if crc & 1 == 1 { 0xEDB8_8320 } else { 0 });
-        }
-    }
-    bytes.extend(crc.to_le_bytes());
-    bytes
+    let mut flash = vec![0x5A; 3_000];
+    flash.extend(format!("SmartDepthSync image;{board};0.1.0;{revision};").bytes());
+    test_support::dfu_image(flash)
 }
 
 /// A board that is off the bus while `rom` is there, and runs `revision` afterwards.
