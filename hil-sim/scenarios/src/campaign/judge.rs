@@ -328,11 +328,10 @@ fn judge_time_of_day(plan: &Plan, ended: &Ended, folder: &Path, zero: SimTime) -
         // While the host does not read, the board's messages grow old before it has them.
         let stalls = plan.events.iter().filter(|e| e.fault == Fault::HostStalled);
         let waited_s = stalls
-            .filter(|e| {
-                let began = e.begins(ended.happened.began).as_secs_f64();
-                (began - HOST_TIME_S..began + e.for_us as f64 * 1e-6).contains(&at)
-            })
-            .map(|e| e.for_us as f64 * 1e-6)
+            .map(|e| [e.begins(ended.happened.began), e.ends(ended.happened.began)])
+            .map(|times| times.map(|time| time.as_secs_f64()))
+            .filter(|[from, to]| (from - HOST_TIME_S..*to).contains(&at))
+            .map(|[from, to]| to - from)
             .fold(0.0, f64::max);
         let is_near = |step_s: i64| {
             (-HOST_TIME_S..HOST_TIME_S + waited_s).contains(&(recorded_s - at - step_s as f64))

@@ -12,8 +12,9 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Paragraph, Wrap};
 
 use protocol::Ticks;
+use recording::session_file::micros_text;
 
-use super::plain::{known, line, lock};
+use super::plain::{line, lock};
 use super::state::{Keys, State, Twist};
 
 /// Below this the chart is left out.
@@ -431,8 +432,9 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
     let known = state.phase_now().map(|now| {
         let style = if now.is_assumed { WARN } else { GOOD };
         // Terminals need not have the sign.
-        let text = known(&now).replace("± ", "+-").replace('µ', "u");
-        let text = text.replace(" until measured", ", unmeasured");
+        let sigma = micros_text(now.sigma_us).replace('µ', "u");
+        let basis = if now.is_assumed { ", unmeasured" } else { "" };
+        let text = format!("phase known to +-{sigma}{basis}");
         Line::styled(text, style.add_modifier(Modifier::BOLD))
     });
     let mut lines: Vec<Line<'_>> = known.into_iter().collect();

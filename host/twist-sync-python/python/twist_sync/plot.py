@@ -156,14 +156,14 @@ def _draw(
             for panel in panels[1:5]:
                 panel.axvspan(stretch.start, stretch.end, color="tab:pink", alpha=0.2)
     _offset(panels[5], found, (max(on_a[0], t_a[0]), min(on_a[-1], t_a[-1])), first, names[0])
-    middle = relation.at(
+    stated = relation.at(
         first + found.clock.reference
         if isinstance(found, Estimate)
         else 0.5 * (on_a[0] + on_a[-1])
     )
     before.set_title(
-        f"{names[1]} - {names[0]}: ± {middle.offset_sigma * 1e6:.2f} µs, "
-        f"skew {middle.skew * 1e6:+.1f} ± {middle.skew_sigma * 1e6:.1f} ppm"
+        f"{names[1]} - {names[0]}: ± {stated.offset_sigma * 1e6:.2f} µs, "
+        f"skew {stated.skew * 1e6:+.1f} ± {stated.skew_sigma * 1e6:.1f} ppm"
     )
 
 
