@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 
+use crate::reference::Reference;
 use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
@@ -28,12 +29,14 @@ const SOURCES: [&str; 6] = [
 
 /// Fails on any broken local link of the book.
 pub(crate) fn check() -> Result<()> {
-    check_links(&process::root().join("docs"), &process::root())
+    check_links(&make(false)?, &process::root())
 }
 
 /// Builds the book into `target/book` and fails on any broken local link.
 pub(crate) fn build_and_check() -> Result<()> {
-    check()?;
+    process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
+    let source = make(true)?;
+    check_links(&source, &process::root())?;
     let mdbook = tools::ensure_cargo_tool(
         "mdbook",
         MDBOOK_VERSION,
@@ -42,11 +45,33 @@ pub(crate) fn build_and_check() -> Result<()> {
     let book = process::target_dir().join("book");
     process::run(
         process::command(mdbook)
-            .args(["build", "docs", "--dest-dir"])
+            .arg("build")
+            .arg(&source)
+            .arg("--dest-dir")
             .arg(&book),
     )?;
     println!("the book: {}", book.join("index.html").display());
     Ok(())
+}
+
+/// Copies the pages, with [what is made from the code](crate::reference), to where they are built.
+fn make(with_help: bool) -> Result<PathBuf> {
+    let root = process::root();
+    let reference = Reference::read(&root)?;
+    let source = process::fresh_folder("book-source")?;
+    let docs = root.join("docs");
+    for path in process::files_below(&docs)? {
+        let target = source.join(path.strip_prefix(&docs)?);
+        fs::create_dir_all(target.parent().unwrap_or(&source))?;
+        if path.extension().is_some_and(|extension| extension == "md") {
+            let page = fs::read_to_string(&path)?;
+            let page = reference.expand(&page, &root, with_help);
+            fs::write(&target, page.with_context(|| path.display().to_string())?)?;
+        } else {
+            fs::copy(&path, &target)?;
+        }
+    }
+    Ok(source)
 }
 
 /// A page's links and the anchors that it offers.
@@ -190,6 +215,12 @@ fn slug(title: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What the pages ask for is in the sources, and no link of them is broken.
+    #[test]
+    fn the_pages_of_this_tree_are_whole() {
+        check().unwrap();
+    }
 
     #[test]
     fn headings_become_mdbook_slugs() {

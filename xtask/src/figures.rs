@@ -16,7 +16,7 @@ const TERMINAL: (&str, &str) = ("80", "24");
 /// How long the live view may take to show a recording.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Makes the figures anew, into `docs/figures`.
+/// Makes the figures again, into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
     tools::ensure_program("tmux", "tmux")?;
@@ -25,9 +25,26 @@ pub(crate) fn make() -> Result<()> {
     let python = tools::ensure_python()?;
     let figures = process::root().join("docs/figures");
     fs::create_dir_all(&figures).with_context(|| format!("cannot make {}", figures.display()))?;
-    imu_twist(&elf, &python, &figures.join("imu-twist.svg"))?;
-    live_view(&elf, &python, &figures.join("live-view.svg"))?;
-    report(&elf, &python, &figures.join("report.png"))
+    let place = process::fresh_folder("figures-demo")?;
+    process::hil_sim(
+        &["demo".as_ref(), "--out".as_ref(), place.as_os_str()],
+        &elf,
+    )?;
+    alignment(&place, &python, &figures.join("alignment.svg"))?;
+    report(&place, &python, &figures.join("report.png"))?;
+    live_view(&elf, &python, &figures.join("live-view.svg"))
+}
+
+/// How the trigger moves onto the phone's frames in the demo's second session.
+fn alignment(demo: &Path, python: &Path, figure: &Path) -> Result<()> {
+    process::run(
+        process::command(python)
+            .arg(process::root().join("xtask/figures/alignment.py"))
+            .arg(demo.join("recording-euroc"))
+            .arg(figure),
+    )?;
+    println!("{}", figure.display());
+    Ok(())
 }
 
 /// The live view of a recording on the simulated rig.
@@ -98,22 +115,20 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
 }
 
 /// The report of the demo's data set, as a browser shows its beginning.
-fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let place = process::fresh_folder("figures-demo")?;
-    process::hil_sim(&["demo".as_ref(), "--out".as_ref(), place.as_os_str()], elf)?;
-    let shot = place.join("report.png");
+fn report(demo: &Path, python: &Path, figure: &Path) -> Result<()> {
+    let shot = demo.join("report.png");
     let mut browser = process::command("chromium");
     browser
         .args("--headless=new --no-sandbox --disable-gpu --hide-scrollbars".split(' '))
         .args("--log-level=3 --window-size=900,1905 --virtual-time-budget=4000".split(' '))
         .arg(format!(
             "--user-data-dir={}",
-            place.join("browser").display()
+            demo.join("browser").display()
         ))
         .arg(format!("--screenshot={}", shot.display()))
         .arg(format!(
             "file://{}",
-            place.join("recording-euroc/report.html").display()
+            demo.join("recording-euroc/report.html").display()
         ));
     process::run(&mut browser)?;
     process::run(
@@ -149,27 +164,6 @@ impl Drop for Terminal {
         // The server may have ended with its program.
         let _ = self.run(&["kill-server"]);
     }
-}
-
-/// A hand twist on the simulated rig, recorded by the host tool.
-fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let csv = process::target_dir().join("imu-twist.csv");
-    let rig = Rig::start(elf, &["--motion", "rest:3.5,twist:8,rest"])?;
-    process::run(
-        process::command(process::program("smartdepthsync"))
-            .args(["imu", "--port", &rig.port, "--seconds", "12"])
-            .args(["--overwrite", "--csv"])
-            .arg(&csv),
-    )?;
-    drop(rig);
-    process::run(
-        process::command(python)
-            .arg(process::root().join("xtask/figures/imu_twist.py"))
-            .arg(&csv)
-            .arg(figure),
-    )?;
-    println!("{}", figure.display());
-    Ok(())
 }
 
 /// A running `hil-sim serve`, which ends with this value.

