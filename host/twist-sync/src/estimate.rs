@@ -367,10 +367,12 @@ fn related(
     let mut fit = settings.fitted(&signals, start)?;
     let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
     let mut late_axis = None;
+    let first = fit.link;
+    let mut late = axes::found(&fit, settings.fit.oversampling);
     if options.handle_faults {
         // What is late beyond doubt would be taken for faults.
-        let late = axes::found(&fit, settings.fit.oversampling);
         late_axis = late
+            .as_ref()
             .and_then(|late| late.axis)
             .filter(|late| late.probability > BEYOND_DOUBT && late.by.value.abs() > MUCH_LATER_S);
         if let Some(late) = &late_axis {
@@ -389,7 +391,10 @@ fn related(
     flexing::include_mount(&mut fit, &settings);
     // An axis that was advanced says nothing more about the offset.
     let least = late_axis.map_or(0.0, |late| late.variance);
-    if let Some(late) = axes::found(&fit, settings.fit.oversampling) {
+    if fit.link != first {
+        late = axes::found(&fit, settings.fit.oversampling);
+    }
+    if let Some(late) = late {
         fit.link.at_model += late.shift_s;
         let wider = (late.variance.max(least) / fit.covariance[(0, 0)]).max(1.0);
         let wider = Matrix2::from_diagonal(&Vector2::new(wider.sqrt(), 1.0));

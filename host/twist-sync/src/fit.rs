@@ -26,8 +26,8 @@ use crate::robust::median;
 use crate::signal::Signal;
 
 /// So far, in seconds, the slope of the model carries: what bends off is `½·x″·t²`, below
-/// 10⁻⁸ rad/s at 4 rad/s and 10 Hz.
-const CARRIES_S: f64 = 1e-6;
+/// 10⁻⁶ rad/s at 4 rad/s and 10 Hz, and mean-free in the shift's score.
+const CARRIES_S: f64 = 10e-6;
 
 /// 1-sigma of the prior of the rate: two crystals.
 pub(crate) const RATE_SIGMA: f64 = 300e-6;
@@ -315,7 +315,7 @@ pub(crate) fn fit(
     let mut last_s = f64::INFINITY;
     for iteration in 0..options.iterations {
         view.look(&link, &calibration, &mut nodes)?;
-        if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
+        if weights.is_none() && (1..WEIGHTS_FROZEN).contains(&iteration) {
             (weights_now, quiet) = residual_weights(&mut nodes, options.oversampling);
         } else {
             quiet.apply(&mut nodes);
@@ -377,7 +377,7 @@ pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix
 const SETTLED_SIGMAS: f64 = 0.02;
 
 /// Iteration from which the weights stay, so that the fit settles.
-const WEIGHTS_FROZEN: usize = 5;
+const WEIGHTS_FROZEN: usize = 4;
 
 /// Weights over time: below 1 in stretches whose residual is well above the usual.
 #[derive(Debug, Clone, Default)]

@@ -217,7 +217,7 @@ fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usiz
 pub(crate) fn noise_of(against: &[Against]) -> Vec3 {
     std::array::from_fn(|axis| {
         let errors: Vec<f64> = against.iter().map(|a| a.error[axis]).collect();
-        robust::mad_sigma(errors)
+        robust::mad_sigma_about_zero(errors)
             .filter(|sigma| sigma.is_finite())
             .unwrap_or(0.0)
     })

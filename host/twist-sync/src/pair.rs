@@ -54,15 +54,15 @@ pub(crate) struct Settings {
 
 impl Settings {
     pub(crate) fn new(low_pass_hz: f64, pair: &Pair<'_>) -> Self {
-        let kernel_s = kernel_sigma_s(low_pass_hz);
-        let step_s = 0.75 * kernel_s;
+        // Sums of products of what the kernel leaves are exact to exp(−π²) on this grid.
+        let step_s = kernel_sigma_s(low_pass_hz);
         let in_band = |s: &CheckedStream<'_>| s.smooth_noise(low_pass_hz).powi(2);
         Self {
             low_pass_hz,
             step_s,
             fit: FitOptions {
                 iterations: 40,
-                settled_s: 1e-9,
+                settled_s: 10e-9,
                 oversampling: (kernel_length_s(low_pass_hz) / step_s).max(1.0),
                 noise_variance: in_band(&pair.model) + in_band(&pair.data),
                 memory_s: 0.3,

@@ -76,9 +76,13 @@ pub(crate) fn higher(a: f64, b: f64) -> f64 {
 #[must_use]
 pub fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
     let centre = median_in_place(&mut values)?;
-    for value in &mut values {
-        *value = (*value - centre).abs();
-    }
+    values.iter_mut().for_each(|value| *value -= centre);
+    mad_sigma_about_zero(values)
+}
+
+/// The same of values about zero.
+pub(crate) fn mad_sigma_about_zero(mut values: Vec<f64>) -> Option<f64> {
+    values.iter_mut().for_each(|value| *value = value.abs());
     Some(1.482_602_218_505_602 * median_in_place(&mut values)?)
 }
 

@@ -161,6 +161,10 @@ fn spikes(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
     let mut hit = vec![false; w.len()];
     for axis in 0..3 {
         let values: Vec<f64> = kept.iter().map(|&k| w[k][axis]).collect();
+        // Far from the median of four on either side is far from one of them.
+        if values.windows(2).all(|p| (p[1] - p[0]).abs() < SPIKE / 4.0) {
+            continue;
+        }
         let off = robust::without_local_median(&values);
         for at in (0..off.len()).filter(|&at| off[at].abs() > SPIKE) {
             let around = at.saturating_sub(4)..(at + 5).min(values.len());
@@ -213,11 +217,14 @@ fn clipped(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<usize> {
 fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
     let Samples { t, w, step_s } = samples;
     let is_near = |k: usize| usable[k - 1] && usable[k] && usable[k + 1];
-    let bend = |k: usize, axis: usize| {
+    // Distance of each sample but the first and last from the line between its neighbours.
+    let bend = |k: usize| -> Vec3 {
         let (before, after) = (t[k] - t[k - 1], t[k + 1] - t[k]);
-        let line = (w[k - 1][axis] * after + w[k + 1][axis] * before) / (before + after);
-        (w[k][axis] - line).abs()
+        let part = after / (before + after);
+        let line = |axis: usize| w[k + 1][axis] + (w[k - 1][axis] - w[k + 1][axis]) * part;
+        std::array::from_fn(|axis| (w[k][axis] - line(axis)).abs())
     };
+    let bends: Vec<Vec3> = (1..w.len().saturating_sub(1)).map(bend).collect();
     let (mut triples, mut straight, mut single) = (0.0, 0.0, [0.0; 3]);
     for k in (3..w.len().saturating_sub(3)).filter(|&k| is_near(k)) {
         if (0..3).any(|axis| w[k][axis] == w[k - 1][axis] || w[k][axis] == w[k + 1][axis]) {
@@ -225,8 +232,8 @@ fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
         }
         triples += 1.0;
         let on_line = |axis: usize| {
-            let around = [k - 2, k - 1, k + 1, k + 2].map(|near| bend(near, axis));
-            bend(k, axis) < 1e-3 * around.into_iter().fold(0.0, robust::higher)
+            let around = [k - 3, k - 2, k, k + 1].map(|near| bends[near][axis]);
+            bends[k - 1][axis] < 1e-3 * around.into_iter().fold(0.0, robust::higher)
         };
         let each: [bool; 3] = std::array::from_fn(on_line);
         if each == [true; 3] {

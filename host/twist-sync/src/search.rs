@@ -134,10 +134,11 @@ fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
         let mean = bins.iter().sum::<f64>() / bins.len().max(1) as f64;
         correlator.spectrum(bins.iter().map(|bin| bin - mean))
     };
-    let correlation = correlator.correlation(&spectrum(a), &spectrum(b));
+    let (a, b) = (spectrum(a), spectrum(b));
+    let correlation = correlator.correlations([(&a, &b); 2]);
     let length = correlation.len();
     let mut order: Vec<usize> = (0..length).collect();
-    order.sort_unstable_by(|&x, &y| correlation[y].total_cmp(&correlation[x]));
+    order.sort_unstable_by(|&x, &y| correlation[y].re.total_cmp(&correlation[x].re));
     let lag = |place: usize| {
         if place < length / 2 {
             place as i64
