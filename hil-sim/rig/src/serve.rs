@@ -71,7 +71,7 @@ pub struct Args {
     /// commands of a session.
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
-    /// Wire the board for `smartdepthsync bring-up` instead of a camera. Lines on standard
+    /// Wire the board for `smartdepthsync board test` instead of a camera. Lines on standard
     /// input move the wires: `strobe PE11`, `strobe PA5`, `readback off`, `readback on`,
     /// `sda low`, `sda free`.
     #[arg(long, conflicts_with = "phone")]
@@ -174,9 +174,10 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(path), Some(phone)) => {
             let own = std::env::current_exe().context("where is this program?")?;
             let table = Table::new(rig.parts(), phone, &own)?;
-            std::fs::write(path, rig.profile()? + &table.recorder())
+            let port = format!("port = \"{}\"\n", rig.port().display());
+            std::fs::write(path, port + &rig.profile()? + &table.recorder())
                 .with_context(|| format!("cannot write {}", path.display()))?;
-            print!("{}", table.commands(rig.port(), path));
+            print!("{}", table.commands(path));
             Some(table)
         }
         _ => None,

@@ -91,18 +91,17 @@ impl Table {
     }
 
     /// The commands of two sessions and a data set, to be pasted.
-    pub(crate) fn commands(&self, port: &Path, profile: &Path) -> String {
+    pub(crate) fn commands(&self, profile: &Path) -> String {
         let profile = match profile.as_os_str() == "rig.toml" {
             true => String::new(),
             false => format!(" --profile {}", profile.display()),
         };
-        let port = port.display();
         format!(
             "\nIn a second terminal, in this folder:\n\n\
              export PATH={}:$PATH\n\
-             smartdepthsync doctor --port {port}{profile}\n\
-             smartdepthsync record --port {port}{profile} --yes --calibrate\n\
-             smartdepthsync record --port {port}{profile} --yes --duration 30s --fetch-video\n\
+             smartdepthsync doctor{profile}\n\
+             smartdepthsync record{profile} --yes --calibrate\n\
+             smartdepthsync record{profile} --yes --duration 30s\n\
              smartdepthsync extract\n\n",
             self.programs.display()
         )

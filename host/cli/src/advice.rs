@@ -58,7 +58,7 @@ impl Advice for BoardError {
             }
             Self::NotThisBoard { .. } => {
                 let step = format!(
-                    "choose another port (`smartdepthsync ports` marks boards), or {FLASH}"
+                    "choose another port (`smartdepthsync board list` marks boards), or {FLASH}"
                 );
                 return (ExitStatus::NotThisBoard, step.into());
             }
@@ -99,7 +99,7 @@ impl Advice for SessionError {
             Self::NoAddress { .. } => (
                 ExitStatus::Usage,
                 "set `address` in `[phone]` of the rig profile (`smartdepthsync setup` asks for \
-                 it), or give --phone HOST, as the app's dialog shows it",
+                 it), as the app's dialog shows it",
             ),
             Self::Recorder(_) => (
                 ExitStatus::DepthRecorder,
@@ -129,7 +129,7 @@ impl Advice for SessionError {
             ),
             Self::NotArrived { .. } => (
                 ExitStatus::NoAnswer,
-                "look at `smartdepthsync trigger status`, then record again",
+                "look at `smartdepthsync board trigger status`, then record again",
             ),
             Self::LinkLost { .. } => (ExitStatus::LinkLost, ExitStatus::LinkLost.next_step()),
             Self::BoardReset { .. } => (
@@ -185,7 +185,7 @@ pub(crate) fn remedy(event: &SessionEvent) -> &str {
         E::TwistDue { .. } => "stop, and record again when the phase matters",
         E::NotStopped { what, .. } => match what {
             Device::Video(_) => "stop the video on the phone",
-            Device::Trigger => "stop it: `smartdepthsync trigger stop`",
+            Device::Trigger => "stop it: `smartdepthsync board trigger stop`",
             Device::Output => "press the board's reset button",
         },
         _ => REPORT,
@@ -196,13 +196,13 @@ pub(crate) fn remedy(event: &SessionEvent) -> &str {
 pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
     match refusal {
         Refusal::TriggerRunning | Refusal::OutputRunning => {
-            "stop it first: `smartdepthsync trigger stop`"
+            "stop it first: `smartdepthsync board trigger stop`"
         }
-        Refusal::TriggerStopped => "start it first: `smartdepthsync trigger start`",
+        Refusal::TriggerStopped => "start it first: `smartdepthsync board trigger start`",
         Refusal::AlignInProgress => {
-            "wait until it has arrived; `smartdepthsync trigger status` shows when"
+            "wait until it has arrived; `smartdepthsync board trigger status` shows when"
         }
-        Refusal::GnssRunning => "stop it first: `smartdepthsync gnss stop`",
+        Refusal::GnssRunning => "stop it first: `smartdepthsync board pps stop`",
         Refusal::GnssStopping => "repeat it in a second",
         Refusal::NotKept => "reset the board and repeat it",
         Refusal::WrongKey => "nothing was changed; repeat it",
@@ -228,11 +228,11 @@ impl Advice for BringUpError {
             Self::Board(error) => return error.advice(),
             Self::Reset => (
                 ExitStatus::Error,
-                "`smartdepthsync info` says why; measure part by part with --part to find out when",
+                "`smartdepthsync board info` says why; measure part by part with --part to find out when",
             ),
             Self::InUse => (
                 ExitStatus::Refused,
-                "end the other program, or stop it: `smartdepthsync trigger stop`",
+                "end the other program, or stop it: `smartdepthsync board trigger stop`",
             ),
             Self::Stopped => (ExitStatus::Interrupted, ExitStatus::Interrupted.next_step()),
         };
@@ -261,7 +261,7 @@ impl Advice for OpenError {
             Self::NotFound { .. } => (ExitStatus::NoPort, ExitStatus::NoPort.next_step()),
             Self::NotAPort { .. } => (
                 ExitStatus::NotThisBoard,
-                "give the board's serial port to --port; `smartdepthsync ports` lists them",
+                "give the board's serial port to --port; `smartdepthsync board list` lists them",
             ),
             Self::Other { .. } => (
                 ExitStatus::Error,
@@ -334,7 +334,7 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
             "force the app to stop in the phone's settings (Apps, OpenCamera Sensors), and open it again. Its video is whole: it lies on the phone. Storage without the storage access framework avoids this"
         }
         PhoneError::Timeout { .. } => {
-            "bring the app to the foreground and close other clients: it serves one at a time. On a slow network, see whether it answers at all: `smartdepthsync phone imu --timeout 60 --phone HOST`"
+            "bring the app to the foreground and close other clients: it serves one at a time. On a slow network, see whether it answers at all: `smartdepthsync phone imu --timeout 60s --phone HOST`"
         }
         PhoneError::TooSlow { .. } => "move the phone closer to the access point, or use a cable",
         PhoneError::Closed { request, .. } if *request == "get_video" => {
@@ -375,10 +375,10 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
             "connect the phone by USB with USB debugging switched on, and allow this computer on its screen; or `adb connect`"
         }
         AdbError::SeveralDevices { .. } => {
-            "leave one phone connected, or follow none: `record --no-track`"
+            "leave one phone connected, or follow none: `record --track never`"
         }
         AdbError::NoAgent { .. } => {
-            "build everything together (`cargo xtask build`), or record with `--no-track`"
+            "build everything together (`cargo xtask build`), or record with `--track never`"
         }
         AdbError::NotFound { .. } => {
             "the app may save elsewhere, or the files of the video be deleted: copy them by hand, and give their folder to `extract --phone`"
@@ -440,7 +440,7 @@ impl Advice for RecordingError {
             }
             Self::Mcap { .. } => {
                 "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
-                 what is wrong with one, `smartdepthsync repair` saves what can be read"
+                 what is wrong with one, `smartdepthsync verify --repair OUT` saves what can be read"
             }
             Self::Io { source, .. } => file_step(source.kind()),
             Self::NoRecording { .. } => bag_step(self),

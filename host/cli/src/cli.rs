@@ -28,10 +28,10 @@ use crate::terminal::{Shown, harmless};
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
 #[derive(Debug, Parser)]
 #[command(name = "smartdepthsync", version, max_term_width = 100)]
-#[command(
-    after_help = "Exit codes: 0 good, 3 refused, 4 finished with loss, 5 to 14 errors \
-    with a reason, 130 interrupted. All of them: docs/exit-codes.md."
-)]
+#[command(after_help = "Example: smartdepthsync setup\n\
+    Exit codes: 0 good, 2 usage, 3 refused, 4 finished with loss, 5 no port, 6 no permission, \
+    7 busy, 8 not this board, 9 another version, 10 no answer, 11 link lost, 12 phone, \
+    13 storage, 14 depth recorder, 130 interrupted; 1 any other error.")]
 pub struct Cli {
     /// Options of every subcommand.
     #[command(flatten)]
@@ -44,69 +44,47 @@ pub struct Cli {
 /// The subcommands, in the order of their use.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// List the serial ports, and which look like the board
-    Ports,
-    /// Show who the board is: ID, firmware, uptime, last reset
-    Info(commands::info::Args),
-    /// The board itself: put firmware on it
-    Board(commands::board::Args),
-    /// Measure whether a new board does what it must, with a report to send
-    BringUp(commands::bring_up::Args),
     /// Make the profile of a rig by questions, check the rig, and name the next command
     Setup(commands::setup::Args),
     /// Check that the rig is ready for a recording; each problem is listed with its fix
     Doctor(commands::doctor::Args),
     /// Record: twist, align the trigger to the phone's frames, record, stop
     Record(commands::record::Args),
-    /// Check a recording: checksums, losses, the pulses' grid, times
-    Verify(commands::verify::Args),
     /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, ROS, ...
     Extract(commands::extract::Args),
     /// Measure frame sync from the depth camera's strobes on the phone's video
     Evaluate(commands::evaluate::Args),
-    /// Write the HTML report of a recording again
-    Report(commands::report::Args),
-    /// Repair a damaged recording: write what can be read as a new one
-    Repair(commands::repair::Args),
-    /// Make, check and teach a rig profile by hand
-    Profile(commands::profile::Args),
+    /// Check a recording, and write its report again
+    Verify(commands::verify::Args),
     /// Look at the board live: trigger, gyroscope, rates, losses
     Monitor(commands::monitor::Args),
+    /// Use the board by hand: list, info, flash, test, trigger, imu, pps
+    Board(commands::board::Args),
     /// Talk to the phone's app
     Phone(commands::phone::Args),
-    /// The camera trigger by hand: start, align, period, stop, status
-    Trigger(commands::trigger::Args),
-    /// Pulse per second and NMEA sentences for a lidar: start, stop, status
-    Gnss(commands::gnss::Args),
-    /// Stream the board's IMU: rate, jitter, noise; to a CSV file
-    Imu(commands::imu::Args),
+    /// Make, check and teach a rig profile by hand
+    Profile(commands::profile::Args),
     /// Print the completions for a shell
+    #[command(hide = true)]
     Completions(commands::completions::Args),
     /// Write the manual pages into a folder
+    #[command(hide = true)]
     Man(commands::man::Args),
 }
 
 impl Command {
     fn run(&self, context: &Context) -> Result<ExitStatus, Failure> {
         match self {
-            Self::Board(args) => commands::board::run(args, context),
-            Self::Info(args) => commands::info::run(args, context),
-            Self::Evaluate(args) => commands::evaluate::run(args, context),
-            Self::Ports => commands::ports::run(context),
-            Self::Phone(args) => commands::phone::run(args, context),
-            Self::Record(args) => commands::record::run(args, context),
-            Self::Monitor(args) => commands::monitor::run(args, context),
-            Self::Doctor(args) => commands::doctor::run(args, context),
-            Self::BringUp(args) => commands::bring_up::run(args, context),
-            Self::Profile(args) => commands::profile::run(args, context),
-            Self::Trigger(args) => commands::trigger::run(args, context),
-            Self::Gnss(args) => commands::gnss::run(args, context),
-            Self::Imu(args) => commands::imu::run(args, context),
-            Self::Extract(args) => commands::extract::run(args, context),
-            Self::Verify(args) => commands::verify::run(args, context),
             Self::Setup(args) => commands::setup::run(args, context),
-            Self::Report(args) => commands::report::run(args, context),
-            Self::Repair(args) => commands::repair::run(args, context),
+            Self::Doctor(args) => commands::doctor::run(args, context),
+            Self::Record(args) => commands::record::run(args, context),
+            Self::Extract(args) => commands::extract::run(args, context),
+            Self::Evaluate(args) => commands::evaluate::run(args, context),
+            Self::Verify(args) => commands::verify::run(args, context),
+            Self::Monitor(args) => commands::monitor::run(args, context),
+            Self::Board(args) => commands::board::run(args, context),
+            Self::Phone(args) => commands::phone::run(args, context),
+            Self::Profile(args) => commands::profile::run(args, context),
             Self::Completions(args) => commands::completions::run(args, Cli::command(), context),
             Self::Man(args) => commands::man::run(args, Cli::command(), context),
         }
@@ -133,7 +111,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
             };
         }
     };
-    start_log(cli.global.verbose);
+    start_log(&cli.global);
     let interrupt = Interrupt::default();
     if let Err(error) = interrupt.install() {
         tracing::warn!("Ctrl-C ends the program at once: {error}");
@@ -157,7 +135,7 @@ fn tell_failure(context: &Context, failure: &Failure) {
         return print_error(failure);
     }
     let step = failure.what_to_do();
-    let text = format!("error: {failure}\n  what to do: {step}\n");
+    let text = format!("error: {failure}\nhelp: {step}\n");
     let text = harmless(&text, Shown::ForPeople);
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
@@ -182,8 +160,9 @@ fn outlive_largest_file() {
     }
 }
 
-fn start_log(verbose: u8) {
-    let level = match verbose {
+fn start_log(global: &Global) {
+    let level = match global.verbose {
+        0 if global.quiet => LevelFilter::ERROR,
         0 => LevelFilter::WARN,
         1 => LevelFilter::INFO,
         2 => LevelFilter::DEBUG,

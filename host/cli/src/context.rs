@@ -27,6 +27,9 @@ pub struct Global {
     /// Print the result as JSON
     #[arg(long, global = true, help_heading = GLOBAL)]
     pub json: bool,
+    /// Print results and errors alone
+    #[arg(short, long, global = true, help_heading = GLOBAL, conflicts_with = "verbose")]
+    pub quiet: bool,
     /// Log more on standard error: -v info, -vv debug, -vvv trace
     #[arg(short, long, global = true, help_heading = GLOBAL, action = clap::ArgAction::Count)]
     pub verbose: u8,
@@ -114,10 +117,15 @@ impl Context {
         Ok(write_stdout(&text(), Shown::WithMarks)?)
     }
 
+    /// Whether nobody is to be told how it goes.
+    const fn is_silent(&self) -> bool {
+        self.global.json || self.global.quiet
+    }
+
     /// Says something to the person who waits, on standard error; silent with
-    /// `--json`.
+    /// `--json` and `--quiet`.
     pub(crate) fn say(&self, text: impl AsRef<str>) {
-        if !self.global.json {
+        if !self.is_silent() {
             // Nobody to tell it to if standard error is gone.
             let text = harmless(text.as_ref(), Shown::ForPeople);
             let _ = writeln!(io::stderr().lock(), "{text}");
@@ -126,7 +134,7 @@ impl Context {
 
     /// A progress bar of this length on standard error; hidden where nobody would see it.
     pub(crate) fn progress(&self, length: Option<u64>, template: &str) -> ProgressBar {
-        let is_seen = !self.global.json && io::stderr().is_terminal();
+        let is_seen = !self.is_silent() && io::stderr().is_terminal();
         let target = if is_seen {
             ProgressDrawTarget::stderr()
         } else {

@@ -1,7 +1,7 @@
 //! Decimal numbers of the command line as exact times of the board, and exact times as
 //! decimal numbers.
 //!
-//! `33330.652` µs is 1,599,871.296 ticks, and a period must be exactly that: no
+//! `33330.652us` is 1,599,871.296 ticks, and a period must be exactly that: no
 //! number here ever becomes a float.
 
 use std::time::Duration;
@@ -23,7 +23,7 @@ struct Decimal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum DecimalError {
     /// Not digits with at most one point.
-    #[error("expected a decimal number such as 33330.652")]
+    #[error("expected a decimal number such as 29.97")]
     NotANumber,
     /// More digits than are taken.
     #[error("expected at most {MAX_DIGITS} digits")]
@@ -37,9 +37,9 @@ pub(crate) enum DecimalError {
     /// More than 2³² − 1 ticks.
     #[error("expected less than 89 s")]
     TooLarge,
-    /// Not a second in whole nanoseconds.
-    #[error("expected microseconds with at most three digits after the point, up to 1 s")]
-    NotNanos,
+    /// No number, or none of the units after it.
+    #[error("expected a time such as 33330.652us, 1.5ms or 10s")]
+    NotATime,
 }
 
 impl std::str::FromStr for Decimal {
@@ -63,9 +63,25 @@ impl std::str::FromStr for Decimal {
 }
 
 impl Decimal {
-    /// The number as microseconds, in whole nanoseconds, less any fraction.
-    fn whole_nanos(self) -> u128 {
-        u128::from(self.digits) * 1_000 / self.scale()
+    /// The microseconds of a time with its unit.
+    fn micros(text: &str) -> Result<Self, DecimalError> {
+        const UNITS: [(&str, u32); 5] = [("ns", 0), ("us", 3), ("µs", 3), ("ms", 6), ("s", 9)];
+        let known = UNITS.iter();
+        let (number, nanos) = known
+            .filter_map(|&(unit, zeros)| Some((text.strip_suffix(unit)?, zeros)))
+            .find(|(number, _)| number.ends_with(|c: char| c.is_ascii_digit() || c == '.'))
+            .ok_or(DecimalError::NotATime)?;
+        let Self { digits, places } = match number.parse() {
+            Err(DecimalError::NotANumber) => return Err(DecimalError::NotATime),
+            number => number?,
+        };
+        // Three more places make microseconds of nanoseconds.
+        let places = places + 3;
+        let missing = 10_u64.pow(nanos.saturating_sub(places));
+        Ok(Self {
+            digits: digits.checked_mul(missing).ok_or(DecimalError::TooLarge)?,
+            places: places.saturating_sub(nanos),
+        })
     }
 
     fn scale(self) -> u128 {
@@ -88,13 +104,13 @@ fn period(raw: u128) -> Result<Period, DecimalError> {
         .ok_or(DecimalError::PeriodOutOfRange)
 }
 
-/// For clap: a period in microseconds.
+/// For clap: a period as a time such as `33330.652us`.
 ///
 /// # Errors
 ///
-/// Not a number, or no period that the board takes.
-pub(crate) fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
-    period(text.parse::<Decimal>()?.micros_in_raw_ticks())
+/// Not a time, or no period that the board takes.
+pub(crate) fn parse_period(text: &str) -> Result<Period, DecimalError> {
+    period(Decimal::micros(text)?.micros_in_raw_ticks())
 }
 
 /// For clap: a period as frames a second, `48·10⁶ · 2³² / fps`.
@@ -112,33 +128,37 @@ pub(crate) fn parse_fps(text: &str) -> Result<Period, DecimalError> {
     period(((u128::from(TICK_HZ) << 32) * fps.scale() + digits / 2) / digits)
 }
 
-/// For clap: microseconds as whole ticks, rounded to nearest.
+/// For clap: a time such as `12us` as whole ticks, rounded to nearest.
 ///
 /// # Errors
 ///
-/// Not a number, or too many ticks.
-pub(crate) fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
-    let ticks = (text.parse::<Decimal>()?.micros_in_raw_ticks() + (1 << 31)) >> 32;
+/// Not a time, or too many ticks.
+pub(crate) fn parse_ticks(text: &str) -> Result<u32, DecimalError> {
+    let ticks = (Decimal::micros(text)?.micros_in_raw_ticks() + (1 << 31)) >> 32;
     u32::try_from(ticks).map_err(|_| DecimalError::TooLarge)
 }
 
-/// For clap: microseconds of either sign as whole nanoseconds.
+/// For clap: a time of either sign, such as `-30us` or `1.5ms`, in microseconds.
 ///
 /// # Errors
 ///
-/// Not a number, more than a second, or a part of a nanosecond.
-pub(crate) fn parse_us_nanos(text: &str) -> Result<i64, DecimalError> {
+/// Not a time.
+pub(crate) fn parse_micros(text: &str) -> Result<f64, DecimalError> {
     let (sign, digits) = match text.strip_prefix('-') {
-        Some(digits) => (-1, digits),
-        None => (1, text),
+        Some(digits) => (-1.0, digits),
+        None => (1.0, text),
     };
-    let micros = digits.parse::<Decimal>().ok();
-    let micros = micros.filter(|micros| micros.places <= 3);
-    let nanos = micros.and_then(|micros| i64::try_from(micros.whole_nanos()).ok());
-    nanos
-        .filter(|&nanos| nanos <= 1_000_000_000)
-        .map(|nanos| sign * nanos)
-        .ok_or(DecimalError::NotNanos)
+    let micros = Decimal::micros(digits)?;
+    Ok(sign * micros.digits as f64 / micros.scale() as f64)
+}
+
+/// For clap: a time in seconds.
+///
+/// # Errors
+///
+/// As [`parse_micros`].
+pub(crate) fn parse_seconds(text: &str) -> Result<f64, DecimalError> {
+    parse_micros(text).map(|micros| micros * 1e-6)
 }
 
 /// For clap: a time span such as `90s`, `5m`, `1.5h` or `1h30m` in real time.
@@ -185,18 +205,20 @@ mod tests {
 
     #[test]
     fn a_period_in_microseconds_is_exact() {
+        for (text, picos) in [
+            ("33330.652us", 33_330_652_000),
+            ("33330.652540µs", 33_330_652_540),
+            ("33330652.54ns", 33_330_652_540),
+            ("33.33065254ms", 33_330_652_540),
+            ("0.0333s", 33_300_000_000),
+        ] {
+            assert_eq!(parse_period(text).ok(), Period::from_picos(picos), "{text}");
+        }
+        assert_eq!(parse_period("1000us"), Ok(Period::MIN));
+        assert_eq!(parse_period("1000000.us"), Ok(Period::MAX));
+        assert_eq!(parse_period("1s"), Ok(Period::MAX));
         assert_eq!(
-            parse_period_us("33330.652"),
-            Ok(Period::from_picos(33_330_652_000).unwrap())
-        );
-        assert_eq!(
-            parse_period_us("33330.652540"),
-            Ok(Period::from_picos(33_330_652_540).unwrap())
-        );
-        assert_eq!(parse_period_us("1000"), Ok(Period::MIN));
-        assert_eq!(parse_period_us("1000000."), Ok(Period::MAX));
-        assert_eq!(
-            parse_period_us("0200000.0"),
+            parse_period("0200000.0us"),
             Ok(Period::from_ticks(9_600_000))
         );
     }
@@ -215,27 +237,33 @@ mod tests {
     #[test]
     fn what_is_no_number_is_told() {
         for text in ["", ".", "-1", "1e3", "1,5", "1.2.3", " 1", "١"] {
-            assert_eq!(
-                parse_period_us(text),
-                Err(DecimalError::NotANumber),
-                "{text}"
-            );
+            assert_eq!(parse_fps(text), Err(DecimalError::NotANumber), "{text}");
+            let time = format!("{text}us");
+            assert_eq!(parse_period(&time), Err(DecimalError::NotATime), "{time}");
+        }
+        for text in ["1000", "us", "1 us", "1min", "1xs", "1mus"] {
+            assert_eq!(parse_period(text), Err(DecimalError::NotATime), "{text}");
         }
         assert_eq!(
-            parse_period_us("1000.0000000000000000001"),
+            parse_period("1000.0000000000000000001us"),
             Err(DecimalError::TooLong)
         );
         assert_eq!(parse_fps("0.000"), Err(DecimalError::Zero));
-        for text in ["999.999", "1000000.001", "999999999999999999"] {
-            assert_eq!(parse_period_us(text), Err(DecimalError::PeriodOutOfRange));
+        for text in ["999.999us", "1000000.001us", "999999999999999999us"] {
+            assert_eq!(parse_period(text), Err(DecimalError::PeriodOutOfRange));
         }
         for text in ["0.99", "1000.01"] {
             assert_eq!(parse_fps(text), Err(DecimalError::PeriodOutOfRange));
         }
-        assert_eq!(parse_us_ticks("99999999"), Err(DecimalError::TooLarge));
-        assert_eq!(parse_us_ticks("12"), Ok(576));
-        assert_eq!(parse_us_ticks("0.0104"), Ok(0));
-        assert_eq!(parse_us_ticks("0.0105"), Ok(1));
+        assert_eq!(parse_ticks("99999999us"), Err(DecimalError::TooLarge));
+        assert_eq!(
+            parse_ticks("999999999999999999s"),
+            Err(DecimalError::TooLarge)
+        );
+        assert_eq!(parse_ticks("12us"), Ok(576));
+        assert_eq!(parse_ticks("0s"), Ok(0));
+        assert_eq!(parse_ticks("0.0104us"), Ok(0));
+        assert_eq!(parse_ticks("0.0105us"), Ok(1));
     }
 
     #[test]
@@ -256,23 +284,19 @@ mod tests {
     }
 
     #[test]
-    fn microseconds_are_read_without_floats() {
-        assert_eq!(parse_us_nanos("6362.5"), Ok(6_362_500));
-        assert_eq!(parse_us_nanos("0"), Ok(0));
-        assert_eq!(parse_us_nanos("-0.001"), Ok(-1));
-        assert_eq!(parse_us_nanos("1000000"), Ok(1_000_000_000));
-        for bad in [
-            "",
-            ".",
-            "1e3",
-            "1.2345",
-            "1000000.001",
-            "99999999",
-            "x",
-            "--1",
-            "1.-2",
+    fn times_of_either_sign_are_microseconds() {
+        for (text, micros) in [
+            ("6362.5us", 6_362.5),
+            ("-30us", -30.0),
+            ("1.5ms", 1_500.0),
+            ("-2s", -2e6),
+            ("1ns", 1e-3),
         ] {
-            assert!(parse_us_nanos(bad).is_err(), "{bad}");
+            assert_eq!(parse_micros(text), Ok(micros), "{text}");
+        }
+        assert_eq!(parse_seconds("1500ms"), Ok(1.5));
+        for bad in ["", ".", "30", "nanus", "--1us", "1.-2us"] {
+            assert!(parse_micros(bad).is_err(), "{bad}");
         }
     }
 
@@ -290,16 +314,16 @@ mod tests {
     proptest! {
         #[test]
         fn six_places_agree_with_picoseconds(picos in 1_000_000_000_u64..=1_000_000_000_000) {
-            let text = format!("{}.{:06}", picos / 1_000_000, picos % 1_000_000);
-            prop_assert_eq!(parse_period_us(&text).ok(), Period::from_picos(picos));
+            let text = format!("{}.{:06}us", picos / 1_000_000, picos % 1_000_000);
+            prop_assert_eq!(parse_period(&text).ok(), Period::from_picos(picos));
         }
 
         #[test]
-        fn no_text_makes_it_panic(text in "[0-9.]{0,24}") {
-            let _ = parse_period_us(&text);
+        fn no_text_makes_it_panic(text in "-?[0-9.]{0,24}([nuµm]?s)?") {
+            let _ = parse_period(&text);
             let _ = parse_fps(&text);
-            let _ = parse_us_ticks(&text);
-            let _ = parse_us_nanos(&text);
+            let _ = parse_ticks(&text);
+            let _ = parse_micros(&text);
         }
     }
 }

@@ -52,7 +52,7 @@ impl Camera {
             };
             text += &format!(
                 "# It follows the exposure (here {given}): fix it in the camera, then\n\
-                 # `smartdepthsync profile init --depth-exposure-us`.\n"
+                 # `smartdepthsync profile init --exposure`.\n"
             );
         }
         for trap in &model.traps {

@@ -1,39 +1,42 @@
 //! Options that several commands have.
 
-use std::ops::RangeBounds;
-
 use board::Board;
+use recording::profile::Profile;
 
 use crate::outcome::Failure;
-
-/// For clap: a number within bounds, which `expected` names.
-pub(crate) fn number_in(
-    bounds: impl RangeBounds<f64>,
-    text: &str,
-    expected: &str,
-) -> Result<f64, String> {
-    let number = text.parse().ok();
-    number
-        .filter(|number| bounds.contains(number))
-        .ok_or_else(|| format!("expected {expected}"))
-}
+use crate::rig_profile::ProfileArg;
 
 /// The option of every command that talks to the board.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct PortArg {
-    /// The board's serial port; may be left out if exactly one board is plugged in
-    #[arg(long, value_name = "PATH", global = true)]
+    /// The board's serial port, if not the profile's `port` or the one board that is plugged in
+    #[arg(long, value_name = "PATH", global = true, hide_short_help = true)]
     pub(crate) port: Option<String>,
 }
 
 impl PortArg {
-    /// Opens the board.
+    /// The port that is given, else the profile's.
+    pub(crate) fn path(&self, profile: Option<&Profile>) -> Option<String> {
+        self.port.clone().or_else(|| profile?.port.clone())
+    }
+
+    /// Opens the board of a rig.
     ///
     /// # Errors
     ///
     /// No such port, no permission, busy, not this board, another version, no
     /// answer.
+    pub(crate) fn open_of(&self, profile: Option<&Profile>) -> Result<Board, Failure> {
+        Board::open(self.path(profile).as_deref()).map_err(Failure::from)
+    }
+
+    /// Opens the board of the rig whose profile is in its usual place, if there is one.
+    ///
+    /// # Errors
+    ///
+    /// As [`PortArg::open_of`].
     pub(crate) fn open(&self) -> Result<Board, Failure> {
-        Board::open(self.port.as_deref()).map_err(Failure::from)
+        let profile = ProfileArg::default().load().ok();
+        self.open_of(profile.as_ref().map(|(profile, _)| profile))
     }
 }

@@ -97,15 +97,17 @@ impl ExitStatus {
             }
             Self::Usage => "`smartdepthsync help COMMAND` says what is expected",
             Self::Refused => "nothing was changed: change what the message names, then repeat it",
-            Self::NoPort => "plug the board in; `smartdepthsync ports` lists the ports there are",
-            Self::Permission => {
-                "install the udev rule (docs/install.md) and plug the board in again"
+            Self::NoPort => {
+                "plug the board in; `smartdepthsync board list` lists the ports there are"
             }
+            Self::Permission => "install the udev rule of this program and plug the board in again",
             Self::Busy => "close the other program that has the port",
             Self::NotThisBoard => {
-                "choose another port with --port; `smartdepthsync ports` marks boards"
+                "choose another port with --port; `smartdepthsync board list` marks boards"
             }
-            Self::OtherVersion => "flash the firmware of this program's version (docs/flash.md)",
+            Self::OtherVersion => {
+                "put the firmware of this program's version on it: `smartdepthsync board flash`"
+            }
             Self::NoAnswer => "press the board's reset button and try again",
             Self::LinkLost => "check the USB cable and plug the board in again",
             Self::Phone => {
@@ -130,7 +132,7 @@ impl From<ExitStatus> for ExitCode {
 /// use smartdepthsync::outcome::{ExitStatus, Failure};
 ///
 /// let failure = Failure::new(ExitStatus::NoPort, "/dev/ttyACM7 does not exist")
-///     .next_step("run `smartdepthsync ports` to see which ports there are");
+///     .next_step("run `smartdepthsync board list` to see which ports there are");
 /// assert_eq!(failure.status(), ExitStatus::NoPort);
 /// ```
 #[derive(Debug)]

@@ -18,9 +18,9 @@ pub(crate) const VARIABLE: &str = "SMARTDEPTHSYNC_PROFILE";
 /// The option of every command that takes a rig profile.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct ProfileArg {
-    /// The rig profile [default: ./rig.toml, else that of $SMARTDEPTHSYNC_PROFILE, else
-    /// smartdepthsync/rig.toml in the user's configuration folder]
-    #[arg(long, value_name = "FILE")]
+    /// The rig profile, if not ./rig.toml, else that of $SMARTDEPTHSYNC_PROFILE, else
+    /// smartdepthsync/rig.toml in the user's configuration folder
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub(crate) profile: Option<PathBuf>,
 }
 

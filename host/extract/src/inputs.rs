@@ -97,6 +97,8 @@ pub(crate) struct Inputs {
     pub(crate) camera: Option<&'static Model>,
     /// The depth camera's mode in the rig profile, if there is a session.
     pub(crate) depth_mode: Option<String>,
+    /// Exposure of the depth camera's colour images, ns, where the profile has it.
+    pub(crate) color_exposure_ns: Option<i64>,
     /// Where the profile has the depth camera's colour camera.
     pub(crate) color_from_imu: Option<Pose>,
     /// Board time of the recorded span, in which the trigger was on its grid, ns.
@@ -220,6 +222,9 @@ pub(crate) fn find(
         task: profile.and_then(|profile| profile.task.clone()),
         camera: Model::find(profile.map_or(DEFAULT_CAMERA, |profile| &profile.depth.camera)),
         depth_mode: profile.map(|profile| profile.depth.mode.clone()),
+        color_exposure_ns: profile
+            .and_then(|profile| profile.depth.color_exposure_us)
+            .and_then(nanos),
         color_from_imu: profile.and_then(|profile| profile.depth.color_from_imu),
         recorded: session.and_then(|session| {
             let span = session.recorded?;

@@ -3,7 +3,7 @@
 //!
 //! Each is a file of `cameras/`, with its sources. A value that nobody has published is an
 //! assumption and says so; what is wrong with it stands in its 1-sigma until
-//! `smartdepthsync trigger latency` has measured it on the camera itself.
+//! `smartdepthsync board trigger latency` has measured it on the camera itself.
 
 use std::sync::LazyLock;
 
@@ -270,7 +270,7 @@ impl Model {
                         mode.basis.word()
                     ),
                     String::from(
-                        "measure it with `smartdepthsync trigger latency`, or take the model's",
+                        "measure it with `smartdepthsync board trigger latency`, or take the model's",
                     ),
                 );
             }

@@ -36,6 +36,9 @@ pub struct Profile {
     /// What is done in the recordings, in a sentence: the task of training data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
+    /// The board's serial port; else that of the one board that is plugged in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub port: Option<String>,
     /// Name of the phone that the trigger is aligned to. Reading a profile puts
     /// that phone into `phone`; without this it is `[phone]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -239,6 +242,9 @@ pub struct Depth {
     pub center_offset_sigma_us: f64,
     /// Length of the trigger pulse, µs.
     pub pulse_width_us: f64,
+    /// Exposure of its colour images, µs, where it records them and that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color_exposure_us: Option<f64>,
     /// From the frame of the board's IMU to that of the depth camera's colour camera, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color_from_imu: Option<Pose>,
@@ -397,27 +403,6 @@ impl Profile {
         }
         self.reference = (!self.phones.is_empty()).then(|| name.to_owned());
         Ok(())
-    }
-
-    /// Gives a phone another address: `HOST[:PORT]` to the first, or with its name
-    /// before it, `NAME=HOST[:PORT]`.
-    ///
-    /// # Errors
-    ///
-    /// There is no phone of that name.
-    pub fn set_address(&mut self, text: &str) -> Result<(), ProfileError> {
-        let Some((name, address)) = text.split_once('=') else {
-            text.clone_into(&mut self.phone.address);
-            return Ok(());
-        };
-        let mut phones = std::iter::once(&mut self.phone).chain(&mut self.phones);
-        match phones.find(|phone| phone.name == name) {
-            Some(phone) => {
-                address.clone_into(&mut phone.address);
-                Ok(())
-            }
-            None => Err(unknown_phone("phones.name", name)),
-        }
     }
 
     /// The name of the sensor on an auxiliary output.

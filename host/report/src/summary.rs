@@ -59,7 +59,7 @@ pub fn findings_text<'a>(findings: impl IntoIterator<Item = &'a Finding>) -> Str
         let (mark, kind, words) = (mark(finding.severity), &finding.kind, finding.words());
         let _ = writeln!(text, "{mark}  {kind:<wide$} {words}");
         if let Some(step) = &finding.next_step {
-            let _ = writeln!(text, "       {:<wide$} -> {step}", "");
+            let _ = writeln!(text, "       {:<wide$} help: {step}", "");
         }
     }
     text
@@ -94,7 +94,7 @@ mod tests {
         };
         assert_eq!(
             summary.text(),
-            "Not usable.\ngood   phone there\nBAD    link  it broke\n             -> plug it in\n\
+            "Not usable.\ngood   phone there\nBAD    link  it broke\n             help: plug it in\n\
              a    1\nlong 2\n"
         );
     }

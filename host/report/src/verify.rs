@@ -18,7 +18,7 @@ mod pulses;
 mod topics;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use protocol::Ticks;
 use recording::finding::{Finding, Severity};
@@ -140,6 +140,8 @@ pub struct Report {
     pub grid: Option<GridReport>,
     /// Everything that was found.
     pub findings: Vec<Finding>,
+    /// The page that was written again; nothing without `session.json`.
+    pub report: Option<PathBuf>,
 }
 
 /// The session file beside a recording's file, if it is there and can be read.
@@ -287,8 +289,7 @@ impl Report {
             facts.push(("grid", text));
         }
         if self.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
-            let next =
-                "`smartdepthsync repair RECORDING OUT` makes a whole file of what can be read";
+            let next = "`smartdepthsync verify RECORDING --repair OUT` makes a whole file of what can be read";
             facts.push(("next", next.to_owned()));
         }
         Summary {

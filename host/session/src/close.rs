@@ -168,8 +168,10 @@ fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), S
             })?;
         }
     }
-    for place in session.phones.places() {
-        fetch_files(session, place)?;
+    if options.fetch_files {
+        for place in session.phones.places() {
+            fetch_files(session, place)?;
+        }
     }
     Ok(())
 }

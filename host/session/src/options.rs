@@ -28,6 +28,8 @@ pub struct Options {
     pub second_twist: bool,
     /// Download the phones' videos at the end.
     pub fetch_video: bool,
+    /// Copy the phones' other files at the end.
+    pub fetch_files: bool,
     /// Record every frame of the link as it came, for the report of a fault.
     pub raw_link: bool,
     /// Number of the first command to the board, for a simulation that is to repeat to the
@@ -50,6 +52,7 @@ impl Options {
             twist_gap: seconds(60),
             second_twist: false,
             fetch_video: false,
+            fetch_files: true,
             raw_link: false,
             first_command: None,
         }

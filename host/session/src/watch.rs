@@ -14,7 +14,7 @@ pub use recording::grid::Grid;
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
 /// What to do about a train that is not as it should be.
-const TRAIN: &str = "stop and record again; `smartdepthsync trigger status` says more";
+const TRAIN: &str = "stop and record again; `smartdepthsync board trigger status` says more";
 
 /// What to do about a trigger wire that shows no pulses.
 const WIRE: &str = "check the trigger's wire and buffer";

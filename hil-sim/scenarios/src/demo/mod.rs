@@ -67,7 +67,7 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         true => None,
         false => Some(stage.session("teaching", TEACHING_SECONDS, &["--calibrate"])?),
     };
-    let arguments = ["--second-twist", "--fetch-video"];
+    let arguments = ["--second-twist"];
     let recording = stage.session("recording", options.seconds, &arguments)?;
     let virtual_s = stage.now().as_secs_f64();
     let phone = stage.phone()?.storage().to_owned();

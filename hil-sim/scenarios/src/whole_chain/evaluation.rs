@@ -194,7 +194,7 @@ fn drift(recorded: &Recorded, programs: &Programs) -> Result<Measured> {
     let first = video.frames.complete_at(phone_ns(span.from)) + 1;
     let last = video.frames.complete_at(phone_ns(span.to)).min(count) - 1;
     let period_s = video.frames.period_ns() * 1e-9;
-    let at = |n: usize, part: f64| format!("{:.4}", (n as f64 + part) * period_s);
+    let at = |n: usize, part: f64| format!("{:.4}s", (n as f64 + part) * period_s);
     let json: Value = ask(
         programs,
         &[

@@ -32,11 +32,7 @@ impl<'a> Doctor<'a> {
             .args(["doctor", "--json", "--port"])
             .arg(self.rig.rig.port())
             .arg("--profile")
-            .arg(file)
-            .arg("--phone")
-            .arg(self.rig.phone().address().to_string())
-            .arg("--out")
-            .arg(self.rig.out());
+            .arg(file);
         if let Some(path) = self.path {
             command.env("PATH", path);
         }

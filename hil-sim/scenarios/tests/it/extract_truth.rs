@@ -255,7 +255,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
         .iter()
         .find(|loss| loss.part == "depth")
         .unwrap();
-    assert!(loss.what.contains("--depth-first-pulse"), "{}", loss.what);
+    assert!(loss.what.contains("--first-pulse"), "{}", loss.what);
 
     // The user knows it: frame 0 was made by pulse 2.
     std::fs::remove_dir_all(case.out()).unwrap();

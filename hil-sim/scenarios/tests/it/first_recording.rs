@@ -89,9 +89,9 @@ fn on_this_rig(command: &str, rig: &Served, recorder: &str) -> Vec<String> {
             add(&["--name", "simulated", "--yes"]);
         }
         "record" if command.contains("--calibrate") => {
-            add(&["--port", &rig.port, "--yes", "--duration", "60s"]);
+            add(&["--yes", "--duration", "60s"]);
         }
-        "record" => add(&["--port", &rig.port, "--yes"]),
+        "record" => add(&["--yes"]),
         _ => {}
     }
     words
@@ -190,9 +190,9 @@ fn the_page_is_followed_to_a_data_set() {
     // What the rig prints to be pasted are the same steps.
     let printed = rig.commands.join("\n");
     for word in [
-        "doctor --port",
+        "smartdepthsync doctor",
         "--calibrate",
-        "--fetch-video",
+        "--duration 30s",
         "smartdepthsync extract",
     ] {
         assert!(printed.contains(word), "{printed}");

@@ -1,5 +1,5 @@
 //! A simulated twist through the whole chain: rig, firmware, pseudo-terminal,
-//! `smartdepthsync imu --csv`, and pandas.
+//! `smartdepthsync board imu --out`, and pandas.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -12,7 +12,7 @@ use crate::whole_rig::run_python;
 const SPEED: &str = "3";
 
 /// Seconds of the CSV: the rest, and 8 s of the twist behind it.
-const SECONDS: &str = "18";
+const DURATION: &str = "18s";
 
 /// `hil-sim serve` with its port; ends with the test.
 struct Serve {
@@ -55,7 +55,15 @@ fn pandas_sees_the_twist_in_the_csv() {
     let csv = folder.path().join("twist.csv");
     let rig = Serve::start(&["--seed", "5", "--motion", "rest:10,twist:10,rest"]);
     let output = Command::new(support::smartdepthsync())
-        .args(["imu", "--port", &rig.port, "--seconds", SECONDS, "--csv"])
+        .args([
+            "board",
+            "imu",
+            "--port",
+            &rig.port,
+            "--duration",
+            DURATION,
+            "--out",
+        ])
         .arg(&csv)
         .output()
         .unwrap();

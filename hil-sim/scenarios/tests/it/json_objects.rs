@@ -49,14 +49,14 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         print(folder, &all)
     };
     for arguments in [
-        &["info"][..],
-        &["imu", "--seconds", "1", "--csv", "imu.csv"],
-        &["gnss", "start", "--utc", "1767225600"],
-        &["gnss", "status"],
-        &["gnss", "stop"],
-        &["trigger", "start", "--fps", "30"],
-        &["trigger", "period", "--fps", "30"],
-        &["trigger", "latency", "--pulses", "5"],
+        &["board", "info"][..],
+        &["board", "imu", "--duration", "1s", "--out", "imu.csv"],
+        &["board", "pps", "start", "--utc", "1767225600"],
+        &["board", "pps", "status"],
+        &["board", "pps", "stop"],
+        &["board", "trigger", "start", "--fps", "30"],
+        &["board", "trigger", "period", "--fps", "30"],
+        &["board", "trigger", "latency", "--pulses", "5"],
     ] {
         board(arguments);
     }
@@ -64,20 +64,14 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     assert_eq!(state["losses"]["messages"], 0);
     let rate = state["rates"]["imu"].as_f64().unwrap();
     assert!((rate - 500.0).abs() < 1.0, "{state}");
-    board(&["trigger", "status"]);
-    board(&["trigger", "status", "--output", "2"]);
+    board(&["board", "trigger", "status"]);
+    board(&["board", "trigger", "status", "--output", "2"]);
     let align = [
-        "trigger",
-        "align",
-        "--anchor",
-        "48000000",
-        "--slew-us",
-        "1000",
+        "board", "trigger", "align", "--anchor", "48000000", "--slew", "1ms",
     ];
     board(&align);
-    board(&["trigger", "stop"]);
+    board(&["board", "trigger", "stop"]);
     let address = rig.phone().address().to_string();
-    board(&["doctor", "--phone", &address]);
     let setup = [
         "setup",
         "--yes",
@@ -87,6 +81,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         "setup.toml",
     ];
     board(&setup);
+    board(&["doctor", "--profile", "setup.toml"]);
 
     // A session, and what is made of its recording.
     let options = [
@@ -95,7 +90,6 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         "--marker",
         "1s",
         "--second-twist",
-        "--fetch-video",
         "--json",
     ];
     let output = rig.record("whole", &options).output().unwrap();
@@ -104,8 +98,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let recording = rig.recording("whole");
     let recording = recording.to_str().unwrap();
     print(folder, &["verify", recording]);
-    print(folder, &["report", recording]);
-    print(folder, &["repair", recording, "repaired"]);
+    print(folder, &["verify", recording, "--repair", "repaired"]);
     let storage = folder.join("phone");
     let extract = ["extract", recording, "--phone", storage.to_str().unwrap()];
     print(folder, &extract);
@@ -128,7 +121,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         print(folder, &all)
     };
     for arguments in [
-        &["phone", "imu", "--seconds", "1", "--out", "gyro.csv"][..],
+        &["phone", "imu", "--duration", "1s", "--out", "gyro.csv"][..],
         &["phone", "start"],
         &["phone", "stop"],
         &["phone", "get-video", "--recorded", "--out", "video.mp4"],
@@ -162,7 +155,7 @@ fn objects_of_commands_that_need_nothing() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("chain.yaml"), CHAIN).unwrap();
     for arguments in [
-        &["ports"][..],
+        &["board", "list"][..],
         &["completions", "bash"],
         &["man", "man1"],
         &["profile", "init", "rig.toml"],

@@ -29,7 +29,7 @@ fn imu_start_stop_and_get_video() {
         let folder = tempfile::tempdir().unwrap();
         let run = |arguments: &[&str]| bench.command(arguments, folder.path());
 
-        let imu = ["imu", "--seconds", "2", "--out", "gyro.csv", "--json"];
+        let imu = ["imu", "--duration", "2s", "--out", "gyro.csv", "--json"];
         let imu = json(&run(&imu));
         let rate = imu["rate_hz"].as_f64().unwrap();
         let true_rate = bench.phone.config().gyroscope.rate_hz;
@@ -44,7 +44,11 @@ fn imu_start_stop_and_get_video() {
         let phase = start["phase_ns"].as_i64().unwrap();
         assert!((phase - video.frames.start_ns(60)).abs() < 6_000);
         assert_eq!(start["exposure_ns"].is_u64(), version == "v.0.1.1");
-        fails(&run(&["imu", "--seconds", "1"]), 12, "stop the video first");
+        fails(
+            &run(&["imu", "--duration", "1s"]),
+            12,
+            "stop the video first",
+        );
         assert_eq!(json(&run(&["stop", "--json"]))["stopped"], true);
 
         let saved = json(&run(&["get-video", "--recorded", "--json"]));
@@ -82,7 +86,7 @@ fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
     let bench = Bench::new(22, 20.0, |_| ());
     let folder = tempfile::tempdir().unwrap();
     let other = bench.occupy();
-    let blocked = bench.command(&["stop", "--timeout", "0.5"], folder.path());
+    let blocked = bench.command(&["stop", "--timeout", "0.5s"], folder.path());
     fails(&blocked, 12, "one at a time");
     drop(other);
     let served = bench.command(&["stop"], folder.path());
@@ -104,7 +108,7 @@ fn faults_of_the_link_are_named() {
         bench.command(arguments, &folder)
     };
     let get = ["get-video", "--recorded"];
-    let imu = ["imu", "--seconds", "1", "--timeout", "2"];
+    let imu = ["imu", "--duration", "1s", "--timeout", "2s"];
     let cut = run(&imu, Some(LinkFault::CutAfter(500)));
     fails(&cut, 12, "closed the connection");
     let slow = run(&imu, Some(LinkFault::Slow(100)));
@@ -138,7 +142,7 @@ fn a_phone_that_goes_away_is_noticed() {
             }
             bench.phone.leave_network();
         });
-        let output = bench.command(&["imu", "--seconds", "20"], folder.path());
+        let output = bench.command(&["imu", "--duration", "20s"], folder.path());
         fails(&output, 12, "closed the connection");
     });
     fails(&bench.command(&["stop"], folder.path()), 12, "same network");

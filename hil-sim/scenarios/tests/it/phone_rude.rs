@@ -84,7 +84,7 @@ fn what_waits_behind_another_client_is_not_carried_out_later() {
     let bench = Bench::new(73, 10.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     let other = bench.occupy();
-    let output = bench.command(&["start", "--timeout", "0.5"], folder.path());
+    let output = bench.command(&["start", "--timeout", "0.5s"], folder.path());
     says(&output, PHONE, &["an empty request", "one at a time"]);
     drop(other);
     wait_s(&bench, 15.0);
@@ -152,7 +152,7 @@ fn sensors_right_behind_a_stop_are_tried_again() {
         &["phase_ns: "],
     );
     says(&bench.command(&["stop"], folder.path()), 0, &[]);
-    let output = bench.command(&["imu", "--seconds", "1"], folder.path());
+    let output = bench.command(&["imu", "--duration", "1s"], folder.path());
     says(&output, 0, &["samples: ", "rate_hz: "]);
 }
 
@@ -197,7 +197,14 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         c.camera.reports_frames = false;
     });
     bench.phone.press_record();
-    let soon = ["get-video", "--recorded", "--ready", "4", "--timeout", "4"];
+    let soon = [
+        "get-video",
+        "--recorded",
+        "--ready",
+        "4s",
+        "--timeout",
+        "4s",
+    ];
     let output = bench.command(&soon, folder.path());
     says(&output, PHONE, &["hangs", "force the app to stop"]);
 }
@@ -206,7 +213,7 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
 fn a_gyroscope_without_a_file_is_an_error() {
     let bench = Bench::new(80, 10.0, |c| c.app.ticked = [true, false, true]);
     let folder = tempfile::tempdir().unwrap();
-    let output = bench.command(&["imu", "--seconds", "2"], folder.path());
+    let output = bench.command(&["imu", "--duration", "2s"], folder.path());
     says(
         &output,
         PHONE,
@@ -215,7 +222,7 @@ fn a_gyroscope_without_a_file_is_an_error() {
     // Two recordings within one second have other names, and are taken.
     let bench = Bench::new(80, 10.0, |_| ());
     for _ in 0..3 {
-        let output = bench.command(&["imu", "--seconds", "0.01"], folder.path());
+        let output = bench.command(&["imu", "--duration", "0.01s"], folder.path());
         says(&output, 0, &[]);
     }
 }
@@ -230,7 +237,7 @@ fn a_recording_that_the_background_cut_short_is_an_error() {
             wait_s(&bench, 0.7);
             bench.phone.send_to_background();
         });
-        let output = bench.command(&["imu", "--seconds", "10"], folder.path());
+        let output = bench.command(&["imu", "--duration", "10s"], folder.path());
         says(&output, PHONE, &["of the 10.0 s", "in the foreground"]);
     });
 }
@@ -241,7 +248,7 @@ fn a_long_answer_on_a_slow_network_is_waited_for() {
     let bench = Bench::new(82, 30.0, |_| ());
     bench.phone.set_fault(Some(LinkFault::Slow(50_000)));
     let folder = tempfile::tempdir().unwrap();
-    let arguments = ["imu", "--seconds", "30", "--timeout", "3"];
+    let arguments = ["imu", "--duration", "30s", "--timeout", "3s"];
     let output = bench.command(&arguments, folder.path());
     says(&output, 0, &["samples: 15"]);
 }

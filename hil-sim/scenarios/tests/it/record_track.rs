@@ -34,7 +34,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     });
     let phone = AdbPhone::new(rig.phone().storage(), "qemu-aarch64");
     // Without a length: how long a busy computer takes to all this is not known.
-    let mut command = rig.record("pulled", &["--track", "--events"]);
+    let mut command = rig.record("pulled", &["--track", "always", "--events"]);
     let mut session = Session::start(phone.show(&mut command));
     session.wait_for("tracked", |event| event["tracked"]["holds"] == true);
     let forwarded = phone.adb(&["forward", "--list"]);
@@ -89,7 +89,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
 fn ctrl_c_leaves_nothing_on_a_phone_whose_program_does_not_answer() {
     let rig = WholeRig::new(19, SPEED);
     let phone = AdbPhone::new(rig.phone().storage(), "false");
-    let mut command = rig.record("silent", &["--track"]);
+    let mut command = rig.record("silent", &["--track", "always"]);
     let session = Session::start(phone.show(&mut command));
     phone.wait_for_programs(1);
     session.signal(Signal::INT);

@@ -1,4 +1,4 @@
-"""Reads a CSV of `smartdepthsync imu` with pandas and checks that it shows a twist.
+"""Reads a CSV of `smartdepthsync board imu` with pandas and checks that it shows a twist.
 
 usage: twist_csv.py FILE
 

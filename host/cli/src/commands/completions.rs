@@ -11,6 +11,7 @@ use crate::outcome::{ExitStatus, Failure};
 /// Print the completions for a shell, for example
 /// `smartdepthsync completions bash > ~/.local/share/bash-completion/completions/smartdepthsync`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync completions bash")]
 pub(crate) struct Args {
     /// The shell
     #[arg(value_enum)]

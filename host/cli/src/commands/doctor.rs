@@ -1,7 +1,7 @@
 //! `smartdepthsync doctor`: is the rig ready for a recording? Each problem is listed
 //! with its fix. The checks are those of a session.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::Duration;
 
 use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
@@ -24,17 +24,12 @@ use session::connect::has_addresses;
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync doctor")]
 pub(crate) struct Args {
     #[command(flatten)]
     pub(crate) port: PortArg,
     #[command(flatten)]
     pub(crate) profile: ProfileArg,
-    /// The phone's address, instead of the profile's
-    #[arg(long, value_name = "HOST[:PORT]")]
-    pub(crate) phone: Option<String>,
-    /// Folder for recordings
-    #[arg(long, value_name = "FOLDER", default_value = recordings::FOLDER)]
-    pub(crate) out: PathBuf,
     /// Do not try the trigger (no pulses on the wire)
     #[arg(long)]
     pub(crate) no_trigger: bool,
@@ -92,11 +87,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 fn look(args: &Args, context: &Context) -> Found {
     let mut found = Found::default();
     let profile = match args.profile.load() {
-        Ok((mut profile, place)) => {
-            if let Some(phone) = &args.phone {
-                profile.phone.address.clone_from(phone);
-            }
-            found.checks = checks::host(&profile, &place, &args.out);
+        Ok((profile, place)) => {
+            found.checks = checks::host(&profile, &place, Path::new(recordings::FOLDER));
             Some(profile)
         }
         Err(error) => {
@@ -104,7 +96,7 @@ fn look(args: &Args, context: &Context) -> Found {
             None
         }
     };
-    match args.port.open() {
+    match args.port.open_of(profile.as_ref()) {
         Ok(mut board) => {
             let checks = &mut found.checks;
             checks.firmware(&board, profile.as_ref());

@@ -8,6 +8,7 @@ use jiff::civil::Date;
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::decimal::{parse_micros, parse_seconds};
 use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
@@ -45,47 +46,46 @@ struct CommonArgs {
     /// Part of the image to look at, in pixels
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT")]
     region: Option<Region>,
-    /// Row, from 0, whose exposure perfect sync refers to [default: the middle]
+    /// Row, from 0, whose exposure perfect sync refers to; else the middle
     #[arg(long, value_name = "ROW")]
     middle_row: Option<f64>,
-    /// Exposure of a row in µs, if known to 2 %
-    #[arg(long, value_name = "US")]
+    /// Exposure of a row, such as 500us, if known to 2 %
+    #[arg(long, value_name = "TIME", value_parser = parse_micros)]
     exposure: Option<f64>,
-    /// Row time in µs, if known to 0.5 %
-    #[arg(long, value_name = "US")]
+    /// Row time, such as 10.2us, if known to 0.5 %
+    #[arg(long, value_name = "TIME", value_parser = parse_micros)]
     row_time: Option<f64>,
-    /// Expected bias in µs; decides which flash is which where the picture does not
-    #[arg(long, value_name = "US", allow_negative_numbers = true)]
+    /// Expected bias; decides which flash is which where the picture does not
+    #[arg(long, value_name = "TIME", value_parser = parse_micros, allow_hyphen_values = true)]
     near: Option<f64>,
-    /// Delay of the light path from strobe to LED in µs, subtracted
-    #[arg(
-        long,
-        default_value_t = 0.0,
-        value_name = "US",
-        allow_negative_numbers = true
-    )]
+    /// Delay of the light path from strobe to LED, subtracted
+    #[arg(long, value_name = "TIME", value_parser = parse_micros, default_value = "0us",
+          allow_hyphen_values = true)]
     path_delay: f64,
     /// Use frames even if the room light changes
     #[arg(long)]
     keep_flicker: bool,
-    /// Start at this second of the recording
-    #[arg(long, value_name = "SECONDS")]
+    /// Start at this time of the recording, such as 10s
+    #[arg(long, value_name = "TIME", value_parser = parse_seconds)]
     from: Option<f64>,
-    /// Stop at this second of the recording
-    #[arg(long, value_name = "SECONDS")]
+    /// Stop at this time of the recording
+    #[arg(long, value_name = "TIME", value_parser = parse_seconds)]
     to: Option<f64>,
     /// Write the plots to this SVG file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Write a report with all pictures to this HTML file
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-    /// Replace the files of --plot and --report if they are there
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Replace the files of --plot and --out if they are there
     #[arg(long)]
     overwrite: bool,
 }
 
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: smartdepthsync evaluate precision recordings/walk --calibrate rig.toml"
+)]
 struct PrecisionArgs {
     /// Recordings' folders, videos, or folders of images; each is one recording
     #[arg(required = true, value_name = "VIDEO_OR_FRAMES")]
@@ -96,25 +96,22 @@ struct PrecisionArgs {
     /// Write the bias into this rig profile
     #[arg(long, value_name = "PROFILE")]
     calibrate: Option<PathBuf>,
-    /// Bias in µs that was subtracted while recording [default: as the recording's session
-    /// says, else the profile's]
-    #[arg(
-        long,
-        value_name = "US",
-        requires = "calibrate",
-        allow_negative_numbers = true
-    )]
+    /// Bias that was subtracted while recording, if not as the recording's session says, else
+    /// the profile's
+    #[arg(long, value_name = "TIME", value_parser = parse_micros, requires = "calibrate",
+          allow_hyphen_values = true)]
     applied_bias: Option<f64>,
     #[command(flatten)]
     common: CommonArgs,
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync evaluate drift recordings/walk --out drift.html")]
 struct DriftArgs {
     /// Recording's folder, video, or folder of images
     #[arg(value_name = "VIDEO_OR_FRAMES")]
     input: PathBuf,
-    /// File with one integer of nanoseconds a frame [default: the one beside the video]
+    /// File with one integer of nanoseconds a frame, if not the one beside the video
     #[arg(long, value_name = "FILE")]
     timestamps: Option<PathBuf>,
     #[command(flatten)]
@@ -124,7 +121,7 @@ struct DriftArgs {
 impl CommonArgs {
     /// Refuses what cannot be written, before hours of work.
     fn check_targets(&self) -> Result<(), Failure> {
-        let targets = [&self.plot, &self.report];
+        let targets = [&self.plot, &self.out];
         let mut targets = targets.into_iter().flatten();
         targets.try_for_each(|path| refuse_to_overwrite(path, self.overwrite))
     }
@@ -323,7 +320,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         let svg = plot::precision(&result, &shown.shown);
         write_file(path, &svg)?;
     }
-    if let Some(path) = &args.common.report {
+    if let Some(path) = &args.common.out {
         let html = report::evaluation::precision(&result, &shown.shown, &settings);
         write_file(path, &html)?;
     }
@@ -413,7 +410,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
         let svg = plot::drift(&evaluated);
         write_file(path, &svg)?;
     }
-    if let Some(path) = &args.common.report {
+    if let Some(path) = &args.common.out {
         write_file(path, &report::evaluation::drift(&evaluated, &settings))?;
     }
     let output = DriftOutput {

@@ -7,7 +7,6 @@ use indicatif::ProgressBar;
 
 use crate::advice::bag_step;
 use crate::context::Context;
-use crate::decimal::parse_us_nanos;
 use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};
 use extract::error::ExtractError;
@@ -19,6 +18,8 @@ use extract::output_dir::OutputDirError;
 use extract::progress::Progress;
 use extract::run::{Job, run as extract};
 use phone::video_files::FilesError;
+use recording::SESSION_FILE;
+use recording::profile::Profile;
 
 /// The formats as the command line names them.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -65,61 +66,73 @@ impl From<ViewArg> for View {
     }
 }
 
+/// Where the options for few stand in the long help.
+const MORE: &str = "More";
+
 /// Options of `extract`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync extract recordings/walk --format tum")]
 pub(crate) struct Args {
     #[command(flatten)]
     recording: RecordingArg,
-    /// The phone's files: a folder, or the video itself; the recording's folder unless
-    /// given. Of several phones with its name; may be given for each
-    #[arg(long, value_name = "[NAME=]PATH")]
-    phone: Vec<String>,
-    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
-    /// or its .mcap file); the one in the recording's folder unless given
-    #[arg(long, value_name = "PATH")]
-    depth: Option<PathBuf>,
-    /// The topic of the depth images in a bag, if it has several
-    #[arg(long, value_name = "TOPIC")]
-    depth_topic: Option<String>,
     /// The format
     #[arg(long, value_enum, default_value_t = FormatArg::Euroc)]
     format: FormatArg,
-    /// The output folder; RECORDING-FORMAT beside the recording unless given
-    #[arg(long, value_name = "DIR")]
+    /// The output folder; else RECORDING-FORMAT beside the recording
+    #[arg(short, long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Give depth images from the place of another camera, in the size of its images
-    #[arg(long, value_enum)]
-    register: Option<ViewArg>,
     /// Replace a former extraction in the output folder
     #[arg(long)]
     overwrite: bool,
+    /// The phone's files: a folder, or the video itself; else the recording's folder. Of several
+    /// phones with its name; may be given for each
+    #[arg(long, value_name = "[NAME=]PATH")]
+    phone: Vec<String>,
+    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
+    /// or its .mcap file); else the one in the recording's folder
+    #[arg(long, value_name = "PATH")]
+    depth: Option<PathBuf>,
+    /// Give depth images from the place of another camera, in the size of its images
+    #[arg(long, value_enum)]
+    register: Option<ViewArg>,
+    #[command(flatten, next_help_heading = MORE)]
+    more: MoreArgs,
+}
+
+/// Options of `extract` that its short help leaves out.
+#[derive(Debug, clap::Args)]
+struct MoreArgs {
+    /// A rig profile whose constants go before those that the recording was made with: centre of
+    /// the depth exposure, bias, readout and gyroscope's delay of the phone
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
+    profile: Option<PathBuf>,
+    /// The topic of the depth images in a bag, if it has several
+    #[arg(long, value_name = "TOPIC", hide_short_help = true)]
+    depth_topic: Option<String>,
     /// Write infrared images too
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     infrared: bool,
-    /// Exposure of a row of the phone's camera
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    exposure_us: Option<i64>,
-    /// Readout time of the phone's camera, from the first row to the last
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    readout_us: Option<i64>,
-    /// From the trigger pulse to the centre of exposure of the depth image
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    depth_center_us: Option<i64>,
-    /// Exposure of the depth camera's colour images, if it recorded colour
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    camera_exposure_us: Option<i64>,
     /// Time depth frames by the camera's own clock (a camera that did not follow the trigger)
-    #[arg(long, conflicts_with = "depth_first_pulse")]
+    #[arg(long, hide_short_help = true, conflicts_with = "first_pulse")]
     free_running: bool,
-    /// Low-pass delay of the board's IMU, subtracted from its times (0 for none)
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    imu_delay_us: Option<i64>,
-    /// Low-pass delay of the phone's gyroscope
-    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
-    phone_imu_delay_us: Option<i64>,
     /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
-    #[arg(long, value_name = "N")]
-    depth_first_pulse: Option<usize>,
+    #[arg(long, value_name = "N", hide_short_help = true)]
+    first_pulse: Option<usize>,
+}
+
+/// The constants of a profile in place of a recording's.
+fn constants(profile: &Profile, has_session: bool) -> Options {
+    let nanos = |us: f64| Some((us * 1e3).round() as i64);
+    let (phone, depth) = (&profile.phone, &profile.depth);
+    Options {
+        // What the app has reported is the exposure; a recording without a session has none.
+        exposure_ns: nanos(phone.exposure_us).filter(|_| !has_session),
+        readout_ns: nanos(2.0 * phone.middle_row_us()),
+        depth_center_ns: nanos(depth.center_offset_us + profile.frame_sync.bias_us),
+        phone_imu_delay_ns: nanos(phone.gyro_delay_us),
+        camera_exposure_ns: depth.color_exposure_us.and_then(nanos),
+        ..Options::default()
+    }
 }
 
 /// Runs the command.
@@ -151,6 +164,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
                 .next_step("of several phones, give --phone NAME=PATH"),
         );
     }
+    let more = &args.more;
+    let has_session = recordings::folder_of(&recording)
+        .join(SESSION_FILE)
+        .exists();
+    let given = match &more.profile {
+        Some(path) => constants(&Profile::load(path)?, has_session),
+        None => Options::default(),
+    };
     let job = Job {
         recording,
         phone: unnamed.pop(),
@@ -158,18 +179,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         format: args.format.into(),
         out,
         options: Options {
-            exposure_ns: args.exposure_us,
-            readout_ns: args.readout_us,
-            depth_center_ns: args.depth_center_us,
-            board_imu_delay_ns: args.imu_delay_us,
-            phone_imu_delay_ns: args.phone_imu_delay_us,
-            first_pulse: args.depth_first_pulse,
-            depth_topic: args.depth_topic.clone(),
-            infrared: args.infrared,
-            camera_exposure_ns: args.camera_exposure_us,
+            first_pulse: more.first_pulse,
+            depth_topic: more.depth_topic.clone(),
+            infrared: more.infrared,
             view: args.register.map(View::from),
-            free_running: args.free_running,
+            free_running: more.free_running,
             phones,
+            ..given
         },
         overwrite: args.overwrite,
     };

@@ -11,6 +11,7 @@ use crate::outcome::{ExitStatus, Failure};
 /// Write the manual pages, one a command, into a folder, for example
 /// `smartdepthsync man ~/.local/share/man/man1`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync man man1")]
 pub(crate) struct Args {
     /// The folder; it is made if it is not there
     #[arg(value_name = "FOLDER")]

@@ -1,6 +1,5 @@
 //! `smartdepthsync monitor`: look at the board while it runs.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
@@ -11,6 +10,7 @@ use crate::context::Context;
 use crate::decimal::parse_duration;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
+use crate::rig_profile::ProfileArg;
 use crate::view::plain::line;
 use crate::view::screen::{Key, PERIOD, Screen, SharedState, lock};
 use crate::view::state::{Losses, Rates, Sensor, State, Trigger};
@@ -18,7 +18,6 @@ use board::imu::Scale;
 use board::transport::LinkError;
 use board::{Board, BoardError, Event};
 use recording::finding::Finding;
-use recording::profile::Profile;
 use session::devices::Connector as _;
 use session::event::{SessionEvent, Stamped};
 use session::hardware::SerialConnector;
@@ -32,15 +31,15 @@ const LINE_TICKS: u64 = TICK_HZ as u64;
 /// On a terminal a live view (h shows its keys), else a line a second. With --json
 /// the state at the end.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync monitor --duration 1m")]
 pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
-    /// How long, in board time: 90s, 5m, 1h; until stopped if not given
-    #[arg(long, value_parser = parse_duration)]
+    /// How long, in board time: 90s, 5m, 1h; else until stopped
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     duration: Option<u64>,
-    /// The rig profile, for the names of the sensors on auxiliary outputs
-    #[arg(long, value_name = "FILE")]
-    profile: Option<PathBuf>,
+    #[command(flatten)]
+    profile: ProfileArg,
     /// Plain lines even on a terminal
     #[arg(long)]
     plain: bool,
@@ -66,11 +65,11 @@ struct PrintedState<'a> {
 ///
 /// The board cannot be reached, or does not come back.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let mut board = args.port.open()?;
+    let (profile, _) = args.profile.load()?;
+    let mut board = args.port.open_of(Some(&profile))?;
     let scale = imu_scale(&board.imu()?)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
-    let profile = args.profile.as_deref().map(Profile::load).transpose()?;
-    let state = SharedState::new(State::of_board(id.clone(), profile.as_ref()).into());
+    let state = SharedState::new(State::of_board(id.clone(), Some(&profile)).into());
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen
         .then(|| Screen::open(&state, &context.interrupt))
@@ -79,7 +78,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let mut monitor = Monitor {
         context,
         connector: SerialConnector {
-            port: args.port.port.clone(),
+            port: args.port.path(Some(&profile)),
         },
         scale,
         id,

@@ -11,8 +11,9 @@ use serde_json::json;
 
 use crate::advice::at_phone;
 use crate::context::Context;
-use crate::options::number_in;
+use crate::decimal::parse_real_time;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
+use crate::rig_profile::ProfileArg;
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
 use phone::{PhoneClient, PhoneError, Settings};
@@ -30,11 +31,12 @@ pub(crate) struct Args {
 /// How to reach the phone.
 #[derive(Clone, Debug, clap::Args)]
 struct ConnectionArgs {
-    /// The phone's address, as the app's dialog shows it; port 6969 unless given
+    /// The phone's address, as the app's dialog shows it, if not the profile's; port 6969 if
+    /// it has none
     #[arg(long, global = true, value_name = "HOST[:PORT]")]
     phone: Option<String>,
     /// How long to wait for the phone, beyond the time that the request itself takes
-    #[arg(long, global = true, value_name = "SECONDS", default_value = "15", value_parser = seconds)]
+    #[arg(long, global = true, value_name = "TIME", default_value = "15s", value_parser = parse_real_time)]
     timeout: Duration,
 }
 
@@ -44,8 +46,10 @@ enum Request {
     /// Record the phone's gyroscope for a while
     Imu(ImuArgs),
     /// Start a video; prints the phase and duration of its frames
+    #[command(after_help = "Example: smartdepthsync phone start")]
     Start,
     /// Stop the video
+    #[command(after_help = "Example: smartdepthsync phone stop")]
     Stop,
     /// Download the last video
     GetVideo(GetVideoArgs),
@@ -55,12 +59,13 @@ enum Request {
 
 /// Options of `phone imu`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync phone imu --duration 5s --out gyro.csv")]
 struct ImuArgs {
     /// How long to record
-    #[arg(long, default_value = "10", value_parser = imu_seconds)]
-    seconds: Duration,
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = imu_duration)]
+    duration: Duration,
     /// Save the samples in this file, as the app writes them
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Replace the file if it is there
     #[arg(long)]
@@ -69,9 +74,10 @@ struct ImuArgs {
 
 /// Options of `phone get-video`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync phone get-video --recorded --out recordings/walk")]
 struct GetVideoArgs {
     /// Folder for the video (it keeps a safe form of its name), or the file to write
-    #[arg(long, value_name = "PATH", default_value = ".")]
+    #[arg(short, long, value_name = "PATH", default_value = ".")]
     out: PathBuf,
     /// Overwrite an existing file
     #[arg(long)]
@@ -81,18 +87,21 @@ struct GetVideoArgs {
     #[arg(long)]
     recorded: bool,
     /// How long the app may take to finish the file before it sends it
-    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
+    #[arg(long, value_name = "TIME", default_value = "120s", value_parser = parse_real_time)]
     ready: Duration,
 }
 
 /// Options of `phone get-files`.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: smartdepthsync phone get-files --phase 1234567890 --out recordings/walk"
+)]
 struct GetFilesArgs {
     /// The phase that `phone start` printed, or `session.json` has: it names the video
     #[arg(long, value_name = "NS")]
     phase: i64,
     /// Folder for the files, such as the recording's
-    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    #[arg(short, long, value_name = "FOLDER", default_value = ".")]
     out: PathBuf,
     /// Copy the video too
     #[arg(long)]
@@ -131,12 +140,17 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 
         Request::Start | Request::Stop => {}
     }
-    let address = args.connection.phone.as_deref().ok_or_else(|| {
-        PhoneError::Argument(
+    let address = match &args.connection.phone {
+        Some(address) => address.clone(),
+        None => ProfileArg::default().load()?.0.phone.address,
+    };
+    if address.is_empty() {
+        return Err(PhoneError::Argument(
             "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
         )
-    })?;
-    ask(address, settings, &args.request, context).map_err(|failure| at_phone(failure, address))
+        .into());
+    }
+    ask(&address, settings, &args.request, context).map_err(|failure| at_phone(failure, &address))
 }
 
 fn ask(
@@ -171,10 +185,10 @@ fn record_imu(
         file: Option<String>,
     }
     let bar = context.spinner();
-    let seconds = args.seconds.as_secs_f64();
+    let seconds = args.duration.as_secs_f64();
     bar.set_message(format!("recording on the phone for {seconds:.1} s"));
     bar.enable_steady_tick(Duration::from_millis(200));
-    let samples = client.gyroscope(args.seconds);
+    let samples = client.gyroscope(args.duration);
     bar.finish_and_clear();
     let samples = samples?;
     if let Some(path) = &args.out {
@@ -271,13 +285,12 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failu
     Ok(ExitStatus::Good)
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
-    number_in(0.01..=86_400.0, text, "seconds, 0.01 to 86400").map(Duration::from_secs_f64)
-}
-
-fn imu_seconds(text: &str) -> Result<Duration, String> {
-    let most = MAX_IMU_DURATION.as_secs_f64();
-    let seconds = number_in(0.001..=most, text, &format!("seconds, 0.001 to {most}"))?;
+fn imu_duration(text: &str) -> Result<Duration, String> {
+    let time = parse_real_time(text)?;
     // The app counts whole milliseconds.
-    Ok(Duration::from_millis((seconds * 1e3).round() as u64))
+    let time = Duration::from_millis((time.as_secs_f64() * 1e3).round() as u64);
+    match time.is_zero() || time > MAX_IMU_DURATION {
+        true => Err(format!("expected 1ms to {} s", MAX_IMU_DURATION.as_secs())),
+        false => Ok(time),
+    }
 }

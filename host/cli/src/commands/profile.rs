@@ -34,6 +34,7 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Write a commented profile to start from; never overwrites
+    #[command(after_help = "Example: smartdepthsync profile init rig.toml --camera oak")]
     Init {
         /// The file to write
         file: PathBuf,
@@ -41,17 +42,19 @@ enum Action {
         camera: CameraArg,
     },
     /// Check a profile and print it with all defaults filled in
+    #[command(after_help = "Example: smartdepthsync profile check rig.toml")]
     Check {
         /// The profile
         file: PathBuf,
     },
     /// Learn the phones' frame periods, and from two twists the rates of their clocks
+    #[command(after_help = "Example: smartdepthsync profile learn recordings/walk")]
     Learn {
         #[command(flatten)]
         recording: RecordingArg,
         #[command(flatten)]
         profile: ProfileArg,
-        /// Of several phones, the one to learn about; all of them unless given
+        /// Of several phones, the one to learn about; else all of them
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
         /// The app's file of frame timestamps, if it is not in the recording's folder; of
@@ -60,6 +63,9 @@ enum Action {
         timestamps: Option<PathBuf>,
     },
     /// Take over intrinsics and poses of the cameras from Kalibr's camchain-imucam.yaml
+    #[command(
+        after_help = "Example: smartdepthsync profile import-kalibr rig.toml chain-camchain-imucam.yaml"
+    )]
     ImportKalibr {
         /// The profile to write into; its comments stay
         file: PathBuf,
@@ -67,7 +73,7 @@ enum Action {
         /// camera's colour
         #[arg(value_name = "CAMCHAIN")]
         chain: PathBuf,
-        /// Of several phones, the one that cam0 is; unless given, the reference
+        /// Of several phones, the one that cam0 is; else the reference
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
     },

@@ -37,76 +37,92 @@ const CALIBRATION_TICKS: u64 = seconds(90);
 /// The most problems that are listed at the end.
 const MAX_PROBLEMS: usize = 10;
 
+/// Where the options for few stand in the long help.
+const MORE: &str = "More";
+
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync record --duration 5m")]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
-    #[command(flatten)]
-    profile: ProfileArg,
-    /// A phone's address, instead of the profile's; of several phones with its name
-    #[arg(long, value_name = "[NAME=]HOST[:PORT]")]
-    phone: Vec<String>,
-    /// Of several phones, the one that the trigger is aligned to, instead of the profile's
-    #[arg(long, value_name = "NAME")]
-    reference: Option<String>,
+    /// How long to record, in board time: 90s, 5m, 1h; else until stopped
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    duration: Option<u64>,
     /// Folder in which the recording's folder is made
-    #[arg(long, value_name = "FOLDER", default_value = recordings::FOLDER)]
+    #[arg(short, long, value_name = "FOLDER", default_value = recordings::FOLDER)]
     out: PathBuf,
-    /// Name of the recording's folder [default: date and time]
+    /// Name of the recording's folder, if not date and time
     #[arg(long, value_parser = check_name)]
     name: Option<String>,
-    /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
-    #[arg(long, value_parser = parse_duration)]
-    duration: Option<u64>,
     /// Never prompt; stop at the first failure
     #[arg(long)]
     yes: bool,
-    /// How long to wait for a lost USB link to come back, in real time
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
-    link_patience: Duration,
-    /// Plain lines instead of the live view
-    #[arg(long)]
-    plain: bool,
-    /// Print what happens as it happens, one JSON object a line, and nothing else on standard
-    /// output; plain lines instead of the live view
-    #[arg(long)]
-    events: bool,
-    /// Set a mark this long after the start; may be given more than once
-    #[arg(long = "marker", value_name = "AFTER", value_parser = parse_duration)]
-    markers: Vec<u64>,
-    /// Twists before the recording: two know the rate of the clocks today, three and more
-    /// how it changes while the rig warms up
-    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=5))]
-    twists: u32,
-    /// Between two of these twists, in board time
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
-    twist_gap: u64,
-    /// Align the trigger this far before the phone's frames: the second recording that
-    /// `evaluate precision` asks for when it cannot tell flashes from a lamp
-    #[arg(long, value_name = "TIME", value_parser = parse_real_time, conflicts_with = "calibrate")]
-    shift: Option<Duration>,
-    /// Twist again at the end: a far better skew, and `profile learn` needs it
-    #[arg(long)]
-    second_twist: bool,
-    /// Download the phone's video at the end
-    #[arg(long)]
-    fetch_video: bool,
-    /// Record every frame of the USB link as it came too, for the report of a fault
-    #[arg(long)]
-    raw_link: bool,
     /// Record for 90 s between two twists, and write what that teaches about the phone's
     /// clocks into the rig profile
     #[arg(long)]
     calibrate: bool,
-    /// Follow the phone's clock through adb while it records, so that the trigger stays on
-    /// its frames for hours; an error if that cannot be. Unless given, it is followed where an
-    /// adb server runs and has the phone
+    /// Twist again at the end: a far better skew, and `profile learn` needs it
     #[arg(long)]
-    track: bool,
-    /// Do not follow the phone's clock: nothing is started on the phone
-    #[arg(long, conflicts_with = "track")]
-    no_track: bool,
+    second_twist: bool,
+    /// Follow the phone's clock through adb while it records, so that the trigger stays on
+    /// its frames for hours
+    #[arg(
+        long,
+        value_enum,
+        value_name = "WHEN",
+        default_value_t,
+        hide_possible_values = true
+    )]
+    track: TrackArg,
+    /// Leave the phone's files and video on the phone
+    #[arg(long)]
+    no_fetch: bool,
+    #[command(flatten, next_help_heading = MORE)]
+    more: MoreArgs,
+}
+
+/// Options of `record` that its short help leaves out.
+#[derive(Debug, clap::Args)]
+struct MoreArgs {
+    #[command(flatten)]
+    port: PortArg,
+    #[command(flatten)]
+    profile: ProfileArg,
+    /// Twists before the recording, a minute apart: two know the rate of the clocks today,
+    /// three and more how it changes while the rig warms up
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, hide_short_help = true,
+          value_parser = clap::value_parser!(u32).range(1..=5))]
+    twists: u32,
+    /// Set a mark this long after the start; may be given more than once
+    #[arg(long = "marker", value_name = "TIME", hide_short_help = true,
+          value_parser = parse_duration)]
+    markers: Vec<u64>,
+    /// Align the trigger this far before the phone's frames: the second recording that
+    /// `evaluate precision` asks for when it cannot tell flashes from a lamp
+    #[arg(long, value_name = "TIME", hide_short_help = true, value_parser = parse_real_time,
+          conflicts_with = "calibrate")]
+    shift: Option<Duration>,
+    /// Plain lines instead of the live view
+    #[arg(long, hide_short_help = true)]
+    plain: bool,
+    /// Print what happens as it happens, one JSON object a line, and nothing else on standard
+    /// output; plain lines instead of the live view
+    #[arg(long, hide_short_help = true)]
+    events: bool,
+    /// Record every frame of the USB link as it came too, for the report of a fault
+    #[arg(long, hide_short_help = true)]
+    raw_link: bool,
+}
+
+/// When the phone's clock is followed.
+#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
+enum TrackArg {
+    /// Where an adb server runs and has the phone
+    #[default]
+    Auto,
+    /// An error if it cannot be
+    Always,
+    /// Nothing is started on the phone
+    Never,
 }
 
 impl Args {
@@ -115,23 +131,22 @@ impl Args {
             true => Some(self.duration.unwrap_or(CALIBRATION_TICKS)),
             false => self.duration,
         };
+        let more = &self.more;
         Options {
-            out: self.out.clone(),
             name: self.name.clone(),
             duration,
-            link_patience: self.link_patience,
-            markers: self.markers.clone(),
-            track: match (self.track, self.no_track) {
-                (true, _) => Track::Always,
-                (_, true) => Track::Never,
-                _ => Track::IfThere,
+            markers: more.markers.clone(),
+            track: match self.track {
+                TrackArg::Auto => Track::IfThere,
+                TrackArg::Always => Track::Always,
+                TrackArg::Never => Track::Never,
             },
-            twists: self.twists,
-            twist_gap: self.twist_gap,
+            twists: more.twists,
             second_twist: self.second_twist || self.calibrate,
-            fetch_video: self.fetch_video,
-            raw_link: self.raw_link,
-            first_command: None,
+            fetch_video: !self.no_fetch,
+            fetch_files: !self.no_fetch,
+            raw_link: more.raw_link,
+            ..Options::into_folder(self.out.clone())
         }
     }
 }
@@ -157,21 +172,15 @@ struct PrintedSession<'a> {
 ///
 /// A step failed; what was recorded before is kept.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    if args.events && context.global.json {
+    if args.more.events && context.global.json {
         return Err(Failure::new(
             ExitStatus::Usage,
             "--events and --json both print on standard output",
         )
         .next_step("give one of them"));
     }
-    let (mut profile, place) = args.profile.load()?;
-    for phone in &args.phone {
-        profile.set_address(phone)?;
-    }
-    if let Some(name) = &args.reference {
-        profile.set_reference(name)?;
-    }
-    if let Some(shift) = args.shift {
+    let (mut profile, place) = args.more.profile.load()?;
+    if let Some(shift) = args.more.shift {
         profile.frame_sync.bias_us += shift.as_secs_f64() * 1e6;
     }
     let to_teach = match args.calibrate {
@@ -216,7 +225,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         learnt,
         session: &file,
     };
-    match args.events {
+    match args.more.events {
         true => context.say(text(&report)),
         false => context.print_checks(&report, || text(&report))?,
     }
@@ -244,13 +253,14 @@ fn record(
         phones.push(Box::new(task));
     }
     let asks = !args.yes && !context.global.json;
-    let wants_screen = !(args.plain || args.events || context.global.json);
+    let more = &args.more;
+    let wants_screen = !(more.plain || more.events || context.global.json);
     let state = State::of_session(profile, asks);
-    let mut view = View::open(context, state, wants_screen, args.events);
+    let mut view = View::open(context, state, wants_screen, more.events);
     let mut operator = AtTerminal::new(view.take_keys(), asks, &context.interrupt);
     let devices = Devices {
         connector: &mut SerialConnector {
-            port: args.port.port.clone(),
+            port: more.port.path(Some(profile)),
         },
         phones,
         phone_clock: &mut AdbClockStarter {

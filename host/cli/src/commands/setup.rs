@@ -7,12 +7,13 @@
 use std::io::{BufRead, IsTerminal as _};
 use std::path::PathBuf;
 
-use toml_edit::{Array, value};
+use toml_edit::{Array, Item, value};
 
 use super::doctor;
 use crate::context::Context;
+use crate::decimal::parse_micros;
 use crate::new_profile::{Camera, recorder_command, text};
-use crate::options::{PortArg, number_in};
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
@@ -21,6 +22,7 @@ use recording::camera::{DEFAULT_CAMERA, Mode, Model};
 /// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
 /// `doctor` does, and names the next command.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync setup --phone 192.168.1.50 --recorder k4arecorder")]
 pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
@@ -59,9 +61,9 @@ pub(crate) struct CameraArg {
     /// Mode of the depth camera, as its programs call it
     #[arg(long, value_name = "MODE")]
     pub(crate) depth_mode: Option<String>,
-    /// Exposure of the depth camera, µs, if it is one whose exposure is set
-    #[arg(long, value_name = "MICROSECONDS", value_parser = parse_exposure)]
-    pub(crate) depth_exposure_us: Option<f64>,
+    /// Exposure of the depth camera, such as 8ms, if it is one whose exposure is set
+    #[arg(long, value_name = "TIME", value_parser = parse_exposure)]
+    pub(crate) exposure: Option<f64>,
 }
 
 impl CameraArg {
@@ -91,11 +93,11 @@ impl CameraArg {
     ///
     /// The mode's exposure cannot be set.
     pub(crate) fn exposure_us(&self, mode: &Mode) -> Result<Option<f64>, Failure> {
-        match self.depth_exposure_us {
+        match self.exposure {
             Some(_) if !mode.follows_exposure() => Err(Failure::new(
                 ExitStatus::Usage,
                 format!(
-                    "--depth-exposure-us: the exposure of {} cannot be set; the middle of its \
+                    "--exposure: the exposure of {} cannot be set; the middle of its \
                      frames is known without it",
                     mode.name
                 ),
@@ -117,7 +119,10 @@ fn parse_mode(model: &'static Model, text: &str) -> Result<&'static Mode, String
 }
 
 fn parse_exposure(text: &str) -> Result<f64, String> {
-    number_in(1.0..=200_000.0, text, "1 to 200000 (µs)")
+    let micros = parse_micros(text).ok();
+    micros
+        .filter(|micros| (1.0..=200_000.0).contains(micros))
+        .ok_or_else(|| String::from("expected 1us to 200ms"))
 }
 
 /// The answers.
@@ -127,6 +132,7 @@ struct Answers {
     phone: String,
     camera: Camera,
     recorder: Array,
+    port: Option<String>,
 }
 
 /// Runs the command.
@@ -160,15 +166,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         profile: ProfileArg {
             profile: Some(args.profile.clone()),
         },
-        phone: None,
-        out: PathBuf::from(crate::recordings::FOLDER),
         no_trigger: args.no_trigger,
         no_phone: false,
     };
     let status = doctor::run(&doctor, context)?;
-    let port = args.port.port.as_deref().map_or(String::new(), |port| {
-        format!(" --port {}", files::shell_word(port.as_ref()))
-    });
     let profile = match args.profile.as_os_str() == FILE {
         true => String::new(),
         false => format!(" --profile {}", files::shell_word(&args.profile)),
@@ -176,9 +177,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     context.say(match status {
         ExitStatus::Good => format!(
             "next, with the phone and the rig in your hands\n  smartdepthsync record \
-             --calibrate{port}{profile}"
+             --calibrate{profile}"
         ),
-        _ => format!("mend what is BAD above; then\n  smartdepthsync doctor{port}{profile}"),
+        _ => format!("mend what is BAD above; then\n  smartdepthsync doctor{profile}"),
     });
     Ok(status)
 }
@@ -268,6 +269,7 @@ fn answers<R: BufRead>(
         phone,
         recorder: recorder_command(&recorder, camera.model, camera.mode),
         camera,
+        port: args.port.port.clone(),
     })
 }
 
@@ -287,17 +289,15 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
 
 impl Answers {
     fn profile(&self) -> Result<String, Failure> {
-        text(
-            &self.camera,
-            &[
-                (&["name"], value(self.name.as_str())),
-                (&["phone", "address"], value(self.phone.as_str())),
-                (
-                    &["depth", "recorder", "command"],
-                    value(self.recorder.clone()),
-                ),
-            ],
-        )
+        let recorder = value(self.recorder.clone());
+        let mut set: Vec<(&[&str], Item)> = vec![
+            (&["name"], value(self.name.as_str())),
+            (&["phone", "address"], value(self.phone.as_str())),
+            (&["depth", "recorder", "command"], recorder),
+        ];
+        let port = self.port.as_deref();
+        set.extend(port.map(|port| (["port"].as_slice(), value(port))));
+        text(&self.camera, &set)
     }
 }
 
@@ -320,6 +320,7 @@ mod tests {
         let context = Context {
             global: Global {
                 json: true,
+                quiet: false,
                 verbose: 0,
             },
             interrupt: Interrupt::default(),
@@ -366,7 +367,7 @@ mod tests {
     #[test]
     fn another_camera_brings_its_modes() {
         let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\nnone\n";
-        let typed = asked(&["--depth-exposure-us", "6000"], typed, None).unwrap();
+        let typed = asked(&["--exposure", "6ms"], typed, None).unwrap();
         let profile = Profile::parse(&typed.profile().unwrap(), None).unwrap();
         assert_eq!(
             (profile.depth.camera.as_str(), profile.depth.fps),

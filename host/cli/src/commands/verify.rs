@@ -1,20 +1,31 @@
-//! `smartdepthsync verify`: is a recording whole.
+//! `smartdepthsync verify`: is a recording whole; its report, and its repair.
+
+use std::path::{Path, PathBuf};
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
-use crate::recordings::RecordingArg;
+use crate::recordings::{self, RecordingArg};
+use recording::RecordingError;
 use recording::finding::Severity;
+use recording::session_file::SessionFile;
+use report::repair::repair;
+use report::session;
 use report::verify::verify;
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
-/// grid, times that go on. Nothing is written.
+/// grid, times that go on. Its report is written again, into its folder.
 ///
 /// Ends with exit code 0 if the recording is whole, 4 if something is missing or
 /// damaged, 13 if it cannot be read at all.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync verify recordings/walk")]
 pub(crate) struct Args {
     #[command(flatten)]
     recording: RecordingArg,
+    /// Write what can be read of it as a new, whole recording, which must not be there yet: a
+    /// folder for a folder, a file for a file. The recording itself is never changed
+    #[arg(long, value_name = "OUT")]
+    repair: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -23,13 +34,37 @@ pub(crate) struct Args {
 ///
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let report = verify(
-        &args.recording.find(context)?,
-        &context.interrupt.question(),
-    )?;
-    context.print_checks(&report, || report.summary().text())?;
-    Ok(match report.severity {
+    let recording = args.recording.find(context)?;
+    let stop = context.interrupt.question();
+    if let Some(out) = &args.repair {
+        let result = repair(&recording, out, &stop)?;
+        context.print_checks(&result, || result.summary().text())?;
+        return Ok(ExitStatus::of_loss(result.lost));
+    }
+    let mut verified = verify(&recording, &stop)?;
+    verified.report = write_report(recordings::folder_of(&recording), context)?;
+    context.print_checks(&verified, || {
+        let report = verified.report.iter();
+        let report = report.map(|path| format!("report {}\n", path.display()));
+        verified.summary().text() + &report.collect::<String>()
+    })?;
+    Ok(match verified.severity {
         Severity::Good => ExitStatus::Good,
         Severity::Check | Severity::Bad => ExitStatus::Loss,
     })
+}
+
+/// Writes the report of a recording that has a session; one that cannot be written is told.
+fn write_report(folder: &Path, context: &Context) -> Result<Option<PathBuf>, Failure> {
+    let Ok(file) = SessionFile::load(folder) else {
+        return Ok(None);
+    };
+    match session::write(folder, &file, &context.interrupt.question()) {
+        Ok(path) => Ok(Some(path)),
+        Err(stopped @ RecordingError::Stopped) => Err(stopped.into()),
+        Err(error) => {
+            context.say(format!("warning: cannot write the report: {error}"));
+            Ok(None)
+        }
+    }
 }

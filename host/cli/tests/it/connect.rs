@@ -1,5 +1,5 @@
-//! The program as a process, against ports of all kinds: what `info` and
-//! `ports` print, and how each way to fail ends.
+//! The program as a process, against ports of all kinds: what `board info` and
+//! `board list` print, and how each way to fail ends.
 #![cfg(unix)]
 
 use std::fs::Permissions;
@@ -15,7 +15,7 @@ use test_support::interrupts::PATIENCE;
 #[test]
 fn info_says_who_the_board_is() {
     let board = StandIn::new(polite);
-    let output = run(&["info", "--port", &board.path, "--json"]);
+    let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
     let info: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(info["board_id"], "AB0102030405060708090A0B");
@@ -34,25 +34,25 @@ fn info_says_who_the_board_is() {
 
 #[test]
 fn a_path_that_is_no_port_says_so() {
-    let missing = run(&["info", "--port", "/dev/ttyACM-not-there"]);
+    let missing = run(&["board", "info", "--port", "/dev/ttyACM-not-there"]);
     assert_eq!(code(&missing), 5);
 
     let file = tempfile::NamedTempFile::new().unwrap();
-    let no_port = run(&["info", "--port", &file.path().to_string_lossy()]);
+    let no_port = run(&["board", "info", "--port", &file.path().to_string_lossy()]);
     assert_eq!(code(&no_port), 8, "{no_port:?}");
 }
 
 #[test]
 fn a_silent_port_gives_no_answer() {
     let silent = StandIn::new(|_: HostToDevice| Vec::new());
-    let output = run(&["info", "--port", &silent.path]);
+    let output = run(&["board", "info", "--port", &silent.path]);
     assert_eq!(code(&output), 10);
 }
 
 #[test]
 fn another_device_is_not_this_board() {
     let modem = StandIn::new(|_: HostToDevice| b"\r\nERROR\r\n\0".to_vec());
-    let output = run(&["info", "--port", &modem.path]);
+    let output = run(&["board", "info", "--port", &modem.path]);
     assert_eq!(code(&output), 8);
 }
 
@@ -66,7 +66,7 @@ fn another_protocol_version_has_its_own_code_and_nothing_is_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("recordings");
     let out = out.to_str().unwrap();
-    for arguments in [&["info"][..], &["record", "--yes", "--out", out]] {
+    for arguments in [&["board", "info"][..], &["record", "--yes", "--out", out]] {
         let output = run(&[arguments, &["--port", &newer.path]].concat());
         assert_eq!(code(&output), 9);
     }
@@ -77,7 +77,7 @@ fn another_protocol_version_has_its_own_code_and_nothing_is_recorded() {
 fn a_port_in_use_is_busy() {
     let board = StandIn::new(polite);
     let _holder = serialport::new(&board.path, 115_200).open().unwrap();
-    let output = run(&["info", "--port", &board.path, "--json"]);
+    let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 7, "{output:?}");
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(told["error"]["exit_code"], 7);
@@ -103,7 +103,7 @@ fn a_port_without_permission_has_its_own_code() {
         Command::new(copy)
     };
     let output = command
-        .args(["info", "--port", &board.path])
+        .args(["board", "info", "--port", &board.path])
         .output()
         .unwrap();
     assert_eq!(code(&output), 6, "{output:?}");
@@ -122,7 +122,7 @@ fn a_board_that_goes_away_is_a_lost_link() {
             polite(command)
         }
     });
-    let child = support::program(&["info", "--port", &board.path])
+    let child = support::program(&["board", "info", "--port", &board.path])
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()
@@ -135,7 +135,7 @@ fn a_board_that_goes_away_is_a_lost_link() {
 
 #[test]
 fn ports_is_a_list() {
-    let output = run(&["ports", "--json"]);
+    let output = run(&["board", "list", "--json"]);
     assert_eq!(code(&output), 0);
     let ports: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(ports["ports"].is_array(), "{ports}");
@@ -144,9 +144,9 @@ fn ports_is_a_list() {
 #[test]
 fn a_wrong_command_line_has_the_code_of_usage() {
     assert_eq!(code(&run(&[])), 2);
-    assert_eq!(code(&run(&["info", "--no-such-option"])), 2);
+    assert_eq!(code(&run(&["board", "info", "--no-such-option"])), 2);
     assert_eq!(code(&run(&["--version"])), 0);
-    assert_eq!(code(&run(&["help", "info"])), 0);
+    assert_eq!(code(&run(&["help", "board", "info"])), 0);
 }
 
 #[test]

@@ -42,7 +42,7 @@ fn every_command_in_a_block_is_a_whole_command() {
 
 fn all_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
     for below in command.get_subcommands() {
-        if below.get_name() == "help" {
+        if below.get_name() == "help" || below.is_hide_set() {
             continue;
         }
         path.push(below.get_name().to_owned());
@@ -70,6 +70,14 @@ fn every_command_has_help_and_a_manual_page() {
         assert_eq!(help.status.code(), Some(0), "{args:?}");
         let help = String::from_utf8_lossy(&help.stdout).into_owned();
         assert!(help.contains("Usage:"), "{args:?}");
+        let example = help.lines().find_map(|line| line.strip_prefix("Example: "));
+        let is_leaf = !help.contains("\nCommands:");
+        assert_eq!(example.is_some(), is_leaf, "an example of {args:?}");
+        if let Some(example) = example {
+            let taken = Cli::command().try_get_matches_from(example.split(' '));
+            assert!(taken.is_ok(), "{example}: {:?}", taken.err());
+            assert!(example[15..].starts_with(&path.join(" ")), "{example}");
+        }
         let mut headings = help
             .lines()
             .filter(|line| line.ends_with(':') && !line.starts_with(' '));
@@ -91,10 +99,28 @@ fn help_lists_the_commands_in_the_order_of_use() {
     let help = run(&["--help"]);
     let help = String::from_utf8_lossy(&help.stdout);
     let places = [
-        "setup", "doctor", "record", "verify", "extract", "profile", "trigger",
+        "setup", "doctor", "record", "extract", "evaluate", "verify", "monitor", "board", "phone",
+        "profile",
     ]
     .map(|name| help.find(&format!("\n  {name} ")).unwrap());
     assert!(places.is_sorted(), "{help}");
+    assert!(!help.contains("completions") && !help.contains("\n  man "));
+}
+
+/// A short help is read; a long one is searched.
+#[test]
+fn short_helps_are_short() {
+    for (command, most) in [("record", 12), ("extract", 10)] {
+        let help = run(&[command, "-h"]);
+        let help = String::from_utf8_lossy(&help.stdout);
+        let options = help
+            .lines()
+            .filter(|line| line.trim_start().starts_with('-'));
+        assert_eq!(options.count(), most, "{help}");
+        let long = run(&[command, "--help"]);
+        let long = String::from_utf8_lossy(&long.stdout);
+        assert!(long.contains("\nMore:\n"), "{long}");
+    }
 }
 
 #[test]

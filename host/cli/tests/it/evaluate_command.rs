@@ -73,7 +73,7 @@ fn precision_of_image_folders_with_all_outputs() {
         .collect();
     let (plot, html) = (path("plot.svg"), path("report.html"));
     let mut args = vec!["--json", "evaluate", "precision"];
-    args.extend(["--plot", &plot, "--report", &html]);
+    args.extend(["--plot", &plot, "--out", &html]);
     args.extend(inputs.iter().map(String::as_str));
     let ran = run(&args);
     assert_eq!(ran.code, 0, "{}", ran.err);
@@ -133,9 +133,9 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
         "evaluate",
         "precision",
         "--near",
-        "0",
+        "0us",
         "--applied-bias",
-        "7.5",
+        "7.5us",
         "--calibrate",
         profile,
         open,

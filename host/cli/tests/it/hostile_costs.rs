@@ -80,7 +80,7 @@ fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
         bomb(&folder, topic, TIMES, 20, (16 << 20) / 15);
         let output = limited(&["extract", utf8(&folder)]);
         assert_eq!(code(&output), 4, "{output:?}");
-        let output = limited(&["report", utf8(&folder)]);
+        let output = limited(&["verify", utf8(&folder)]);
         assert_eq!(code(&output), 13, "there is no session: {output:?}");
     }
 }
@@ -98,9 +98,7 @@ fn what_a_small_file_unpacks_to_is_bounded() {
     for (args, expected) in [
         (vec!["verify", utf8(&folder)], 4),
         (vec!["extract", utf8(&folder)], 4),
-        (vec!["repair", utf8(&folder), utf8(&out)], 4),
-        // Of what the session file says; the plots lack what cannot be read.
-        (vec!["report", utf8(&folder)], 0),
+        (vec!["verify", utf8(&folder), "--repair", utf8(&out)], 4),
     ] {
         let output = limited(&args);
         assert_eq!(code(&output), expected, "{args:?}: {output:?}");
@@ -115,8 +113,7 @@ fn the_largest_file_size_is_as_a_full_disk() {
     let (out, repaired) = (parent.path().join("out"), parent.path().join("repaired"));
     for args in [
         vec!["extract", utf8(&folder), "--out", utf8(&out)],
-        vec!["repair", utf8(&folder), utf8(&repaired)],
-        vec!["report", utf8(&folder)],
+        vec!["verify", utf8(&folder), "--repair", utf8(&repaired)],
     ] {
         // Whoever runs the tests may have switched the signal off.
         let output = Command::new("env")
@@ -140,7 +137,7 @@ fn a_port_that_never_ends_costs_little() {
     for bytes in [[0; 2], [7, 7], [1, 0]] {
         let board = Flood(bytes);
         let board = StandIn::new(board);
-        let output = limited(&["info", "--port", &board.path]);
+        let output = limited(&["board", "info", "--port", &board.path]);
         assert_eq!(code(&output), 8, "{bytes:?}: {output:?}");
     }
 }
@@ -167,8 +164,7 @@ fn the_first_ctrl_c_stops_every_command_that_reads_long() {
     let out = parent.path().join("out");
     for args in [
         vec!["verify", utf8(&folder)],
-        vec!["report", utf8(&folder)],
-        vec!["repair", utf8(&folder), utf8(&out)],
+        vec!["verify", utf8(&folder), "--repair", utf8(&out)],
         vec!["extract", utf8(&folder)],
     ] {
         let mut command = command(&args);

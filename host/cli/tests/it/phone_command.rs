@@ -73,7 +73,7 @@ fn run(fake: Fake, arguments: &[&str], folder: &Path) -> Run {
     let output = Command::new("timeout")
         .args(["30", env!("CARGO_BIN_EXE_smartdepthsync"), "phone"])
         .args(arguments)
-        .args(["--phone", &fake.address, "--timeout", "20"])
+        .args(["--phone", &fake.address, "--timeout", "20s"])
         .current_dir(folder)
         .output()
         .unwrap();
@@ -153,7 +153,7 @@ fn nothing_is_overwritten_unless_asked() {
 fn imu_recordings_are_saved_as_they_came() {
     let folder = tempfile::tempdir().unwrap();
     let answer = format!("{HEAD}agyro.csv\n1,2,-1.0E-4,4\n1,2,3,2000004\nsensor_end\nend\n");
-    let arguments = ["imu", "--seconds", "0.1", "--out", "gyro.csv", "--json"];
+    let arguments = ["imu", "--duration", "0.1s", "--out", "gyro.csv", "--json"];
     let run = run(Fake::answers(answer), &arguments, folder.path());
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     let saved = std::fs::read_to_string(folder.path().join("gyro.csv")).unwrap();
@@ -168,9 +168,16 @@ fn interrupt_ends_a_request() {
     let fake = Fake::new(move |_| {
         let _ = asks.send(());
     });
-    let child = support::program(&["phone", "imu", "--seconds", "60", "--phone", &fake.address])
-        .spawn()
-        .unwrap();
+    let child = support::program(&[
+        "phone",
+        "imu",
+        "--duration",
+        "60s",
+        "--phone",
+        &fake.address,
+    ])
+    .spawn()
+    .unwrap();
     asked.recv_timeout(PATIENCE).unwrap();
     let killed = Command::new("kill")
         .args(["-INT", &child.id().to_string()])

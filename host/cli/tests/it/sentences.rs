@@ -20,25 +20,26 @@ use crate::support::{self, StandIn, frame, polite};
 /// a word of the message, a word of the next step.
 const CASES: &str = "\
 # Boards that are not there, and ports that are none.
-5 | info --port /no/such/port | /no/such/port | smartdepthsync ports
-8 | info --port text.txt | text.txt | serial port
-5 | bring-up --port /no/such/port | /no/such/port | smartdepthsync ports
-2 | bring-up --clock-time soon | 90s, 5m or 1h | help COMMAND
-5 | imu --port /no/such/port | /no/such/port | smartdepthsync ports
-5 | monitor --port /no/such/port | /no/such/port | smartdepthsync ports
-5 | trigger start --port /no/such/port | /no/such/port | smartdepthsync ports
-5 | trigger align --anchor 5 --port /no/such/port | /no/such/port | ports
-2 | trigger period | --fps | trigger period --fps 30
-2 | trigger start --period-us 999 | 1 ms and 1 s | help COMMAND
-2 | trigger start --fps fast | a decimal number | help COMMAND
-2 | trigger start --fps 30 --period-us 33333 | cannot be used with | help COMMAND
-2 | imu --seconds 0 | 1..=86400 | help COMMAND
-2 | trigger latency --output 2 | output 1 | leave --output out
-5 | trigger stop --port /no/such/port | /no/such/port | ports
-5 | trigger status --port /no/such/port | /no/such/port | ports
-5 | gnss start --port /no/such/port | /no/such/port | ports
-5 | gnss stop --port /no/such/port | /no/such/port | ports
-5 | gnss status --port /no/such/port | /no/such/port | ports
+5 | board info --port /no/such/port | /no/such/port | smartdepthsync board list
+8 | board info --port text.txt | text.txt | serial port
+5 | board test --port /no/such/port | /no/such/port | smartdepthsync board list
+2 | board test --clock-time soon | 90s, 5m or 1h | help COMMAND
+5 | board imu --port /no/such/port | /no/such/port | smartdepthsync board list
+5 | monitor --port /no/such/port | /no/such/port | smartdepthsync board list
+5 | board trigger start --port /no/such/port | /no/such/port | board list
+5 | board trigger align --anchor 5 --port /no/such/port | /no/such/port | board list
+2 | board trigger period | --fps | board trigger period --fps 30
+2 | board trigger start --period 999us | 1 ms and 1 s | help COMMAND
+2 | board trigger start --period 33333 | 33330.652us | help COMMAND
+2 | board trigger start --fps fast | a decimal number | help COMMAND
+2 | board trigger start --fps 30 --period 33333us | cannot be used with | help COMMAND
+2 | board imu --duration soon | 90s, 5m or 1h | help COMMAND
+2 | board trigger latency --output 2 | output 1 | leave --output out
+5 | board trigger stop --port /no/such/port | /no/such/port | board list
+5 | board trigger status --port /no/such/port | /no/such/port | board list
+5 | board pps start --port /no/such/port | /no/such/port | board list
+5 | board pps stop --port /no/such/port | /no/such/port | board list
+5 | board pps status --port /no/such/port | /no/such/port | board list
 # Phones.
 12 | phone imu --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
 12 | phone start --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
@@ -47,23 +48,23 @@ const CASES: &str = "\
 12 | phone get-video --recorded --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
 2 | phone get-files --phase word | --phase | help COMMAND
 # Sessions.
-5 | record --port /no/such/port | /no/such/port | ports
-2 | record --track --no-track | --no-track | help COMMAND
+5 | record --port /no/such/port | /no/such/port | board list
+2 | record --track often | always | help COMMAND
 13 | record --profile nothing.toml | nothing.toml | profile init
 2 | record --profile text.txt | text.txt | profile check
 2 | record --profile wrong.toml | line 2: unknown field `no_such_key` | profile check wrong.toml
 2 | record --twists 9 | 1..=5 | help COMMAND
-2 | record --twist-gap soon | 90s, 5m or 1h | help COMMAND
+2 | record --marker soon | 90s, 5m or 1h | help COMMAND
 # Files of two gyroscopes.
-2 | profile init new.toml --camera azure-kinect-dk --depth-exposure-us 5000 | cannot be set | option out
+2 | profile init new.toml --camera azure-kinect-dk --exposure 5ms | cannot be set | option out
 # Videos.
 13 | evaluate precision nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate precision text.txt | text.txt | give a video
 2 | evaluate precision folder --region 1,2 | X,Y,WIDTH,HEIGHT | help COMMAND
 2 | evaluate precision --train x folder | nfov | help COMMAND
 2 | evaluate precision --rotation 45 folder | 90 | help COMMAND
-2 | evaluate drift --from 3 --to 2 folder | before the end | help evaluate
-2 | evaluate drift --row-time nan folder | row time | help evaluate
+2 | evaluate drift --from 3s --to 2s folder | before the end | help evaluate
+2 | evaluate drift --row-time nan folder | 33330.652us | help COMMAND
 13 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | smartdepthsync setup
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
@@ -88,21 +89,18 @@ const CASES: &str = "\
 13 | verify nothing | nothing | check the
 2 | verify folder | recording.mcap | `record` made
 13 | verify broken.mcap | broken.mcap | repair
-13 | report nothing | nothing | check the
-2 | report folder | recording.mcap | `record` made
-13 | repair nothing new | nothing | check the
-13 | repair broken.mcap text.txt | text.txt | not taken
-13 | repair broken.mcap new.mcap | broken.mcap | verify
+13 | verify nothing --repair new | nothing | check the
+13 | verify broken.mcap --repair text.txt | text.txt | not taken
+13 | verify broken.mcap --repair new.mcap | broken.mcap | verify
 # Which recording.
 2 | verify | which recording | smartdepthsync record
 2 | verify many | 2 recordings | many/
 2 | extract many | 2 recordings | many/
 2 | verify wrong.toml | found neither | `record` made
 2 | extract wrong.toml | found neither | `record` made
-2 | report wrong.toml | found neither | `record` made
 # What is there is not overwritten.
-13 | imu --csv text.txt | not overwritten | --overwrite
-13 | evaluate precision folder --report text.txt | not overwritten | --overwrite
+13 | board imu --out text.txt | not overwritten | --overwrite
+13 | evaluate precision folder --out text.txt | not overwritten | --overwrite
 13 | evaluate drift folder --plot text.txt | not overwritten | --overwrite
 # Profiles that are made and taught.
 2 | setup --yes | address | help setup
@@ -136,7 +134,7 @@ fn cases() -> impl Iterator<Item = Case> {
 }
 
 /// Commands that cannot fail by what they are given, beyond the command line.
-const HARMLESS: [&str; 3] = ["ports", "completions", "doctor"];
+const HARMLESS: [&str; 3] = ["board list", "completions", "doctor"];
 
 fn files(folder: &Path) {
     let write = |name: &str, text: &[u8]| fs::write(folder.join(name), text).unwrap();
@@ -306,8 +304,8 @@ fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
             "doctor",
             "--port",
             "/no/such/port",
-            "--phone",
-            "127.0.0.1:1",
+            "--profile",
+            "plain.toml",
         ],
     );
     assert_eq!(output.status.code(), Some(5), "{output:?}");
@@ -334,31 +332,31 @@ fn a_refusal_names_the_bounds_or_the_command_that_changes_the_state() {
                 min: 240,
                 max: 47_760,
             },
-            &["trigger", "start", "--width-us", "2000"][..],
+            &["board", "trigger", "start", "--width", "2ms"][..],
             "5.000 µs to 995.000 µs",
             "within the bounds",
         ),
         (
             Refusal::TriggerRunning,
-            &["trigger", "start"],
+            &["board", "trigger", "start"],
             "",
-            "`smartdepthsync trigger stop`",
+            "`smartdepthsync board trigger stop`",
         ),
         (
             Refusal::TriggerStopped,
-            &["trigger", "align", "--anchor", "44", "--fps", "30"],
+            &["board", "trigger", "align", "--anchor", "44", "--fps", "30"],
             "",
-            "`smartdepthsync trigger start`",
+            "`smartdepthsync board trigger start`",
         ),
         (
             Refusal::GnssRunning,
-            &["gnss", "start"],
+            &["board", "pps", "start"],
             "",
-            "`smartdepthsync gnss stop`",
+            "`smartdepthsync board pps stop`",
         ),
         (
             Refusal::NotOnThisBoard,
-            &["trigger", "start", "--output", "2"],
+            &["board", "trigger", "start", "--output", "2"],
             "no outputs 2 to 4",
             "STM32F4DISCOVERY",
         ),

@@ -1,4 +1,4 @@
-//! `trigger` and `imu` as a process against a stand-in: exact units on the way
+//! `board trigger` and `board imu` as a process against a stand-in: exact units on the way
 //! to the board, losses on the way back, files in SI units.
 #![cfg(unix)]
 
@@ -66,15 +66,16 @@ fn a_period_in_microseconds_reaches_the_board_exactly() {
         _ => Err(Refusal::TriggerStopped),
     });
     let done = run(&[
+        "board",
         "trigger",
         "--port",
         &board.path,
         "--json",
         "start",
-        "--period-us",
-        "33330.65254",
-        "--width-us",
-        "12.5",
+        "--period",
+        "33330.65254us",
+        "--width",
+        "12.5us",
         "--first-edge",
         "4800000000",
     ]);
@@ -109,6 +110,7 @@ fn an_align_keeps_the_period_unless_told() {
         _ => Err(Refusal::TriggerStopped),
     });
     let output = run(&[
+        "board",
         "trigger",
         "--port",
         &board.path,
@@ -116,8 +118,8 @@ fn an_align_keeps_the_period_unless_told() {
         "align",
         "--anchor",
         "4416000000",
-        "--slew-us",
-        "10",
+        "--slew",
+        "10us",
     ]);
     assert_eq!(code(&output), 0, "{output:?}");
     assert_eq!(
@@ -213,13 +215,14 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("imu.csv");
     let output = run(&[
+        "board",
         "imu",
         "--port",
         &board.path,
-        "--seconds",
-        "1",
+        "--duration",
+        "1s",
         "--json",
-        "--csv",
+        "--out",
         &file.to_string_lossy(),
     ]);
     assert_eq!(code(&output), 0, "{output:?}");
@@ -240,14 +243,22 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
     let seconds: f64 = rows[0][1].parse().unwrap();
     assert!((seconds - ticks[0] as f64 / 48e6).abs() < 1e-6);
 
-    let output = run(&["imu", "--port", &board.path, "--seconds", "1"]);
+    let output = run(&["board", "imu", "--port", &board.path, "--duration", "1s"]);
     assert_eq!(code(&output), 0, "{output:?}");
 
     let board = StandIn::new(ImuStandIn {
         missing: Some(4_000),
         ..ImuStandIn::default()
     });
-    let output = run(&["imu", "--port", &board.path, "--seconds", "9", "--json"]);
+    let output = run(&[
+        "board",
+        "imu",
+        "--port",
+        &board.path,
+        "--duration",
+        "9s",
+        "--json",
+    ]);
     assert_eq!(code(&output), 4, "{output:?}");
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["missed"], 1);
@@ -280,6 +291,6 @@ fn doctor_looks_again_at_a_sensor_that_is_set_up() {
 
 #[test]
 fn a_file_that_cannot_be_written_is_told_at_once() {
-    let output = run(&["imu", "--csv", "/no-such-folder/imu.csv"]);
+    let output = run(&["board", "imu", "--out", "/no-such-folder/imu.csv"]);
     assert_eq!(code(&output), 13);
 }

@@ -1,5 +1,5 @@
 //! `verify` finds every damage and every contradiction that is put into a
-//! recording; `repair` saves what can be read, and never touches the original.
+//! recording; `verify --repair` saves what can be read, and never touches the original.
 
 use std::fs;
 use std::path::Path;
@@ -50,7 +50,7 @@ fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
     assert_eq!(report["file"]["closed"], true);
 
     let out = parent.path().join("again");
-    let repaired = run(&["repair", path, out.to_str().unwrap()]);
+    let repaired = run(&["verify", path, "--repair", out.to_str().unwrap()]);
     assert_eq!(repaired.status.code(), Some(0), "{repaired:?}");
     let entries =
         |folder: &Path| -> Vec<_> { Reader::open(folder).unwrap().map(Result::unwrap).collect() };
@@ -62,7 +62,12 @@ fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
     let alone = parent.path().join("alone.mcap");
     fs::copy(out.join(MCAP), &alone).unwrap();
     let again = parent.path().join("alone_again.mcap");
-    let repaired = run(&["repair", alone.to_str().unwrap(), again.to_str().unwrap()]);
+    let repaired = run(&[
+        "verify",
+        alone.to_str().unwrap(),
+        "--repair",
+        again.to_str().unwrap(),
+    ]);
     assert_eq!(repaired.status.code(), Some(0), "{repaired:?}");
     let session = fs::read(out.join("session.json")).unwrap();
     for file in [out.join(MCAP), again] {
@@ -73,7 +78,7 @@ fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
 
     // Never over something that is there.
     let before = fs::read(folder.join(MCAP)).unwrap();
-    let onto_itself = run(&["repair", path, path]);
+    let onto_itself = run(&["verify", path, "--repair", path]);
     assert_eq!(onto_itself.status.code(), Some(13), "{onto_itself:?}");
     assert_eq!(fs::read(folder.join(MCAP)).unwrap(), before);
 }

@@ -157,7 +157,7 @@ pub(crate) enum MatchError {
     #[error(
         "which pulse made the first depth frame is ambiguous: {}, so {} shifts by whole periods \
          cannot be told apart (first frame at pulse {} to {}); {}; start the depth recorder before the trigger is aligned and with a slew of 200 µs or \
-         less, or give the pulse with --depth-first-pulse",
+         less, or give the pulse with --first-pulse",
         .0.why(), .0.shifts, .0.first, .0.last, .0.about_imu()
     )]
     Ambiguous(Ambiguity),

@@ -153,9 +153,14 @@ impl Extraction<'_> {
                 ),
             );
         }
-        let exposure = self.job.options.camera_exposure_ns;
+        let exposure = self.color_exposure_ns();
         let path = self.output.out.join("camera_frames.csv");
         tables::write_camera(&path, frames, exposure).map_err(|error| self.failed(error))
+    }
+
+    fn color_exposure_ns(&self) -> Option<i64> {
+        let given = self.job.options.camera_exposure_ns;
+        given.or(self.inputs.color_exposure_ns)
     }
 
     /// From the pulse to the centre of exposure. What the user gives is the whole of it.
@@ -191,12 +196,11 @@ impl Extraction<'_> {
     /// the train of infrared pulses makes depth later by half of the difference.
     fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let half_train = index.mode.as_deref().and_then(|mode| self.nominal(mode));
-        let (Some(exposure), Some(half_train)) = (self.job.options.camera_exposure_ns, half_train)
-        else {
+        let (Some(exposure), Some(half_train)) = (self.color_exposure_ns(), half_train) else {
             self.remarks.push(String::from(
                 "the depth camera recorded colour too: it exposes depth later by half of what the colour \
                  exposure is longer than the train of infrared pulses (12.725 ms; WFOV_UNBINNED 20.245 ms). \
-                 The file does not say that exposure: give --camera-exposure-us if it may be longer",
+                 The file does not say that exposure: set color_exposure_us in the rig profile if it may be longer, and give it with --profile",
             ));
             return;
         };
@@ -232,7 +236,7 @@ impl Extraction<'_> {
                 micros(change)
             ),
             None => String::from(
-                "the time from pulse to centre of exposure is the profile's; give --depth-center-us",
+                "the time from pulse to centre of exposure is the profile's; set its center_offset_us, and give it with --profile",
             ),
         };
         constants.delay_depth(change.unwrap_or(0));
@@ -259,7 +263,7 @@ impl Extraction<'_> {
                 let mode = mode.unwrap_or_default();
                 self.remarks.push(format!(
                     "from pulse to centre of exposure: {:.1} µs, half of the infrared train of mode {mode}; \
-                     measure it and give --depth-center-us",
+                     measure it, set center_offset_us in the rig profile, and give it with --profile",
                     center as f64 / 1000.0
                 ));
             }
@@ -270,7 +274,7 @@ impl Extraction<'_> {
                 };
                 self.remarks.push(format!(
                     "the time from pulse to centre of exposure is not known ({mode}): depth timestamps \
-                     are the pulses; give --depth-center-us"
+                     are the pulses; set center_offset_us in the rig profile, and give it with --profile"
                 ));
             }
         }

@@ -277,7 +277,7 @@ impl Extraction<'_> {
             self.remarks.push(String::from(
                 "a bag of the published system says nothing about its settings: the IMU's low-pass \
                  delay is taken as 1.9 ms, its register setting; exposure and readout of the phone are \
-                 given by options",
+                 those of --profile",
             ));
         }
     }

@@ -176,6 +176,12 @@ fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
             ("center_offset_us", center, SIGNED, "µs"),
             ("center_offset_sigma_us", sigma, SPAN, "µs"),
             ("pulse_width_us", depth.pulse_width_us, 8.0..=10_000.0, "µs"),
+            (
+                "color_exposure_us",
+                depth.color_exposure_us.unwrap_or(0.0),
+                SPAN,
+                "µs",
+            ),
         ],
     )
 }

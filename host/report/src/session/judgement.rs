@@ -152,7 +152,7 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
         }
         None => {
             next.push(String::from(
-                "`smartdepthsync repair` makes a whole recording of what is there",
+                "`smartdepthsync verify --repair OUT` makes a whole recording of what is there",
             ));
             let found = "the program was ended before it could close the session";
             (Severity::Bad, found.to_owned())

@@ -69,6 +69,7 @@ impl Content {
             streams,
             topics: self.topics.reports(),
             findings: findings.0,
+            report: None,
         }
     }
 

@@ -1,4 +1,4 @@
-//! `smartdepthsync gnss`: pulse per second and NMEA sentences for a lidar.
+//! `smartdepthsync board pps`: pulse per second and NMEA sentences for a lidar.
 
 use clap::Subcommand;
 use protocol::{Baud, TICK_HZ};
@@ -8,11 +8,9 @@ use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use board::gnss::{self, parse_baud, utc_at_zero};
 
-/// Options of `gnss`.
+/// Options of `board pps`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
     #[command(subcommand)]
     action: Action,
 }
@@ -20,9 +18,10 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Start the pulse on the next whole second of board time; as a Velodyne
-    /// VLP-16 wants it unless given otherwise
+    /// VLP-16 wants it by default
+    #[command(after_help = "Example: smartdepthsync board pps start --baud 115200 --zda")]
     Start {
-        /// UTC of the present second as Unix time [default: this computer's clock]
+        /// UTC of the present second as Unix time; else by this computer's clock
         #[arg(long, value_name = "SECONDS")]
         utc: Option<i64>,
         /// Rate of the serial line: 4800, 9600, 19200, 38400, 57600 or 115200
@@ -37,18 +36,20 @@ enum Action {
         zda: bool,
     },
     /// Stop pulse and sentences
+    #[command(after_help = "Example: smartdepthsync board pps stop")]
     Stop,
     /// Show its state
+    #[command(after_help = "Example: smartdepthsync board pps status")]
     Status,
 }
 
-/// Runs `gnss`.
+/// Runs `board pps`.
 ///
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let mut board = args.port.open()?;
+pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+    let mut board = port.open()?;
     let report = match args.action {
         Action::Start {
             utc,

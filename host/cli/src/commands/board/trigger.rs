@@ -1,4 +1,4 @@
-//! `smartdepthsync trigger`: the trigger outputs by hand.
+//! `smartdepthsync board trigger`: the trigger outputs by hand.
 
 mod latency;
 
@@ -9,16 +9,14 @@ use protocol::{
 use serde::Serialize;
 
 use crate::context::Context;
-use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
+use crate::decimal::{parse_fps, parse_period, parse_ticks};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use evaluate::train::TrainGeometry;
 
-/// Options of `trigger`.
+/// Options of `board trigger`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
     /// Which trigger output: 1 is the camera's (PA5); 2, 3, 4 are PE11, PE13, PE14
     #[arg(long, value_name = "N", default_value_t = 1, global = true,
           value_parser = clap::value_parser!(u8).range(1..=4))]
@@ -29,37 +27,41 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Start the pulse train, at 30 fps unless given otherwise
+    /// Start the pulse train
+    #[command(after_help = "Example: smartdepthsync board trigger start --fps 30")]
     Start {
         #[command(flatten)]
         period: PeriodArg,
-        /// Length of a pulse in µs (the camera needs more than 8) [default: 12; outputs 2
-        /// to 4: 100]
-        #[arg(long, value_name = "US", value_parser = parse_us_ticks)]
-        width_us: Option<u32>,
-        /// Board time of the first rising edge, in ticks of 48 MHz [default: at once]
+        /// Length of a pulse: 12us for the camera, which needs more than 8us; 100us for
+        /// outputs 2 to 4
+        #[arg(long, value_name = "TIME", value_parser = parse_ticks)]
+        width: Option<u32>,
+        /// Board time of the first rising edge, in ticks of 48 MHz; else at once
         #[arg(long, value_name = "TICK")]
         first_edge: Option<u64>,
     },
-    /// Move the running train so that an edge falls exactly on a tick; `trigger status` shows
+    /// Move the running train so that an edge falls exactly on a tick; `board trigger status` shows
     /// when it has arrived
+    #[command(after_help = "Example: smartdepthsync board trigger align --anchor 4416000000")]
     Align {
         /// A tick of 48 MHz on which an edge must fall; at most an hour away
         #[arg(long, value_name = "TICK")]
         anchor: u64,
         #[command(flatten)]
         period: PeriodArg,
-        /// Move at most this many µs a frame; 0 jumps at once
-        #[arg(long, value_name = "US", default_value = "100", value_parser = parse_us_ticks)]
-        slew_us: u32,
+        /// Move at most so far a frame; 0s jumps at once
+        #[arg(long, value_name = "TIME", default_value = "100us", value_parser = parse_ticks)]
+        slew: u32,
     },
     /// Change the period from the next edge on
+    #[command(after_help = "Example: smartdepthsync board trigger period --period 33330.652us")]
     Period {
         #[command(flatten)]
         period: PeriodArg,
     },
     /// Measure from the trigger's edge to the centre of exposure, with a photodiode on the
     /// strobe input (PA2) while the train runs
+    #[command(after_help = "Example: smartdepthsync board trigger latency --train nfov")]
     Latency {
         /// The depth mode's strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
         #[arg(long, default_value = "nfov", value_name = "TRAIN")]
@@ -69,8 +71,10 @@ enum Action {
         pulses: u32,
     },
     /// Stop the train
+    #[command(after_help = "Example: smartdepthsync board trigger stop")]
     Stop,
     /// Show the state of the train
+    #[command(after_help = "Example: smartdepthsync board trigger status --output 2")]
     Status,
 }
 
@@ -78,17 +82,17 @@ enum Action {
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[group(multiple = false)]
 struct PeriodArg {
-    /// Frames a second, such as 30 or 29.97; exact
+    /// Frames a second, such as 30 or 29.97; exact; 30 where a train begins
     #[arg(long, value_name = "FPS", value_parser = parse_fps)]
     fps: Option<Period>,
-    /// Period in µs, such as 33330.652; exact to 2⁻³² ticks
-    #[arg(long, value_name = "US", value_parser = parse_period_us)]
-    period_us: Option<Period>,
+    /// Period, such as 33330.652us; exact to 2⁻³² ticks
+    #[arg(long, value_name = "TIME", value_parser = parse_period)]
+    period: Option<Period>,
 }
 
 impl PeriodArg {
     fn given(self) -> Option<Period> {
-        self.fps.or(self.period_us)
+        self.fps.or(self.period)
     }
 }
 
@@ -97,16 +101,16 @@ impl PeriodArg {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
     // Wrong options are told before the port is opened.
     if let Action::Period { period } = &args.action
         && period.given().is_none()
     {
         return Err(Failure::new(
             ExitStatus::Usage,
-            "trigger period needs --fps or --period-us",
+            "board trigger period needs --fps or --period",
         )
-        .next_step("give one of them, for example `trigger period --fps 30`"));
+        .next_step("give one of them, for example `board trigger period --fps 30`"));
     }
     // The command line takes 1 to 4.
     let output = Output::from_number(args.output).unwrap_or(Output::Camera);
@@ -117,20 +121,20 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         )
         .next_step("leave --output out"));
     }
-    let mut board = args.port.open()?;
+    let mut board = port.open()?;
     let status = match args.action {
         Action::Latency { train, pulses } => {
             return latency::measure(&mut board, context, &train, pulses as usize);
         }
         Action::Start {
             period,
-            width_us,
+            width,
             first_edge,
         } => {
             let default_us = if output.is_camera() { 12 } else { 100 };
             let start = TriggerStart {
                 period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
-                width: width_us.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
+                width: width.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
                 first_edge: first_edge.map(Ticks),
                 first_fraction: 0,
             };
@@ -139,7 +143,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         Action::Align {
             anchor,
             period,
-            slew_us,
+            slew,
         } => {
             let period = match period.given() {
                 Some(period) => period,
@@ -149,7 +153,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
                 anchor: Ticks(anchor),
                 anchor_fraction: 0,
                 period,
-                slew: slew_us,
+                slew,
             };
             context.show(&board.align(output, to)?)?;
             return Ok(ExitStatus::Good);

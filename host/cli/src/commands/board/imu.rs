@@ -1,4 +1,4 @@
-//! `smartdepthsync imu`: stream the board's IMU, judge it, write it to a file.
+//! `smartdepthsync board imu`: stream the board's IMU, judge it, write it to a file.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::advice::imu_scale;
 use crate::context::Context;
-use crate::decimal::seconds;
+use crate::decimal::{parse_duration, seconds};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use board::imu::{Sample, Scale, Summary, SummaryReport, last_fault};
@@ -21,20 +21,18 @@ use session::checks::IMU_WIRING;
 /// board recovers a sensor within a second.
 const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
 
-/// Options of `imu`.
+/// Options of `board imu`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync board imu --duration 60s --out imu.csv")]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
-    /// How long, in seconds of board time
-    #[arg(long, value_name = "SECONDS", default_value_t = 10,
-          value_parser = clap::value_parser!(u32).range(1..=86_400))]
-    seconds: u32,
-    /// Write the samples to this file, in SI units with board time
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
+    /// How long, in board time: 90s, 5m, 1h
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_duration)]
+    duration: u64,
+    /// Write the samples to this CSV file, in SI units with board time
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
     /// Replace the file if it is there
-    #[arg(long, requires = "csv")]
+    #[arg(long, requires = "out")]
     overwrite: bool,
 }
 
@@ -58,13 +56,13 @@ struct PrintedImu {
 ///
 /// The board cannot be reached, its IMU gives nothing, or the file cannot be
 /// written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
     // What is in the way is told before the board is asked for anything.
-    if let Some(path) = &args.csv {
+    if let Some(path) = &args.out {
         refuse_to_overwrite(path, args.overwrite)?;
     }
-    let mut board = args.port.open()?;
-    let mut csv = args.csv.as_deref().map(Csv::create).transpose()?;
+    let mut board = port.open()?;
+    let mut csv = args.out.as_deref().map(Csv::create).transpose()?;
     let scale = imu_scale(&board.imu()?)?;
     let mut summary = Summary::default();
     let streamed = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
@@ -80,7 +78,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         nominal_interval_ticks: setup.interval,
         summary: summary.report(),
         missed: board.conversation().counts().of(Stream::Imu).lost,
-        csv: args.csv.as_ref().map(|path| path.display().to_string()),
+        csv: args.out.as_ref().map(|path| path.display().to_string()),
     };
     context.show(&report)?;
     let impaired = report.missed > 0 || summary.is_impaired();
@@ -99,8 +97,11 @@ fn stream(
     summary: &mut Summary,
     csv: &mut Option<Csv>,
 ) -> Result<Option<()>, Failure> {
-    let bar = context.progress(Some(args.seconds.into()), "{bar:30} {pos}/{len} s  {msg}");
-    let length = i64::from(args.seconds) * i64::from(TICK_HZ);
+    let bar = context.progress(
+        Some(args.duration / u64::from(TICK_HZ)),
+        "{bar:30} {pos}/{len} s  {msg}",
+    );
+    let length = args.duration;
     let mut last_sign = board.conversation().latest();
     let stop = context.interrupt.question();
     let streamed = board.listen("IMU samples", &stop, |board, event| {
@@ -108,7 +109,7 @@ fn stream(
             Some(Event::Message(DeviceToHost::Imu(raw))) => {
                 let sample = scale.apply(&raw);
                 let first = summary.first().unwrap_or(sample.at);
-                if (sample.at - first).0 >= length {
+                if sample.at.0.saturating_sub(first.0) >= length {
                     return Ok(Some(()));
                 }
                 summary.add(&sample);
@@ -127,7 +128,7 @@ fn stream(
             Some(Event::Restarted { .. }) => {
                 return Err(
                     Failure::new(ExitStatus::LinkLost, "the board was reset meanwhile")
-                        .next_step("`smartdepthsync info` says why"),
+                        .next_step("`smartdepthsync board info` says why"),
                 );
             }
             _ if (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS as i64 => {

@@ -1,4 +1,4 @@
-//! `trigger latency`: from the trigger's edge to the centre of exposure.
+//! `board trigger latency`: from the trigger's edge to the centre of exposure.
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks, TrainState};
 
@@ -23,7 +23,9 @@ pub(super) fn measure(
             ExitStatus::Refused,
             "the trigger is stopped: there is nothing to measure",
         )
-        .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera"));
+        .next_step(
+            "start it with `smartdepthsync board trigger start --fps 30`, and the depth camera",
+        ));
     }
     let (mut pulses, mut captures) = (Vec::new(), Vec::new());
     let mut last_sign = board.conversation().latest();

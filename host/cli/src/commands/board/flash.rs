@@ -1,13 +1,10 @@
-//! `smartdepthsync board`: the board itself. `flash` puts firmware on it by the chip's own
-//! loader.
+//! `smartdepthsync board flash`: firmware onto the board, by the chip's own loader.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use board::image::{FLASH_START, Image};
-use board::{Board, BoardError};
-use clap::Subcommand;
 use protocol::{BoardModel, Hello, RestartIntoRom};
 use serde::Serialize;
 use session::checks::firmware_version;
@@ -25,24 +22,11 @@ const APPEARS: Duration = Duration::from_secs(20);
 /// How long somebody may take for jumpers and buttons.
 const BY_HAND: Duration = Duration::from_secs(180);
 
-/// Options of `board`.
+/// Options of `board flash`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync board flash")]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
-    #[command(subcommand)]
-    action: Action,
-}
-
-#[derive(Debug, Subcommand)]
-enum Action {
-    /// Put firmware on the board by USB, without a programmer, and check it
-    Flash(FlashArgs),
-}
-
-#[derive(Debug, clap::Args)]
-struct FlashArgs {
-    /// Image to put on it, `smartdepthsync-firmware*.dfu` [default: the installed one]
+    /// Image to put on it, `smartdepthsync-firmware*.dfu`; else the installed one
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
     /// Which board it is, where none answers: discovery or black-pill
@@ -70,10 +54,9 @@ struct Flashed {
 ///
 /// The board cannot be reached, no image fits it, `dfu-util` is missing or fails, or what runs
 /// afterwards is something else.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let Action::Flash(flash) = &args.action;
-    let found = args.port.open();
-    let model = match (&found, flash.board) {
+pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+    let found = port.open();
+    let model = match (&found, args.board) {
         (Ok(board), None) => board.hello().board,
         (Ok(board), Some(model)) if board.hello().board == model => model,
         (Ok(board), Some(model)) => {
@@ -93,7 +76,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
                 .map_err(|error| error.next_step(step));
         }
     };
-    let (path, image) = choose_image(flash.image.as_deref(), model)?;
+    let (path, image) = choose_image(args.image.as_deref(), model)?;
     dfu_util(&["--version"])?;
     let patience = match found {
         Ok(mut board) => {
@@ -102,14 +85,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
         Err(error) => {
             context.say(error.to_string());
-            context.say(by_hand(model));
+            context.say(format!("help: {}", by_hand(model)));
             BY_HAND
         }
     };
     wait_for_loader(patience, context, model)?;
     context.say(format!("writing {} ...", path.display()));
     write(&path, &image)?;
-    let hello = reconnect(&args.port, context)?;
+    let hello = reconnect(port, context)?;
     if hello.board != image.board || hello.git_revision != *image.revision {
         let text = format!(
             "the board runs revision {} and not the image's {}",
@@ -129,16 +112,16 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     Ok(ExitStatus::Good)
 }
 
-/// Starts of the loader without the firmware's help (`docs/flash.md`).
+/// Starts of the loader without the firmware's help (`docs/flash.md` of the book).
 const fn by_hand(model: BoardModel) -> &'static str {
     match model {
         BoardModel::Discovery => {
-            "-> start the chip's loader: put a jumper from BOOT0 to VDD (header P2) and one from \
+            "start the chip's loader: put a jumper from BOOT0 to VDD (header P2) and one from \
              PB2 to GND (header P1), supply the board through its mini-USB socket, connect the \
              micro-USB socket, and press reset"
         }
         BoardModel::BlackPill => {
-            "-> start the chip's loader: hold BOOT0, press and release NRST, release BOOT0"
+            "start the chip's loader: hold BOOT0, press and release NRST, release BOOT0"
         }
     }
 }
@@ -271,7 +254,7 @@ fn write_by(folder: &Path, path: &Path, image: &Image) -> Result<(), Failure> {
         let last = said.lines().rfind(|line| !line.trim().is_empty());
         let text = format!("dfu-util failed: {}", last.unwrap_or("it says nothing"));
         Err(Failure::new(ExitStatus::Error, text).next_step(
-            "repeat it with --board; the udev rule (docs/install.md) lets users open the loader",
+            "repeat it with --board; the udev rule of the installation lets users open the loader",
         ))
     };
     transfer(&start, "--download", path)?;
@@ -297,11 +280,14 @@ fn write_by(folder: &Path, path: &Path, image: &Image) -> Result<(), Failure> {
 fn reconnect(port: &PortArg, context: &Context) -> Result<Hello, Failure> {
     let begun = Instant::now();
     loop {
-        match Board::open(port.port.as_deref()) {
+        match port.open() {
             Ok(board) => return Ok(board.hello().clone()),
-            Err(error @ BoardError::OtherVersion { .. }) => return Err(error.into()),
-            Err(error) if begun.elapsed() > APPEARS || context.interrupt.requested() => {
-                return Err(error.into());
+            Err(error)
+                if error.status() == ExitStatus::OtherVersion
+                    || begun.elapsed() > APPEARS
+                    || context.interrupt.requested() =>
+            {
+                return Err(error);
             }
             Err(_) => std::thread::sleep(Duration::from_millis(200)),
         }

@@ -1,4 +1,4 @@
-//! `smartdepthsync info`: who the board is.
+//! `smartdepthsync board info`: who the board is.
 
 use protocol::{BoardModel, BoardSettings, ImuSetup, QueryBoard, ResetCause};
 use serde::Serialize;
@@ -8,15 +8,6 @@ use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::{Place, ProfileArg};
 use session::checks::firmware_version;
-
-/// Options of `info`.
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
-    #[command(flatten)]
-    profile: ProfileArg,
-}
 
 /// The result.
 #[derive(Debug, Serialize)]
@@ -50,8 +41,8 @@ struct PrintedInfo {
 /// # Errors
 ///
 /// The board cannot be reached.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let mut board = args.port.open()?;
+pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+    let mut board = port.open()?;
     let (_, round_trip) = board.ping()?;
     let imu = board.imu()?;
     let settings = board.call(QueryBoard)?;
@@ -75,7 +66,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         settings,
         round_trip_us: round_trip.as_secs_f64() * 1e6,
         imu,
-        profile: args.profile.place(),
+        profile: ProfileArg::default().place(),
     })?;
     let link = board.conversation();
     Ok(ExitStatus::of_loss(

@@ -1,4 +1,4 @@
-//! `smartdepthsync bring-up`: does this board do in hardware what the simulated one
+//! `smartdepthsync board test`: does this board do in hardware what the simulated one
 //! does? What is measured and what must hold is in the crate `bring_up`.
 
 use std::path::PathBuf;
@@ -18,9 +18,8 @@ use crate::outcome::{ExitStatus, Failure, write_file};
 /// Wire PA5 to PA3 and to PA2, and the IMU; nothing else. When asked to, move the wire
 /// at PA2 to PE11, and unplug SDA. Takes two minutes.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: smartdepthsync board test --hands-off")]
 pub(crate) struct Args {
-    #[command(flatten)]
-    port: PortArg,
     /// Measure only this; may be given several times
     #[arg(long = "part", value_name = "PART", value_enum)]
     parts: Vec<PartArg>,
@@ -34,8 +33,8 @@ pub(crate) struct Args {
     /// outputs, its crystal against this computer's clock
     #[arg(long)]
     keep: bool,
-    /// Folder for bring-up.json and bring-up.html
-    #[arg(long, value_name = "FOLDER", default_value = "bring-up")]
+    /// Folder for board-test.json and board-test.html
+    #[arg(short, long, value_name = "FOLDER", default_value = "board-test")]
     out: PathBuf,
 }
 
@@ -72,12 +71,12 @@ impl From<PartArg> for Part {
 ///
 /// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
 /// written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
     let parts: Vec<Part> = match args.parts.as_slice() {
         [] => Part::ALL.to_vec(),
         some => some.iter().copied().map(Part::from).collect(),
     };
-    let mut board = args.port.open()?;
+    let mut board = port.open()?;
     std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
     let operator = Operator {
         say: &|prompt| context.say(prompt.to_string()),
@@ -91,8 +90,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     };
     let report = bring_up::run(&mut board, operator, plan)?;
     let json = serde_json::to_string_pretty(&report)?;
-    let page = args.out.join("bring-up.html");
-    write_file(&args.out.join("bring-up.json"), &json)?;
+    let page = args.out.join("board-test.html");
+    write_file(&args.out.join("board-test.json"), &json)?;
     write_file(&page, &report::board_test::page(&report))?;
     context.print_checks(&report, || {
         let text = report::board_test::summary(&report).text();

@@ -1,4 +1,4 @@
-//! `smartdepthsync ports`: which serial ports there are, and which look like
+//! `smartdepthsync board list`: which serial ports there are, and which look like
 //! the board.
 
 use std::collections::BTreeMap;

@@ -1,0 +1,62 @@
+//! `smartdepthsync board`: the board by hand, one subcommand a file.
+
+mod flash;
+mod imu;
+mod info;
+mod list;
+mod pps;
+mod test;
+mod trigger;
+
+use clap::Subcommand;
+
+use crate::context::Context;
+use crate::options::PortArg;
+use crate::outcome::{ExitStatus, Failure};
+
+/// Options of `board`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// List the serial ports, and which look like the board
+    #[command(after_help = "Example: smartdepthsync board list")]
+    List,
+    /// Show who the board is: ID, firmware, uptime, last reset
+    #[command(after_help = "Example: smartdepthsync board info")]
+    Info,
+    /// Put firmware on the board by USB, without a programmer, and check it
+    Flash(flash::Args),
+    /// Measure whether a new board does what it must, with a report to send
+    Test(test::Args),
+    /// Run the camera trigger by hand: start, align, period, latency, stop, status
+    Trigger(trigger::Args),
+    /// Stream the board's IMU: rate, jitter, noise; to a CSV file
+    Imu(imu::Args),
+    /// Run pulse per second and NMEA sentences for a lidar: start, stop, status
+    Pps(pps::Args),
+}
+
+/// Runs `board`.
+///
+/// # Errors
+///
+/// The board cannot be reached, refuses, or fails.
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+    let port = &args.port;
+    match &args.action {
+        Action::List => list::run(context),
+        Action::Info => info::run(port, context),
+        Action::Flash(args) => flash::run(args, port, context),
+        Action::Test(args) => test::run(args, port, context),
+        Action::Trigger(args) => trigger::run(args, port, context),
+        Action::Imu(args) => imu::run(args, port, context),
+        Action::Pps(args) => pps::run(args, port, context),
+    }
+}
