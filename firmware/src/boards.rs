@@ -2,7 +2,7 @@
 //!
 //! All have the same wiring: the trigger on PA5, data-ready on PA1, the strobe on PA2, the
 //! read-back on PA3 (the channels of TIM2), the IMU's bus on PB6 and PB7 and its clocks on
-//! PA8 and PB0, USB on PA11 and PA12. `docs/boards.md` says what a further board needs.
+//! PA8 and PB0, USB on PA11 and PA12. `CONTRIBUTING.md` says what a further board needs.
 
 mod black_pill;
 mod discovery;

@@ -9,7 +9,7 @@ pub const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
 
 /// Core clock in Hz: the PLL's 192 MHz by 2. Of the settings that give USB its
 /// 48 MHz (192 / 4) it is the one whose PLL output also divides to the
-/// IMU's 19.2 MHz (96 / 5, MCO1). `docs/decisions/0002-clock-tree.md`. How each board's
+/// IMU's 19.2 MHz (96 / 5, MCO1). `docs/architecture.md`. How each board's
 /// crystal makes the 192 MHz is in [`crate::boards`].
 pub const SYSCLK_HZ: u32 = CORE_HZ;
 

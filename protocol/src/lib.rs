@@ -18,6 +18,7 @@
 //!
 //! - [`mpu9150`], [`icm42688p`]: names of the IMUs' registers, which [`ImuFault`] gives as
 //!   numbers.
+//! - [`pins`]: which signal is on which pin.
 //! - [`usb`]: how the board shows itself on USB.
 //!
 //! The order of an enum's variants and of a struct's fields *is* the format.
@@ -37,6 +38,7 @@ pub mod icm42688p;
 pub mod imu;
 pub mod messages;
 pub mod mpu9150;
+pub mod pins;
 pub mod trigger;
 pub mod units;
 pub mod usb;

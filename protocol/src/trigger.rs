@@ -14,20 +14,20 @@ use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 /// The shortest pulse of the camera's output, in ticks: 10 µs.
 ///
 /// The hardware loads the falling edge at the rising one, in less than a tenth of that
-/// (`docs/timing.md`). The camera needs more than 8 µs.
+/// (`docs/architecture.md`). The camera needs more than 8 µs.
 pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge of the camera's output to the next rising
 /// edge, in ticks: 40 µs, in which a handler arms the next pulse.
 ///
 /// Twice what the handler took at worst on the simulated board with a full link and the
-/// pessimistic waits of its buses (`docs/timing.md`).
+/// pessimistic waits of its buses (`docs/architecture.md`).
 pub const MIN_PULSE_GAP: u32 = 40 * (TICK_HZ / 1_000_000);
 
 /// The shortest pulse of the further outputs, in ticks: 50 µs.
 ///
 /// The handler of the rising edge arms the falling one. It waits for the camera
-/// trigger's, and for the others' at a coincidence (`docs/timing.md`).
+/// trigger's, and for the others' at a coincidence (`docs/architecture.md`).
 pub const MIN_OUTPUT_WIDTH: u32 = 50 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge of the further outputs to the next rising

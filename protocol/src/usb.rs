@@ -4,7 +4,7 @@
 //! The numbers are pid.codes' pair for tests and private use
 //! (<https://pid.codes/1209/0001/>): it may not be shipped in a product, and
 //! other projects use it too. A host therefore also looks at the product
-//! string, and takes only [`Hello`](crate::Hello) for proof. `docs/flash.md` says how to
+//! string, and takes only [`Hello`](crate::Hello) for proof. `docs/install.md` says how to
 //! get a number of one's own before shipping boards.
 
 /// Vendor ID: pid.codes.

@@ -3,7 +3,8 @@
 //! mdBook itself does not fail on a broken link, so the links are walked here:
 //! a relative target must exist, a fragment must be the slug of a heading of
 //! its page, every page must be listed in `SUMMARY.md`. A file of the source tree
-//! that a page names in code, from the root, must exist too.
+//! that a page names in code, from the root, must exist too. So must what README and
+//! CONTRIBUTING link to.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -114,6 +115,23 @@ fn check_links(docs: &Path, root: &Path) -> Result<()> {
         }
         for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
             broken.push(format!("{}: {source}: no such file", path.display()));
+        }
+    }
+    for name in ["README.md", "CONTRIBUTING.md"] {
+        let path = root.join(name);
+        let Ok(text) = fs::read_to_string(&path) else {
+            continue;
+        };
+        let page = parse(&text);
+        for link in &page.links {
+            let reason = match link.strip_prefix("docs/") {
+                Some(below) => broken_link(&summary, below, &pages),
+                None => broken_link(&path, link, &pages),
+            };
+            broken.extend(reason.map(|reason| format!("{name}: {link}: {reason}")));
+        }
+        for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
+            broken.push(format!("{name}: {source}: no such file"));
         }
     }
     if !broken.is_empty() {

@@ -136,7 +136,7 @@ fn flash(board: firmware::Board) -> Result<()> {
     if !process::answers("probe-rs", &["--version"]) {
         bail!(
             "there is no probe-rs on the PATH: see https://probe.rs for how to install it, or \
-             docs/flash.md for the ways without it"
+             docs/install.md for the ways without it"
         );
     }
     firmware::flash(board)

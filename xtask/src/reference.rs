@@ -465,50 +465,19 @@ fn snake(name: &str) -> String {
     out
 }
 
-/// A constant list of structs of texts, as a table.
+/// A constant text.
 fn constant(file: &Path, name: &str) -> Result<String> {
     let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
-    let parsed = syn::parse_file(&text)?;
-    let list = parsed.items.into_iter().find_map(|item| match item {
-        Item::Const(it) if it.ident == name => Some(*it.expr),
-        _ => None,
-    });
-    let Some(Expr::Array(list)) = list else {
-        bail!("{} has no list {name}", file.display());
-    };
-    let mut out = String::new();
-    for (number, row) in list.elems.iter().enumerate() {
-        let Expr::Struct(row) = row else { continue };
-        let cells: Vec<(String, String)> = row
-            .fields
-            .iter()
-            .map(|field| {
-                let title = match &field.member {
-                    syn::Member::Named(it) => it.to_string().replace('_', " "),
-                    syn::Member::Unnamed(it) => it.index.to_string(),
-                };
-                let text = match &field.expr {
-                    Expr::Lit(syn::ExprLit {
-                        lit: Lit::Str(it), ..
-                    }) => it.value(),
-                    _ => String::new(),
-                };
-                (title, text)
-            })
-            .collect();
-        if number == 0 {
-            let titles: Vec<&str> = cells.iter().map(|it| it.0.as_str()).collect();
-            let _ = writeln!(
-                out,
-                "| {} |\n|{}",
-                titles.join(" | "),
-                "---|".repeat(cells.len())
-            );
+    for item in syn::parse_file(&text)?.items {
+        if let Item::Const(it) = item
+            && it.ident == name
+            && let Expr::Lit(it) = *it.expr
+            && let Lit::Str(text) = it.lit
+        {
+            return Ok(text.value());
         }
-        let texts: Vec<&str> = cells.iter().map(|it| it.1.as_str()).collect();
-        let _ = writeln!(out, "| {} |", texts.join(" | "));
     }
-    Ok(out)
+    bail!("{} has no text {name}", file.display())
 }
 
 /// The help of a program and of all its commands.

@@ -2,7 +2,7 @@
 //!
 //! It is high when idle, as the chip's UARTs are; they cannot invert. A lidar that wants
 //! it low when idle is wired through an inverting gate, which it needs for its levels
-//! anyway (`docs/outputs.md`).
+//! anyway (`docs/wiring.md`).
 
 use core::cell::RefCell;
 

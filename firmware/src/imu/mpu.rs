@@ -62,7 +62,7 @@ const fn after_reset(model: ImuModel) -> u8 {
 
 /// Bandwidth of the gyroscope in 0.1 Hz, its delay and the accelerometer's in µs, at
 /// [`dlpf_cfg`] (4.3; RM-MPU-6500A-00, 4.5 and 4.8; RM-MPU-9250A-00 revision 1.6, registers 26
-/// and 29; docs/model-ranges.md).
+/// and 29; hil-sim/rig/ranges.md).
 const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
     // The later two have one gyroscope, and accelerometers with delays of their own.
     let (bandwidth, gyro_us, of_6500_us, of_9250_us) = match low_pass {
@@ -88,7 +88,7 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
     let sensor = match model {
         // PS-MPU-9250A-01, 3.1, 3.2 and 3.4.2 (noise, thermometer). The MPU-6500 is believed to
-        // be the same (docs/model-ranges.md).
+        // be the same (hil-sim/rig/ranges.md).
         ImuModel::Mpu6500 | ImuModel::Mpu9250 => ImuSensor {
             gyro_noise_udps: 10_000,
             accel_noise_ug: 300,

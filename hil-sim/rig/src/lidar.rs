@@ -3,7 +3,7 @@
 //!
 //! It reads its inputs as Velodyne's VLP-16 does: a rising edge begins a second; the
 //! serial line is low when idle (user manual 63-9243 Rev. D, 7.4.3 and appendix G) and
-//! has 9,600 Bd (as published with the lidar connected, see `docs/outputs.md`). The
+//! has 9,600 Bd (as published with the lidar connected, see `docs/wiring.md`). The
 //! `$GPRMC` that tells which second it is must have ended within 500 ms of the edge:
 //! the manual's other case, a sentence that comes later, is not modelled. The
 //! sensor decodes the line bit by bit, each in its middle. Both polarities and
@@ -29,7 +29,7 @@ pub struct LidarConfig {
     pub baud: u32,
     /// The line is low when idle.
     pub idle_low: bool,
-    /// The gate between PC12 and the lidar inverts, as `docs/outputs.md` wires one whose
+    /// The gate between PC12 and the lidar inverts, as `docs/wiring.md` wires one whose
     /// line is low when idle. Its input is pulled up.
     pub gate_inverts: bool,
     /// A second begins with a rising edge; otherwise with a falling one.

@@ -112,3 +112,37 @@ pub fn default_elf() -> PathBuf {
     };
     target.join("thumbv7em-none-eabihf/release/smartdepthsync-firmware")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rig's wires go to the pins of the one table.
+    #[test]
+    fn the_wires_are_those_of_the_table() {
+        let wires = [
+            (TRIGGER, "trigger 1, of the depth camera"),
+            (READBACK, "read-back of the trigger"),
+            (STROBE, "strobe: comparator of a photodiode, or any event"),
+            (IMU_READY, "data-ready of the IMU (INT, INT1)"),
+            (SCL, "SCL of the IMU"),
+            (SDA, "SDA of the IMU"),
+            (IMU_RTC, "32 kHz for CLKIN of an ICM-42688-P"),
+            (IMU_CLOCK, "19.2 MHz for CLKIN of an MPU-6050 or MPU-9150"),
+            (OUTPUTS[0], "trigger 2"),
+            (OUTPUTS[1], "trigger 3"),
+            (OUTPUTS[2], "trigger 4"),
+            (PPS, "pulse per second for a lidar"),
+            (NMEA, "sentences for a lidar"),
+            (LED_IMU, "IMU samples come"),
+            (LED_PULSE, "toggles with each pulse"),
+            (LED_FAULT, "a fault, or a last run that failed"),
+            (LED_LINK, "a host is linked"),
+        ];
+        let wires = wires.map(|(pin, signal)| (format!("{pin:?}"), signal));
+        let table: Vec<_> = protocol::pins::pins()
+            .map(|(pin, _, signal)| (pin.to_owned(), signal))
+            .collect();
+        assert_eq!(table, wires);
+    }
+}

@@ -8,7 +8,7 @@ use crate::{Board, Result};
 
 /// From the pulse to the sentences unless told otherwise, ms. With a pulse of 20 ms
 /// they begin 80 ms after its end and have ended 175 ms after its edge, with `$GPZDA`
-/// 215 ms: what each lidar wants whose figures are in `docs/outputs.md`.
+/// 215 ms: what each lidar wants whose figures are in `docs/wiring.md`.
 pub const NMEA_DELAY_MS: u16 = 100;
 
 /// Length of the pulse per second, ticks: 20 ms.

@@ -77,10 +77,10 @@ impl fmt::Display for Prompt {
             Self::Measures(Part::Imu) => "IMU: data-ready ...",
             Self::Measures(Part::Link) => "USB: throughput, a host that does not read ...",
             Self::Measures(Part::Clock) => "crystal ...",
-            Self::MoveStrobeWire(Output::Camera) => "-> move the wire at PA2 to PA5",
-            Self::MoveStrobeWire(Output::Two) => "-> move the wire at PA2 to PE11",
-            Self::MoveStrobeWire(Output::Three) => "-> move the wire at PA2 to PE13",
-            Self::MoveStrobeWire(Output::Four) => "-> move the wire at PA2 to PE14",
+            Self::MoveStrobeWire(output) => {
+                let pin = protocol::pins::trigger_pin(*output);
+                return write!(f, "-> move the wire at PA2 to {pin}");
+            }
             Self::UnplugSda => "-> unplug SDA of the IMU (PB7)",
             Self::PlugSdaIn => "-> plug SDA in again",
         };

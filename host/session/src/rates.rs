@@ -1,7 +1,7 @@
 //! How the rate of the phone's clock against the board's goes on.
 //!
 //! Two crystals are not at rest while a rig warms up: by 0.1 to 5 ppm in ten minutes each
-//! (docs/model-ranges.md), fast at first and then ever more slowly. So beside offset and skew
+//! (hil-sim/rig/ranges.md), fast at first and then ever more slowly. So beside offset and skew
 //! there is the *change* of the skew, which dies away:
 //!
 //! ```text

@@ -14,7 +14,7 @@ use crate::rates::{Course, Fit, Rate};
 
 /// What the skew changes by in the first ten minutes, 1-sigma: still, some, much; equally
 /// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
-/// (docs/model-ranges.md), have the rms of the three, 2.5 ppm.
+/// (hil-sim/rig/ranges.md), have the rms of the three, 2.5 ppm.
 const WARMINGS: [f64; 3] = [0.15e-6, 0.8e-6, 4.3e-6];
 
 /// How much of the warming of two clocks lies ahead, of what one of a rig that was just

@@ -1,5 +1,5 @@
 //! Families of depth cameras that can be bought, as far as makers and users describe them
-//! (`docs/depth-cameras.md`). What nobody has published is drawn from a range by the seed,
+//! (`docs/parts.md`). What nobody has published is drawn from a range by the seed,
 //! so that nothing can rely on it.
 
 use super::{DepthCameraConfig, DepthMode};

@@ -144,7 +144,7 @@ fn accel_pass_6500(config_2: u8) -> Pass {
     }
 }
 
-/// Accelerometer of the MPU-9250 (register 29; docs/model-ranges.md).
+/// Accelerometer of the MPU-9250 (register 29; hil-sim/rig/ranges.md).
 fn accel_pass_9250(config_2: u8) -> Pass {
     match config_2 & 0x07 {
         0 | 1 => (218.1, 1_880),

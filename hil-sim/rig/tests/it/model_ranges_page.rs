@@ -1,8 +1,8 @@
-//! The book's page of model ranges against the models.
+//! The book's page of model ranges, and its drawings, against what they are about.
 
 use rig::model_ranges::MODEL_RANGES;
 
-const PAGE: &str = include_str!("../../../../docs/model-ranges.md");
+const PAGE: &str = include_str!("../../ranges.md");
 
 /// The rows that a seed draws are marked with a star, and are these.
 #[test]
@@ -19,4 +19,32 @@ fn drawn_rows_have_the_same_names_values_and_ranges() {
         assert_eq!(cells[3], nominal.trim_end(), "{name}: the value");
     }
     assert_eq!(rows, MODEL_RANGES.len(), "rows of the page with a star");
+}
+
+/// A pin in a drawing is one of the table, and a place on a header beside it is that pin's.
+#[test]
+fn drawings_name_pins_and_headers_of_the_table() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/images");
+    let mut found = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '-');
+        let mut pin = "";
+        for word in words {
+            let rest = word.strip_prefix('P').unwrap_or_default();
+            let (port, number) = rest.split_at(rest.len().min(1));
+            let is_number = !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit());
+            if matches!(port, "A" | "B" | "C" | "D" | "E") && is_number {
+                pin = word;
+                found += 1;
+                let is_there = protocol::pins::pins().any(|it| it.0 == word);
+                assert!(is_there, "{}: {word}", path.display());
+            } else if rest.starts_with("1-") || rest.starts_with("2-") {
+                let header = protocol::pins::pins().find(|it| it.0 == pin).unwrap().1;
+                assert_eq!(word, header, "{}: {pin}", path.display());
+            }
+        }
+    }
+    assert!(found > 20, "only {found} pins in drawings");
 }

@@ -6,7 +6,7 @@ use crate::whole_rig::{SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 
-/// As docs/exit-codes.md has it.
+/// As docs/troubleshooting.md has it.
 const STORAGE: i32 = 13;
 
 #[test]

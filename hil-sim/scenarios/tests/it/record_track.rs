@@ -12,7 +12,7 @@ use rustix::process::Signal;
 /// Sessions that follow a clock pass as fast as the computer's.
 const SPEED: f64 = 1.0;
 
-// Exit codes, as docs/exit-codes.md has them.
+// Exit codes, as docs/troubleshooting.md has them.
 const PHONE: i32 = 12;
 const INTERRUPTED: i32 = 130;
 

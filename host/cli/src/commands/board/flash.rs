@@ -112,7 +112,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
     Ok(ExitStatus::Good)
 }
 
-/// Starts of the loader without the firmware's help (`docs/flash.md` of the book).
+/// Starts of the loader without the firmware's help (`docs/install.md` of the book).
 const fn by_hand(model: BoardModel) -> &'static str {
     match model {
         BoardModel::Discovery => {

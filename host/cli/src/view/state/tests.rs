@@ -201,7 +201,7 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
     let error = Arc::new(SessionError::NoScale);
     let step = Step::Connect;
     state.take(&at(0.0, SessionEvent::StepFailed { step, error }));
-    assert!(state.said[0].contains("docs/flash.md"), "{:?}", state.said);
+    assert!(state.said[0].contains("board flash"), "{:?}", state.said);
     assert_eq!(
         (state.doing().as_str(), state.keys()),
         ("connecting", Keys::Answer)
