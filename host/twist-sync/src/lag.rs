@@ -80,10 +80,16 @@ pub(crate) fn chosen(
         Tried::new(fit::fit(&signals.model, data, start, even, &quick)?)
     };
     let tried = distinct(&candidates(pair, options), |lag_s| at(&data, lag_s));
-    let nodes = tried.first().map_or(0, |best| best.fit.nodes.len());
+    let nodes = tried.first().map_or_else(
+        // Nothing fits at any lag, which says nothing about the time in common.
+        || data.len().min(signals.model.sampled(node_s).len()),
+        |best| best.fit.nodes.len(),
+    );
     let overlap_s = nodes as f64 * node_s;
     report.judge(Gate::overlap(overlap_s, options.min_overlap_s))?;
-    let best = tried.first()?;
+    let Some(best) = tried.first() else {
+        return report.judge(Gate::explained(1.0)).and(None);
+    };
     let lags: Vec<f64> = tried.iter().map(|t| t.fit.link.lag_s()).collect();
     let whole = rigid::is_whole(&best.fit, settings.fit.noise_variance);
     // No part is looked for where the best explains all, or faults are not handled. Where it

@@ -178,8 +178,8 @@ impl Near {
     fn slope(&self) -> Vec3 {
         let centre = self.x / self.n;
         let spread = self.xx - centre * self.x;
-        let slope = |axis: usize| (self.xw[axis] - centre * self.w[axis]) / spread;
-        std::array::from_fn(|axis| if spread > 0.0 { slope(axis) } else { 0.0 })
+        let scale = if spread > 0.0 { 1.0 / spread } else { 0.0 };
+        std::array::from_fn(|axis| (self.xw[axis] - centre * self.w[axis]) * scale)
     }
 }
 

@@ -71,9 +71,15 @@ impl Resampled {
         let pieces = kept
             .chunk_by(|&k, &next| t[next] - t[k] <= max_gap_s)
             .filter_map(|piece| {
-                let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
-                let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
-                let raw = Uneven::new(&times, &rates)?;
+                let all = *piece.first()?..*piece.last()? + 1;
+                let (times, rates): (Vec<f64>, Vec<Vec3>);
+                // Where nothing is left out, nothing is copied.
+                let raw = if all.len() == piece.len() {
+                    Uneven::new(&t[all.clone()], &w[all])?
+                } else {
+                    (times, rates) = piece.iter().map(|&k| (t[k], w[k])).unzip();
+                    Uneven::new(&times, &rates)?
+                };
                 let (from, to) = raw.domain();
                 Some((from, raw.on_grid(grid, ((to - from) / grid) as usize + 1)))
             })

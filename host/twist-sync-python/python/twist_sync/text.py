@@ -56,7 +56,7 @@ _OTHER = set(
     " heading location bias torque unfilt".split()
 )
 _TIME = {
-    "time": 1, "timestamp": 0, "stamp": 0, "t": 2, "ts": 1, "sec": 3, "secs": 3, "seconds": 3, "ns": 3,
+    "time": 1, "timestamp": 0, "timestamps": 0, "stamp": 0, "t": 2, "ts": 1, "sec": 3, "secs": 3, "seconds": 3, "ns": 3,
     "nanoseconds": 3, "nanos": 3, "us": 3, "micros": 3, "microseconds": 3, "ms": 3, "millis": 3,
     "milliseconds": 3, "s": 4, "elapsed": 4, "timeus": 1, "timems": 1, "loggingtime": 2,
 }  # fmt: skip
@@ -310,7 +310,7 @@ def iso_nanos(text: str) -> int:
 
 
 def rows(file: IO[str], layout: Layout) -> Iterator[tuple[int, str, list[str] | None]]:
-    """Number and text of each line, and the fields of those with samples."""
+    """Number and text of each line, and the fields of those with samples; none of a cut last line."""
     width = len(layout.names)
     for number, line in enumerate(file, 1):
         text = line.strip("\r\n\ufeff")
@@ -321,6 +321,7 @@ def rows(file: IO[str], layout: Layout) -> Iterator[tuple[int, str, list[str] | 
         if len(fields) != width:
             # A recorder that was stopped in the middle of its last line.
             if not file.readline() and len(fields) <= width:
+                yield number, line, []
                 return
             raise Unreadable(
                 f"line {number}: expected {width} columns, found {len(fields)}: {text[:60]}"
@@ -342,15 +343,19 @@ def row_time(fields: list[str], layout: Layout) -> int | float:
         return float(_dot(time, layout))
 
 
-def _slow(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, int]:
-    """Times, rates, and how many rows without numbers were left out, line by line."""
+def _slow(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Times, rates, and which rows were left out, line by line."""
     times: list[int | float] = []
     rates: list[list[float]] = []
-    empty = 0
+    empty, notes = 0, []
+    cut = "its last line is cut and left out"
     with open_text(path) as file:
         for number, _, fields in rows(file, layout):
             if fields is None:
                 continue
+            if not fields:
+                notes.append(cut)
+                break
             taken = [fields[k] for k in layout.columns]
             if any(value.lower() in ("", "nan", "null", "none", "na") for value in taken):
                 empty += 1
@@ -360,15 +365,20 @@ def _slow(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, int]:
                 rates.append([float(_dot(value, layout)) for value in taken[1:4]])
                 times.append(time)
             except ValueError as error:
-                raise Unreadable(f"line {number}: {error}") from None
+                if file.readline():
+                    raise Unreadable(f"line {number}: {error}") from None
+                notes.append(cut)
+                break
+    if empty:
+        notes.append(f"{empty} rows without numbers are left out")
     kind = np.int64 if all(isinstance(t, int) for t in times) else np.float64
     try:
-        return np.array(times, dtype=kind), np.array(rates).reshape(-1, 3), empty
+        return np.array(times, dtype=kind), np.array(rates).reshape(-1, 3), notes
     except OverflowError:
         raise Unreadable("times of more than 19 digits") from None
 
 
-def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, int] | None:
+def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
     """What :func:`_slow` gives, of files without anything out of the ordinary; else None."""
     if layout.is_iso or layout.decimal_comma or len(layout.columns) > 4:
         return None
@@ -390,7 +400,7 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, int] | No
             continue
         rates = np.column_stack([table[k] for k in "xyz"])
         if np.isfinite(rates).all():
-            return table["t"], rates, 0
+            return table["t"], rates, []
     return None
 
 
@@ -449,7 +459,7 @@ def read(
     if "\0" in head:
         raise Unreadable("no text, and no recording that is known")
     layout = _layout(head, columns, topic)
-    times, rates, empty = _fast(path, layout) or _slow(path, layout)
+    times, rates, notes = _fast(path, layout) or _slow(path, layout)
     if not len(times):
         raise Unreadable("no rows of samples")
     exact = layout.is_iso or len(layout.columns) > 4
@@ -474,7 +484,6 @@ def read(
         f"text with {separator}: times of {name[0]!r} in {layout.time_unit} ({by}), rates of "
         f"{', '.join(map(repr, name[1:4]))} in {layout.rate_unit} ({of_rate})"
     )
-    notes = [f"{empty} rows without numbers are left out"] if empty else []
     return Recording(
         path,
         form,

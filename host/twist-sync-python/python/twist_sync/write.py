@@ -98,7 +98,7 @@ def _text(recording: Recording, clock: DeviceClock, out: Any) -> int:
     times = []
     with text.open_text(recording.path) as file:
         for _, _, fields in text.rows(file, layout):
-            if fields is not None:
+            if fields:
                 try:
                     times.append(text.row_time(fields, layout))
                 except ValueError:
@@ -110,8 +110,9 @@ def _text(recording: Recording, clock: DeviceClock, out: Any) -> int:
     table = csv.writer(out, delimiter=layout.delimiter or " ", lineterminator="")
     with text.open_text(recording.path) as file:
         for _, line, fields in text.rows(file, layout):
-            if fields is None:
-                out.write(line)
+            if not fields:
+                # A cut line has no time.
+                out.write(line if fields is None else "")
                 continue
             nanos = next(moved)
             column = layout.columns[0]
