@@ -12,11 +12,7 @@ use crate::process;
 /// Fails on a dependency with a licence that `deny.toml` does not list, or from another place
 /// than the registry.
 pub(crate) fn check() -> Result<()> {
-    let deny = fs::read_to_string(process::root().join("deny.toml"))?;
-    let allowed = deny
-        .split_once("allow = [")
-        .and_then(|it| it.1.split_once(']'));
-    let (allowed, _) = allowed.context("deny.toml allows no licences")?;
+    let allowed = allowed()?;
     let licences: BTreeSet<&str> = allowed.split('"').skip(1).step_by(2).collect();
     let tree = process::text(
         process::command(process::cargo_program())
@@ -43,6 +39,16 @@ pub(crate) fn check() -> Result<()> {
         process::cargo(["deny", "check", "licenses", "bans", "sources"])?;
     }
     Ok(())
+}
+
+/// The licences that `deny.toml` allows, in quotes and with commas between.
+pub(crate) fn allowed() -> Result<String> {
+    let deny = fs::read_to_string(process::root().join("deny.toml"))?;
+    let allowed = deny
+        .split_once("allow = [")
+        .and_then(|it| it.1.split_once(']'));
+    let (allowed, _) = allowed.context("deny.toml allows no licences")?;
+    Ok(allowed.to_owned())
 }
 
 /// Whether an SPDX expression can be met with these licences.

@@ -30,13 +30,13 @@ const SOURCES: [&str; 6] = [
 
 /// Fails on any broken local link of the book.
 pub(crate) fn check() -> Result<()> {
-    check_links(&make(false)?, &process::root())
+    check_links(&pages(None)?, &process::root())
 }
 
 /// Builds the book into `target/book` and fails on any broken local link.
 pub(crate) fn build_and_check() -> Result<()> {
     process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
-    let source = make(true)?;
+    let source = pages(Some(&process::target_dir().join("release")))?;
     check_links(&source, &process::root())?;
     let mdbook = tools::ensure_cargo_tool(
         "mdbook",
@@ -55,8 +55,9 @@ pub(crate) fn build_and_check() -> Result<()> {
     Ok(())
 }
 
-/// Copies the pages, with [what is made from the code](crate::reference), to where they are built.
-fn make(with_help: bool) -> Result<PathBuf> {
+/// Copies the pages, with [what is made from the code](crate::reference), to where they are built;
+/// with the help of the programs in a folder.
+pub(crate) fn pages(programs: Option<&Path>) -> Result<PathBuf> {
     let root = process::root();
     let reference = Reference::read(&root)?;
     let source = process::fresh_folder("book-source")?;
@@ -66,7 +67,7 @@ fn make(with_help: bool) -> Result<PathBuf> {
         fs::create_dir_all(target.parent().unwrap_or(&source))?;
         if path.extension().is_some_and(|extension| extension == "md") {
             let page = fs::read_to_string(&path)?;
-            let page = reference.expand(&page, &root, with_help);
+            let page = reference.expand(&page, &root, programs);
             fs::write(&target, page.with_context(|| path.display().to_string())?)?;
         } else {
             fs::copy(&path, &target)?;

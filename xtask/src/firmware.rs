@@ -225,6 +225,11 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
         None => (args, &[][..]),
     };
     cargo.args(before);
+    if target == TARGET {
+        // Its debug information names the sources.
+        let options = process::remapped();
+        cargo.arg(format!("--config=target.{TARGET}.rustflags={options:?}"));
+    }
     if let Route::Debian { linker } = route(target)? {
         let target = target.to_uppercase().replace('-', "_");
         cargo
@@ -243,17 +248,7 @@ fn route(target: &str) -> Result<Route> {
         "debian" => return debian(target),
         other => bail!("{ROUTE_VARIABLE} is {other:?}; it can be unset or \"debian\""),
     }
-    let sysroot = sysroot()?;
-    if has_target(&sysroot, target) {
-        return Ok(Route::Toolchain);
-    }
-    println!("the Rust target {target} is missing: trying rustup target add");
-    let added = Command::new("rustup")
-        .current_dir(process::root())
-        .args(["target", "add", target])
-        .status()
-        .is_ok_and(|status| status.success());
-    if added && has_target(&sysroot, target) {
+    if tools::add_target(target)? {
         return Ok(Route::Toolchain);
     }
     debian(target)
@@ -277,7 +272,7 @@ fn debian(target: &str) -> Result<Route> {
             DEBIAN_PACKAGES.join(" ")
         );
     }
-    let linker = sysroot()?.join("lib/rustlib/x86_64-unknown-linux-gnu/bin/rust-lld");
+    let linker = tools::sysroot()?.join("lib/rustlib/x86_64-unknown-linux-gnu/bin/rust-lld");
     if linker.is_file() {
         return Ok(Route::Debian { linker });
     }
@@ -302,18 +297,4 @@ fn minor_version(rustc: &str) -> Option<u32> {
     let text = process::text(Command::new(rustc).arg("--version")).ok()?;
     let version = text.split_whitespace().nth(1)?;
     version.split('.').nth(1)?.parse().ok()
-}
-
-fn sysroot() -> Result<PathBuf> {
-    process::text(process::command("rustc").args(["--print", "sysroot"]))
-        .map(PathBuf::from)
-        .context("rustc does not tell its sysroot; install Rust through rustup")
-}
-
-fn has_target(sysroot: &Path, target: &str) -> bool {
-    sysroot
-        .join("lib/rustlib")
-        .join(target)
-        .join("lib")
-        .is_dir()
 }

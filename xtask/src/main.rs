@@ -7,13 +7,12 @@
 
 mod dependencies;
 mod docs;
-mod extract_bench;
 mod figures;
 mod firmware;
 mod image;
-mod package;
 mod process;
 mod reference;
+mod release;
 mod sync_bench;
 mod tools;
 mod wheel;
@@ -74,9 +73,9 @@ enum Command {
     /// measures itself: `hil-sim bench`.
     #[command(subcommand)]
     Bench(Bench),
-    /// Build the Debian package with host tool, udev rule and firmware, and try it
-    /// in a root of its own.
-    Package,
+    /// Make all that a release holds, for amd64 and arm64, in `target/dist`, and try it where
+    /// there is no Rust.
+    Release,
     /// Build the Python packages twist-sync and smartdepthsync-data, install them into
     /// target/venv, and test them there.
     Wheel,
@@ -113,8 +112,8 @@ fn run(command: Command) -> Result<()> {
         Command::Check { no_book } => check(no_book),
         Command::Readers => readers(),
         Command::Bench(Bench::Sync { trials }) => sync_bench::run(trials),
-        Command::Bench(Bench::Extract { depth_minutes }) => extract_bench::run(depth_minutes),
-        Command::Package => package(),
+        Command::Bench(Bench::Extract { depth_minutes }) => bench_extract(depth_minutes),
+        Command::Release => release::make(),
         Command::Wheel => wheel::build_and_test(),
         Command::Docs => docs::build_and_check(),
         Command::DocsFigures => figures::make(),
@@ -190,11 +189,21 @@ fn check(no_book: bool) -> Result<()> {
     }
 }
 
-fn package() -> Result<()> {
-    let elves = [firmware::build_black_pill()?, firmware::build()?];
-    firmware::build_agent()?;
-    process::cargo("build --release -p smartdepthsync".split(' '))?;
-    package::build(&elves)
+fn bench_extract(depth_minutes: u32) -> Result<()> {
+    let python = tools::ensure_python()?;
+    let build = "build --release --workspace --example synthetic_recording --bin smartdepthsync";
+    process::cargo(build.split(' '))?;
+    let place = process::fresh_folder("extract-bench")?;
+    let measured = process::run(
+        process::command(python)
+            .arg("xtask/extract_bench.py")
+            .arg(process::target_dir().join("release"))
+            .arg(&place)
+            .arg(depth_minutes.to_string()),
+    );
+    // The recordings are large.
+    let _ = std::fs::remove_dir_all(&place);
+    measured
 }
 
 fn hil_sim(args: &[String]) -> Result<()> {

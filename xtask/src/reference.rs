@@ -65,7 +65,12 @@ impl Reference {
     }
 
     /// A page with all that it asks for. The help of programs is left out unless they are built.
-    pub(crate) fn expand(&self, page: &str, root: &Path, with_help: bool) -> Result<String> {
+    pub(crate) fn expand(
+        &self,
+        page: &str,
+        root: &Path,
+        programs: Option<&Path>,
+    ) -> Result<String> {
         let mut out = String::new();
         let mut wanted = Vec::new();
         for line in page.lines() {
@@ -101,10 +106,11 @@ impl Reference {
                     let ending = ending.to_string_lossy();
                     let _ = writeln!(out, "```{ending}\n{}\n```", text.trim_end());
                 }
-                ["help", program] if with_help => {
-                    out += &help(program, &mut vec![program.to_owned()])?;
+                ["help", program] => {
+                    if let Some(folder) = programs {
+                        out += &help(&folder.join(program), &mut vec![program.to_owned()])?;
+                    }
                 }
-                ["help", _] => {}
                 _ if asked.is_some() => bail!("no page can ask for {line}"),
                 _ => {
                     out += line;
@@ -481,8 +487,8 @@ fn constant(file: &Path, name: &str) -> Result<String> {
 }
 
 /// The help of a program and of all its commands.
-fn help(program: &str, path: &mut Vec<String>) -> Result<String> {
-    let mut command = process::command(process::program(program));
+fn help(program: &Path, path: &mut Vec<String>) -> Result<String> {
+    let mut command = process::command(program);
     let text = process::text(command.args(&path[1..]).arg("--help"))?;
     let mut out = format!("\n## {}\n\n```text\n{}\n```\n", path.join(" "), text.trim());
     let commands = text.split_once("\nCommands:\n").map_or("", |it| it.1);

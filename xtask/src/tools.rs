@@ -65,6 +65,12 @@ pub(crate) fn ensure_python() -> Result<PathBuf> {
     ensure_environment("venv", "python-requirements.txt")
 }
 
+/// The Python environment with what a release is built by: a compiler of C and linker for other
+/// processors and systems (Zig), and what calls it.
+pub(crate) fn ensure_release() -> Result<PathBuf> {
+    ensure_environment("release-tools", "release-requirements.txt")
+}
+
 /// Readers that are too large for every run of the tests, each in an environment of its own in
 /// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
 /// for the Python of Debian.
@@ -128,6 +134,35 @@ fn make_venv(venv: &Path) -> bool {
         .stdout(Stdio::null())
         .status()
         .is_ok_and(|status| status.success())
+}
+
+/// Makes sure that the compiler has the library of a target.
+pub(crate) fn ensure_target(target: &str) -> Result<()> {
+    if add_target(target)? {
+        return Ok(());
+    }
+    bail!("there is no Rust library for {target}: run `rustup target add {target}`")
+}
+
+/// Whether the active toolchain has a target, or rustup adds it.
+pub(crate) fn add_target(target: &str) -> Result<bool> {
+    let library = sysroot()?.join("lib/rustlib").join(target).join("lib");
+    if !library.is_dir() {
+        println!("the Rust target {target} is missing: trying rustup target add");
+        let added = Command::new("rustup")
+            .current_dir(process::root())
+            .args(["target", "add", target])
+            .status();
+        return Ok(added.is_ok_and(|status| status.success()) && library.is_dir());
+    }
+    Ok(true)
+}
+
+/// Where the active compiler is installed.
+pub(crate) fn sysroot() -> Result<PathBuf> {
+    process::text(process::command("rustc").args(["--print", "sysroot"]))
+        .map(PathBuf::from)
+        .context("rustc does not tell its sysroot; install Rust through rustup")
 }
 
 /// A cargo tool of exactly this version in `target/tools`, built if need be.

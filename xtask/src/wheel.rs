@@ -2,6 +2,7 @@
 //! environment, tested. The second one's tests need recordings: they are among `hil-sim`'s.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Result, bail};
 
@@ -10,17 +11,23 @@ use crate::{process, tools};
 /// Twists of each scenario whose results must be those of the crate.
 const TRIALS: &str = "2";
 
-/// Builds the wheel and gives its path.
-fn build(python: &Path) -> Result<PathBuf> {
-    let folder = process::fresh_folder("wheels")?;
-    process::run(
-        process::command(python)
-            .args("-m maturin build --release --quiet --out".split(' '))
-            .arg(&folder)
-            .args(["--manifest-path", "host/twist-sync-python/Cargo.toml"])
-            .env("VIRTUAL_ENV", process::target_dir().join("venv")),
-    )?;
-    only_file(&folder)
+/// Builds the wheel of `twist-sync` into a folder.
+pub(crate) fn maturin(python: &Path, folder: &Path) -> Command {
+    let mut maturin = process::command(python);
+    maturin
+        .args("-m maturin build --release --quiet --out".split(' '))
+        .arg(folder)
+        .args(["--manifest-path", "host/twist-sync-python/Cargo.toml"]);
+    maturin
+}
+
+/// Builds the wheel of `smartdepthsync-data` into a folder, as it would be published.
+pub(crate) fn data_package(python: &Path, folder: &Path) -> Command {
+    let mut pip = process::command(python);
+    pip.args("-m pip wheel --quiet --no-deps --wheel-dir".split(' '))
+        .arg(folder)
+        .arg("host/python/smartdepthsync-data");
+    pip
 }
 
 fn only_file(folder: &Path) -> Result<PathBuf> {
@@ -30,16 +37,10 @@ fn only_file(folder: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Builds the wheel of `smartdepthsync-data` as it would be published, installs it, and starts
-/// its command.
+/// Builds the wheel of `smartdepthsync-data`, installs it, and starts its command.
 fn data(python: &Path) -> Result<()> {
     let folder = process::fresh_folder("data-wheel")?;
-    process::run(
-        process::command(python)
-            .args("-m pip wheel --quiet --no-deps --wheel-dir".split(' '))
-            .arg(&folder)
-            .arg("host/python/smartdepthsync-data"),
-    )?;
+    process::run(&mut data_package(python, &folder))?;
     let wheel = only_file(&folder)?;
     // Its manifest cannot take the version from the workspace.
     let version = concat!("-", env!("CARGO_PKG_VERSION"), "-");
@@ -63,7 +64,10 @@ fn data(python: &Path) -> Result<()> {
 /// Builds the wheel and installs it into the Python environment, which has all that it needs.
 pub(crate) fn installed() -> Result<PathBuf> {
     let python = tools::ensure_python()?;
-    let wheel = build(&python)?;
+    let folder = process::fresh_folder("wheels")?;
+    let mut maturin = maturin(&python, &folder);
+    process::run(maturin.env("VIRTUAL_ENV", process::target_dir().join("venv")))?;
+    let wheel = only_file(&folder)?;
     tools::pip_install(&python, &["--no-deps", "--force-reinstall"], &wheel)?;
     println!("wheel: {}", wheel.display());
     Ok(python)

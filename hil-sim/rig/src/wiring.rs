@@ -74,8 +74,11 @@ pub fn board_of(kind: BoardKind, elf: Option<&Path>) -> SimBuilder {
     let board = match kind {
         BoardKind::Discovery => board(),
         BoardKind::BlackPill => {
-            let mut elf = default_elf().into_os_string();
-            elf.push("-black-pill");
+            let elf = default_elf().to_string_lossy().into_owned();
+            let elf = match elf.strip_suffix("-discovery.elf") {
+                Some(released) => format!("{released}-black-pill.elf"),
+                None => elf + "-black-pill",
+            };
             board()
                 .elf(elf)
                 .chip(|chip| chip.part = Part::Stm32f411ce)
@@ -99,18 +102,20 @@ pub fn board() -> SimBuilder {
         .i2c_bus(SCL, SDA)
 }
 
-/// Default path of the firmware's ELF: what the environment variable
-/// says, else where `cargo xtask build` puts it.
+/// Default path of the firmware's ELF: what the environment variable says, else where
+/// `cargo xtask build` or a release puts it, from the folder of this program.
 #[must_use]
 pub fn default_elf() -> PathBuf {
     if let Some(path) = std::env::var_os(ELF_VARIABLE) {
         return PathBuf::from(path);
     }
-    let target = match std::env::var_os("CARGO_TARGET_DIR") {
-        Some(dir) => PathBuf::from(dir),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"),
-    };
-    target.join("thumbv7em-none-eabihf/release/smartdepthsync-firmware")
+    let built = "thumbv7em-none-eabihf/release/smartdepthsync-firmware";
+    let released = "share/smartdepthsync/firmware/smartdepthsync-firmware-discovery.elf";
+    let own = std::env::current_exe().unwrap_or_default();
+    (own.ancestors())
+        .flat_map(|folder| [built, released].map(|file| folder.join(file)))
+        .find(|elf| elf.is_file())
+        .unwrap_or_else(|| built.into())
 }
 
 #[cfg(test)]

@@ -1,0 +1,301 @@
+//! All that a release holds, in `target/dist`: made of the commit that is checked out, with the
+//! same bytes in whatever folder it is built, and tried where there is no Rust.
+//!
+//! The programs are linked statically (musl), so that one build a processor serves the Debian
+//! package and the archive, whatever system is below.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::firmware::Board;
+use crate::image::{dfu_image, raw_image};
+use crate::{dependencies, docs, firmware, process, tools, wheel};
+
+const NAME: &str = "smartdepthsync";
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Processors by Rust's name, and by Debian's.
+const PROCESSORS: [(&str, &str); 2] = [("x86_64", "amd64"), ("aarch64", "arm64")];
+
+/// Where the archive's programs run a session: a Debian with nothing but this.
+const SUITE: &str = "bookworm";
+const DEBIAN: &str = "ffmpeg,python3-numpy,python3-pil,python3-pip";
+
+/// Makes the release and tries it.
+pub(crate) fn make() -> Result<()> {
+    let git = |args: &[&str]| process::text(process::command("git").args(args));
+    if !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty() {
+        bail!("there are changes that are not committed, and a release is made of a commit");
+    }
+    let revision = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let release = Release {
+        dist: process::fresh_folder("dist")?,
+        epoch: git(&["log", "-1", "--format=%ct"])?,
+        python: tools::ensure_release()?,
+    };
+    let usr = process::fresh_folder("release-tree")?.join("usr");
+    let share = usr.join("share").join(NAME);
+    release.firmware(&revision, &share.join("firmware"))?;
+    firmware::build_agent()?;
+    for agent in firmware::agents() {
+        install(&agent, &share.join("phone-agent"))?;
+    }
+    let rule = process::root().join("host/udev/60-smartdepthsync.rules");
+    install(&rule, &usr.join("lib/udev/rules.d"))?;
+    let documents = usr.join("share/doc").join(NAME);
+    for file in ["LICENSE-MIT", "LICENSE-APACHE", "NOTICE", "CHANGELOG.md"] {
+        install(&process::root().join(file), &documents)?;
+    }
+    install(&release.inventory()?, &documents)?;
+
+    // First that which runs here: it writes what goes with all.
+    let own = release.programs(std::env::consts::ARCH)?;
+    said_by(&own.join(NAME), &usr.join("share"))?;
+    install(&docs::pages(Some(&own))?, &documents)?;
+    fs::rename(documents.join("book-source"), documents.join("book"))?;
+    for (rust, debian) in PROCESSORS {
+        let folder = release.programs(rust)?;
+        for program in [NAME, "hil-sim"] {
+            install(&folder.join(program), &usr.join("bin"))?;
+        }
+        release.pack(&usr, debian)?;
+        release.wheel(rust)?;
+    }
+    let mut data = wheel::data_package(&release.python, &release.dist);
+    process::run(release.reproducibly(&mut data).arg("--no-build-isolation"))?;
+    let compiler = process::text(process::command("rustc").arg("-vV"))?;
+    fs::write(release.dist.join("TOOLCHAIN"), compiler + "\n")?;
+    let mut names = Vec::new();
+    for file in fs::read_dir(&release.dist)? {
+        names.push(file?.file_name());
+    }
+    names.sort();
+    let sums = process::text(
+        Command::new("sha256sum")
+            .args(names)
+            .current_dir(&release.dist),
+    )?;
+    fs::write(release.dist.join("SHA256SUMS"), sums + "\n")?;
+    release.try_it()?;
+    println!("the release: {}", release.dist.display());
+    Ok(())
+}
+
+struct Release {
+    /// Where its files go.
+    dist: PathBuf,
+    /// Time of the commit, seconds since 1970: all files have it.
+    epoch: String,
+    /// The Python that has the tools from PyPI beside it.
+    python: PathBuf,
+}
+
+impl Release {
+    /// Sets what makes a build independent of its folder and time.
+    fn reproducibly<'a>(&self, command: &'a mut Command) -> &'a mut Command {
+        let folder = self.python.parent().unwrap_or(&self.python);
+        let path = std::env::var("PATH").unwrap_or_default();
+        command
+            .env("PATH", format!("{}:{path}", folder.display()))
+            .env("SOURCE_DATE_EPOCH", &self.epoch)
+            .env("CARGO_PROFILE_RELEASE_STRIP", "debuginfo")
+            .env("CARGO_ENCODED_RUSTFLAGS", process::remapped().join("\x1f"))
+    }
+
+    /// ELF, raw image and image for DFU of each board, here and in `folder`.
+    fn firmware(&self, revision: &str, folder: &Path) -> Result<()> {
+        for board in [Board::BlackPill, Board::Discovery] {
+            let (elf, key) = match board {
+                Board::BlackPill => (firmware::build_black_pill()?, "black-pill"),
+                Board::Discovery => (firmware::build()?, "discovery"),
+            };
+            let image = raw_image(&elf)?;
+            let mark = format!("{key};{VERSION};{revision};");
+            if !image.windows(mark.len()).any(|at| at == mark.as_bytes()) {
+                bail!("the firmware does not have {mark:?} inside");
+            }
+            let to = self.dist.join(format!("{NAME}-firmware-{key}.elf"));
+            fs::copy(&elf, &to)?;
+            fs::write(to.with_extension("bin"), image)?;
+            fs::write(to.with_extension("dfu"), dfu_image(&elf)?)?;
+            for ending in ["elf", "bin", "dfu"] {
+                install(&to.with_extension(ending), folder)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The bills of materials, and the licences of all that is linked into the programs, the
+    /// firmware and the wheel, whose file is returned.
+    fn inventory(&self) -> Result<PathBuf> {
+        let cyclonedx = tools::ensure_cargo_tool("cargo-cyclonedx", "0.5.9", &[])?;
+        let about = tools::ensure_cargo_tool("cargo-about", "0.9.3", &["--features", "cli"])?;
+        // It leaves a file beside each manifest, with the folder in the names of our crates.
+        let args = "cyclonedx --quiet --format json --target all --override-filename release-bom";
+        let mut command = process::command(cyclonedx);
+        process::run(self.reproducibly(&mut command).args(args.split(' ')))?;
+        let root = process::root();
+        for file in process::files_below(&root)? {
+            if !file.ends_with("release-bom.json") {
+                continue;
+            }
+            let crate_folder = file.parent().and_then(|it| it.strip_prefix(&root).ok());
+            let part = match crate_folder.and_then(Path::to_str) {
+                Some("host/cli") => Some(NAME),
+                Some("hil-sim/scenarios") => Some("hil-sim"),
+                Some("host/twist-sync-python") => Some("twist-sync"),
+                Some("firmware") => Some("smartdepthsync-firmware"),
+                _ => None,
+            };
+            if let Some(part) = part {
+                let bom = fs::read_to_string(&file)?.replace(&*root.to_string_lossy(), "");
+                fs::write(self.dist.join(format!("{part}.cdx.json")), bom)?;
+            }
+            fs::remove_file(&file)?;
+        }
+        let config = process::target_dir().join("about.toml");
+        // The licences are at the top of each crate; what is below takes minutes to read.
+        let settings = format!(
+            "accepted = [{}]\nmax-depth = 1\nignore-dev-dependencies = true\ntargets = [\
+             \"x86_64-unknown-linux-musl\", \"aarch64-unknown-linux-musl\", \"thumbv7em-none-eabihf\"]\n",
+            dependencies::allowed()?,
+        );
+        fs::write(&config, settings)?;
+        let licences = self.dist.join("LICENCES.txt");
+        let args = "generate --workspace --frozen --fail --config".split(' ');
+        let mut command = process::command(about);
+        command.args(args).arg(&config).arg("--output-file");
+        process::run(command.arg(&licences).arg("xtask/licences.hbs"))?;
+        Ok(licences)
+    }
+
+    /// Builds the programs and gives their folder.
+    fn programs(&self, processor: &str) -> Result<PathBuf> {
+        let target = format!("{processor}-unknown-linux-musl");
+        tools::ensure_target(&target)?;
+        let args = "zigbuild --release --locked --workspace --bin smartdepthsync --bin hil-sim";
+        let mut cargo = process::command(process::cargo_program());
+        self.reproducibly(&mut cargo).args(args.split(' '));
+        process::run(cargo.args(["--target", &target]))?;
+        Ok(process::target_dir().join(target).join("release"))
+    }
+
+    /// The wheel of `twist-sync` for a processor.
+    fn wheel(&self, processor: &str) -> Result<()> {
+        let target = format!("{processor}-unknown-linux-gnu");
+        tools::ensure_target(&target)?;
+        let mut maturin = wheel::maturin(&self.python, &self.dist);
+        self.reproducibly(&mut maturin);
+        process::run(maturin.args(["--zig", "--target", &target]))
+    }
+
+    /// Makes the archive and the Debian package of the tree `usr`.
+    fn pack(&self, usr: &Path, architecture: &str) -> Result<()> {
+        let tree = usr.parent().context("a tree without a folder")?;
+        let modes = process::command("chmod")
+            .args(["-R", "u=rwX,go=rX"])
+            .arg(tree)
+            .status()?;
+        if !modes.success() {
+            bail!("cannot set the rights of {}", tree.display());
+        }
+        let name = format!("{NAME}-{VERSION}-linux-{architecture}");
+        let archive = self.dist.join(format!("{name}.tar.gz"));
+        process::run(
+            process::command("tar")
+                .args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner"])
+                .arg(format!("--mtime=@{}", self.epoch))
+                .arg(format!("--transform=s,^usr,{name},"))
+                .args(["--use-compress-program", "gzip -9n", "--create", "--file"])
+                .arg(archive)
+                .arg("--directory")
+                .arg(tree)
+                .arg("usr"),
+        )?;
+        let control = fs::read_to_string(process::root().join("xtask/debian-control"))?
+            .replace("VERSION", VERSION)
+            .replace("ARCHITECTURE", architecture);
+        fs::create_dir_all(tree.join("DEBIAN"))?;
+        fs::write(tree.join("DEBIAN/control"), control)?;
+        let package = self
+            .dist
+            .join(format!("{NAME}_{VERSION}_{architecture}.deb"));
+        process::run(
+            process::command("dpkg-deb")
+                .env("SOURCE_DATE_EPOCH", &self.epoch)
+                // More cut the data elsewhere.
+                .env("DPKG_DEB_THREADS_MAX", "1")
+                .args(["--root-owner-group", "--build"])
+                .arg(tree)
+                .arg(package),
+        )
+    }
+
+    /// Tries the release of this computer's processor in a Debian that has nothing else, and
+    /// starts the other one's programs.
+    fn try_it(&self) -> Result<()> {
+        for (rust, debian) in PROCESSORS {
+            if rust == std::env::consts::ARCH {
+                tools::ensure_program("mmdebstrap", "mmdebstrap")?;
+                let inside = format!("chroot \"$1\" sh -eux /dist/try_release.sh {debian}");
+                let script = process::root().join("xtask/try_release.sh");
+                process::run(
+                    process::command("mmdebstrap")
+                        .args(["--variant=apt", "--format=null"])
+                        .arg(format!("--include={DEBIAN}"))
+                        .arg(format!(
+                            "--customize-hook=copy-in {} /",
+                            self.dist.display()
+                        ))
+                        .arg(format!(
+                            "--customize-hook=copy-in {} /dist",
+                            script.display()
+                        ))
+                        .arg(format!("--customize-hook={inside}"))
+                        .args([SUITE, "-"]),
+                )?;
+            } else {
+                let emulator = format!("qemu-{rust}");
+                tools::ensure_program(&emulator, "qemu-user")?;
+                let root = process::fresh_folder("release-root")?;
+                let package = self.dist.join(format!("{NAME}_{VERSION}_{debian}.deb"));
+                let mut unpack = process::command("dpkg-deb");
+                process::run(unpack.arg("--extract").arg(package).arg(&root))?;
+                for program in [NAME, "hil-sim"] {
+                    let program = root.join("usr/bin").join(program);
+                    process::run(process::command(&emulator).arg(program).arg("--version"))?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the program says of itself: completions of shells and manual pages.
+fn said_by(program: &Path, share: &Path) -> Result<()> {
+    for (shell, place) in [
+        ("bash", "bash-completion/completions/smartdepthsync"),
+        ("zsh", "zsh/vendor-completions/_smartdepthsync"),
+        ("fish", "fish/vendor_completions.d/smartdepthsync.fish"),
+    ] {
+        let script = process::text(Command::new(program).args(["completions", shell]))?;
+        let place = share.join(place);
+        fs::create_dir_all(place.parent().context("a file without a folder")?)?;
+        fs::write(place, script + "\n")?;
+    }
+    let man = share.join("man/man1");
+    process::run(process::command(program).arg("man").arg(&man))?;
+    for page in fs::read_dir(&man)? {
+        process::run(process::command("gzip").arg("-9n").arg(page?.path()))?;
+    }
+    Ok(())
+}
+
+/// Copies a file or folder into a folder.
+fn install(from: &Path, folder: &Path) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    process::run(process::command("cp").arg("-r").arg(from).arg(folder))
+}
