@@ -431,10 +431,6 @@ impl Advice for ProfileError {
 impl Advice for RecordingError {
     fn advice(&self) -> (ExitStatus, Cow<'static, str>) {
         let step = match self {
-            Self::Stopped => {
-                let status = ExitStatus::Interrupted;
-                return (status, status.next_step().into());
-            }
             full if full.is_disk_full() => {
                 "free some space; what was recorded before is kept and can be read"
             }

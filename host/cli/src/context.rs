@@ -5,9 +5,12 @@
 //! progress and errors go to standard error.
 
 use std::io::{self, IsTerminal, Write};
-use std::sync::Arc;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
+use files::Reading;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
 use serde::Serialize;
@@ -128,7 +131,35 @@ impl Context {
         if !self.is_silent() {
             // Nobody to tell it to if standard error is gone.
             let text = harmless(text.as_ref(), Shown::ForPeople);
-            let _ = writeln!(io::stderr().lock(), "{text}");
+            let mut stderr = io::stderr().lock();
+            // Of a bar that is drawn there.
+            let clear = if stderr.is_terminal() { "\r\x1b[K" } else { "" };
+            let _ = writeln!(stderr, "{clear}{text}");
+        }
+    }
+
+    /// Does work that reads files. Its readings end with the first Ctrl-C, and from the second
+    /// second on a bar shows how far they are, unless the work has its own.
+    ///
+    /// # Errors
+    ///
+    /// Those of the work; or it was interrupted.
+    pub(crate) fn over_files<T, E: Into<Failure>>(
+        &self,
+        has_bar: bool,
+        work: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, Failure> {
+        let interrupt = self.interrupt.clone();
+        let bar = ReadingBar::new(self, has_bar);
+        let watching = files::watch(move |reading| {
+            bar.at(reading);
+            !interrupt.requested()
+        });
+        let result = work();
+        drop(watching);
+        match self.interrupt.requested() {
+            true => Err(Failure::new(ExitStatus::Interrupted, "stopped")),
+            false => result.map_err(E::into),
         }
     }
 
@@ -140,14 +171,62 @@ impl Context {
         } else {
             ProgressDrawTarget::hidden()
         };
-        let style =
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        ProgressBar::with_draw_target(length, target).with_style(style)
+        ProgressBar::with_draw_target(length, target).with_style(bar_style(template))
     }
 
     /// A spinner with a message.
     pub(crate) fn spinner(&self) -> ProgressBar {
         self.progress(None, "{spinner} {msg}")
+    }
+}
+
+/// The bar of a command that reads files.
+struct ReadingBar {
+    bar: ProgressBar,
+    /// The file that it shows.
+    shown: Mutex<PathBuf>,
+    begun: Instant,
+}
+
+impl ReadingBar {
+    const QUIET: Duration = Duration::from_secs(1);
+
+    fn new(context: &Context, has_bar: bool) -> Self {
+        Self {
+            bar: match has_bar {
+                true => ProgressBar::hidden(),
+                false => context.progress(None, "{msg} {spinner} {elapsed}"),
+            },
+            shown: Mutex::default(),
+            begun: Instant::now(),
+        }
+    }
+
+    fn at(&self, reading: &Reading<'_>) {
+        if self.begun.elapsed() < Self::QUIET || self.bar.is_hidden() {
+            return;
+        }
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        if *shown != reading.path {
+            reading.path.clone_into(&mut shown);
+            let name = reading.path.file_name().unwrap_or_default();
+            let name = name.to_string_lossy();
+            let message = format!("reading {}", harmless(&name, Shown::ForPeople));
+            self.bar.set_message(message);
+            if reading.length > 0 {
+                self.bar
+                    .set_style(bar_style("{msg} {wide_bar} {percent:>3} % {eta:>4}"));
+                self.bar.set_length(reading.length);
+            }
+            self.bar.enable_steady_tick(Self::QUIET);
+        }
+        self.bar.set_position(reading.position);
+    }
+}
+
+impl Drop for ReadingBar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
     }
 }
 
@@ -197,6 +276,10 @@ impl Interrupt {
         });
         Ok(())
     }
+}
+
+fn bar_style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
 /// Tells whether standard output shows colours, and its user wants them (no-color.org).

@@ -175,6 +175,7 @@ impl EvaluateError {
         };
         match error {
             VideoError::Missing(_) | VideoError::Run { .. } => Self::Ffmpeg(error),
+            VideoError::Endless { .. } => not_a_video(error.to_string()),
             VideoError::NotAVideo(message) => not_a_video(message),
             VideoError::Decode(said) => not_a_video(format!(
                 "no frame could be decoded; the file may be truncated, copy it again. ffmpeg says: {said}"

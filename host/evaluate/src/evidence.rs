@@ -196,7 +196,7 @@ fn before(footage: &Footage, settings: &Settings) -> Option<Evidence> {
         to_s: Some((from_s + 2.0).min(BEGINNING_S)),
         ..settings.clone()
     };
-    let mut beginning = Footage::read(&footage.path, &settings, None, &|| false).ok()?;
+    let mut beginning = Footage::read(&footage.path, &settings, None).ok()?;
     beginning.applied = footage.applied;
     track(&beginning, &settings, Choice::All).ok()?.evidence
 }

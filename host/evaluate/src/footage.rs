@@ -63,31 +63,27 @@ impl Footage {
     /// Opens and reads a recording's folder, a video, a folder of images or one
     /// image.
     ///
-    /// `stop` is asked before each frame; when it says so, reading ends early with
-    /// what there is. `expected` is the size of earlier recordings.
+    /// `expected` is the size of earlier recordings.
     pub fn read(
         path: &Path,
         settings: &Settings,
         expected: Option<(usize, usize)>,
-        stop: &dyn Fn() -> bool,
     ) -> Result<Self, EvaluateError> {
         let started = Instant::now();
         let input = input::resolve(path)?;
         let mut source = source::open(&input.path, settings.timestamps.as_deref())?;
         let opened = started.elapsed();
-        let mut footage = Self::from_source(source.as_mut(), settings, expected, stop)?;
+        let mut footage = Self::from_source(source.as_mut(), settings, expected)?;
         footage.waited += opened;
         footage.applied = input.applied;
         Ok(footage)
     }
 
-    /// Reads an opened source to its end; `expected` and `stop` as in
-    /// [`read`](Self::read).
+    /// Reads an opened source to its end; `expected` as in [`read`](Self::read).
     pub fn from_source(
         source: &mut dyn FrameSource,
         settings: &Settings,
         expected: Option<(usize, usize)>,
-        stop: &dyn Fn() -> bool,
     ) -> Result<Self, EvaluateError> {
         let mut waited = Duration::ZERO;
         let info = source.info().clone();
@@ -114,16 +110,11 @@ impl Footage {
             step: 1.0,
             len: reducer.used_rows(),
         };
-        let mut stopped = false;
         let mut store = ProfileStore::new(DEFAULT_CAPACITY);
         let mut profile = RowProfile::default();
         let mut picture = Picture::default();
         let (mut read, mut saturated, mut untimed) = (0, 0.0f32, 0usize);
         for index in 0.. {
-            if stop() {
-                stopped = true;
-                break;
-            }
             let asked = Instant::now();
             let frame = source.next_frame();
             waited += asked.elapsed();
@@ -145,7 +136,7 @@ impl Footage {
             store.push(index, time_s, &profile);
         }
         let mut notes = source.info().notes.clone();
-        notes.extend(remarks(stopped, untimed, store.one_in(), saturated));
+        notes.extend(remarks(untimed, store.one_in(), saturated));
         if read == 0 {
             return Err(EvaluateError::NoFrames {
                 path: info.path,
@@ -171,11 +162,8 @@ impl Footage {
 }
 
 /// Remarks about the reading of the frames.
-fn remarks(stopped: bool, untimed: usize, one_in: u64, saturated: f32) -> Vec<String> {
+fn remarks(untimed: usize, one_in: u64, saturated: f32) -> Vec<String> {
     let mut notes = Vec::new();
-    if stopped {
-        notes.push("stopped by the user before the end of the input".to_owned());
-    }
     if untimed > 0 {
         notes.push(format!(
             "{untimed} frames beyond the end of the timestamp file left out"

@@ -281,16 +281,12 @@ pub fn evaluate(
     inputs: &[PathBuf],
     settings: &Settings,
     frames: usize,
-    stop: &dyn Fn() -> bool,
     each: &mut Progress<'_>,
 ) -> Result<(Precision, Option<Evaluated>), EvaluateError> {
     settings.check()?;
     let mut measured: Vec<(Evaluated, Option<EvaluateError>)> = Vec::new();
     let mut left_out = Vec::new();
     for path in inputs {
-        if stop() {
-            break;
-        }
         let proven = measured.iter().find(|(_, doubt)| doubt.is_none());
         // The recordings are of one camera.
         let settings = &Settings {
@@ -300,7 +296,7 @@ pub fn evaluate(
         let expected = measured
             .first()
             .map(|(m, _)| (m.result.width, m.result.height));
-        let found = Footage::read(path, settings, expected, stop)
+        let found = Footage::read(path, settings, expected)
             .and_then(|footage| measure(footage, settings, frames));
         match found {
             Ok((evaluated, doubt)) => {

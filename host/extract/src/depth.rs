@@ -5,12 +5,12 @@
 //! ([`DepthInput::images`]). Both give the frames in the same order, so that a
 //! frame's number is its identity.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::ros2_depth::{DriverImage, Ros2Bag, Ros2Error};
 use super::time::{DeviceNanos, SECOND};
+use files::Input;
 use formats::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
 use recording::bag::mcap_in;
 use twist_sync::GyroSample;
@@ -124,7 +124,7 @@ impl DepthInput {
         lengths.map(|file| file.len()).sum()
     }
 
-    fn recording(path: &Path) -> Result<Recording<BufReader<File>>, DepthError> {
+    fn recording(path: &Path) -> Result<Recording<BufReader<Input>>, DepthError> {
         Recording::open(path).map_err(in_file(path))
     }
 
@@ -201,7 +201,7 @@ impl DepthInput {
 
 /// What a file holds, cluster by cluster, up to the first that cannot be read.
 fn batches(
-    mut opened: Option<(Recording<BufReader<File>>, PathBuf)>,
+    mut opened: Option<(Recording<BufReader<Input>>, PathBuf)>,
     content: Content,
 ) -> impl Iterator<Item = Result<Batch, DepthError>> {
     std::iter::from_fn(move || {

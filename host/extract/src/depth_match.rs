@@ -218,7 +218,7 @@ impl Matching<'_> {
         };
         let camera = OtherGyro {
             what: "relating the depth camera's clock by its gyroscope",
-            open: &|| streams::camera(self.input, self.progress),
+            open: &|| streams::camera(self.input),
             options: Options {
                 a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
                 ..Options::of_windows()

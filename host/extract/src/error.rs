@@ -29,7 +29,7 @@ pub enum ExtractError {
     },
     /// Images.
     #[error(transparent)]
-    Images(ImagesError),
+    Images(#[from] ImagesError),
     /// One part is missing, in words.
     #[error("{0}")]
     Missing(String),
@@ -43,14 +43,5 @@ impl ExtractError {
     #[must_use]
     pub const fn is_fatal(&self) -> bool {
         !matches!(self, Self::Missing(_))
-    }
-}
-
-impl From<ImagesError> for ExtractError {
-    fn from(error: ImagesError) -> Self {
-        match error {
-            ImagesError::Cancelled => Self::Cancelled,
-            error => Self::Images(error),
-        }
     }
 }

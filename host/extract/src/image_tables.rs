@@ -40,9 +40,6 @@ pub enum ImagesError {
         /// Why.
         error: io::Error,
     },
-    /// Stopped.
-    #[error("stopped")]
-    Cancelled,
 }
 
 /// Files of one depth frame.
@@ -97,7 +94,7 @@ pub(crate) struct DepthOutcome {
 ///
 /// # Errors
 ///
-/// Reading or writing fails, or it was stopped.
+/// Reading or writing fails.
 pub(crate) fn write_depth(
     input: &DepthInput,
     paths: &CameraPaths,
@@ -114,7 +111,7 @@ pub(crate) fn write_depth(
         CameraImage::Color(_, jpeg) => jpeg.len(),
     };
     let images = input.images()?.map(|image| Ok(image?));
-    in_batches(images, bytes, progress, |batch| {
+    in_batches(images, bytes, |batch| {
         let written: Result<Vec<DepthOutcome>, ImagesError> = batch
             .par_iter()
             .map(|image| match image {
@@ -252,7 +249,7 @@ pub(crate) struct VideoOutcome {
 ///
 /// # Errors
 ///
-/// Writing fails, or it was stopped. What ffmpeg says is in the outcome.
+/// Writing fails. What ffmpeg says is in the outcome.
 pub(crate) fn write_video(
     video: Video,
     places: &[Option<PathBuf>],
@@ -269,7 +266,7 @@ pub(crate) fn write_video(
     let mut outcome = VideoOutcome::default();
     progress.begin("decoding the phone's video", places.len() as u64);
     let bytes = |(_, frame): &(usize, Vec<u8>)| frame.len();
-    let written = in_batches(frames, bytes, progress, |batch| {
+    let written = in_batches(frames, bytes, |batch| {
         outcome.decoded += batch.len() as u64;
         outcome.size.get_or_insert(size);
         let written: Result<Vec<bool>, ImagesError> = batch
@@ -296,7 +293,6 @@ pub(crate) fn write_video(
 fn in_batches<T: Send>(
     mut source: impl Iterator<Item = Result<T, ImagesError>> + Send,
     bytes: impl Fn(&T) -> usize + Send,
-    progress: &dyn Progress,
     mut each: impl FnMut(Vec<T>) -> Result<(), ImagesError>,
 ) -> Result<(), ImagesError> {
     let (sender, receiver) = sync_channel::<Result<Vec<T>, ImagesError>>(1);
@@ -326,9 +322,6 @@ fn in_batches<T: Send>(
         });
         // The receiver is dropped on leaving, so that a reader that still sends stops.
         for batch in receiver {
-            if progress.cancelled() {
-                return Err(ImagesError::Cancelled);
-            }
             each(batch?)?;
         }
         Ok(())

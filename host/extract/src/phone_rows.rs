@@ -1,9 +1,9 @@
 //! The rows of the phone's files as streams; damaged rows are left out and named.
 
-use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+use files::Input;
 use phone::rows::{RowError, Rows};
 use phone::samples::PhoneSample;
 
@@ -13,7 +13,7 @@ use formats::faults::Faults;
 /// How many damaged rows are kept with their text.
 const MAX_FAULTS: usize = 20;
 
-type FileRows = Rows<BufReader<File>>;
+type FileRows = Rows<BufReader<Input>>;
 
 pub(crate) struct PhoneRows {
     rows: FileRows,
@@ -22,7 +22,8 @@ pub(crate) struct PhoneRows {
 
 impl PhoneRows {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = BufReader::with_capacity(256 * 1024, files::open(path)?);
+        let file = files::open(path)?.skipping_holes();
+        let file = BufReader::with_capacity(256 * 1024, file);
         Ok(Self {
             rows: Rows::new(file),
             faults: Faults::new(MAX_FAULTS),

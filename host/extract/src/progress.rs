@@ -1,4 +1,4 @@
-//! What an extraction says while it works, and how it is stopped.
+//! What an extraction says while it works. A watcher of its files stops it ([`files::watch`]).
 
 /// Somebody who watches.
 pub trait Progress: Sync {
@@ -10,9 +10,6 @@ pub trait Progress: Sync {
 
     /// The step is over.
     fn end(&self);
-
-    /// Whether to stop. What is written stays, and the next run goes on there.
-    fn cancelled(&self) -> bool;
 }
 
 /// Nobody watches.
@@ -25,8 +22,4 @@ impl Progress for Silent {
     fn at(&self, _position: u64) {}
 
     fn end(&self) {}
-
-    fn cancelled(&self) -> bool {
-        false
-    }
 }

@@ -14,8 +14,8 @@ use twist_sync::{
     estimate_course,
 };
 
-/// Samples between two looks at whether to stop.
-const LOOK: u64 = 8192;
+/// Events between two steps of the progress.
+const STEP: u64 = 8192;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
@@ -34,9 +34,6 @@ pub(crate) enum StreamError {
         /// Why.
         error: io::Error,
     },
-    /// Stopped.
-    #[error("stopped")]
-    Cancelled,
 }
 
 /// A part of the recording, in board time.
@@ -61,7 +58,7 @@ pub(crate) struct OtherGyro<'a> {
 ///
 /// # Errors
 ///
-/// Stopped, the recording cannot be read, or those of `each`.
+/// The recording cannot be read, or those of `each`.
 pub(crate) fn each_event(
     board: &Path,
     what: &str,
@@ -75,11 +72,8 @@ pub(crate) fn each_event(
     while let Some(event) = stream.next_event()? {
         each(event)?;
         count += 1;
-        if count.is_multiple_of(LOOK) {
+        if count.is_multiple_of(STEP) {
             progress.at(stream.position());
-            if progress.cancelled() {
-                return Err(ExtractError::Cancelled);
-            }
         }
     }
     progress.end();
@@ -91,20 +85,11 @@ pub(crate) fn each_event(
 /// # Errors
 ///
 /// The recording cannot be opened.
-fn board<'a>(
-    board: &Path,
-    span: Span,
-    progress: &'a dyn Progress,
-) -> Result<GyroStream<'a, StreamError>, StreamError> {
+fn board<'a>(board: &Path, span: Span) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let mut stream = BoardStream::open(board)?;
-    let mut count = 0_u64;
     let mut last = span.from.0.saturating_sub(1);
     Ok(Box::new(std::iter::from_fn(move || {
         loop {
-            count += 1;
-            if count.is_multiple_of(LOOK) && progress.cancelled() {
-                return Some(Err(StreamError::Cancelled));
-            }
             match stream.next_event() {
                 Err(error) => return Some(Err(error.into())),
                 Ok(None) => return None,
@@ -127,7 +112,7 @@ fn board<'a>(
 ///
 /// # Errors
 ///
-/// There is no relation, it was stopped, or the board's recording cannot be read.
+/// There is no relation, or the board's recording cannot be read.
 pub(crate) fn related<'a>(
     board: &'a Path,
     span: Span,
@@ -136,7 +121,7 @@ pub(crate) fn related<'a>(
 ) -> Result<RecordingClock, ExtractError> {
     let way = |at: BoardNanos| at.0.saturating_sub(span.from.0).unsigned_abs();
     progress.begin(other.what, way(span.to));
-    let open_board = || self::board(board, span, progress);
+    let open_board = || self::board(board, span);
     let (prior, options) = (other.prior, &other.options);
     let related = estimate_course(
         &open_board,
@@ -150,7 +135,6 @@ pub(crate) fn related<'a>(
     );
     progress.end();
     related.map_err(|error| match error {
-        RecordingError::Read(StreamError::Cancelled) => ExtractError::Cancelled,
         RecordingError::Read(StreamError::Board(error)) => ExtractError::Board(error),
         error => ExtractError::Missing(error.to_string()),
     })
@@ -188,16 +172,6 @@ pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, Stre
 /// # Errors
 ///
 /// The file cannot be opened.
-pub(crate) fn camera<'a>(
-    input: &DepthInput,
-    progress: &'a dyn Progress,
-) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let mut count = 0_u64;
-    Ok(Box::new(input.gyro()?.map(move |sample| {
-        count += 1;
-        if count.is_multiple_of(LOOK) && progress.cancelled() {
-            return Err(StreamError::Cancelled);
-        }
-        Ok(sample?)
-    })))
+pub(crate) fn camera<'a>(input: &DepthInput) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    Ok(Box::new(input.gyro()?.map(|sample| Ok(sample?))))
 }

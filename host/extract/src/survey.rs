@@ -199,7 +199,7 @@ impl Keeper {
 ///
 /// # Errors
 ///
-/// Stopped, or the recording cannot be read.
+/// The recording cannot be read.
 pub(crate) fn survey(board: &Path, progress: &dyn Progress) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     let mut keeper = Keeper::new(length);

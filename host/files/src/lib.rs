@@ -16,16 +16,21 @@
 //! `overwrite` it is the link that is replaced.
 //!
 //! Inputs: [`open`] takes files only. A pipe may wait for ever and a device may never
-//! end. [`read_text`] also bounds the length, for files that are read as a whole.
+//! end. [`read_text`] also bounds the length, for files that are read as a whole. What is read
+//! can be watched and ended ([`watch`]).
 //!
 //! Programs: [`program`] finds one as a shell would, [`shell_word`] writes a path for one.
 
+mod input;
+
 use std::fs::{self, File, Permissions};
-use std::io::{self, ErrorKind, Read as _, Write as _};
+use std::io::{self, ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
+
+pub use input::{Input, Reading, Sparse, Watching, is_stopped, look, watch};
 
 /// Replaces the file at `path` by `bytes`, or makes it.
 ///
@@ -103,7 +108,7 @@ pub fn put_in_place(file: NamedTempFile, path: &Path, overwrite: bool) -> io::Re
 /// # Errors
 ///
 /// It is not there or may not be read, or it is a folder, a pipe or a device.
-pub fn open(path: &Path) -> io::Result<File> {
+pub fn open(path: &Path) -> io::Result<Input> {
     let kind = fs::metadata(path)?.file_type();
     if kind.is_dir() {
         return Err(ErrorKind::IsADirectory.into());
@@ -112,7 +117,27 @@ pub fn open(path: &Path) -> io::Result<File> {
         let what = "it is a pipe or a device; expected a file";
         return Err(io::Error::new(ErrorKind::InvalidInput, what));
     }
-    File::open(path)
+    Input::open(path)
+}
+
+/// Copies a file to a new one, its holes as holes.
+///
+/// # Errors
+///
+/// As [`open`]; or it cannot be read, or `to` is there or cannot be written.
+pub fn copy(from: &Path, to: &Path) -> io::Result<()> {
+    let (mut from, mut to) = (open(from)?, File::create_new(to)?);
+    let mut block = vec![0; 1 << 20];
+    loop {
+        let place = from.stream_position()?;
+        let data = from.next_data(place)?;
+        from.seek(SeekFrom::Start(data))?;
+        to.seek(SeekFrom::Start(data))?;
+        match from.read(&mut block)? {
+            0 => return to.set_len(from.length()),
+            read => to.write_all(block.get(..read).unwrap_or_default())?,
+        }
+    }
 }
 
 /// Reads a text of at most `most` bytes.

@@ -11,9 +11,10 @@
 //! millimetres, 0 = none. Colour is given as it lies in the file, if it is `MJPG`: each
 //! frame a JPEG file.
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek};
+use std::io::BufReader;
 use std::path::Path;
+
+use files::{Input, Sparse};
 
 pub use crate::mkv::MkvError;
 
@@ -156,7 +157,7 @@ pub struct Recording<R> {
     offset: StartOffset,
 }
 
-impl Recording<BufReader<File>> {
+impl Recording<BufReader<Input>> {
     /// Opens a file.
     ///
     /// # Errors
@@ -179,7 +180,7 @@ impl Recording<BufReader<File>> {
     }
 }
 
-impl<R: Read + Seek> Recording<R> {
+impl<R: Sparse> Recording<R> {
     /// Takes a reader at its beginning. The start offset comes from the tag only.
     ///
     /// # Errors

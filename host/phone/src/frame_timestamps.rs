@@ -10,7 +10,6 @@
 //! Whoever needs the time of each frame stops at the first damaged row ([`read`]);
 //! an extraction leaves it out and names it ([`Rows::next_timestamp`] goes on).
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
@@ -49,7 +48,7 @@ impl<R: BufRead> Rows<R> {
 ///
 /// It cannot be read, or a row is damaged: the first of them.
 pub fn read(path: &Path) -> Result<Vec<PhoneNanos>, RowError> {
-    let mut rows = Rows::new(BufReader::new(File::open(path)?));
+    let mut rows = Rows::new(BufReader::new(files::open(path)?.skipping_holes()));
     let mut times = Vec::new();
     while let Some(time) = rows.next_timestamp()? {
         if times.len() == MAX_TIMESTAMPS {

@@ -130,9 +130,6 @@ pub enum RecordingError {
         /// What was given.
         path: PathBuf,
     },
-    /// Whoever asked for the reading wants it to end.
-    #[error("stopped before the end of the recording")]
-    Stopped,
     /// `session.json` is not one.
     #[error("{path} is not a session file of this program: {reason}", path = .path.display())]
     Session {

@@ -9,10 +9,10 @@
 //! program writes; a record outside of a chunk that was turned into another valid
 //! one is only noticed by the checksum over the whole file.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use files::{Input, Sparse as _};
 use mcap::records::{ChunkHeader, Record, op};
 
 use super::chunks::{self, Budget, Chunk, MAX_RECORD};
@@ -49,7 +49,7 @@ pub(crate) enum Piece {
 
 /// The walk.
 pub(crate) struct Scan {
-    file: BufReader<File>,
+    file: BufReader<Input>,
     /// The file so far; its messages are not counted here.
     pub(crate) report: FileReport,
     position: u64,
@@ -76,7 +76,7 @@ impl Scan {
     /// It cannot be opened.
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let file = files::open(path)?;
-        let length = file.metadata()?.len();
+        let length = file.length();
         Ok(Self {
             file: BufReader::with_capacity(1 << 20, file),
             report: FileReport {
@@ -303,7 +303,12 @@ impl Scan {
         self.searched = self.searched.max(from);
         let mut window = Vec::new();
         while self.head.is_none() && self.searched < until {
-            let start = self.searched;
+            // A head begins with a byte that is not zero: in no hole.
+            let start = self.file.next_data(self.searched)?;
+            if start >= until {
+                self.searched = until;
+                break;
+            }
             window.clear();
             let ahead = start as i64 - self.position as i64;
             // What was read ahead stays in the buffer.

@@ -49,13 +49,8 @@ pub struct Repaired {
 ///
 /// # Errors
 ///
-/// The recording cannot be read at all, or the new one cannot be written; or `stop`, which
-/// is asked at every chunk, says so ([`RecordingError::Stopped`]).
-pub fn repair(
-    recording: &Path,
-    out: &Path,
-    stop: &dyn Fn() -> bool,
-) -> Result<Repaired, RecordingError> {
+/// The recording cannot be read at all, or the new one cannot be written.
+pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> {
     let from = mcap_of(recording);
     let is_folder = recording.is_dir();
     // Before anything is made: is there something to repair.
@@ -67,7 +62,7 @@ pub fn repair(
         out.to_owned()
     };
     let mut copy = Copy::create(&to)?;
-    let before = match walk(&from, stop, &mut |event| copy.take(event)) {
+    let before = match walk(&from, &mut |event| copy.take(event)) {
         Ok(report) => report,
         Err(error) => {
             drop(copy);
@@ -95,7 +90,7 @@ pub fn repair(
         before,
         lost,
         copied,
-        after: verify(out, stop)?,
+        after: verify(out)?,
     })
 }
 
@@ -327,7 +322,7 @@ fn copy_files(
             std::fs::create_dir(&target).map_err(RecordingError::io("make the folder", &target))?;
             copy_files(from, to, &name, copied)?;
         } else if kind.is_file() {
-            std::fs::copy(entry.path(), &target).map_err(RecordingError::io("write", &target))?;
+            files::copy(&entry.path(), &target).map_err(RecordingError::io("write", &target))?;
             copied.push(name.to_string_lossy().into_owned());
         }
     }

@@ -27,19 +27,13 @@ use timebase::ClockModel;
 /// The most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
-/// Writes the report of the recording in `folder`. `stop` is asked again and again while
-/// the recording is read.
+/// Writes the report of the recording in `folder`.
 ///
 /// # Errors
 ///
-/// The recording cannot be read, or the report cannot be written; or `stop` says so
-/// ([`RecordingError::Stopped`]).
-pub fn write(
-    folder: &Path,
-    session: &SessionFile,
-    stop: &dyn Fn() -> bool,
-) -> Result<PathBuf, RecordingError> {
-    let curves = Curves::read(folder, session, stop)?;
+/// The recording cannot be read, or the report cannot be written.
+pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
+    let curves = Curves::read(folder, session)?;
     let path = folder.join(REPORT_FILE);
     let html = page(folder, session, &curves).html();
     crate::put(&path, &html).map_err(RecordingError::io("write", &path))?;

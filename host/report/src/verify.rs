@@ -165,18 +165,17 @@ pub(crate) fn session_of(mcap: &Path, findings: &mut Findings) -> Option<Session
     }
 }
 
-/// Checks a recording: its folder, or an MCAP file. `stop` is asked at every chunk.
+/// Checks a recording: its folder, or an MCAP file.
 ///
 /// # Errors
 ///
-/// The file cannot be read, or is no MCAP file at all; or `stop` says so
-/// ([`RecordingError::Stopped`]). Damage is no error: it is in the report.
-pub fn verify(recording: &Path, stop: &dyn Fn() -> bool) -> Result<Report, RecordingError> {
+/// The file cannot be read, or is no MCAP file at all. Damage is no error: it is in the report.
+pub fn verify(recording: &Path) -> Result<Report, RecordingError> {
     let path = mcap_of(recording);
     let mut findings = Findings::default();
     let session = session_of(&path, &mut findings);
     let mut content = content::Content::new(session.as_ref());
-    let file = walk(&path, stop, &mut |event| {
+    let file = walk(&path, &mut |event| {
         content.take(event, &mut findings);
         Ok(())
     })?;
@@ -186,18 +185,13 @@ pub fn verify(recording: &Path, stop: &dyn Fn() -> bool) -> Result<Report, Recor
     Ok(content.finish(recording, file, session.as_ref(), findings))
 }
 
-/// Gives everything in a file to `each`, until `stop` says so.
+/// Gives everything in a file to `each`.
 pub(crate) fn walk(
     path: &Path,
-    stop: &dyn Fn() -> bool,
     each: &mut dyn FnMut(Event<'_>) -> Result<(), RecordingError>,
 ) -> Result<FileReport, RecordingError> {
     let mut walk = Walk::open(path)?;
-    while walk.next_part(each)? {
-        if stop() {
-            return Err(RecordingError::Stopped);
-        }
-    }
+    while walk.next_part(each)? {}
     Ok(walk.report().clone())
 }
 

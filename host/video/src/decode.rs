@@ -1,12 +1,15 @@
 //! Raw pictures out of `ffmpeg`.
 
-use std::io::Read;
 use std::path::Path;
-use std::process::{ChildStdout, Command, Stdio};
+use std::process::Command;
 use std::sync::OnceLock;
 
-use super::ffmpeg::Ffmpeg;
-use super::{Info, VideoError, file_url, probe, program, run_error};
+use super::running::{Limits, Running, endless};
+use super::{Info, VideoError, file_url, probe, program};
+
+/// Frames beyond those that a file announces that are taken: some containers count in fields
+/// or leave out the last.
+const MORE_FRAMES: u64 = 100;
 
 /// What a frame is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +27,10 @@ pub struct Video {
     info: Info,
     frame_bytes: usize,
     /// `None` after the end.
-    pipe: Option<ChildStdout>,
-    ffmpeg: Ffmpeg,
+    ffmpeg: Option<Running>,
+    /// Frames that came, and the most that the file can hold.
+    came: u64,
+    most: u64,
 }
 
 impl Video {
@@ -41,7 +46,7 @@ impl Video {
             .args(["-nostdin", "-noautorotate", "-i"])
             .arg(file_url(path))
             .args(["-map", "0:v:0", "-an", "-sn", "-dn"])
-            .args([passthrough(), "passthrough", "-f", "rawvideo"]);
+            .args([passthrough(path), "passthrough", "-f", "rawvideo"]);
         let format = match pixels {
             Pixels::Luma => {
                 if info.has_planes() {
@@ -51,16 +56,17 @@ impl Video {
             }
             Pixels::Rgb => "rgb24",
         };
-        command
-            .args(["-pix_fmt", format, "pipe:1"])
-            .stdout(Stdio::piped());
-        let mut ffmpeg = Ffmpeg::start(&mut command)?;
+        command.args(["-pix_fmt", format, "pipe:1"]);
+        let ffmpeg = Running::start("ffmpeg", &mut command, path, Limits::default())?;
         let depth = if pixels == Pixels::Rgb { 3 } else { 1 };
+        // Where it does not say, each frame takes at least a byte of it.
+        let announced = info.frames.map(|frames| 2 * frames + MORE_FRAMES);
         Ok(Self {
             frame_bytes: info.width as usize * info.height as usize * depth,
+            most: announced.unwrap_or(info.bytes),
+            came: 0,
             info,
-            pipe: ffmpeg.output(),
-            ffmpeg,
+            ffmpeg: Some(ffmpeg),
         })
     }
 
@@ -74,22 +80,30 @@ impl Video {
     ///
     /// # Errors
     ///
-    /// `ffmpeg` complained, or ended within a frame. The frames before are good, and
-    /// there are none after.
+    /// `ffmpeg` complained, ended within a frame, or would not end. The frames before are
+    /// good, and there are none after.
     pub fn next_frame(&mut self, frame: &mut Vec<u8>) -> Result<bool, VideoError> {
-        let Some(pipe) = &mut self.pipe else {
+        let Some(mut ffmpeg) = self.ffmpeg.take() else {
             return Ok(false);
         };
-        frame.clear();
-        frame.reserve_exact(self.frame_bytes);
-        let read = pipe.take(self.frame_bytes as u64).read_to_end(frame);
-        if matches!(read, Ok(n) if n == self.frame_bytes) {
+        let read = ffmpeg.read(self.frame_bytes, frame)?;
+        if read == self.frame_bytes {
+            if self.came == self.most {
+                let what = format!(
+                    "it gave more than {} frames, the most that the video can hold",
+                    self.most
+                );
+                return Err(endless("ffmpeg", what));
+            }
+            self.came += 1;
+            self.ffmpeg = Some(ffmpeg);
             return Ok(true);
         }
-        self.pipe = None;
-        let read = read.map_err(|error| run_error("ffmpeg", error))?;
-        match self.ffmpeg.end()? {
-            Some(complaint) => Err(VideoError::Decode(complaint)),
+        let (success, said) = ffmpeg.end()?;
+        // The first line names the cause; with `-v error` there is little else.
+        match said.lines().next() {
+            Some(first) => Err(VideoError::Decode(first.to_owned())),
+            None if !success => Err(VideoError::Decode("no message".to_owned())),
             None if read > 0 => Err(VideoError::Decode("it ends within a frame".to_owned())),
             None => Ok(false),
         }
@@ -98,21 +112,23 @@ impl Video {
 
 /// The option that passes every frame once: renamed in ffmpeg 5.1, and the old name
 /// is on its way out.
-fn passthrough() -> &'static str {
+fn passthrough(path: &Path) -> &'static str {
     static NAME: OnceLock<&str> = OnceLock::new();
     NAME.get_or_init(|| {
-        let output = Command::new("ffmpeg")
-            .arg("-version")
-            .stdin(Stdio::null())
-            .output();
-        let text = output.map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
-        if text.is_ok_and(|text| is_before_5_1(&text)) {
+        let mut command = Command::new("ffmpeg");
+        let started = Running::start("ffmpeg", command.arg("-version"), path, Limits::default());
+        let text = started.and_then(|mut ffmpeg| ffmpeg.read_all(MAX_VERSION));
+        let text = text.ok().flatten().unwrap_or_default();
+        if is_before_5_1(&String::from_utf8_lossy(&text)) {
             "-vsync"
         } else {
             "-fps_mode"
         }
     })
 }
+
+/// Bytes of what it says about itself.
+const MAX_VERSION: usize = 64 * 1024;
 
 /// `ffmpeg version 4.4.2-0ubuntu...`, `ffmpeg version n4.4`. Builds of a development
 /// snapshot are named by date or revision, and are new.

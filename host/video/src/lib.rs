@@ -6,15 +6,20 @@
 //! comes once (nothing is dropped or doubled to reach a constant rate), and it is not
 //! turned upright: rows stay the sensor's rows, which is what a rolling shutter is
 //! about.
+//!
+//! Both programs run within limits: a video that was mostly never written is refused, and a
+//! program is ended that gives more frames than the file can hold, more messages than any
+//! damage makes, or nothing for a minute. While one is waited for, the watchers of
+//! [`files::watch`] are asked.
 
 mod decode;
-mod ffmpeg;
 mod probe;
+mod running;
 
 use std::ffi::OsString;
 use std::io::{self, ErrorKind};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 pub use decode::{Pixels, Video};
 pub use probe::{Info, parse_presentation_times, parse_probe, presentation_times, probe};
@@ -51,6 +56,14 @@ pub enum VideoError {
         /// Height, pixels.
         height: u64,
     },
+    /// The program would not end, and was ended.
+    #[error("{program} was ended: {what}")]
+    Endless {
+        /// Which of the two.
+        program: &'static str,
+        /// What it did.
+        what: String,
+    },
     /// `ffmpeg` complained, in these words. The frames before are good.
     #[error("ffmpeg cannot decode the video to its end: {0}")]
     Decode(String),
@@ -67,8 +80,7 @@ fn program(name: &'static str) -> Command {
     let mut command = Command::new(name);
     command
         .args(["-v", "error", "-protocol_whitelist", "file"])
-        .args(["-format_whitelist", FORMATS])
-        .stdin(Stdio::null());
+        .args(["-format_whitelist", FORMATS]);
     command
 }
 

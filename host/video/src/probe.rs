@@ -1,10 +1,17 @@
 //! What `ffprobe` says about a file.
 
 use std::path::Path;
+use std::process::Command;
 
 use serde::Deserialize;
 
-use super::{MAX_SIDE, VideoError, file_url, program, run_error};
+use super::running::{Limits, Running, endless};
+use super::{MAX_SIDE, VideoError, file_url, program};
+
+/// Bytes of an answer: times of five million frames.
+const MAX_ANSWER: usize = 64 << 20;
+/// Bytes that may be missing in a video; of more, half must be there.
+const MAX_MISSING: u64 = 64 << 20;
 
 /// What a file says about its first video.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +24,8 @@ pub struct Info {
     pub frames: Option<u64>,
     /// Frames a second, if stated.
     pub rate: Option<f64>,
+    /// Length of the file.
+    pub bytes: u64,
     /// Whether black is 0 and white 255, and not 16 and 235.
     pub full_range: bool,
     /// ffmpeg's name of it.
@@ -55,17 +64,18 @@ struct Stream {
 /// `ffprobe` is missing or cannot be run, or the file has no video of a size up to
 /// [`MAX_SIDE`].
 pub fn probe(path: &Path) -> Result<Info, VideoError> {
-    let output = program("ffprobe")
+    let bytes = check_written(path)?;
+    let mut command = program("ffprobe");
+    command
         .args(["-select_streams", "v:0", "-of", "json", "-show_entries"])
-        .arg("stream=width,height,pix_fmt,color_range,avg_frame_rate,nb_frames,duration")
-        .arg("-i")
-        .arg(file_url(path))
-        .output()
-        .map_err(|error| run_error("ffprobe", error))?;
-    if output.status.success() {
-        return parse_probe(&output.stdout);
-    }
-    let said = String::from_utf8_lossy(&output.stderr);
+        .arg("stream=width,height,pix_fmt,color_range,avg_frame_rate,nb_frames,duration");
+    let (answer, said) = ask(&mut command, path)?;
+    let Some(said) = said else {
+        return Ok(Info {
+            bytes,
+            ..parse_probe(&answer)?
+        });
+    };
     let said = said.lines().next().unwrap_or("no reason given");
     let hint = if said.contains("moov atom not found") {
         "; the file is truncated: the camera writes its index at the end. Copy it again"
@@ -77,6 +87,34 @@ pub fn probe(path: &Path) -> Result<Info, VideoError> {
     };
     let said: String = said.chars().take(300).collect();
     Err(VideoError::NotAVideo(format!("ffprobe says: {said}{hint}")))
+}
+
+/// The length of a file, of which enough was ever written: ffmpeg searches a hole of a
+/// terabyte to its end.
+fn check_written(path: &Path) -> Result<u64, VideoError> {
+    let fail = |error: std::io::Error| VideoError::NotAVideo(error.to_string());
+    let mut file = files::open(path).map_err(fail)?;
+    let bytes = file.length();
+    let least = bytes.saturating_sub(MAX_MISSING.max(bytes / 2));
+    let written = file.written(least).map_err(fail)?;
+    match written < least {
+        true => Err(VideoError::NotAVideo(format!(
+            "of its {bytes} bytes only {written} were ever written; copy it again"
+        ))),
+        false => Ok(bytes),
+    }
+}
+
+/// What `ffprobe` answers about a file, and its messages if it failed.
+fn ask(command: &mut Command, path: &Path) -> Result<(Vec<u8>, Option<String>), VideoError> {
+    command.arg("-i").arg(file_url(path));
+    let mut running = Running::start("ffprobe", command, path, Limits::default())?;
+    let answer = running.read_all(MAX_ANSWER)?.ok_or_else(|| {
+        let what = format!("its answer has more than {MAX_ANSWER} bytes");
+        endless("ffprobe", what)
+    })?;
+    let (success, said) = running.end()?;
+    Ok((answer, (!success).then_some(said)))
 }
 
 /// [`probe`]'s answer in JSON.
@@ -106,6 +144,7 @@ pub fn parse_probe(answer: &[u8]) -> Result<Info, VideoError> {
         height,
         frames: stream.nb_frames.parse().ok().filter(|&frames| frames > 0),
         rate: frame_rate(&stream),
+        bytes: u64::MAX,
         full_range: stream.color_range == "pc" || !has_luma(&stream.pix_fmt),
         pixel_format: stream.pix_fmt,
     })
@@ -129,13 +168,13 @@ fn frame_rate(stream: &Stream) -> Option<f64> {
 /// the file does not say, or there is no `ffprobe`.
 #[must_use]
 pub fn presentation_times(path: &Path) -> Option<Vec<i64>> {
-    let output = program("ffprobe")
+    check_written(path).ok()?;
+    let mut command = program("ffprobe");
+    command
         .args(["-select_streams", "v:0", "-of", "csv=p=0"])
-        .args(["-show_entries", "packet=pts:stream=time_base", "-i"])
-        .arg(file_url(path))
-        .output()
-        .ok()?;
-    parse_presentation_times(&String::from_utf8_lossy(&output.stdout))
+        .args(["-show_entries", "packet=pts:stream=time_base"]);
+    let (answer, _) = ask(&mut command, path).ok()?;
+    parse_presentation_times(&String::from_utf8_lossy(&answer))
 }
 
 /// [`presentation_times`]' answer: lines of integers in units of a fraction such as

@@ -117,7 +117,7 @@ impl Lamp {
             camera.render_into((start_s * 1e9).round() as i64, frame, &pulses, image);
         };
         let mut source = Drawn::new(camera.image_size(), self.frame_s, draw);
-        Footage::from_source(&mut source, settings, None, &|| false)
+        Footage::from_source(&mut source, settings, None)
     }
 }
 
@@ -189,7 +189,7 @@ fn bars_are_no_strobes() {
         };
         let read = |settings: &Settings| {
             let mut source = Drawn::new((48, 1080), 1.0 / 30.0, draw);
-            Footage::from_source(&mut source, settings, None, &|| false)
+            Footage::from_source(&mut source, settings, None)
         };
         let figure = figure(read, i % 2 == 1);
         assert_eq!(
@@ -216,7 +216,7 @@ fn test_pictures_are_no_strobes() {
             .status()
             .unwrap();
         assert!(status.success(), "{picture}");
-        let read = |settings: &Settings| Footage::read(&video, settings, None, &|| false);
+        let read = |settings: &Settings| Footage::read(&video, settings, None);
         assert_eq!(figure(read, i % 2 == 1), None, "{picture}");
     }
 }
@@ -261,7 +261,7 @@ fn a_second_recording_with_the_trigger_moved_shows_that_they_are_flashes() {
     let evaluate = |inputs: &[&PathBuf]| {
         let inputs: Vec<PathBuf> = inputs.iter().map(|&path| path.clone()).collect();
         let settings = Settings::default();
-        precision::evaluate(&inputs, &settings, 16, &|| false, &mut |_, _, _| ())
+        precision::evaluate(&inputs, &settings, 16, &mut |_, _, _| ())
     };
     let alone = evaluate(&[&first]).unwrap_err();
     assert!(matches!(alone, EvaluateError::Unproven { .. }), "{alone}");

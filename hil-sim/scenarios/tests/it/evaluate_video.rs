@@ -26,7 +26,7 @@ fn scene(exposure_us: f64, row_time_us: f64, amplitude: f64, bias_us: f64) -> Sc
 }
 
 fn evaluate(path: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError> {
-    let recording = Footage::read(path, settings, None, &|| false)?;
+    let recording = Footage::read(path, settings, None)?;
     evaluate_recording(recording, settings, 16)
 }
 
@@ -138,10 +138,8 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     .write_mp4(&small, Quality::RateFactor(20));
     let inputs = [good.clone(), small.clone(), dark.clone()];
     let mut reported = 0;
-    let (result, shown) = precision::evaluate(&inputs, &settings, 16, &|| false, &mut |_, _, _| {
-        reported += 1
-    })
-    .unwrap();
+    let (result, shown) =
+        precision::evaluate(&inputs, &settings, 16, &mut |_, _, _| reported += 1).unwrap();
     assert_eq!((result.recordings.len(), reported), (1, 3));
     let reasons: Vec<&str> = result.left_out.iter().map(|l| l.reason.as_str()).collect();
     assert!(reasons[0].contains("320x720"), "{reasons:?}");
@@ -172,7 +170,7 @@ fn the_app_s_timestamps_are_used() {
         ..Settings::default()
     };
     let drift = |settings: &Settings| {
-        let recording = Footage::read(&video, settings, None, &|| false).unwrap();
+        let recording = Footage::read(&video, settings, None).unwrap();
         evaluate::drift::evaluate(recording, settings)
             .unwrap()
             .result

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::progress::{Progress, Silent};
+use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use test_support::python;
@@ -61,22 +61,16 @@ fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     (run(&job, &Silent).unwrap(), job.out)
 }
 
-/// Somebody who presses Ctrl-C after so many looks.
-struct Stops(AtomicUsize);
-
-impl Progress for Stops {
-    fn begin(&self, _what: &str, _total: u64) {}
-
-    fn at(&self, _position: u64) {}
-
-    fn end(&self) {}
-
-    fn cancelled(&self) -> bool {
-        let looked = |left: usize| left.checked_sub(1);
-        self.0
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, looked)
-            .is_err()
-    }
+/// Somebody who presses Ctrl-C after so many reads below a folder.
+fn stop_after(reads: usize, folder: &Path) -> files::Watching {
+    let (left, folder) = (AtomicUsize::new(reads), folder.to_owned());
+    files::watch(move |reading| {
+        let one_less = |left: usize| left.checked_sub(1);
+        !reading.path.starts_with(&folder)
+            || left
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less)
+                .is_ok()
+    })
 }
 
 #[test]
@@ -176,8 +170,8 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     std::fs::remove_dir_all(&out).unwrap();
     let mut stops = 0;
     let last = loop {
-        let progress = Stops(AtomicUsize::new(stops));
-        match run(&job(folder.path(), Format::Euroc), &progress) {
+        let _watching = stop_after(stops, folder.path());
+        match run(&job(folder.path(), Format::Euroc), &Silent) {
             Err(ExtractError::Cancelled) => stops += 1,
             end => break end.unwrap(),
         }

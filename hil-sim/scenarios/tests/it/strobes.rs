@@ -111,7 +111,7 @@ impl Scene {
     }
 
     pub(crate) fn recording(&self, settings: &Settings) -> Result<Footage, EvaluateError> {
-        Footage::from_source(&mut self.source(), settings, None, &|| false)
+        Footage::from_source(&mut self.source(), settings, None)
     }
 
     pub(crate) fn evaluate(&self, settings: &Settings) -> Result<RecordingResult, EvaluateError> {

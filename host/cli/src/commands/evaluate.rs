@@ -1,7 +1,7 @@
 //! `smartdepthsync evaluate precision|drift`: frame sync measured from strobes on video.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use jiff::civil::Date;
@@ -14,7 +14,7 @@ use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
 use evaluate::frame::{Region, Rotation};
-use evaluate::precision::{self, Precision, Spread};
+use evaluate::precision::{self, Precision, RecordingResult, Spread};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings};
@@ -283,12 +283,8 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     let count = args.inputs.len();
     let mut done = 0;
     let mut waited = 0.0;
-    let (result, shown) = precision::evaluate(
-        &args.inputs,
-        &settings,
-        usize::from(args.frames),
-        &context.interrupt.question(),
-        &mut |path, result, waited_here| {
+    let mut each =
+        |path: &Path, result: &Result<RecordingResult, String>, waited_here: Duration| {
             done += 1;
             waited += waited_here.as_secs_f64();
             if count > 1 {
@@ -298,12 +294,11 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
                 };
                 context.say(format!("{done}/{count} {}: {said}", path.display()));
             }
-        },
-    )?;
+        };
+    let (result, shown) = context.over_files(false, || {
+        precision::evaluate(&args.inputs, &settings, args.frames.into(), &mut each)
+    })?;
     let Some(shown) = shown else {
-        if context.interrupt.requested() {
-            return Ok(ExitStatus::Interrupted);
-        }
         return Err(Failure::new(
             ExitStatus::Refused,
             format!(
@@ -341,11 +336,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         let calibrated = output.calibrated.as_ref().map(Calibrated::text);
         precision_summary(&result).text() + &calibrated.unwrap_or_default()
     })?;
-    Ok(if context.interrupt.requested() {
-        ExitStatus::Interrupted
-    } else {
-        ExitStatus::of_loss(!result.left_out.is_empty())
-    })
+    Ok(ExitStatus::of_loss(!result.left_out.is_empty()))
 }
 
 /// Adds the measured bias to the one that was applied, and writes it.
@@ -403,9 +394,11 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     args.common.check_targets()?;
     let started = Instant::now();
     let settings = args.common.settings(args.timestamps.clone())?;
-    let recording = Footage::read(&args.input, &settings, None, &context.interrupt.question())?;
-    let waiting_for_input_s = recording.waited.as_secs_f64();
-    let evaluated = drift::evaluate(recording, &settings)?;
+    let (evaluated, waited) = context.over_files(false, || {
+        let recording = Footage::read(&args.input, &settings, None)?;
+        let waited = recording.waited;
+        drift::evaluate(recording, &settings).map(|evaluated| (evaluated, waited))
+    })?;
     if let Some(path) = &args.common.plot {
         let svg = plot::drift(&evaluated);
         write_file(path, &svg)?;
@@ -418,13 +411,9 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
         drift: &evaluated.result,
         timing: Timing {
             total_s: started.elapsed().as_secs_f64(),
-            waiting_for_input_s,
+            waiting_for_input_s: waited.as_secs_f64(),
         },
     };
     context.print_checks(&output, || drift_summary(&evaluated.result).text())?;
-    Ok(if context.interrupt.requested() {
-        ExitStatus::Interrupted
-    } else {
-        ExitStatus::Good
-    })
+    Ok(ExitStatus::Good)
 }

@@ -193,14 +193,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         context,
         bar: Mutex::new(ProgressBar::hidden()),
     };
-    let report = match extract(&job, &bar) {
-        Ok(report) => report,
-        Err(ExtractError::Cancelled) => {
-            context.say("stopped; run the same command again to go on");
-            return Ok(ExitStatus::Interrupted);
-        }
-        Err(error) => return Err(error.into()),
-    };
+    let report = context.over_files(true, || extract(&job, &bar))?;
     report::extraction::write(&job.out, &report)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     context.print_checks(&report, || {
@@ -311,10 +304,6 @@ impl Progress for Bar<'_> {
 
     fn end(&self) {
         self.bar().finish_and_clear();
-    }
-
-    fn cancelled(&self) -> bool {
-        self.context.interrupt.requested()
     }
 }
 

@@ -193,7 +193,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         file,
     } = record(args, &profile, &place, context)?;
     // The recording is there, whatever becomes of its report.
-    let html = match report::session::write(&folder, &file, &|| false) {
+    let html = match report::session::write(&folder, &file) {
         Ok(path) => Some(path),
         Err(error) => {
             context.say(format!("warning: cannot write the report: {error}"));

@@ -35,14 +35,16 @@ pub(crate) struct Args {
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
-    let stop = context.interrupt.question();
     if let Some(out) = &args.repair {
-        let result = repair(&recording, out, &stop)?;
+        let result = context.over_files(false, || repair(&recording, out))?;
         context.print_checks(&result, || result.summary().text())?;
         return Ok(ExitStatus::of_loss(result.lost));
     }
-    let mut verified = verify(&recording, &stop)?;
-    verified.report = write_report(recordings::folder_of(&recording), context)?;
+    let verified = context.over_files(false, || {
+        let mut verified = verify(&recording)?;
+        verified.report = write_report(recordings::folder_of(&recording), context);
+        Ok::<_, RecordingError>(verified)
+    })?;
     context.print_checks(&verified, || {
         let report = verified.report.iter();
         let report = report.map(|path| format!("report {}\n", path.display()));
@@ -55,16 +57,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 }
 
 /// Writes the report of a recording that has a session; one that cannot be written is told.
-fn write_report(folder: &Path, context: &Context) -> Result<Option<PathBuf>, Failure> {
-    let Ok(file) = SessionFile::load(folder) else {
-        return Ok(None);
-    };
-    match session::write(folder, &file, &context.interrupt.question()) {
-        Ok(path) => Ok(Some(path)),
-        Err(stopped @ RecordingError::Stopped) => Err(stopped.into()),
-        Err(error) => {
-            context.say(format!("warning: cannot write the report: {error}"));
-            Ok(None)
-        }
+fn write_report(folder: &Path, context: &Context) -> Option<PathBuf> {
+    let file = SessionFile::load(folder).ok()?;
+    let written = session::write(folder, &file);
+    if let Err(error) = &written
+        && !context.interrupt.requested()
+    {
+        context.say(format!("warning: cannot write the report: {error}"));
     }
+    written.ok()
 }

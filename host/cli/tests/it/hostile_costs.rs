@@ -1,21 +1,24 @@
 //! What files and ports may cost that somebody made to cost much: whole commands in
 //! limits of their own.
 
+use std::ffi::OsString;
 use std::fs;
-use std::io::BufWriter;
-use std::path::Path;
+use std::io::{BufWriter, Read as _};
+use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use mcap::records::MessageHeader;
 use protocol::HostToDevice;
+use recording::profile::DEFAULT;
 use recording::rosbag2::options;
 use recording::session_file::SessionFile;
-use recording::{MCAP_FILE, Topic};
+use recording::{MCAP_FILE, SESSION_FILE, Topic};
 
-use super::hostile_files::{command, limited, utf8};
+use super::hostile_files::{command, limited, limited_to, recording_with_video, utf8};
 use crate::support::synthetic::{self, Wrong};
-use crate::support::{self, StandIn, code};
+use crate::support::{self, StandIn, code, text};
 use test_support::interrupts::worked_s;
 
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
@@ -155,25 +158,202 @@ impl support::Behaviour for Flood {
     }
 }
 
-#[test]
-fn the_first_ctrl_c_stops_every_command_that_reads_long() {
-    let parent = tempfile::tempdir().unwrap();
-    let folder = parent.path().join("walk");
-    bomb(&folder, Topic::Marker, TIMES, 100, (16 << 20) / 15);
-    SessionFile::save(&synthetic::session(), &folder).unwrap();
-    let out = parent.path().join("out");
-    for args in [
-        vec!["verify", utf8(&folder)],
-        vec!["verify", utf8(&folder), "--repair", utf8(&out)],
-        vec!["extract", utf8(&folder)],
+/// A search path on which ffmpeg is this line of the shell, and ffprobe announces so many frames.
+fn stand_ins(folder: &Path, frames: u64, ffmpeg: &str) -> OsString {
+    let answer = format!(
+        r#"{{"streams": [{{"width": 320, "height": 240, "pix_fmt": "gray", "nb_frames": "{frames}"}}]}}"#
+    );
+    let probe = format!("case \"$*\" in *packet*) exit 1;; esac; echo '{answer}'");
+    let version = "[ \"$1\" = -version ] && { echo ffmpeg version 7.0; exit; }";
+    for (name, lines) in [
+        ("ffprobe", probe),
+        ("ffmpeg", format!("{version}\n{ffmpeg}")),
     ] {
-        let mut command = command(&args);
+        let path = folder.join(name);
+        fs::write(&path, format!("#!/bin/sh\n{lines}\n")).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let mut path = folder.as_os_str().to_owned();
+    path.push(":");
+    path.push(std::env::var_os("PATH").unwrap());
+    path
+}
+
+#[test]
+fn a_decoder_that_never_ends_is_ended_and_named() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = recording_with_video(parent.path());
+    let video = folder.join("VID_20260131_140327.mp4");
+    for (line, why) in [
+        ("exec cat /dev/zero", "more than 160 frames"),
+        ("yes >&2 & exec sleep 1000", "bytes of messages"),
+    ] {
+        let path = stand_ins(parent.path(), 30, line);
+        let run = |args: &[&str]| command(args).env("PATH", &path).output().unwrap();
+        let output = run(&["evaluate", "precision", utf8(&video)]);
+        assert_eq!(code(&output), 2, "{line}: {output:?}");
+        let said = text(&output.stderr);
+        assert!(
+            said.contains("ffmpeg was ended") && said.contains(why),
+            "{said}"
+        );
+        let out = tempfile::tempdir().unwrap();
+        let output = run(&["extract", utf8(&folder), "--out", utf8(out.path())]);
+        assert_eq!(code(&output), 4, "{line}: {output:?}");
+        assert!(text(&output.stdout).contains(why), "{line}: {output:?}");
+    }
+}
+
+/// A file that begins like this, ends like that, and was never written between for a terabyte.
+fn sparse(path: &Path, begin: &[u8], end: &[u8]) {
+    let file = fs::File::create(path).unwrap();
+    file.write_all_at(begin, 0).unwrap();
+    file.write_all_at(end, 1 << 40).unwrap();
+    file.set_len((1 << 40) + (1 << 20)).unwrap();
+}
+
+/// Within a gigabyte of memory and three seconds of the processor.
+#[test]
+fn a_terabyte_that_was_never_written_costs_nothing() {
+    const EBML: &[u8] = b"\x1a\x45\xdf\xa3\x8b\x42\x82\x88matroska";
+    const SEGMENT: &[u8] = b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff";
+    const CLUSTER: &[u8] = b"\x1f\x43\xb6\x75\x84\xe7\x82\x00\x01";
+    let parent = tempfile::tempdir().unwrap();
+    let place = |name: &str| parent.path().join(name);
+    let whole = synthetic::make(parent.path(), Wrong::default());
+    let board = fs::read(whole.join(MCAP_FILE)).unwrap();
+    let (begin, end) = board.split_at(board.len() / 2);
+    let [empty, holed, torn] = ["empty.mcap", "holed", "torn.bag"].map(place);
+    fs::create_dir(&holed).unwrap();
+    fs::copy(whole.join(SESSION_FILE), holed.join(SESSION_FILE)).unwrap();
+    sparse(&empty, b"", b"");
+    sparse(&torn, b"#ROSBAG V2.0\n", b"");
+    sparse(&holed.join(MCAP_FILE), begin, end);
+    let [depth, video, still, photo, times] =
+        ["depth.mkv", "VID.mp4", "1.png", "1.jpg", "times.csv"].map(place);
+    sparse(&depth, &[EBML, SEGMENT].concat(), CLUSTER);
+    sparse(&video, b"\0\0\0\x18ftypmp42\0\0\0\0mp42isom", b"");
+    sparse(&still, b"\x89PNG\r\n\x1a\n", b"");
+    sparse(&photo, b"\xff\xd8\xff\xe0", b"");
+    sparse(&times, b"1000000000\n", b"2000000000\n");
+    // Beside the recording, as the app leaves it.
+    let stamps = holed.join("VID_20260131_140327_timestamps.csv");
+    sparse(&stamps, b"94002000000000\n", b"94002033333333\n");
+    let profile = place("rig.toml");
+    fs::write(&profile, DEFAULT).unwrap();
+    let [repaired, out, out2] = ["repaired", "out", "out2"].map(place);
+    let (holed, whole) = (utf8(&holed), utf8(&whole));
+    let learn = ["profile", "learn", whole, "--profile", utf8(&profile)];
+    for (args, expected) in [
+        (vec!["verify", utf8(&empty)], 13),
+        (vec!["verify", utf8(&torn)], 2),
+        (vec!["verify", holed], 4),
+        (vec!["verify", holed, "--repair", utf8(&repaired)], 4),
+        (vec!["extract", utf8(&empty)], 13),
+        (vec!["extract", holed, "--out", utf8(&out)], 4),
+        (
+            vec![
+                "extract",
+                whole,
+                "--depth",
+                utf8(&depth),
+                "--out",
+                utf8(&out2),
+            ],
+            4,
+        ),
+        (vec!["evaluate", "precision", utf8(&video)], 2),
+        (vec!["evaluate", "precision", utf8(&depth)], 2),
+        (vec!["evaluate", "precision", utf8(&still)], 2),
+        (vec!["evaluate", "drift", utf8(&photo)], 2),
+        ([&learn[..], &["--timestamps", utf8(&times)]].concat(), 2),
+    ] {
+        let output = limited_to(3, &args);
+        assert_eq!(code(&output), expected, "{args:?}: {output:?}");
+    }
+    // The hole was copied as one: these are 4 MiB.
+    let copy = repaired.join(stamps.file_name().unwrap());
+    for written in [&copy, &repaired.join(MCAP_FILE)] {
+        assert!(fs::metadata(written).unwrap().blocks() < 1 << 13);
+    }
+}
+
+/// What the commands read that read long.
+struct Long {
+    folder: PathBuf,
+    out: PathBuf,
+    video: PathBuf,
+    times: PathBuf,
+    profile: PathBuf,
+    path: OsString,
+}
+
+impl Long {
+    fn new(parent: &Path) -> Self {
+        let place = |name| parent.join(name);
+        let [folder, out, video, times, profile] =
+            ["walk", "out", "VID.mp4", "times.csv", "rig.toml"].map(place);
+        bomb(&folder, Topic::Marker, TIMES, 100, (16 << 20) / 15);
+        SessionFile::save(&synthetic::session(), &folder).unwrap();
+        fs::write(&profile, DEFAULT).unwrap();
+        fs::write(&video, "a video").unwrap();
+        fs::write(&times, vec![b'\n'; 200 << 20]).unwrap();
+        Self {
+            path: stand_ins(parent, 10_000_000, "exec cat /dev/zero"),
+            folder,
+            out,
+            video,
+            times,
+            profile,
+        }
+    }
+
+    fn commands(&self) -> Vec<Vec<&str>> {
+        let [folder, out, video, times, profile] = [
+            &self.folder,
+            &self.out,
+            &self.video,
+            &self.times,
+            &self.profile,
+        ]
+        .map(|p| utf8(p));
+        vec![
+            vec!["verify", folder],
+            vec!["verify", folder, "--repair", out],
+            vec!["extract", folder],
+            vec!["evaluate", "precision", video],
+            vec!["evaluate", "drift", video],
+            vec![
+                "profile",
+                "learn",
+                folder,
+                "--profile",
+                profile,
+                "--timestamps",
+                times,
+            ],
+        ]
+    }
+}
+
+#[test]
+fn the_first_signal_stops_every_command_that_reads_long() {
+    use rustix::process::{Pid, Signal, kill_process};
+    let parent = tempfile::tempdir().unwrap();
+    let long = Long::new(parent.path());
+    for (args, signal) in long
+        .commands()
+        .iter()
+        .flat_map(|args| [(args, Signal::INT), (args, Signal::TERM)])
+    {
+        let mut command = command(args);
         let mut child = command
+            .env("PATH", &long.path)
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let pid = rustix::process::Pid::from_child(&child);
+        let pid = Pid::from_child(&child);
         // By its own processor time: on a busy machine it gets none for a while.
         let mut worked = 0.0;
         let mut ended_at = |most_s: f64| loop {
@@ -184,10 +364,47 @@ fn the_first_ctrl_c_stops_every_command_that_reads_long() {
             }
             std::thread::sleep(Duration::from_millis(5));
         };
-        let (status, asked_at) = ended_at(0.5);
+        let (status, asked_at) = ended_at(0.3);
         assert_eq!(status, None, "{args:?} ended by itself");
-        rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
-        let (status, _) = ended_at(asked_at + 3.0);
-        assert_eq!(status.and_then(|s| s.code()), Some(130), "{args:?}");
+        kill_process(pid, signal).unwrap();
+        let (status, _) = ended_at(asked_at + 1.0);
+        assert_eq!(
+            status.and_then(|s| s.code()),
+            Some(130),
+            "{args:?} {signal:?}"
+        );
+    }
+}
+
+/// On a terminal a bar names the file before the command has ended by itself.
+#[test]
+fn a_command_that_reads_long_shows_how_far_it_is() {
+    let parent = tempfile::tempdir().unwrap();
+    let long = Long::new(parent.path());
+    for args in long.commands() {
+        let (mut master, slave) = support::terminal();
+        let slave = fs::File::options().write(true).open(slave).unwrap();
+        let mut child = command(&args)
+            .env("PATH", &long.path)
+            .env("TERM", "xterm")
+            .stdout(Stdio::null())
+            .stderr(slave)
+            .spawn()
+            .unwrap();
+        let (mut seen, mut part) = (Vec::new(), [0; 4096]);
+        // The read fails once nobody has the terminal open.
+        while let Ok(read @ 1..) = master.read(&mut part) {
+            seen.extend_from_slice(&part[..read]);
+            let seen = String::from_utf8_lossy(&seen);
+            if ["reading ", "survey", "recording"]
+                .iter()
+                .any(|word| seen.contains(word))
+            {
+                let pid = rustix::process::Pid::from_child(&child);
+                let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+            }
+        }
+        let status = child.wait().unwrap();
+        assert_eq!(status.code(), Some(130), "{args:?}: no progress was shown");
     }
 }

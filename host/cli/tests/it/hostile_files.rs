@@ -24,7 +24,12 @@ const SECONDS: u64 = 20;
 
 /// Runs the program in its limits; whatever it meets, it ends with a code of its own.
 pub(crate) fn limited(args: &[&str]) -> Output {
-    let output = command(args).output().unwrap();
+    limited_to(SECONDS, args)
+}
+
+/// The same within so many seconds of processor.
+pub(crate) fn limited_to(seconds: u64, args: &[&str]) -> Output {
+    let output = command_in(seconds, args).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked"), "{args:?}: {said}");
     let signal = output.status.signal();
@@ -33,10 +38,14 @@ pub(crate) fn limited(args: &[&str]) -> Output {
 }
 
 pub(crate) fn command(args: &[&str]) -> Command {
+    command_in(SECONDS, args)
+}
+
+fn command_in(seconds: u64, args: &[&str]) -> Command {
     let mut command = Command::new("prlimit");
     command
         .arg(format!("--as={MEMORY}"))
-        .arg(format!("--cpu={SECONDS}"))
+        .arg(format!("--cpu={seconds}"))
         .arg("--core=0")
         .arg(env!("CARGO_BIN_EXE_smartdepthsync"))
         .args(args);
@@ -117,6 +126,19 @@ fn names_in_a_session_lead_nowhere() {
     }
 }
 
+/// A recording with a file that stands for the phone's video of a second.
+pub(crate) fn recording_with_video(parent: &Path) -> PathBuf {
+    let folder = with_session(parent, |session| {
+        session["phones"][0]["clock"] = session["alignment"]["clock"].clone();
+    });
+    fs::write(folder.join("VID_20260131_140327.mp4"), "a video").unwrap();
+    let stamps: String = (0..30)
+        .map(|row| format!("{}\n", 94_002_000_000_000_i64 + row * 33_333_333))
+        .collect();
+    fs::write(folder.join("VID_20260131_140327_timestamps.csv"), stamps).unwrap();
+    folder
+}
+
 /// A video and four playlists that stand for it.
 fn playlists(folder: &Path) -> PathBuf {
     let secret = folder.join("secret.mp4");
@@ -149,16 +171,10 @@ fn a_playlist_reads_no_other_file() {
         ("DASH", dash),
     ] {
         let parent = tempfile::tempdir().unwrap();
-        let folder = with_session(parent.path(), |session| {
-            session["phones"][0]["clock"] = session["alignment"]["clock"].clone();
-        });
+        let folder = recording_with_video(parent.path());
         let _ = playlists(parent.path());
         let video = folder.join("VID_20260131_140327.mp4");
         fs::write(&video, list).unwrap();
-        let stamps: String = (0..30)
-            .map(|row| format!("{}\n", 94_002_000_000_000_i64 + row * 33_333_333))
-            .collect();
-        fs::write(folder.join("VID_20260131_140327_timestamps.csv"), stamps).unwrap();
         let output = limited(&["--json", "extract", utf8(&folder)]);
         assert_eq!(code(&output), 4, "{name}: {output:?}");
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -100,7 +100,7 @@ fn a_recording_of_a_killed_program_is_repaired_to_its_last_chunk() {
     let report = json(&checked);
     assert_eq!(report["severity"], "check", "{report}");
     let out = parent.path().join("saved");
-    let result = repair(&folder, &out, &|| false).unwrap();
+    let result = repair(&folder, &out).unwrap();
     assert!(result.lost);
     assert!(result.after.file.closed);
     assert_ne!(result.after.severity, Severity::Bad, "{:?}", result.after);
@@ -153,14 +153,14 @@ fn a_file_that_is_cut_anywhere_is_told_and_repaired() {
         let place = parent.path().join(format!("cut_{number}.mcap"));
         fs::write(&place, &bytes[..cut]).unwrap();
         let out = parent.path().join(format!("cut_{number}_out.mcap"));
-        let Ok(report) = verify(&place, &|| false) else {
+        let Ok(report) = verify(&place) else {
             assert!(cut < 8, "cut at {cut}");
-            assert!(repair(&place, &out, &|| false).is_err());
+            assert!(repair(&place, &out).is_err());
             assert!(!out.exists());
             continue;
         };
         assert_ne!(report.severity, Severity::Good, "cut at {cut}");
-        let result = repair(&place, &out, &|| false).unwrap();
+        let result = repair(&place, &out).unwrap();
         assert!(result.after.file.closed, "cut at {cut}");
         assert_ne!(
             result.after.severity,
@@ -182,7 +182,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
     let parent = tempfile::tempdir().unwrap();
     let folder = make(parent.path(), Wrong::default());
     let bytes = fs::read(folder.join(MCAP)).unwrap();
-    let chunks = verify(&folder, &|| false).unwrap().file.chunks;
+    let chunks = verify(&folder).unwrap().file.chunks;
     let all = Reader::open(&folder).unwrap().count();
     let mut rng = rand_pcg::Pcg64::seed_from_u64(11);
     let mut places: Vec<usize> = (0..80).map(|_| rng.random_range(0..bytes.len())).collect();
@@ -203,7 +203,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
         let mut flipped = bytes.clone();
         flipped[at] ^= 1 << bit;
         fs::write(&place, &flipped).unwrap();
-        let report = verify(&place, &|| false).unwrap();
+        let report = verify(&place).unwrap();
         assert_ne!(report.severity, Severity::Good, "bit {bit} of byte {at}");
         let lost = chunks - report.file.chunks;
         assert!(lost <= 1, "bit {bit} of byte {at}: {lost} chunks lost");
@@ -213,7 +213,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
             continue;
         }
         let out = parent.path().join("flipped_out.mcap");
-        let result = repair(&place, &out, &|| false).unwrap();
+        let result = repair(&place, &out).unwrap();
         let saved = Reader::open(&out).unwrap().map(Result::unwrap).count();
         // A chunk is half a second: 500 samples in four kinds of messages, and few others.
         assert!(
@@ -235,7 +235,7 @@ fn what_the_board_dropped_is_told_from_what_the_link_lost() {
             board_knows,
             ..Wrong::default()
         };
-        let report = verify(&make(parent.path(), wrong), &|| false).unwrap();
+        let report = verify(&make(parent.path(), wrong)).unwrap();
         assert_eq!(report.severity, Severity::Check, "{report:?}");
         let imu = report.streams["imu"];
         assert_eq!(imu.missing, 1);
@@ -251,7 +251,7 @@ fn a_loss_on_the_further_outputs_is_counted() {
         outputs_lost: &[2, 3],
         ..Wrong::default()
     };
-    let report = verify(&make(parent.path(), wrong), &|| false).unwrap();
+    let report = verify(&make(parent.path(), wrong)).unwrap();
     assert_eq!(report.severity, Severity::Check, "{report:?}");
     let outputs = report.streams["outputs"];
     assert_eq!((outputs.received, outputs.missing), (SECONDS - 2, 2));
@@ -266,7 +266,7 @@ fn a_pulse_off_its_grid_by_one_tick_is_found() {
         ..Wrong::default()
     };
     let folder = make(parent.path(), wrong);
-    let report = verify(&folder, &|| false).unwrap();
+    let report = verify(&folder).unwrap();
     assert_eq!(report.severity, Severity::Bad);
     assert_eq!(kinds(&report), ["off_grid"]);
     assert_eq!(report.grid.unwrap().worst_ticks, 1);
@@ -278,7 +278,7 @@ fn a_pulse_off_its_grid_by_one_tick_is_found() {
     };
     fs::remove_file(make(parent.path(), wrong).join("session.json")).unwrap();
     assert_eq!(
-        kinds(&verify(&folder, &|| false).unwrap()),
+        kinds(&verify(&folder).unwrap()),
         ["no_session_file", "grid"]
     );
 }
@@ -288,10 +288,10 @@ fn what_the_session_names_must_be_there() {
     let parent = tempfile::tempdir().unwrap();
     let folder = make(parent.path(), Wrong::default());
     fs::remove_file(folder.join("twist_1_phone_gyro.csv")).unwrap();
-    let report = verify(&folder, &|| false).unwrap();
+    let report = verify(&folder).unwrap();
     assert_eq!(kinds(&report), ["file_missing"]);
     fs::write(folder.join("session.json"), "{").unwrap();
-    let report = verify(&folder, &|| false).unwrap();
+    let report = verify(&folder).unwrap();
     assert_eq!(report.severity, Severity::Bad);
     assert_eq!(kinds(&report), ["session_file_damaged"]);
 }
@@ -316,7 +316,7 @@ fn what_is_no_recording_is_refused() {
     ]
     .concat();
     fs::write(&place, hostile).unwrap();
-    let report = verify(&place, &|| false).unwrap();
+    let report = verify(&place).unwrap();
     assert!(report.file.cut_off_at.is_some());
     for entry in Reader::open(&place).unwrap() {
         let _ = entry;

@@ -39,17 +39,21 @@ pub(crate) struct StandIn {
     thread: Option<JoinHandle<()>>,
 }
 
+/// A pseudo-terminal, and the path of a program's end of it.
+pub(crate) fn terminal() -> (File, String) {
+    // Not inherited by the programs under test: the port must go with us.
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+    (File::from(master), path)
+}
+
 impl StandIn {
     pub(crate) fn new(mut behaviour: impl Behaviour) -> Self {
-        // Not inherited by the programs under test: the port must go with us.
-        let master =
-            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        let (mut master, path) = terminal();
         // Without any open end the master reads errors.
         let keep = File::options().read(true).write(true).open(&path).unwrap();
-        let mut master = File::from(master);
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         rustix::io::ioctl_fionbio(&master, true).unwrap();

@@ -4,10 +4,10 @@
 //! numbers (`frame9` before `frame10`). When all names are integers of
 //! nanoseconds, as an extracted recording has them, they are the frames' times.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use files::Input;
 use image::ImageReader;
 
 use super::{FrameSource, FrameTimes, SourceInfo, check_size, read_timestamps};
@@ -15,6 +15,8 @@ use crate::EvaluateError;
 use crate::frame::GreyView;
 
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm"];
+/// Longest file of an image, bytes: decoders hold it in memory.
+const MAX_IMAGE: u64 = 256 << 20;
 /// Rate taken for images whose names say no time, frames per second.
 const DEFAULT_RATE: f64 = 30.0;
 
@@ -116,9 +118,14 @@ impl FrameSource for ImageFolder {
     }
 }
 
-fn opened(path: &Path) -> Result<ImageReader<BufReader<File>>, EvaluateError> {
-    ImageReader::open(path)
-        .and_then(ImageReader::with_guessed_format)
+fn opened(path: &Path) -> Result<ImageReader<BufReader<Input>>, EvaluateError> {
+    let file = files::open(path).map_err(|e| not_an_image(path, &e))?;
+    if file.length() > MAX_IMAGE {
+        let what = format!("it is longer than {MAX_IMAGE} bytes, the most that is read");
+        return Err(not_an_image(path, &what));
+    }
+    ImageReader::new(BufReader::new(file))
+        .with_guessed_format()
         .map_err(|e| not_an_image(path, &e))
 }
 
@@ -192,7 +199,7 @@ mod tests {
         for number in 0..2 {
             write(&dir.path().join(format!("{number}.png")), 64, 240, 9);
         }
-        let notes = Footage::read(dir.path(), &Settings::default(), None, &|| false)
+        let notes = Footage::read(dir.path(), &Settings::default(), None)
             .unwrap()
             .notes;
         assert!(notes[0].contains("say no time"), "{notes:?}");

@@ -33,6 +33,7 @@ impl Extraction<'_> {
         written: &Written<'_>,
         facts: &DataSetInfo,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
+        self.check_stop()?;
         let layout = self.layout();
         let references = written.times.iter().map(|pair| &pair.of).collect();
         let lidar = self.inputs.lidar.as_deref();

@@ -92,6 +92,13 @@ struct Extraction<'a> {
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
+    steps(job, progress).map_err(|error| match files::is_stopped(&job.recording) {
+        true => ExtractError::Cancelled,
+        false => error,
+    })
+}
+
+fn steps(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
     let mut run = Extraction::open(job, progress)?;
     let survey = survey(&run.inputs.board, progress)?;
     run.note_published(&survey);
@@ -174,6 +181,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         losses: run.losses.clone(),
         remarks: run.remarks.clone(),
     };
+    run.check_stop()?;
     run.write_report(&report)?;
     Ok(report)
 }
@@ -224,6 +232,15 @@ impl Extraction<'_> {
             part,
             what: what.into(),
         });
+    }
+
+    /// Ends a run that was stopped, before what could not be read any more is taken for
+    /// missing.
+    fn check_stop(&self) -> Result<(), ExtractError> {
+        match files::is_stopped(&self.job.recording) {
+            true => Err(ExtractError::Cancelled),
+            false => Ok(()),
+        }
     }
 
     fn layout(&self) -> &'static dyn Layout {

@@ -263,9 +263,6 @@ impl Extraction<'_> {
                 Err(error) => break Some(error),
             };
             span.add(sample.time.0);
-            if span.samples.is_multiple_of(8192) && self.progress.cancelled() {
-                return Err(ExtractError::Cancelled);
-            }
             let value = match joiner.at(sample.time) {
                 Ok(Some(value)) => value,
                 Ok(None) => continue,

@@ -3,7 +3,9 @@
 //! Everything works on a [`Source`] with a known end, so that a size that a
 //! file claims is checked against what is there before memory is asked for.
 
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read as _, SeekFrom};
+
+use files::Sparse;
 
 /// Why an element could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -79,7 +81,7 @@ pub(crate) struct Source<R> {
     length: u64,
 }
 
-impl<R: Read + Seek> Source<R> {
+impl<R: Sparse> Source<R> {
     /// Takes the reader from its beginning to its present end.
     ///
     /// # Errors
@@ -208,6 +210,12 @@ impl<R: Read + Seek> Source<R> {
         // The last three bytes of the block before, so that no place is missed.
         let mut kept = 0;
         loop {
+            // It begins with a byte that is not zero: in no hole.
+            let data = self.reader.next_data(self.position)?;
+            if data > self.position {
+                self.seek(data)?;
+                kept = 0;
+            }
             let read = self.reader.read(&mut block[kept..])?;
             self.position += read as u64;
             let filled = kept + read;

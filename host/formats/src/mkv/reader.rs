@@ -7,7 +7,9 @@
 //! [`Mkv::damage`]. A cluster with a CRC-32 element is checked against it.
 
 use std::fmt::Display;
-use std::io::{self, Read, Seek};
+use std::io;
+
+use files::Sparse;
 
 use super::block::{Block, Check};
 use super::ebml::{self, EbmlError, Head, Source};
@@ -98,7 +100,7 @@ pub(crate) struct Mkv<R> {
     buffer: Vec<u8>,
 }
 
-impl<R: Read + Seek> Mkv<R> {
+impl<R: Sparse> Mkv<R> {
     /// Opens a file and reads what stands beside the clusters.
     ///
     /// # Errors
@@ -418,7 +420,7 @@ fn is_known(head: u32) -> bool {
     TOP_LEVEL.contains(&head) || head == id::VOID || head == id::CRC32
 }
 
-fn skip<R: Read + Seek>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlError> {
+fn skip<R: Sparse>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlError> {
     let Some(end) = head.end() else {
         return Err(EbmlError::Invalid {
             at: head.at,
@@ -429,7 +431,7 @@ fn skip<R: Read + Seek>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlE
     Ok(())
 }
 
-fn check_document<R: Read + Seek>(source: &mut Source<R>) -> Result<(), MkvError> {
+fn check_document<R: Sparse>(source: &mut Source<R>) -> Result<(), MkvError> {
     let not = |found: &str| MkvError::NotMatroska {
         found: found.to_owned(),
     };

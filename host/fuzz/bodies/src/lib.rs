@@ -138,12 +138,12 @@ pub fn recording(data: &[u8]) {
             }
         }
     }
-    let Ok(report) = verify(&place, &|| false) else {
+    let Ok(report) = verify(&place) else {
         return;
     };
     assert!(report.file.bytes == data.len() as u64);
     let out = folder.path().join("out.mcap");
-    if let Ok(repaired) = repair(&place, &out, &|| false) {
+    if let Ok(repaired) = repair(&place, &out) {
         assert!(repaired.after.file.closed);
     }
     // Nothing else was written.

@@ -46,12 +46,8 @@ impl Curves {
     ///
     /// # Errors
     ///
-    /// It cannot be opened, or `stop` says so. A recording that is damaged gives what is left.
-    pub(super) fn read(
-        recording: &Path,
-        session: &SessionFile,
-        stop: &dyn Fn() -> bool,
-    ) -> Result<Self, RecordingError> {
+    /// It cannot be read. A recording that is damaged gives what is left.
+    pub(super) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
         let alignment = session.alignment.as_ref();
         let mut curves = Self {
             grid: alignment.map(|alignment| FollowedGrid::new(alignment.into())),
@@ -59,11 +55,9 @@ impl Curves {
         };
         let mut reader = Reader::open(recording)?;
         for entry in reader.by_ref() {
-            if stop() {
-                return Err(RecordingError::Stopped);
-            }
             match entry {
                 Ok(entry) => curves.take(entry.at, &entry.item, session),
+                Err(error @ RecordingError::Io { .. }) => return Err(error),
                 Err(_) => curves.broken_off = true,
             }
         }
