@@ -313,6 +313,9 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         PhoneError::Connect { .. } => {
             "open OpenCamera Sensors with its remote control switched on, and make sure that both are on the same network. If it is open, leave it and open it again: it may not listen any more"
         }
+        PhoneError::MayRecord { why, .. } if why.is_app_gone() => {
+            "the app has ended, and its video with it: open it again, see that it does not record, and start again"
+        }
         PhoneError::MayRecord { .. } => {
             "look at the phone, and stop its video there: nothing here can do it now"
         }
@@ -398,7 +401,9 @@ const fn app_refusal_step(refusal: AppRefusal) -> &'static str {
         AppRefusal::NoPhase => {
             "try again: a video that was running was stopped. If it fails again, switch on `Enable video with IMU recording` in the app's IMU settings, which needs Camera2, and a video mode of more than 6 frames a second"
         }
-        AppRefusal::NoVideo => "record a video first: the app has none since it was started",
+        AppRefusal::VideoGone => {
+            "the last video was deleted or moved on the phone: look for it there (gallery, bin, file manager), or record again"
+        }
         AppRefusal::NoSensor => "take another phone: this one lacks a sensor",
         AppRefusal::UnknownRequest => {
             "the app does not know this form of the request: install v.0.1 or v.0.1.1"

@@ -19,6 +19,9 @@ const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a phone that cannot be reached is tried again to stop its video.
 const UNREACHABLE: Duration = Duration::from_secs(5);
 
+/// The same of a phone that is there and refuses: the app has ended, and its video with it.
+const REFUSED: Duration = Duration::from_millis(1_500);
+
 /// How long one try to stop a video lasts: an answer may be lost, and the next one not.
 const KNOCK: Duration = Duration::from_secs(3);
 
@@ -284,7 +287,8 @@ impl PhoneClient {
                 Ok(()) => return PhoneError::StartUndone { cause },
                 Err(why) => why,
             };
-            let patience = match why {
+            let patience = match &why {
+                refused if refused.is_app_gone() => REFUSED,
                 PhoneError::Connect { .. } => UNREACHABLE,
                 _ => patience,
             };

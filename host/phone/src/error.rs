@@ -222,8 +222,9 @@ pub enum Refusal {
     UnknownRequest,
     /// No frames came from which a phase can be taken.
     NoPhase,
-    /// It has made no video since it was opened.
-    NoVideo,
+    /// Its last video is not where it was saved. (Without any since it was opened, the app
+    /// ends.)
+    VideoGone,
 }
 
 impl PhoneError {
@@ -234,6 +235,13 @@ impl PhoneError {
             Self::StartUndone { cause } | Self::MayRecord { cause, .. } => cause.cause(),
             other => other,
         }
+    }
+
+    /// Whether the phone is there, and nobody listens on it.
+    #[must_use]
+    pub fn is_app_gone(&self) -> bool {
+        use std::io::ErrorKind::ConnectionRefused;
+        matches!(self, Self::Connect { source, .. } if source.kind() == ConnectionRefused)
     }
 
     /// Whether the app was not asked for anything yet: nothing can come of it.
@@ -265,7 +273,7 @@ impl PhoneError {
             "imu" if text.starts_with("Requested sensor") => Some(Refusal::NoSensor),
             "imu" if text == "Invalid request" => Some(Refusal::UnknownRequest),
             "video_start" if text.contains("phase info") => Some(Refusal::NoPhase),
-            "get_video" if text.starts_with("Couldn't get last video") => Some(Refusal::NoVideo),
+            "get_video" if text.starts_with("Couldn't get last video") => Some(Refusal::VideoGone),
             _ => None,
         }
     }

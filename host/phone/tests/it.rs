@@ -225,6 +225,27 @@ fn names_from_the_phone_stay_in_the_folder() {
     }
 }
 
+/// Its port is closed with it.
+#[test]
+fn an_app_that_dies_while_it_starts_is_told_within_three_seconds() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        serve(stream, |_| Then::Leave);
+    });
+    let mut client = client(&address, PATIENCE);
+    let begun = Instant::now();
+    let error = client.start_video(None).unwrap_err();
+    assert!(matches!(error, PhoneError::Closed { .. }), "{error}");
+    let error = client.undo_start(error);
+    assert!(begun.elapsed() < Duration::from_secs(3));
+    match error {
+        PhoneError::MayRecord { why, .. } => assert!(why.is_app_gone(), "{why}"),
+        other => panic!("{other}"),
+    }
+}
+
 /// Sooner than the frames can be.
 #[test]
 fn a_phase_that_comes_at_once_is_of_another_video_which_is_stopped() {

@@ -48,6 +48,18 @@ fn a_video_begun_by_hand_is_left_alone() {
 }
 
 #[test]
+fn a_video_that_is_not_there_any_more_is_said_to_be_deleted() {
+    // The app finds no file of its last video.
+    let bench = Bench::new(77, 10.0, |c| c.video = VideoMode::Never);
+    let folder = tempfile::tempdir().unwrap();
+    for action in ["start", "stop"] {
+        says(&bench.command(&[action], folder.path()), 0, &[]);
+    }
+    let output = bench.command(&["get-video"], folder.path());
+    says(&output, PHONE, &["refused get_video", "was deleted"]);
+}
+
+#[test]
 fn an_answer_before_its_frames_is_not_an_answer() {
     use phone::{PhoneClient, PhoneError, Settings};
     for (seed, known) in [(71, true), (72, false)] {
