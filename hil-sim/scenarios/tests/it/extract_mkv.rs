@@ -86,7 +86,7 @@ fn read_bytes(bytes: &[u8]) -> Read {
     collect(Recording::new(Cursor::new(bytes)).unwrap())
 }
 
-fn collect<R: std::io::Read + std::io::Seek>(mut recording: Recording<R>) -> Read {
+fn collect<R: files::Sparse>(mut recording: Recording<R>) -> Read {
     let mut read = Read {
         depth: Vec::new(),
         ir: Vec::new(),

@@ -4,7 +4,6 @@
 //! `tests/python/vendor_k4a.py` drives it. No camera: the images are made up.
 
 use std::fs::File;
-use std::io::{Read, Seek};
 use std::path::Path;
 use std::process::Command;
 
@@ -61,7 +60,7 @@ fn samples(imu: &[CameraImu]) -> Vec<Sample> {
 }
 
 /// Everything in an undamaged recording.
-fn contents(recording: &mut Recording<impl Read + Seek>) -> Batch {
+fn contents(recording: &mut Recording<impl files::Sparse>) -> Batch {
     let mut all = Batch::default();
     while let Some(batch) = recording.next_batch(Content::Pixels).unwrap() {
         assert!(batch.intact, "a checksum");
