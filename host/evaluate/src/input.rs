@@ -13,7 +13,7 @@ const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Applied {
-    /// The constant bias that was subtracted, µs.
+    /// What was subtracted: the constant bias, and a shift on purpose, µs.
     pub bias_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
@@ -46,7 +46,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
 fn applied(folder: &Path) -> Result<Option<Applied>, EvaluateError> {
     let session = SessionFile::load(folder)?;
     Ok(session.alignment.map(|alignment| Applied {
-        bias_us: alignment.bias_us,
+        bias_us: alignment.bias_us + alignment.shift_us,
         exposure_us: alignment.exposure_us,
     }))
 }

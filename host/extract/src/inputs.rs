@@ -209,6 +209,13 @@ pub(crate) fn find(
         Err(_) => None,
     };
     let profile = session.as_ref().map(|session| &session.profile);
+    let alignment = session.as_ref().and_then(|session| session.alignment);
+    if let Some(shift_us) = alignment.map(|a| a.shift_us).filter(|&us| us != 0.0) {
+        remarks.push(format!(
+            "the trigger was shifted on purpose: the depth images are {shift_us:+.1} µs earlier than \
+             aligned ones, and the distances of the pairs show it"
+        ));
+    }
     Ok(Inputs {
         name: name.unwrap_or_else(|| "recording".into()),
         board,

@@ -268,6 +268,70 @@ fn times_are_those_of_the_edges() {
     assert_eq!(times[100], row(100, phone));
 }
 
+/// A phone that slept stamps its frames with a clock that stood still, and the trigger was
+/// shifted on purpose: frames come back onto the sensors' clock, depth onto its own times.
+#[test]
+fn frames_on_another_clock_and_a_shifted_trigger_keep_their_times() {
+    const SLEPT_NS: i64 = 3_600 * SECOND_NS + 17;
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    let stamps = recording.join("20260131_140327/VID_20260131_140327_imu_timestamps.csv");
+    let behind = lines(&stamps)
+        .iter()
+        .map(|stamp| format!("{}\n", stamp.parse::<i64>().unwrap() - SLEPT_NS))
+        .collect::<String>();
+    let expected = extract(&recording, Format::Euroc)
+        .1
+        .join("phone_frames.csv");
+    let own = |path: &Path| -> Vec<String> {
+        let rows = lines(path).split_off(1);
+        let board = |row: &String| {
+            row.split(',')
+                .skip(2)
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        };
+        rows.iter().flat_map(board).collect()
+    };
+    let expected = own(&expected);
+    fs::write(&stamps, behind).unwrap();
+    let mut session = SessionFile::load(&recording).unwrap();
+    session.phones[0].video = serde_json::from_value(serde_json::json!({
+        "phase": OFFSET_NS + SECOND_NS - SLEPT_NS, "frame_duration_ns": 33_333_333.0,
+        "exposure_ns": null, "boot_minus_frames_ns": SLEPT_NS,
+    }))
+    .unwrap();
+    session.alignment = serde_json::from_value(serde_json::json!({
+        "exposure_us": 10_000.0, "middle_row_us": 5_503.0, "center_offset_us": 6_362.5,
+        "bias_us": 20.0, "shift_us": 400.0, "frame_period_ns": 33e6,
+        "frame_period_sigma_ns": null, "frame_period_source": "learnt",
+        "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
+            "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
+        "anchor": 0, "period_q32": 1_u64 << 32, "phase_sigma_us": 1.0,
+        "drift_sigma_us_per_min": 1.0, "arrival_pulse": null, "arrival": null,
+    }))
+    .unwrap();
+    session.save(&recording).unwrap();
+    let job = Job {
+        recording,
+        phone: None,
+        depth: None,
+        format: Format::Euroc,
+        out: parent.path().join("again"),
+        options: Options::default(),
+        overwrite: false,
+    };
+    let report = run(&job, &Silent).unwrap();
+    assert_eq!(own(&job.out.join("phone_frames.csv")), expected);
+    // The bias belongs to the depth image's time, the shift does not.
+    assert_eq!(report.constants.depth_center_ns, CENTER_NS + 20_000);
+    let said = report
+        .remarks
+        .iter()
+        .any(|remark| remark.contains("+400.0 µs earlier"));
+    assert!(said, "{:?}", report.remarks);
+}
+
 #[test]
 fn every_format_is_as_it_was() {
     let parent = tempfile::tempdir().unwrap();

@@ -321,6 +321,13 @@ pub struct FrameSync {
     /// When it was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bias_measured: Option<Date>,
+    /// By how much earlier than that the trigger is put on purpose, µs (`record --shift`).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shift_us: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 fn unknown_phone(key: &'static str, name: &str) -> ProfileError {

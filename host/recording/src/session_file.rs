@@ -249,6 +249,9 @@ pub struct Alignment {
     pub center_offset_us: f64,
     /// The constant bias that was subtracted, µs.
     pub bias_us: f64,
+    /// What was subtracted beside it on purpose, µs: depth is earlier by as much.
+    #[serde(default)]
+    pub shift_us: f64,
     /// 1-sigma of the constant between the two exposures, µs
     /// ([`Profile::constant_sigma_us`]).
     #[serde(default)]

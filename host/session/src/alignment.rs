@@ -4,7 +4,7 @@
 //! ```text
 //! phone time of the middle   m = phase + exposure/2 + start of the row − start of the first row
 //! board time of it           b = clock⁻¹(m)
-//! trigger edge               e = b − center_offset − bias
+//! trigger edge               e = b − center_offset − bias − shift
 //! period on the board        p = frame period / (1 + rate) · (phone frames to a depth frame)
 //! ```
 //!
@@ -195,11 +195,11 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
     });
     let middle_row_us = profile.phone.middle_row_us();
     let center_offset_us = profile.depth.center_offset_us;
-    let bias_us = profile.frame_sync.bias_us;
+    let (bias_us, shift_us) = (profile.frame_sync.bias_us, profile.frame_sync.shift_us);
     let constant_sigma_us = profile.constant_sigma_us();
 
     let middle = middle(clock, video, exposure_us, middle_row_us);
-    let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us) * 1e-6);
+    let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us + shift_us) * 1e-6);
     if !(edge.0 > 0.0 && edge.0 < 1e9) {
         return Err(AlignmentError::OutOfRange { board_s: edge.0 });
     }
@@ -223,6 +223,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             middle_row_us,
             center_offset_us,
             bias_us,
+            shift_us,
             constant_sigma_us: Some(constant_sigma_us),
             bias_is_measured: profile.frame_sync.bias_measured.is_some(),
             frame_period_ns,

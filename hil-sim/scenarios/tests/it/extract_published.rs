@@ -61,14 +61,15 @@ fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     (run(&job, &Silent).unwrap(), job.out)
 }
 
-/// Somebody who presses Ctrl-C after so many reads below a folder.
-fn stop_after(reads: usize, folder: &Path) -> files::Watching {
-    let (left, folder) = (AtomicUsize::new(reads), folder.to_owned());
+/// Somebody who presses Ctrl-C once so many readings below a folder have begun.
+fn stop_after(readings: usize, folder: &Path) -> files::Watching {
+    let (left, folder) = (AtomicUsize::new(readings), folder.to_owned());
     files::watch(move |reading| {
-        let one_less = |left: usize| left.checked_sub(1);
+        let less = |left: usize| left.checked_sub(usize::from(reading.position == 0));
+        let update = |left: usize| less(left).filter(|_| left > 0);
         !reading.path.starts_with(&folder)
             || left
-                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_less)
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, update)
                 .is_ok()
     })
 }

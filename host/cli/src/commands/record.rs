@@ -181,7 +181,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     }
     let (mut profile, place) = args.more.profile.load()?;
     if let Some(shift) = args.more.shift {
-        profile.frame_sync.bias_us += shift.as_secs_f64() * 1e6;
+        profile.frame_sync.shift_us = shift.as_secs_f64() * 1e6;
     }
     let to_teach = match args.calibrate {
         true => Some(calibrates(args, &place)?),

@@ -34,6 +34,7 @@ pub(crate) fn session(
         center_offset_us: 6_362.5,
         bias_us: 0.0,
         constant_sigma_us: Some(100.0),
+        shift_us: 0.0,
         bias_is_measured: false,
         frame_period_ns,
         frame_period_sigma_ns: None,

@@ -88,6 +88,10 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
         ),
         ("bias taken out", format!("{:+.1} µs", alignment.bias_us)),
         (
+            "shifted on purpose",
+            format!("{:+.1} µs", alignment.shift_us),
+        ),
+        (
             "arrived",
             match (alignment.arrival_pulse, alignment.arrival) {
                 (Some(pulse), Some(at)) => format!("at pulse {pulse}, {:.3} s", at.as_secs_f64()),
