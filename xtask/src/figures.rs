@@ -56,6 +56,15 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
         elf,
         &["--motion", "twist", "--phone", "0", "--profile", &written],
     )?;
+    let begun = Instant::now();
+    let mut owner = String::new();
+    while !owner.contains("[depth.recorder]") && begun.elapsed() < PATIENCE {
+        std::thread::sleep(Duration::from_millis(100));
+        owner = fs::read_to_string(&profile).unwrap_or_default();
+    }
+    // As after `evaluate precision --calibrate`: the profile has the rig's true constants.
+    owner += "\n[frame_sync]\nbias_us = 0.0\nbias_sigma_us = 0.1\nbias_measured = \"2026-01-31\"\n";
+    fs::write(&profile, owner)?;
     let terminal = Terminal(place.join("tmux"));
     let (width, height) = TERMINAL;
     let program = process::program("smartdepthsync").display().to_string();

@@ -138,8 +138,11 @@ pub fn run(args: &Args) -> Result<()> {
     let jumpers = Arc::new(Mutex::new(Jumpers::default()));
     if args.bring_up {
         config.depth_camera = None;
-        board = board.model(Arc::clone(&jumpers));
+    } else {
+        // The photodiode is there, and the read-back is wired as its owner would.
+        lock(&jumpers).strobe = None;
     }
+    board = board.model(Arc::clone(&jumpers));
     if !args.quiet {
         board = board.on_log(|line: &LogLine| eprintln!("{line}"));
     }

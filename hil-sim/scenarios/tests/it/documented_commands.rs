@@ -113,7 +113,7 @@ fn commands_of_the_programs_are_in_their_help() {
     for (name, help, least) in [
         ("cargo xtask", xtask, 30),
         ("hil-sim", hil_sim(), 3),
-        ("smartdepthsync", smartdepthsync(), 60),
+        ("smartdepthsync", smartdepthsync(), 45),
     ] {
         assert!(help.below.len() > 5, "{help:?}");
         let mut checked = 0;
@@ -158,7 +158,7 @@ fn options_that_stand_by_themselves_are_in_a_help() {
         }
     }
     assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
-    assert!(checked >= 50, "only {checked} options");
+    assert!(checked >= 35, "only {checked} options");
 }
 
 #[test]
