@@ -38,7 +38,7 @@ fn main() -> ! {
     faults::init();
     cycles::keep_running();
     let reset_cause = clocks::take_reset_cause();
-    let run = faults::begin_run();
+    let run = faults::begin_run(reset_cause);
     let watchdog = start_watchdog();
     clocks::start_crystal();
 
@@ -87,6 +87,7 @@ fn main() -> ! {
         board_id: uid::uid(),
         epoch,
         reset_cause,
+        resets: run.resets,
         last_panic,
         panics,
         kept_panic,
@@ -105,7 +106,7 @@ fn main() -> ! {
         defmt::unreachable!();
     }
 
-    let usb = tasks::usb::build(p.USB_OTG_FS, p.PA12, p.PA11, &board_id);
+    let usb = tasks::usb::build(p.USB_OTG_FS, (p.PA12, p.PA11, p.PA9), &board_id);
 
     let imu_bus = ImuBus {
         i2c: p.I2C1,
@@ -149,7 +150,7 @@ fn start_watchdog() -> IndependentWatchdog<'static, IWDG> {
 fn number(run: &faults::Begun, random: Option<u32>) -> u32 {
     match random {
         Some(random) if run.first => {
-            faults::renumber(random);
+            faults::renumber(run, random);
             random
         }
         _ => run.epoch,

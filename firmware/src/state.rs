@@ -19,6 +19,7 @@ pub(crate) struct BoardInfo {
     pub(crate) board_id: [u8; 12],
     pub(crate) epoch: u32,
     pub(crate) reset_cause: ResetCause,
+    pub(crate) resets: [u8; ResetCause::COUNT],
     pub(crate) last_panic: Option<String<MAX_PANIC>>,
     pub(crate) panics: u32,
     pub(crate) kept_panic: Option<String<MAX_PANIC>>,

@@ -146,6 +146,11 @@ pub enum ResetCause {
     Unknown,
 }
 
+impl ResetCause {
+    /// How many there are.
+    pub const COUNT: usize = Self::Unknown as usize + 1;
+}
+
 /// Once a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
@@ -183,6 +188,8 @@ pub struct Status {
     pub supply_mv: Option<u16>,
     /// What happened on the USB.
     pub usb: UsbCounters,
+    /// Resets since power came on, by [`ResetCause`] in its order. They saturate.
+    pub resets: [u8; ResetCause::COUNT],
     /// How often edges on the strobe input were lost (over-captures of TIM2
     /// channel 3).
     pub strobe_overcaptures: u32,
@@ -207,6 +214,8 @@ pub struct UsbCounters {
     pub resets: u32,
     /// Suspends by the host, or of a bus without traffic.
     pub suspends: u32,
+    /// Times that the board left the bus because its core did not send any more.
+    pub stuck: u32,
 }
 
 /// What one handler took, by the core's cycle counter, at [`CORE_HZ`]. A handler that

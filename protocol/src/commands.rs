@@ -252,4 +252,6 @@ pub enum Failure {
     SlowHandler,
     /// A task that overflows its stack; the next [`crate::Hello`] must say so.
     StackOverflow,
+    /// Leave the bus for 0.3 s and come back, as by a cable that is pulled. The run goes on.
+    LeaveBus,
 }

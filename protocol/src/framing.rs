@@ -24,7 +24,7 @@ const CRC_LEN: usize = 4;
 const COBS_OVERHEAD: usize = 1 + (MAX_MESSAGE + CRC_LEN) / 254;
 
 /// The longest message in postcard form, in bytes.
-pub const MAX_MESSAGE: usize = 400;
+pub const MAX_MESSAGE: usize = 416;
 
 /// The longest frame on the wire, with CRC, COBS overhead (one byte in each
 /// 254, and one) and the delimiter.

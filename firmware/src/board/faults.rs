@@ -17,7 +17,7 @@ use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_stm32::pac;
 use firmware::retained::Kept;
 use heapless::String;
-use protocol::MAX_PANIC;
+use protocol::{MAX_PANIC, ResetCause};
 
 use crate::board::stack;
 
@@ -67,18 +67,21 @@ pub(crate) struct Begun {
     pub(crate) last_panic: Option<String<MAX_PANIC>>,
     /// The number of this run.
     pub(crate) epoch: u32,
+    /// Resets since power came on, by cause.
+    pub(crate) resets: [u8; ResetCause::COUNT],
     /// There was none since power-on, so the number is a guess: see [`renumber`].
     pub(crate) first: bool,
 }
 
 /// To be called once, before anything that may panic.
-pub(crate) fn begin_run() -> Begun {
+pub(crate) fn begin_run(cause: ResetCause) -> Begun {
     let kept = load();
-    let (last_panic, next) = kept.next();
+    let (last_panic, next) = kept.next(cause);
     store(next);
     Begun {
         last_panic,
         epoch: next.run(),
+        resets: next.resets(),
         first: !kept.is_valid(),
     }
 }
@@ -115,8 +118,8 @@ pub(crate) fn start_rom_if_asked() {
 }
 
 /// Gives the first run since power-on its number.
-pub(crate) fn renumber(epoch: u32) {
-    store(Kept::new(epoch));
+pub(crate) fn renumber(run: &Begun, epoch: u32) {
+    store(Kept::new(epoch, run.resets));
 }
 
 /// Keeps and logs the message, and resets. A failure on the way resets at once.
@@ -125,7 +128,7 @@ fn fail(message: fmt::Arguments<'_>) -> ! {
     if !FAILED.swap(true, Ordering::Relaxed) {
         let kept = load().panicked(message);
         store(kept);
-        if let (Some(text), _) = kept.next() {
+        if let Some(text) = kept.panic_text() {
             defmt::error!("{=str}", text.as_str());
         }
         if DCB::is_debugger_attached() {

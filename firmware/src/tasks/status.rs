@@ -63,6 +63,9 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
         die_decidegrees: measured.decidegrees,
         supply_mv: measured.supply_mv,
         usb: usb::counters(),
+        resets: INFO
+            .try_get()
+            .map_or_else(Default::default, |info| info.resets),
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),

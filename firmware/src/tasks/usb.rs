@@ -8,7 +8,7 @@
 use core::cell::Cell;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
-use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
+use embassy_stm32::peripherals::{PA9, PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{Config, Driver, InterruptHandler};
 use embassy_stm32::{Peri, bind_interrupts, interrupt};
 use embassy_time::Timer;
@@ -69,11 +69,11 @@ struct Buffers {
     serial: String<24>,
 }
 
-/// Sets up the device; it appears on the bus once [`run`] runs.
+/// Sets up the device; it appears on the bus once [`run`] runs. The core looks at VBUS by itself
+/// (RM0090 34.4.3).
 pub(crate) fn build(
     usb: Peri<'static, USB_OTG_FS>,
-    dp: Peri<'static, PA12>,
-    dm: Peri<'static, PA11>,
+    (dp, dm, _vbus): (Peri<'static, PA12>, Peri<'static, PA11>, Peri<'static, PA9>),
     board_id: &[u8; 12],
 ) -> Usb {
     static BUFFERS: StaticCell<Buffers> = StaticCell::new();
@@ -154,6 +154,7 @@ pub(crate) async fn watch_transmit() {
         if silent >= TRANSMIT_SILENT_S {
             defmt::error!("the USB core does not send: leaving the bus");
             silent = 0;
+            STUCK.fetch_add(1, Ordering::Relaxed);
             otg::reconnect().await;
         }
     }
@@ -195,12 +196,14 @@ fn update(condition: u8, on: bool) {
 
 static RESETS: AtomicU32 = AtomicU32::new(0);
 static SUSPENDS: AtomicU32 = AtomicU32::new(0);
+static STUCK: AtomicU32 = AtomicU32::new(0);
 
 /// What happened on the bus since the board's reset.
 pub(crate) fn counters() -> UsbCounters {
     UsbCounters {
         resets: RESETS.load(Ordering::Relaxed),
         suspends: SUSPENDS.load(Ordering::Relaxed),
+        stuck: STUCK.load(Ordering::Relaxed),
     }
 }
 

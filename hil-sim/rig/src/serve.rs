@@ -72,8 +72,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
     /// Wire the board for `smartdepthsync board test` instead of a camera. Lines on standard
-    /// input move the wires: `strobe PE11`, `strobe PA5`, `readback off`, `readback on`,
-    /// `sda low`, `sda free`.
+    /// input move the wires: `strobe PE11`, `strobe PC12 inverted`, `readback off`,
+    /// `readback on`, `clock off`, `clock on`, `sda low`, `sda free`.
     #[arg(long, conflicts_with = "phone")]
     bring_up: bool,
     /// Write the edges of the board's pins to this file, for a wave viewer.
@@ -222,15 +222,22 @@ fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
         }
     };
     for line in std::io::stdin().lines().map_while(Result::ok) {
-        match line.trim() {
-            "strobe PE11" => lock(jumpers).strobe = Some(Pin::PE11),
-            "strobe PA5" => lock(jumpers).strobe = Some(Pin::PA5),
-            "readback off" => lock(jumpers).readback = false,
-            "readback on" => lock(jumpers).readback = true,
-            "sda low" => sensor(Fault::HoldSda(None)),
-            "sda free" => sensor(Fault::ReleaseSda),
-            other => eprintln!(
-                "no wire is called {other:?}: strobe PE11, strobe PA5, readback off, readback on, \
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match words.as_slice() {
+            ["strobe", pin, gate @ ..] => match pin.parse() {
+                Ok(pin) => {
+                    let mut jumpers = lock(jumpers);
+                    jumpers.strobe = Some(pin);
+                    jumpers.inverted = gate == ["inverted"];
+                }
+                Err(error) => eprintln!("{error}"),
+            },
+            ["readback", to] => lock(jumpers).readback = *to == "on",
+            ["clock", to] => sensor(Fault::ClockCut(*to == "off")),
+            ["sda", "low"] => sensor(Fault::HoldSda(None)),
+            ["sda", "free"] => sensor(Fault::ReleaseSda),
+            _ => eprintln!(
+                "no wire is called so: strobe PE11, strobe PC12 inverted, readback off, clock off, \
                  sda low, sda free"
             ),
         }

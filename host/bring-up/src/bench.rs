@@ -1,6 +1,6 @@
 //! The board's messages over a stretch of board time.
 
-use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pulse, Status, TICK_HZ, TickDelta};
+use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pps, Pulse, Status, TICK_HZ, TickDelta};
 
 /// Ticks in a millisecond of board time.
 const TICKS_PER_MS: u32 = TICK_HZ / 1_000;
@@ -14,16 +14,19 @@ pub(crate) const fn millis(ms: u32) -> TickDelta {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Heard {
     pub(crate) pulses: Vec<Pulse>,
-    /// Pulses of output 2.
+    /// Pulses of the further outputs.
     pub(crate) outputs: Vec<Pulse>,
     pub(crate) strobe: Vec<Capture>,
+    pub(crate) pps: Vec<Pps>,
     pub(crate) imu: Vec<ImuSample>,
     pub(crate) statuses: Vec<Status>,
     pub(crate) arrived: Vec<Arrived>,
     /// Payload bytes of filler.
     pub(crate) filler: u64,
-    /// Messages that are missing in their streams.
+    /// Messages that are missing in their streams, which the board counts.
     pub(crate) lost: u64,
+    /// The same of filler, which it does not.
+    pub(crate) lost_filler: u64,
     /// Frames that could not be read.
     pub(crate) damaged: u64,
 }
@@ -37,7 +40,9 @@ impl Heard {
         self.statuses.append(&mut later.statuses);
         self.arrived.append(&mut later.arrived);
         self.filler += later.filler;
+        self.pps.append(&mut later.pps);
         self.lost += later.lost;
+        self.lost_filler += later.lost_filler;
         self.damaged += later.damaged;
     }
 
@@ -50,7 +55,14 @@ impl Heard {
             DeviceToHost::Capture(capture) => self.strobe.push(capture),
             DeviceToHost::Imu(sample) => self.imu.push(sample),
             DeviceToHost::Filler(filler) => self.filler += filler.payload.len() as u64,
-            DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Pps(_) => {}
+            DeviceToHost::Pps(pps) => self.pps.push(pps),
+            DeviceToHost::Hello(_) | DeviceToHost::Answer(_) => {}
         }
+    }
+
+    /// Messages of the numbered streams that the board has dropped since its reset.
+    pub(crate) fn dropped(&self) -> Option<u64> {
+        let all = self.statuses.last()?.dropped;
+        Some(all.total() - u64::from(all.answers))
     }
 }

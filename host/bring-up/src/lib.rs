@@ -1,7 +1,7 @@
 //! Does a board do in hardware what the simulated one does?
 //!
 //! Wires: PA5 (the trigger) to PA3 and to PA2, later PE11 (output 2) to PA2, and the
-//! IMU. The board then measures itself: each edge that it makes is captured by the
+//! IMU. Others are put on and off on the way. The board then measures itself: each edge that it makes is captured by the
 //! same timer that made it, so a capture must follow its edge by a constant, the
 //! delay of synchroniser and filter, and nothing else.
 //!
@@ -11,18 +11,21 @@
 //! - `bench`: the board's messages over a stretch of board time.
 //! - `train`: a train of pulses against the arithmetic and its captures. Pure.
 //! - `parts`: what is done on the board.
+//! - `serial`: bytes from the edges of a serial line. Pure.
 #![forbid(unsafe_code)]
 
 mod bench;
 mod parts;
+mod serial;
 mod train;
 
 use std::fmt;
 use std::time::Duration;
 
 use board::BoardError;
+use board::transport::Link;
+use protocol::BoardSettings;
 use protocol::usb::serial_number;
-use protocol::{BoardSettings, Output};
 use recording::finding::{Finding, Severity};
 use serde::Serialize;
 
@@ -37,22 +40,36 @@ pub enum Part {
     Trigger,
     /// The further outputs against the strobe input.
     Outputs,
-    /// Intervals of data-ready; the IMU's recovery from an unplugged SDA.
+    /// The pulse per second and its serial line, on the strobe input.
+    Lidar,
+    /// Intervals of data-ready; the IMU without its clock; its recovery from an unplugged SDA.
     Imu,
     /// Throughput of USB, and what a host that does not read loses.
     Link,
-    /// The board's crystal against the computer's clock.
+    /// The board's crystal against the computer's clock; the supply.
     Clock,
+    /// Trigger and messages while the board leaves the bus, the cable is pulled, the computer
+    /// sleeps.
+    Replug,
+    /// The board after each failure and each reset.
+    Resets,
+    /// The trigger behind its buffer and divider.
+    Buffer,
+    /// Hours of trigger and IMU with a computer that sleeps.
+    Soak,
 }
 
 impl Part {
-    /// All of them, in the order in which they are measured.
-    pub const ALL: [Self; 5] = [
+    /// All but those that are only measured on request.
+    pub const ALL: [Self; 8] = [
         Self::Trigger,
         Self::Outputs,
+        Self::Lidar,
         Self::Imu,
         Self::Link,
         Self::Clock,
+        Self::Replug,
+        Self::Resets,
     ];
 }
 
@@ -61,12 +78,24 @@ impl Part {
 pub enum Prompt {
     /// The part that is measured now.
     Measures(Part),
-    /// To put the wire at PA2 onto this output.
-    MoveStrobeWire(Output),
+    /// To put the wire at PA2 onto this pin.
+    MoveStrobeWire(&'static str),
+    /// To unplug the clock of the IMU.
+    UnplugClock,
+    /// To plug it in again.
+    PlugClockIn,
     /// To unplug SDA of the IMU.
     UnplugSda,
     /// To plug SDA in again.
     PlugSdaIn,
+    /// To pull the data cable and plug it in again.
+    Replug,
+    /// To let the computer sleep for a while.
+    Sleep,
+    /// To press the reset button.
+    PressReset,
+    /// To switch the board off and on.
+    SwitchPower,
 }
 
 impl fmt::Display for Prompt {
@@ -74,15 +103,23 @@ impl fmt::Display for Prompt {
         let text = match self {
             Self::Measures(Part::Trigger) => "trigger: edges, widths, aligns ...",
             Self::Measures(Part::Outputs) => "outputs 2 to 4 ...",
+            Self::Measures(Part::Lidar) => "pulse per second, serial line ...",
             Self::Measures(Part::Imu) => "IMU: data-ready ...",
             Self::Measures(Part::Link) => "USB: throughput, a host that does not read ...",
             Self::Measures(Part::Clock) => "crystal ...",
-            Self::MoveStrobeWire(output) => {
-                let pin = protocol::pins::trigger_pin(*output);
-                return write!(f, "-> move the wire at PA2 to {pin}");
-            }
+            Self::Measures(Part::Replug) => "USB: leaving the bus and coming back ...",
+            Self::Measures(Part::Resets) => "panic, fault, hang, resets ...",
+            Self::Measures(Part::Buffer) => "trigger behind buffer and divider ...",
+            Self::Measures(Part::Soak) => "soak ...",
+            Self::MoveStrobeWire(pin) => return write!(f, "-> move the wire at PA2 to {pin}"),
+            Self::UnplugClock => "-> unplug the IMU's clock (CLKIN)",
+            Self::PlugClockIn => "-> plug the clock in again",
             Self::UnplugSda => "-> unplug SDA of the IMU (PB7)",
             Self::PlugSdaIn => "-> plug SDA in again",
+            Self::Replug => "-> pull the data cable and plug it in again; the supply stays",
+            Self::Sleep => "-> let the computer sleep for ten seconds (`systemctl suspend`)",
+            Self::PressReset => "-> press the reset button",
+            Self::SwitchPower => "-> take the board's supply off and put it back",
         };
         f.write_str(text)
     }
@@ -96,8 +133,12 @@ pub struct Operator<'a> {
     pub say: &'a dyn Fn(Prompt),
     /// Whether anybody is there to do it.
     pub is_there: bool,
+    /// Whether to leave out what they were told to do last.
+    pub skips: &'a dyn Fn() -> bool,
     /// Whether to stop.
     pub stop: &'a dyn Fn() -> bool,
+    /// Opens a new link to the board, which comes back within so long.
+    pub reconnect: &'a dyn Fn(Duration) -> Result<Box<dyn Link>, BoardError>,
 }
 
 /// One property of the board.
@@ -170,6 +211,9 @@ pub enum BringUpError {
     /// The board was reset while it was being measured.
     #[error("the board was reset while it was being measured")]
     Reset,
+    /// The board did not come back; a check says so.
+    #[error("the board did not come back")]
+    Gone,
     /// The trigger runs: something else uses the board.
     #[error("the trigger is running")]
     InUse,
@@ -185,11 +229,13 @@ pub struct Plan<'a> {
     pub parts: &'a [Part],
     /// How long [`Part::Clock`] compares the crystal with the computer's clock.
     pub clock: Duration,
+    /// How long [`Part::Soak`] takes.
+    pub soak: Duration,
     /// Keep the measured delays and crystal in the board ([`BoardSettings`]).
     pub keep: bool,
 }
 
-/// Measures the parts. The outputs are stopped at the end, also after an error.
+/// Measures the parts, in their order. The outputs are stopped at the end, also after an error.
 ///
 /// # Errors
 ///
@@ -212,14 +258,15 @@ pub fn run(
         reset_cause: board::reset_cause(hello.reset_cause),
     };
     let mut session = parts::Session::new(board, operator)?;
-    let measured = Part::ALL
-        .iter()
-        .filter(|part| plan.parts.contains(part))
-        .try_for_each(|&part| session.measure(part, plan.clock));
-    let stopped = session.stop_everything();
-    measured?;
-    stopped?;
-    let settings = session.settings(plan.keep)?;
+    let mut settings = session.settings(false)?;
+    let measured = (plan.parts.iter()).try_for_each(|&part| session.measure(part, &plan));
+    // A board that does not come back can neither be stopped nor asked.
+    if !matches!(measured, Err(BringUpError::Gone)) {
+        let stopped = session.stop_everything();
+        measured?;
+        stopped?;
+        settings = session.settings(plan.keep)?;
+    }
     Ok(Report {
         format: FORMAT,
         board: facts,

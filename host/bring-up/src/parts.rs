@@ -2,10 +2,11 @@
 
 mod imu;
 mod link;
+mod resets;
+mod wires;
 
-use std::time::Duration;
-
-use board::{Board, BoardError, Event};
+use board::{Board, BoardError, Event, Stream};
+use protocol::pins::trigger_pin;
 use protocol::{
     BoardSettings, CORE_HZ, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, QueryBoard,
     SendFiller, SetBoard, TICK_HZ, TickDelta, TrainState, TriggerAlign, TriggerStart,
@@ -15,7 +16,7 @@ use recording::finding::{Finding, Severity};
 
 use crate::bench::{Heard, millis};
 use crate::train::{Extent, Grid, MAX_DELAY, TICK_OF_DOUBT, Trains};
-use crate::{BringUpError, Check, Histogram, Operator, Part, Prompt};
+use crate::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
@@ -60,6 +61,8 @@ const OUTPUTS: [Wired; 3] = [
     },
 ];
 
+const NO_EDGES: &str = "its edges did not come on PA2 within two minutes";
+
 /// How long somebody may take to do something at the board.
 const HANDS_TIME: TickDelta = millis(120_000);
 
@@ -99,6 +102,7 @@ impl<'a> Session<'a> {
             for output in Output::FURTHER {
                 running |= board.output(output)?.state != TrainState::Stopped;
             }
+            running |= board.gnss()?.status.state != TrainState::Stopped;
         }
         if running {
             return Err(BringUpError::InUse);
@@ -114,7 +118,7 @@ impl<'a> Session<'a> {
         })
     }
 
-    pub(crate) fn measure(&mut self, part: Part, clock: Duration) -> Result<(), BringUpError> {
+    pub(crate) fn measure(&mut self, part: Part, plan: &Plan<'_>) -> Result<(), BringUpError> {
         self.part = part;
         (self.operator.say)(Prompt::Measures(part));
         match part {
@@ -122,16 +126,38 @@ impl<'a> Session<'a> {
             Part::Outputs => self.outputs(),
             Part::Imu => self.imu(),
             Part::Link => self.link(),
-            Part::Clock => self.clock(clock),
+            Part::Clock => self.clock(plan.clock),
+            Part::Lidar => self.lidar(),
+            Part::Replug => self.replug(),
+            Part::Resets => self.resets(),
+            Part::Buffer => self.buffer(),
+            Part::Soak => self.soak(plan.soak),
         }
     }
 
-    /// Asks for something to be done at the board; false if nobody is there.
-    fn asks(&self, what: Prompt) -> bool {
-        if self.operator.is_there {
-            (self.operator.say)(what);
+    /// Asks for something to be done at the board, and hears what it says until that is seen;
+    /// the reason if it is not done.
+    fn by_hand(
+        &mut self,
+        what: Prompt,
+        mut is_done: impl FnMut(&Heard) -> bool,
+    ) -> Result<Result<Heard, &'static str>, BringUpError> {
+        if !self.operator.is_there {
+            return Ok(Err("nobody there to do it"));
         }
-        self.operator.is_there
+        (self.operator.say)(what);
+        let skips = self.operator.skips;
+        let (mut done, mut skipped) = (false, false);
+        let heard = self.hear_until(HANDS_TIME, |heard| {
+            done = is_done(heard);
+            skipped = skips();
+            done || skipped
+        })?;
+        Ok(match (done, skipped) {
+            (true, _) => Ok(heard),
+            (false, true) => Err("left out"),
+            (false, false) => Err("not done within two minutes"),
+        })
     }
 
     /// Takes what the board says for `length` of board time.
@@ -143,14 +169,29 @@ impl<'a> Session<'a> {
     fn hear_until(
         &mut self,
         length: TickDelta,
-        mut done: impl FnMut(&Heard) -> bool,
+        done: impl FnMut(&Heard) -> bool,
     ) -> Result<Heard, BringUpError> {
         let mut heard = Heard::default();
+        self.hear_into(&mut heard, length, done)?;
+        Ok(heard)
+    }
+
+    /// The same; what came before an error is in `heard` too.
+    fn hear_into(
+        &mut self,
+        heard: &mut Heard,
+        length: TickDelta,
+        mut done: impl FnMut(&Heard) -> bool,
+    ) -> Result<(), BringUpError> {
         let end = self.board.ping()?.0 + length;
         let stop = self.operator.stop;
         let listened = self.board.listen("any message", stop, |board, event| {
             match event {
                 Some(Event::Message(message)) => heard.take(message),
+                Some(Event::Lost {
+                    stream: Stream::Filler,
+                    count,
+                }) => heard.lost_filler += u64::from(count),
                 Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
                 Some(Event::Disordered { .. }) => heard.lost += 1,
                 Some(Event::Damaged(_)) => heard.damaged += 1,
@@ -160,10 +201,10 @@ impl<'a> Session<'a> {
                 }
                 Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
             }
-            let is_over = board.conversation().latest() >= end || done(&heard);
+            let is_over = board.conversation().latest() >= end || done(heard);
             Ok(is_over.then_some(()))
         })?;
-        listened.map(|()| heard).ok_or(BringUpError::Stopped)
+        listened.ok_or(BringUpError::Stopped)
     }
 
     /// The settings that the board keeps; with `keep`, what was measured becomes part of them.
@@ -195,6 +236,7 @@ impl<'a> Session<'a> {
             for output in Output::FURTHER {
                 self.board.stop_trigger(output)?;
             }
+            self.board.stop_gnss()?;
         }
         self.fill(0)
     }
@@ -358,6 +400,32 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// Asks for the wire at PA2 to be moved to a pin, and waits until as many edges come there
+    /// as `made` counts.
+    fn wire_moved(
+        &mut self,
+        pin: &'static str,
+        made: impl Fn(&Heard) -> usize,
+    ) -> Result<Result<(), &'static str>, BringUpError> {
+        if !self.operator.is_there {
+            return Ok(Err("nobody there to move the wire"));
+        }
+        (self.operator.say)(Prompt::MoveStrobeWire(pin));
+        // A wire that is being plugged in bounces: a second without it, in two minutes.
+        for _ in 0..HANDS_TIME.0 / millis(1_000).0 {
+            let heard = self.hear(millis(1_000))?;
+            let made = made(&heard);
+            let doubt = (made / 8).min(2);
+            if made > 0 && heard.strobe.len().abs_diff(made) <= doubt {
+                return Ok(Ok(()));
+            }
+            if (self.operator.skips)() {
+                return Ok(Err("left out"));
+            }
+        }
+        Ok(Err(NO_EDGES))
+    }
+
     fn output(&mut self, wired: &Wired) -> Result<(), BringUpError> {
         const REASON: &str = "the wire to PA2; or the start delay between TIM2 and TIM1, which the \
                               board keeps: repeat the test with `--keep`";
@@ -366,29 +434,15 @@ impl<'a> Session<'a> {
             self.skip(name, "this board has no such output", REASON);
             return Ok(());
         }
-        if !self.asks(Prompt::MoveStrobeWire(output)) {
-            self.skip(name, "nobody there to move the wire", REASON);
-            return Ok(());
-        }
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
-        // A wire that is being plugged in bounces: a second without it.
-        let mut patience = HANDS_TIME.0 / millis(1_000).0;
-        loop {
-            let heard = self.hear(millis(1_000))?;
-            if heard.strobe.len().abs_diff(2 * heard.outputs.len()) <= 2 {
-                break;
+        let seen = self.wire_moved(trigger_pin(output), |heard| 2 * heard.outputs.len())?;
+        if let Err(why) = seen {
+            self.stop(output)?;
+            match why {
+                NO_EDGES => self.check(name, false, why.to_owned(), "its edges on PA2", REASON),
+                why => self.skip(name, why, REASON),
             }
-            patience -= 1;
-            if patience == 0 {
-                self.check(
-                    name,
-                    false,
-                    String::from("its edges did not come on PA2 within two minutes"),
-                    "the wire moved to the output",
-                    REASON,
-                );
-                return Ok(());
-            }
+            return Ok(());
         }
         self.stop(output)?;
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;

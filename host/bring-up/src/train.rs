@@ -130,26 +130,31 @@ impl Trains {
     /// capture belongs to a pulse if it comes before the pulse is over.
     pub(crate) fn find(&mut self, pulses: &[Pulse], width: u32, captures: &[Capture]) {
         for pulse in pulses {
-            self.pulses += 1;
             if let Some(delay) = pulse.readback {
                 self.read_back += 1;
                 self.read_back_delay.add(delay.into());
             }
-            let end = pulse.at + TickDelta(width.into());
-            let from = captures.partition_point(|capture| capture.at < pulse.at);
-            let mut edges = captures.get(from..).unwrap_or_default().iter();
-            let Some(rising) = edges.next() else { continue };
-            if rising.edge != Edge::Rising || rising.at >= end {
-                continue;
-            }
-            self.captured += 1;
-            self.delay.add((rising.at - pulse.at).0);
-            if let Some(falling) = edges.next()
-                && falling.edge == Edge::Falling
-            {
-                let seen = falling.at - rising.at;
-                self.width_error.add(seen.0 - i64::from(width));
-            }
+            self.look_for(pulse.at, width, captures);
+        }
+    }
+
+    /// Looks for a pulse that begins then.
+    pub(crate) fn look_for(&mut self, at: Ticks, width: u32, captures: &[Capture]) {
+        self.pulses += 1;
+        let end = at + TickDelta(width.into());
+        let from = captures.partition_point(|capture| capture.at < at);
+        let mut edges = captures.get(from..).unwrap_or_default().iter();
+        let rising = edges
+            .next()
+            .filter(|rising| rising.edge == Edge::Rising && rising.at < end);
+        let Some(rising) = rising else { return };
+        self.captured += 1;
+        self.delay.add((rising.at - at).0);
+        if let Some(falling) = edges.next()
+            && falling.edge == Edge::Falling
+        {
+            let seen = falling.at - rising.at;
+            self.width_error.add(seen.0 - i64::from(width));
         }
     }
 }

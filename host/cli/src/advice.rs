@@ -230,6 +230,7 @@ impl Advice for BringUpError {
                 ExitStatus::Error,
                 "`smartdepthsync board info` says why; measure part by part with --part to find out when",
             ),
+            Self::Gone => (ExitStatus::Error, "look at the board's LEDs, and reset it"),
             Self::InUse => (
                 ExitStatus::Refused,
                 "end the other program, or stop it: `smartdepthsync board trigger stop`",

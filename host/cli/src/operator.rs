@@ -40,7 +40,7 @@ impl AtTerminal {
 
 /// The lines of standard input, from a thread that ends with the process: a read cannot be
 /// called off.
-fn lines_of_stdin() -> Receiver<String> {
+pub(crate) fn lines_of_stdin() -> Receiver<String> {
     let (sender, lines) = channel();
     std::thread::spawn(move || {
         let lines = std::io::stdin().lock().lines();

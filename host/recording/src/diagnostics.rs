@@ -110,6 +110,7 @@ fn board(status: &Status) -> DiagnosticStatus {
             ("supply_mv", &status.supply_mv.unwrap_or_default()),
             ("usb_resets", &status.usb.resets),
             ("usb_suspends", &status.usb.suspends),
+            ("usb_stuck", &status.usb.stuck),
             ("connects", &status.connects),
             ("dropped_answers", &dropped.answers),
             ("dropped_pulses", &dropped.pulses),

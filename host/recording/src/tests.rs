@@ -76,6 +76,7 @@ fn status(at: Ticks) -> Status {
         die_decidegrees: Some(312),
         supply_mv: Some(2_930),
         usb: UsbCounters::default(),
+        resets: Default::default(),
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {

@@ -284,7 +284,8 @@ fn a_transmitter_that_stops_is_started_again() {
         board.rig.usb_write(encode(&ping, &mut frame).unwrap());
         board.run(1_000);
     }
-    assert_eq!(board.next_status().connects, connects + 1);
+    let status = board.next_status();
+    assert_eq!((status.connects, status.usb.stuck), (connects + 1, 1));
 }
 
 #[test]
@@ -382,12 +383,15 @@ fn a_panic_is_reported_in_the_next_hello() {
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Pin);
     assert_eq!(hello.last_panic, None);
+    // Power, pin, software.
+    assert_eq!(board.next_status().resets, [1, 0, 1, 1, 0, 0, 0, 0]);
     // After power went, the record in RAM is not mistaken for noise, and the flash has it still.
     board.rig.power_cycle();
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::PowerOn);
     assert_eq!(hello.last_panic, None);
     assert_eq!((hello.panics, hello.kept_panic), (1, Some(message)));
+    assert_eq!(board.next_status().resets, [1, 0, 0, 0, 0, 0, 0, 0]);
     self_test(&mut board, Failure::HardFault);
     next_run(&mut board);
     board.rig.power_cycle();
@@ -530,6 +534,38 @@ fn a_hard_fault_is_reported_in_the_next_hello() {
             .any(|l| l.contains("undefined_instruction")),
         "the stack names the culprit: {failure}"
     );
+}
+
+/// The catch would halt the core at the fault, until the watchdog's reset.
+#[test]
+fn a_fault_is_reported_where_a_tool_left_its_catch_on() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    board.rig.leave_fault_catch();
+    board.rig.press_reset();
+    next_run(&mut board);
+    self_test(&mut board, Failure::HardFault);
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::Software);
+    assert!(hello.last_panic.unwrap().contains("HardFault"));
+}
+
+/// The IMU's task does not switch it off.
+#[test]
+fn the_red_light_stays_on_after_a_panic() {
+    let builder = wiring::board().tolerate_failures();
+    let mut bench = Bench::on(builder, SensorModel::Mpu9150, Motion::rest(), &[]);
+    bench.board.run(1_000);
+    let is_red = |bench: &Bench| bench.board.rig.level(Pin::PD14).is_high();
+    assert!(!is_red(&bench));
+    self_test(&mut bench.board, Failure::Panic);
+    next_run(&mut bench.board);
+    bench.board.run(2_000);
+    assert_eq!(bench.status().state, ImuState::Running);
+    assert!(is_red(&bench));
+    bench.board.rig.press_reset();
+    next_run(&mut bench.board);
+    bench.board.run(2_000);
+    assert!(!is_red(&bench));
 }
 
 /// The handler of the fault has a stack of its own to report from.

@@ -415,6 +415,7 @@ fn the_read_back_proves_the_wire() {
     let wires = Arc::new(Mutex::new(Jumpers {
         readback: false,
         strobe: None,
+        ..Jumpers::default()
     }));
     let mut board = Board::boot(wiring::board().model(Arc::clone(&wires)));
     start(&mut board, picos(33_333_333_330), WIDTH);

@@ -49,6 +49,9 @@ const SVC: u32 = 0xdf;
 const WFI: u32 = 0xbf30;
 /// Where the ROM's vectors are (RM0090 table 5).
 const ROM: u32 = 0x1fff_0000;
+/// The catch of HardFault in DEMCR.
+const VC_HARDERR: u32 = 1 << 10;
+
 /// Numbers of the exceptions HardFault and BusFault.
 const HARD_FAULT: usize = 3;
 const BUS_FAULT: usize = 5;
@@ -142,6 +145,8 @@ pub(crate) struct Cpu {
     passing: Option<u32>,
     /// The ROM has started the program, with its own vectors.
     by_rom: bool,
+    /// A fault halts the core while DEMCR says so.
+    catches_faults: bool,
     stats: CpuStats,
     /// Where cycles are being counted to, and since when.
     running: usize,
@@ -189,6 +194,7 @@ impl Cpu {
             breakpoints: Vec::new(),
             passing: None,
             by_rom: false,
+            catches_faults: false,
             stats: CpuStats {
                 exceptions: vec![IrqStats::default(); 112],
                 ..CpuStats::default()
@@ -202,6 +208,9 @@ impl Cpu {
     /// A reset of the core: everything but the cycle count and the statistics.
     pub(crate) fn reset(&mut self) {
         self.arm.reset(ResetKind::Cold);
+        if self.catches_faults {
+            self.arm.with_sys(|s| s.demcr = VC_HARDERR);
+        }
         self.regs = self.arm.regs();
         self.fast = Fast::new();
         self.fast_ok = false;
@@ -227,6 +236,12 @@ impl Cpu {
     /// Whether the program has gone on to the ROM.
     pub(crate) fn is_in_rom(&self) -> bool {
         self.fast.r[15] >> 16 == ROM >> 16
+    }
+
+    /// A flashing tool has gone and left debugging on, with a catch: from the next reset on, a
+    /// fault halts the core (ARMv7-M C1.6.5), unless the program takes the catch back.
+    pub(crate) fn leave_fault_catch(&mut self) {
+        self.catches_faults = true;
     }
 
     /// A debug probe has gone: probe-rs clears DEMCR when it detaches.
@@ -430,7 +445,13 @@ impl Cpu {
             if running != 0 && self.is_entry(running) {
                 self.entered(running);
                 if matches!(running, HARD_FAULT | BUS_FAULT) {
-                    event = Event::HardFault;
+                    self.locked_up =
+                        self.catches_faults && self.arm.with_sys(|s| s.demcr & VC_HARDERR != 0);
+                    event = if self.locked_up {
+                        Event::LockUp
+                    } else {
+                        Event::HardFault
+                    };
                 }
             }
         }

@@ -181,6 +181,12 @@ impl Sim {
         self.cpu.detach_probe();
     }
 
+    /// Leaves debugging and its catch of faults on, as st-flash may: from the next reset on, a
+    /// fault halts the core unless the program takes the catch back.
+    pub fn leave_fault_catch(&mut self) {
+        self.cpu.leave_fault_catch();
+    }
+
     /// Halts the core, as a debugger does, and lets it go on. Clocks, timers and DMA
     /// run on.
     pub fn halt_core(&mut self, length: SimDuration) {

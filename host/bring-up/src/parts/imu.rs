@@ -38,7 +38,50 @@ impl Session<'_> {
         let heard = self.hear(millis(10_000))?;
         let after = self.board.imu()?;
         self.data_ready(&scale, &setup, &after, &heard);
-        self.recovery()
+        let has_clock = after.status.clock == ImuClock::External;
+        if has_clock {
+            self.without_clock()?;
+        }
+        self.recovery(has_clock)
+    }
+
+    /// The clock is unplugged: the sensor goes on with its own.
+    fn without_clock(&mut self) -> Result<(), BringUpError> {
+        const NAME: &str = "IMU without its clock";
+        const REASON: &str = "the sensor is not set up again on its own clock";
+        let stopped = |h: &Heard| {
+            (h.statuses.last()).is_some_and(|s| s.imu.clock == ImuClock::Internal || !is_running(s))
+        };
+        if let Err(why) = self.by_hand(Prompt::UnplugClock, stopped)? {
+            self.skip(NAME, why, REASON);
+            return Ok(());
+        }
+        let (is_back, mut heard) = self.comes_back()?;
+        let clock = heard.statuses.pop().map(|status| status.imu.clock);
+        self.check(
+            NAME,
+            is_back && clock == Some(ImuClock::Internal),
+            format!("samples {}, clock {clock:?}", back_text(is_back)),
+            "samples for a second without a break, on the sensor's own clock",
+            REASON,
+        );
+        (self.operator.say)(Prompt::PlugClockIn);
+        Ok(())
+    }
+
+    /// Waits until samples come without a break; whether they do. A wire that is being plugged in
+    /// bounces, and the sensor fails once more.
+    fn comes_back(&mut self) -> Result<(bool, Heard), BringUpError> {
+        let mut heard = Heard::default();
+        for _ in 0..IMU_BACK_TRIES {
+            let back = self.hear(IMU_BACK)?;
+            let is_back = back.imu.len() > 400 && back.statuses.last().is_some_and(is_running);
+            heard.append(back);
+            if is_back {
+                return Ok((true, heard));
+            }
+        }
+        Ok((false, heard))
     }
 
     fn data_ready(&mut self, scale: &Scale, before: &ImuSetup, after: &ImuSetup, heard: &Heard) {
@@ -105,45 +148,31 @@ impl Session<'_> {
     }
 
     /// SDA is unplugged and plugged in again, while the trigger runs.
-    fn recovery(&mut self) -> Result<(), BringUpError> {
+    fn recovery(&mut self, has_clock: bool) -> Result<(), BringUpError> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        if !self.asks(Prompt::UnplugSda) {
-            self.stop(Output::Camera)?;
-            self.skip(NAME, "nobody there to unplug SDA", REASON);
-            return Ok(());
-        }
-        let failed = |status: &Status| status.imu.state != ImuState::Running;
-        let mut heard = self.hear_until(HANDS_TIME, |h| h.statuses.last().is_some_and(failed))?;
-        if !heard.statuses.last().is_some_and(failed) {
-            self.stop(Output::Camera)?;
-            self.skip(NAME, "SDA was not unplugged within two minutes", REASON);
-            return Ok(());
-        }
-        self.asks(Prompt::PlugSdaIn);
-        heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
-        // A wire that is being plugged in bounces, and the sensor fails once more.
-        let (mut runs, mut enough) = (false, false);
-        for _ in 0..IMU_BACK_TRIES {
-            let back = self.hear(IMU_BACK)?;
-            runs = back.statuses.last().is_some_and(|status| !failed(status));
-            enough = back.imu.len() > 400;
-            heard.append(back);
-            if runs && enough {
-                break;
+        let failed = |h: &Heard| h.statuses.last().is_some_and(|status| !is_running(status));
+        let mut heard = match self.by_hand(Prompt::UnplugSda, failed)? {
+            Ok(heard) => heard,
+            Err(why) => {
+                self.stop(Output::Camera)?;
+                self.skip(NAME, why, REASON);
+                return Ok(());
             }
-        }
+        };
+        (self.operator.say)(Prompt::PlugSdaIn);
+        heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
+        let (is_back, back) = self.comes_back()?;
+        let clock = back.statuses.last().map(|status| status.imu.clock);
+        let is_on_clock = !has_clock || clock == Some(ImuClock::External);
+        heard.append(back);
         heard.append(self.stop(Output::Camera)?);
         self.check(
             NAME,
-            runs && enough,
-            String::from(if runs && enough {
-                "samples came again by themselves"
-            } else {
-                "the samples did not come again steadily"
-            }),
-            "samples for a second without a break, within five of the plug",
+            is_back && is_on_clock,
+            format!("samples {}, clock {clock:?}", back_text(is_back)),
+            "samples for a second without a break, within five of the plug, on the clock of before",
             REASON,
         );
         let mut trains = Trains::default();
@@ -162,6 +191,17 @@ impl Session<'_> {
             "the recovery of the bus keeps the trigger's handler from running",
         );
         Ok(())
+    }
+}
+
+fn is_running(status: &Status) -> bool {
+    status.imu.state == ImuState::Running
+}
+
+const fn back_text(is_back: bool) -> &'static str {
+    match is_back {
+        true => "came again by themselves",
+        false => "did not come again steadily",
     }
 }
 

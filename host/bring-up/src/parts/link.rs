@@ -75,20 +75,16 @@ impl Session<'_> {
         self.fill(0)?;
         let stalled = self.hear(millis(3_000))?;
         let rest = self.stop(Output::Camera)?;
-        // Of the numbered streams, as the board counts.
-        let dropped = |heard: &Heard| {
-            let all = heard.statuses.last()?.dropped;
-            Some(all.total() - u64::from(all.answers))
-        };
-        let counted = dropped(&stalled).zip(dropped(&full));
+        let counted = stalled.dropped().zip(full.dropped());
+        let lost = stalled.lost + stalled.lost_filler;
         let counted = counted.map(|(after, before)| after.saturating_sub(before));
         let unread = format!(
             "not read for {} s: {} messages lost, the board counted {}",
             STALL.as_secs_f64(),
-            stalled.lost,
+            lost,
             counted.map_or_else(|| String::from("nothing"), |count| count.to_string())
         );
-        match (stalled.lost, counted) {
+        match (lost, counted) {
             (0, Some(0)) => self.skip(
                 UNREAD,
                 &unread,

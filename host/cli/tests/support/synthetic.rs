@@ -74,6 +74,7 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
         die_decidegrees: None,
         supply_mv: None,
         usb: UsbCounters::default(),
+        resets: Default::default(),
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {

@@ -162,7 +162,9 @@ pub(super) fn status() -> Status {
         usb: UsbCounters {
             resets: 2,
             suspends: 1,
+            stuck: 3,
         },
+        resets: [1, 0, 2, 3, 0, 0, 0, 0],
         strobe_overcaptures: 13,
         strobe_floods: 14,
         imu: imu_status(None),
@@ -293,6 +295,7 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
         Failure::Stall,
         Failure::SlowHandler,
         Failure::StackOverflow,
+        Failure::LeaveBus,
     ] {
         let key = SELF_TEST_KEY;
         let name = format!("self-test-{failure:?}");

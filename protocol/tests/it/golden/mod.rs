@@ -168,7 +168,9 @@ fn no_message_is_longer_than_a_frame() {
     status.usb = UsbCounters {
         resets: all,
         suspends: all,
+        stuck: all,
     };
+    status.resets = [u8::MAX; ResetCause::COUNT];
     status.strobe_overcaptures = all;
     status.strobe_floods = all;
     status.imu = ImuStatus {

@@ -1,26 +1,33 @@
 //! `smartdepthsync board test`: does this board do in hardware what the simulated one
 //! does? What is measured and what must hold is in the crate `bring_up`.
 
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use board::BoardError;
+use board::transport::Link;
 use bring_up::{Operator, Part, Plan};
 use clap::ValueEnum;
+use protocol::usb::serial_number;
 use recording::finding::Severity;
+use session::devices::Connector as _;
+use session::hardware::SerialConnector;
 
 use crate::context::Context;
 use crate::decimal::parse_real_time;
+use crate::operator::lines_of_stdin;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
 ///
-/// Wire PA5 to PA3 and to PA2, and the IMU; nothing else. When asked to, move the wire
-/// at PA2 to PE11, and unplug SDA. Takes two minutes.
+/// Wire PA5 to PA3 and to PA2, and the IMU; nothing else. Then move the wire at PA2, unplug
+/// and reset what you are asked to; Enter leaves it out. Takes five minutes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board test --hands-off")]
 pub(crate) struct Args {
-    /// Measure only this; may be given several times
+    /// Measure only this; may be given several times [default: all but buffer]
     #[arg(long = "part", value_name = "PART", value_enum)]
     parts: Vec<PartArg>,
     /// Leave out what needs somebody at the board
@@ -29,6 +36,10 @@ pub(crate) struct Args {
     /// How long the crystal is compared with this computer's clock: 60s, 5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
     clock_time: Duration,
+    /// Then let trigger and IMU run for so many hours, with a computer that sleeps and a board
+    /// that leaves the bus
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    hours: u32,
     /// Keep what was measured in the board: the delay of its inputs, the start delay of its
     /// outputs, its crystal against this computer's clock
     #[arg(long)]
@@ -43,14 +54,22 @@ pub(crate) struct Args {
 enum PartArg {
     /// Edges, widths and aligns of the trigger
     Trigger,
-    /// Output 2 beside the trigger
+    /// Outputs 2 to 4 beside the trigger
     Outputs,
-    /// Data-ready and recovery of the IMU
+    /// Pulse per second and serial line
+    Lidar,
+    /// Data-ready of the IMU, without its clock and after SDA was unplugged
     Imu,
     /// Throughput of USB, losses, handlers
     Link,
-    /// The crystal beside the computer's clock
+    /// The crystal beside the computer's clock; the supply
     Clock,
+    /// Leaving the bus, an unplugged cable, a computer that sleeps
+    Replug,
+    /// Panic, fault, hang and other resets
+    Resets,
+    /// The trigger behind its buffer and divider, with PA2 wired to PA3 there
+    Buffer,
 }
 
 impl From<PartArg> for Part {
@@ -61,6 +80,10 @@ impl From<PartArg> for Part {
             PartArg::Imu => Self::Imu,
             PartArg::Link => Self::Link,
             PartArg::Clock => Self::Clock,
+            PartArg::Lidar => Self::Lidar,
+            PartArg::Replug => Self::Replug,
+            PartArg::Resets => Self::Resets,
+            PartArg::Buffer => Self::Buffer,
         }
     }
 }
@@ -72,20 +95,39 @@ impl From<PartArg> for Part {
 /// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
 /// written.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
-    let parts: Vec<Part> = match args.parts.as_slice() {
+    let mut parts: Vec<Part> = match args.parts.as_slice() {
         [] => Part::ALL.to_vec(),
         some => some.iter().copied().map(Part::from).collect(),
     };
+    parts.extend((args.hours > 0).then_some(Part::Soak));
     let mut board = port.open()?;
     std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
+    let stop = context.interrupt.question();
+    let id = serial_number(&board.hello().board_id);
+    let is_asked = !args.hands_off && std::io::stdin().is_terminal();
+    let lines = is_asked.then(lines_of_stdin);
+    let skips = || {
+        let typed = lines.as_ref().map(|lines| lines.try_iter().count());
+        typed.is_some_and(|lines| lines > 0)
+    };
+    if is_asked {
+        context.say("Enter leaves out what you are asked to do.");
+    }
     let operator = Operator {
-        say: &|prompt| context.say(prompt.to_string()),
+        say: &|prompt| {
+            // What was typed before does not leave this out.
+            skips();
+            context.say(prompt.to_string());
+        },
         is_there: !args.hands_off,
-        stop: &context.interrupt.question(),
+        skips: &skips,
+        stop: &stop,
+        reconnect: &|within| reconnect(port.port.clone(), &id, within, &stop),
     };
     let plan = Plan {
         parts: &parts,
         clock: args.clock_time,
+        soak: Duration::from_secs(3_600 * u64::from(args.hours)),
         keep: args.keep,
     };
     let report = bring_up::run(&mut board, operator, plan)?;
@@ -101,4 +143,23 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         0 => ExitStatus::Good,
         _ => ExitStatus::Refused,
     })
+}
+
+/// A link to the board again, once its port is there.
+fn reconnect(
+    port: Option<String>,
+    board_id: &str,
+    within: Duration,
+    stop: &dyn Fn() -> bool,
+) -> Result<Box<dyn Link>, BoardError> {
+    let begun = Instant::now();
+    let mut connector = SerialConnector { port };
+    loop {
+        match connector.connect(Some(board_id)) {
+            Err(_) if begun.elapsed() < within && !stop() => {
+                std::thread::sleep(Duration::from_millis(200));
+            }
+            result => return result,
+        }
+    }
 }

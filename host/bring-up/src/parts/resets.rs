@@ -1,0 +1,371 @@
+//! A board that leaves the bus, and one that starts again: what it must not lose, and what it must
+//! say.
+
+use std::time::Duration;
+
+use board::{BoardError, reset_cause};
+use protocol::{
+    BoardModel, Failure, Hello, MIN_PULSE_WIDTH, Output, ResetCause, SELF_TEST_KEY, SelfTest,
+    TickDelta,
+};
+
+use super::{HANDS_TIME, PERIOD, Session};
+use crate::bench::{Heard, millis};
+use crate::train::{Grid, Trains};
+use crate::{BringUpError, Prompt};
+
+/// How long a board may take from the link's end to a new one: start, enumeration, and a computer
+/// that has to wake.
+const COMES_BACK: Duration = Duration::from_secs(30);
+
+/// How long a failure may take: the watchdog's 7.5 s at most, and some.
+const FAILS_WITHIN: TickDelta = millis(10_000);
+
+const NOT_DONE: &str = "left out, or not done within two minutes";
+
+/// How often the board leaves the bus by itself.
+const REPLUGS: u64 = 5;
+
+/// How long the computer does not read in every other minute of a soak.
+const SLEEP: Duration = Duration::from_secs(8);
+
+/// The most messages that are lost with a link and not counted: what was in the transmitter's
+/// buffer and two packets, at 20 bytes a message.
+const IN_TRANSMITTER: u64 = (1_024 + 128) / 20;
+
+/// What ends a run on request, how the reset must be named, and what the `Hello` must say.
+const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
+    (
+        "after a panic",
+        Failure::Panic,
+        ResetCause::Software,
+        Some("self test: panic on request"),
+    ),
+    (
+        "after a fault",
+        Failure::HardFault,
+        ResetCause::Software,
+        Some("HardFault at pc"),
+    ),
+    (
+        "after a stack overflow",
+        Failure::StackOverflow,
+        ResetCause::Software,
+        Some("stack overflow"),
+    ),
+    ("after a hang", Failure::Hang, ResetCause::Watchdog, None),
+    (
+        "after a task that died",
+        Failure::Stall,
+        ResetCause::Watchdog,
+        None,
+    ),
+];
+
+/// A train beside which the link is interrupted.
+struct Interrupted {
+    grid: Grid,
+    epoch: u32,
+    trains: Trains,
+    times: u64,
+    lost: u64,
+    /// Messages that the board had dropped before, and by now.
+    dropped: Option<(u64, u64)>,
+    suspends: u32,
+}
+
+impl Interrupted {
+    fn take(&mut self, heard: &Heard) {
+        self.trains.compare(&self.grid, &heard.pulses);
+        self.trains.find(&heard.pulses, MIN_PULSE_WIDTH, &[]);
+        self.lost += heard.lost;
+        if let Some(now) = heard.dropped() {
+            let (before, _) = self.dropped.unwrap_or((now, now));
+            self.dropped = Some((before, now));
+        }
+        if let Some(status) = heard.statuses.last() {
+            self.suspends = status.usb.suspends;
+        }
+    }
+}
+
+impl Session<'_> {
+    pub(super) fn replug(&mut self) -> Result<(), BringUpError> {
+        const REASON: &str = "the USB core's transmitter stops with a packet on its way, or messages \
+                              are lost where the board does not see it";
+        let mut train = self.train_to_interrupt()?;
+        for _ in 0..REPLUGS {
+            self.fill(u32::MAX)?;
+            let mut heard = self.hear(millis(300))?;
+            if !self.leave_bus(&mut heard, "leaving the bus")? {
+                return Ok(());
+            }
+            train.take(&heard);
+            train.times += 1;
+        }
+        self.judge(train, "leaving the bus", true, REASON)?;
+
+        let name = "unplugged cable";
+        if self.board.hello().board == BoardModel::BlackPill {
+            self.skip(name, "this board is supplied by the cable", REASON);
+        } else {
+            self.interrupted_by_hand(name, Prompt::Replug, |_, _| false, REASON)?;
+        }
+        let slept = |train: &Interrupted, h: &Heard| {
+            (h.statuses.last()).is_some_and(|status| status.usb.suspends > train.suspends)
+        };
+        self.interrupted_by_hand("sleep of the computer", Prompt::Sleep, slept, REASON)
+    }
+
+    /// Minutes of trigger and IMU; in turn the computer does not read for a while, and the board
+    /// leaves the bus.
+    pub(super) fn soak(&mut self, length: Duration) -> Result<(), BringUpError> {
+        let mut train = self.train_to_interrupt()?;
+        for minute in 0..length.as_secs().div_ceil(60) {
+            let mut heard = self.hear(millis(48_000))?;
+            if minute % 2 == 0 {
+                self.board.pause(SLEEP);
+            } else if !self.leave_bus(&mut heard, "soak")? {
+                return Ok(());
+            }
+            heard.append(self.hear(millis(2_000))?);
+            train.take(&heard);
+            train.times += 1;
+        }
+        let reason = "what fails only after hours: heat, the supply, the cable";
+        self.judge(train, "soak", true, reason)
+    }
+
+    fn train_to_interrupt(&mut self) -> Result<Interrupted, BringUpError> {
+        let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
+        let mut train = Interrupted {
+            grid,
+            epoch: self.board.hello().epoch,
+            trains: Trains::default(),
+            times: 0,
+            lost: 0,
+            dropped: None,
+            suspends: 0,
+        };
+        train.take(&self.hear(millis(1_500))?);
+        Ok(train)
+    }
+
+    /// Has the board leave the bus in the middle of what it sends, and takes it up again; false,
+    /// with a failed check, if it stays.
+    fn leave_bus(&mut self, heard: &mut Heard, name: &'static str) -> Result<bool, BringUpError> {
+        if !self.fails_by(Failure::LeaveBus, heard)? {
+            self.stop(Output::Camera)?;
+            let text = String::from("the board stayed on the bus");
+            let reason = "the host did not see the pull-up go: a hub, or the firmware";
+            self.check(name, false, text, "a link that ends", reason);
+            return Ok(false);
+        }
+        self.come_back(name)?;
+        heard.append(self.hear(millis(1_500))?);
+        Ok(true)
+    }
+
+    /// Has the board fail so; false if the link does not end by it.
+    fn fails_by(&mut self, failure: Failure, heard: &mut Heard) -> Result<bool, BringUpError> {
+        let key = SELF_TEST_KEY;
+        self.board.call(SelfTest { key, failure })?;
+        self.link_ends(heard, FAILS_WITHIN, |_| false)
+    }
+
+    /// Interrupts a train by hand: until the link ends, or `is_done`.
+    fn interrupted_by_hand(
+        &mut self,
+        name: &'static str,
+        what: Prompt,
+        is_done: impl Fn(&Interrupted, &Heard) -> bool,
+        reason: &'static str,
+    ) -> Result<(), BringUpError> {
+        if !self.operator.is_there {
+            self.skip(name, "nobody there to do it", reason);
+            return Ok(());
+        }
+        let mut train = self.train_to_interrupt()?;
+        (self.operator.say)(what);
+        let skips = self.operator.skips;
+        let (mut heard, mut done) = (Heard::default(), false);
+        let ended = self.link_ends(&mut heard, HANDS_TIME, |heard| {
+            done = is_done(&train, heard);
+            done || skips()
+        })?;
+        if ended {
+            self.come_back(name)?;
+        } else if !done {
+            self.stop(Output::Camera)?;
+            self.skip(name, NOT_DONE, reason);
+            return Ok(());
+        }
+        heard.append(self.hear(millis(2_500))?);
+        let before = train.suspends;
+        train.take(&heard);
+        train.times = 1;
+        // A computer that cuts the supply of its ports while it sleeps does not suspend them.
+        let seen = ended || train.suspends > before;
+        self.judge(train, name, seen, reason)
+    }
+
+    fn judge(
+        &mut self,
+        mut train: Interrupted,
+        name: &'static str,
+        seen: bool,
+        reason: &'static str,
+    ) -> Result<(), BringUpError> {
+        train.take(&self.stop(Output::Camera)?);
+        let same_run = self.board.hello().epoch == train.epoch;
+        let counted = train
+            .dropped
+            .map_or(0, |(before, now)| now.saturating_sub(before));
+        let uncounted = train.lost.checked_sub(counted);
+        let most = train.times * IN_TRANSMITTER;
+        let trains = &train.trains;
+        self.check(
+            name,
+            seen && same_run
+                && trains.grid_error.within(0, 0)
+                && trains.is_read_back()
+                && uncounted.is_some_and(|uncounted| uncounted <= most),
+            format!(
+                "{} times: {}, {} of them read back; {} messages lost, the board counted {counted}{}",
+                train.times,
+                trains.on_grid_text(),
+                trains.read_back,
+                train.lost,
+                if same_run { "" } else { "; the board was reset" }
+            ),
+            format!(
+                "0 ticks off, all read back; each lost message counted, but for those in the \
+                 transmitter (at most {most})"
+            ),
+            reason,
+        );
+        Ok(())
+    }
+
+    /// Hears the board until the link ends; false if it does not, or `done` says so.
+    fn link_ends(
+        &mut self,
+        heard: &mut Heard,
+        within: TickDelta,
+        done: impl FnMut(&Heard) -> bool,
+    ) -> Result<bool, BringUpError> {
+        match self.hear_into(heard, within, done) {
+            Ok(()) => Ok(false),
+            Err(BringUpError::Board(BoardError::Link(_))) => Ok(true),
+            Err(BringUpError::Board(BoardError::NoAnswer { .. })) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Takes the board up again behind a link that ended; a check fails if it does not come.
+    fn come_back(&mut self, name: &'static str) -> Result<(), BringUpError> {
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            self.board.hang_up();
+            let link = (self.operator.reconnect)(COMES_BACK);
+            match link.and_then(|link| self.board.reconnect(link)) {
+                Ok(()) => return Ok(()),
+                // A system may look at a new port once more.
+                Err(BoardError::Link(_)) if tries < 3 => {}
+                Err(error) => {
+                    self.check(
+                        name,
+                        false,
+                        format!("the board did not come back: {error}"),
+                        format!("a link again within {} s", COMES_BACK.as_secs()),
+                        "the cable; or the start of the firmware: look at its LEDs",
+                    );
+                    return Err(BringUpError::Gone);
+                }
+            }
+        }
+    }
+
+    /// The board after each failure and each reset.
+    pub(super) fn resets(&mut self) -> Result<(), BringUpError> {
+        const REASON: &str = "the reset's flags, or the memory and flash in which a run leaves its \
+                              end";
+        for (name, failure, cause, says) in FAILURES {
+            let before = self.board.hello().clone();
+            if !self.fails_by(failure, &mut Heard::default())? {
+                let text = String::from("the board went on");
+                self.check(name, false, text, "a reset", REASON);
+                continue;
+            }
+            let is_right = |hello: &Hello| match says {
+                None => hello.last_panic.is_none() && hello.panics == before.panics,
+                Some(says) => [&hello.last_panic, &hello.kept_panic]
+                    .iter()
+                    .all(|text| text.as_deref().is_some_and(|text| text.contains(says))),
+            };
+            self.started_again(name, &before, cause, is_right, REASON)?;
+        }
+        for (name, what, cause) in [
+            (
+                "after the reset button",
+                Prompt::PressReset,
+                ResetCause::Pin,
+            ),
+            ("after power-off", Prompt::SwitchPower, ResetCause::PowerOn),
+        ] {
+            if !self.operator.is_there {
+                self.skip(name, "nobody there to do it", REASON);
+                continue;
+            }
+            let before = self.board.hello().clone();
+            (self.operator.say)(what);
+            let skips = self.operator.skips;
+            if !self.link_ends(&mut Heard::default(), HANDS_TIME, |_| skips())? {
+                self.skip(name, NOT_DONE, REASON);
+                continue;
+            }
+            // What a panic has left is kept, and told as the end of a run no more.
+            let is_right = |hello: &Hello| {
+                hello.last_panic.is_none()
+                    && (hello.panics, &hello.kept_panic) == (before.panics, &before.kept_panic)
+            };
+            self.started_again(name, &before, cause, is_right, REASON)?;
+        }
+        Ok(())
+    }
+
+    fn started_again(
+        &mut self,
+        name: &'static str,
+        before: &Hello,
+        cause: ResetCause,
+        is_right: impl Fn(&Hello) -> bool,
+        reason: &'static str,
+    ) -> Result<(), BringUpError> {
+        self.come_back(name)?;
+        // The reset was asked for.
+        while self.board.queued_event().is_some() {}
+        self.board.start_counting();
+        let hello = self.board.hello().clone();
+        self.check(
+            name,
+            hello.epoch != before.epoch && hello.reset_cause == cause && is_right(&hello),
+            format!(
+                "{}: {}; it says {}, and of all runs {} ({})",
+                if hello.epoch == before.epoch {
+                    "no reset; the last one"
+                } else {
+                    "reset"
+                },
+                reset_cause(hello.reset_cause),
+                hello.last_panic.as_deref().unwrap_or("nothing"),
+                hello.kept_panic.as_deref().unwrap_or("nothing"),
+                hello.panics,
+            ),
+            format!("reset: {}, and what ended the run", reset_cause(cause)),
+            reason,
+        );
+        Ok(())
+    }
+}

@@ -1,0 +1,168 @@
+//! What leaves the board for others: the pulse per second with its serial line, and the trigger
+//! behind its buffer and divider. All of it on the strobe input.
+
+use protocol::{
+    Baud, GnssSettings, MIN_PULSE_WIDTH, NMEA_SLACK_MS, Output, Pps, Sentences, StartGnss, TICK_HZ,
+    TickDelta, TrainState,
+};
+
+use super::{NO_EDGES, PERIOD, Session};
+use crate::BringUpError;
+use crate::bench::millis;
+use crate::serial::Line;
+use crate::train::{Extent, MAX_DELAY, Trains};
+
+/// As a VLP-16 has it (`docs/wiring.md`): on its side of the gate the line is low when idle.
+/// 2027-01-01 at tick 0.
+const SETTINGS: GnssSettings = GnssSettings {
+    utc_at_zero: 1_798_761_600,
+    baud: Baud::B9600,
+    line_inverted: true,
+    sentences: Sentences::Rmc,
+    delay_ms: 50,
+    pulse_width: TICK_HZ / 50,
+    pulse_inverted: false,
+};
+
+/// How far edges of the line may be from their places, in ticks: 2 % of a bit. A receiver that
+/// samples in the middle of ten bits stands more than ten times that.
+const LINE_DOUBT: i64 = (TICK_HZ / SETTINGS.baud.hz() / 50) as i64;
+
+/// The shortest pulse that the depth camera takes (specification of its sync input): 8 µs.
+const SHORTEST: i64 = 8 * (TICK_HZ / 1_000_000) as i64;
+
+impl Session<'_> {
+    pub(super) fn lidar(&mut self) -> Result<(), BringUpError> {
+        const NAME: &str = "pulse per second";
+        const LINE: &str = "serial line";
+        const REASON: &str = "the wire to PA2; or the timer of the further outputs";
+        const GATE: &str = "a lidar like the VLP-16 wants the line low when idle: put the wire \
+                            behind the inverting gate, or look at the gate";
+        if !self.board.hello().board.has_outputs() {
+            self.skip(NAME, "this board has no such output", REASON);
+            return Ok(());
+        }
+        self.board.call(StartGnss(SETTINGS))?;
+        let seen = self.wire_moved("PE9", |heard| 2 * heard.pps.len())?;
+        match seen {
+            Ok(()) => {
+                let heard = self.hear(millis(4_200))?;
+                let mut trains = Trains::default();
+                for pps in &heard.pps {
+                    trains.look_for(pps.at, SETTINGS.pulse_width, &heard.strobe);
+                    trains.compared(TickDelta((pps.at.0 % u64::from(TICK_HZ)) as i64));
+                }
+                self.captures(NAME, "width of the pulse per second", &trains);
+                self.check(
+                    "whole seconds",
+                    trains.grid_error.within(0, 0) && trains.on_grid >= 3,
+                    trains.on_grid_text(),
+                    "0 ticks off the board's seconds",
+                    REASON,
+                );
+            }
+            Err(NO_EDGES) => self.check(NAME, false, NO_EDGES.into(), "its edges on PA2", REASON),
+            Err(why) => self.skip(NAME, why, REASON),
+        }
+        // A second's sentence has some 300 edges, more than the strobe input takes at once; how
+        // many come tells that the wire is there.
+        let moved = self.wire_moved("PC12, or behind its inverting gate", |heard| {
+            let edges = heard.strobe.len();
+            if edges > 40 { edges } else { usize::MAX }
+        })?;
+        match moved {
+            Ok(()) => {
+                let heard = self.hear(millis(4_200))?;
+                let lines: Vec<(&Pps, Option<Line>)> = (heard.pps.iter())
+                    .map(|pps| (pps, Line::behind(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
+                    .collect();
+                // Of the last second not everything may have come.
+                let whole = lines
+                    .get(..lines.len().saturating_sub(1))
+                    .unwrap_or_default();
+                self.line(LINE, whole, REASON);
+                let low = whole
+                    .iter()
+                    .all(|(_, line)| line.as_ref().is_some_and(|l| l.idle_low));
+                let inverted = "inverted serial line";
+                if low && !whole.is_empty() {
+                    let text = String::from("low when idle");
+                    self.check(inverted, true, text, "low when idle", GATE);
+                } else {
+                    self.skip(inverted, "high when idle, as at PC12 itself", GATE);
+                }
+            }
+            Err(NO_EDGES) => self.check(LINE, false, NO_EDGES.into(), "its edges on PA2", REASON),
+            Err(why) => self.skip(LINE, why, REASON),
+        }
+        self.board.stop_gnss()?;
+        while self.board.gnss()?.status.state != TrainState::Stopped {
+            self.hear(millis(100))?;
+        }
+        Ok(())
+    }
+
+    /// The sentences of these seconds.
+    fn line(&mut self, name: &'static str, seconds: &[(&Pps, Option<Line>)], reason: &'static str) {
+        let (mut begins, mut doubt, mut right) = (Extent::default(), Extent::default(), 0);
+        for (pps, line) in seconds {
+            let Some(line) = line else { continue };
+            begins.add((line.begins - pps.at).0);
+            doubt.add(line.doubt);
+            let of_day = pps.utc.rem_euclid(86_400);
+            let (hour, minute, second) = (of_day / 3_600, of_day / 60 % 60, of_day % 60);
+            let expected = format!("$GPRMC,{hour:02}{minute:02}{second:02}");
+            right += usize::from(line.text == expected.as_bytes());
+        }
+        let first = millis(SETTINGS.delay_ms.into()).0;
+        let last = first + millis(NMEA_SLACK_MS).0;
+        self.check(
+            name,
+            right == seconds.len() && right >= 2 && begins.within(first, last)
+                && doubt.within(0, LINE_DOUBT),
+            format!(
+                "{right} of {} seconds told by their sentence, which begins {begins} after the pulse; \
+                 edges at most {doubt} from their places",
+                seconds.len()
+            ),
+            format!("all of them, from {first} to {last} ticks, {LINE_DOUBT} ticks"),
+            reason,
+        );
+    }
+
+    /// The trigger as the camera gets it: behind the buffer, at the divider's tap. Both inputs
+    /// are on it.
+    pub(super) fn buffer(&mut self) -> Result<(), BringUpError> {
+        const NAME: &str = "read-back behind the buffer";
+        const REASON: &str =
+            "the buffer's supply and its input; the divider, or a cable that loads it";
+        self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
+        let mut heard = self.hear(millis(3_000))?;
+        heard.append(self.stop(Output::Camera)?);
+        let mut trains = Trains::default();
+        trains.find(&heard.pulses, MIN_PULSE_WIDTH, &heard.strobe);
+        self.check(
+            NAME,
+            trains.is_read_back(),
+            format!(
+                "{} of {} pulses, {} after their edge",
+                trains.read_back, trains.pulses, trains.read_back_delay
+            ),
+            format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
+            REASON,
+        );
+        let asked = i64::from(MIN_PULSE_WIDTH);
+        self.check(
+            "pulse behind the buffer",
+            trains.captured == trains.pulses
+                && trains.width_error.within(SHORTEST - asked, MAX_DELAY),
+            format!(
+                "{} of {} pulses captured, {} from the {asked} ticks that were asked for",
+                trains.captured, trains.pulses, trains.width_error
+            ),
+            format!("at least {SHORTEST} ticks, which the camera wants, and {MAX_DELAY} too long"),
+            REASON,
+        );
+        Ok(())
+    }
+}
