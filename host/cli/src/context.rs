@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use files::Reading;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -290,6 +291,17 @@ fn is_coloured() -> bool {
 /// Tells whether the terminal was closed: there is nobody to tell it to.
 fn is_closed_terminal(error: &io::Error) -> bool {
     rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
+}
+
+/// Tells whether standard output is a pipe that nobody reads any more.
+pub(crate) fn is_stdout_closed() -> bool {
+    let out = io::stdout();
+    let mut polled = [PollFd::new(&out, PollFlags::empty())];
+    let now = Timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    poll(&mut polled, Some(&now)).is_ok() && polled[0].revents().contains(PollFlags::ERR)
 }
 
 /// Writes lines to standard output. A reader that has gone away is no error.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use recording::bag::mcap_in;
+use recording::session_file::SessionFile;
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
 
 /// The folder that recordings are made in unless another is given.
@@ -98,8 +99,12 @@ fn inside(folder: &Path) -> Vec<PathBuf> {
     found.into_iter().rev().map(|(_, path)| path).collect()
 }
 
+/// The newest that has ended; one that is being made, or was cut off, must be named.
 fn newest(folder: &Path) -> Result<PathBuf, Failure> {
-    inside(folder).into_iter().next().ok_or_else(|| {
+    let has_ended = |recording: &PathBuf| {
+        SessionFile::load(recording).map_or(true, |session| session.outcome.is_some())
+    };
+    inside(folder).into_iter().find(has_ended).ok_or_else(|| {
         let message = format!("which recording? There is none in `{}`", folder.display());
         Failure::new(ExitStatus::Usage, message)
             .next_step("give the folder that `record` made, or make one: `smartdepthsync record`")

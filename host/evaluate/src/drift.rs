@@ -39,12 +39,13 @@ pub struct Drift {
     pub drift_sigma_us_per_min: f64,
     /// Half width of the drift's 99 % interval, µs/min.
     pub drift_uncertainty_99_us_per_min: f64,
-    /// Bias of the line in the middle of the used frames, µs.
-    pub bias_us: f64,
-    /// Bias of the line at the first used frame, µs.
-    pub bias_at_start_us: f64,
-    /// Bias of the line at the last used frame, µs.
-    pub bias_at_end_us: f64,
+    /// Bias of the line in the middle of the used frames, µs; nothing if it is open which flash
+    /// is which.
+    pub bias_us: Option<f64>,
+    /// The same at the first used frame, µs.
+    pub bias_at_start_us: Option<f64>,
+    /// The same at the last used frame, µs.
+    pub bias_at_end_us: Option<f64>,
     /// Seconds from the first to the last used frame.
     pub span_s: f64,
     /// From and to, in seconds of the recording, where the train moves by its drift
@@ -75,20 +76,26 @@ pub struct EvaluatedDrift {
     pub result: Drift,
     /// Seconds and bias, µs, of the used frames on the line.
     pub points: Vec<(f64, f64)>,
+    /// Bias of the line at the first and the last of them, µs, by the reading that was taken.
+    pub line_us: [f64; 2],
     pub shown: Shown,
 }
 
 /// Evaluates the drift over all frames of a recording.
 pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift, EvaluateError> {
     let settings = &settings.with_session(&footage);
-    let track = track(&footage, settings, Choice::All)?;
+    let mut seen = track(&footage, settings, Choice::All)?;
     let chosen = settings.from_s.is_some() || settings.to_s.is_some();
-    let window = if chosen { None } else { still(&track.points) };
-    let points = match window.clone().and_then(|w| track.points.get(w)) {
-        Some(points) => points.to_vec(),
-        None => track.points.clone(),
-    };
-    let window_s = window.and_then(|_| Some([points.first()?.time_s, points.last()?.time_s]));
+    let window = if chosen { None } else { still(&seen.points) };
+    let window = window.and_then(|window| seen.points.get(window));
+    let window_s = window.and_then(|it| Some([it.first()?.time_s, it.last()?.time_s]));
+    if let Some([from, to]) = window_s {
+        // A train that is moved between two frames by a pitch is lost: which flash is which is
+        // for the frames to say that are used.
+        seen = track(&footage, settings, Choice::Within(from, to))?;
+    }
+    let track = seen;
+    let points = track.points.clone();
     let all = points.len();
     let too_few = |found| EvaluateError::TooFewFrames {
         path: footage.path.clone(),
@@ -124,14 +131,15 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
     let per_minute = |v: f64| 60.0 * v;
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let slope_sigma = allowance * line.slope_sigma;
+    let bias_at = |at| track.identity.unique.then(|| line.at(at));
     let result = Drift {
         path: footage.path.clone(),
         drift_us_per_min: per_minute(line.slope),
         drift_sigma_us_per_min: per_minute(slope_sigma),
         drift_uncertainty_99_us_per_min: per_minute(COVERAGE_99 * slope_sigma),
-        bias_us: line.at(0.5 * (first + last)),
-        bias_at_start_us: line.at(first),
-        bias_at_end_us: line.at(last),
+        bias_us: bias_at(0.5 * (first + last)),
+        bias_at_start_us: bias_at(first),
+        bias_at_end_us: bias_at(last),
         span_s: last - first,
         window_s,
         residual_sd_us: line.residual_sd,
@@ -147,6 +155,7 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
     Ok(EvaluatedDrift {
         result,
         points: points.iter().map(|p| (p.time_s, p.bias_us)).collect(),
+        line_us: [first, last].map(|at| line.at(at)),
         shown: Shown::new(&footage, &track, settings),
     })
 }

@@ -99,11 +99,13 @@ pub(crate) struct Track {
 }
 
 /// Choice among the frames with flashes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Choice {
     /// The last so many.
     Last(usize),
     All,
+    /// Those between two times, in seconds of the recording.
+    Within(f64, f64),
 }
 
 /// The train as it was seen in each frame, against one model of the scene.
@@ -147,7 +149,7 @@ pub(crate) fn track(
         &sighting.shape,
         settings,
     );
-    choice.spare(&mut sighting.seen);
+    choice.spare(&mut sighting.seen, footage);
     let counts = FrameCounts::of(&sighting.seen, footage.read);
     let used = sighting.used(footage);
     if used.is_empty() {
@@ -354,16 +356,27 @@ fn follow(joint: &mut JointFit, together: &[usize], fits: &[FrameFit], settings:
 
 impl Choice {
     /// Marks what is beyond the choice.
-    fn spare(self, seen: &mut [Seen]) {
-        let Self::Last(n) = self else { return };
-        let used = seen.iter_mut().filter(|s| s.class == FrameClass::Used);
-        used.rev().skip(n).for_each(|s| s.class = FrameClass::Spare);
+    fn spare(self, seen: &mut [Seen], footage: &Footage) {
+        let frames = footage.frames.iter().map(|frame| frame.time_s);
+        let used = seen.iter_mut().zip(frames);
+        let used = used.filter(|(s, _)| s.class == FrameClass::Used);
+        let spare = |(s, _): (&mut Seen, f64)| s.class = FrameClass::Spare;
+        match self {
+            Self::All => {}
+            Self::Last(n) => {
+                let used: Vec<_> = used.collect();
+                used.into_iter().rev().skip(n).for_each(spare);
+            }
+            Self::Within(from, to) => used
+                .filter(|(_, at)| !(from..=to).contains(at))
+                .for_each(spare),
+        }
     }
 
     fn limit(self) -> usize {
         match self {
             Self::Last(n) => n.min(256),
-            Self::All => 0,
+            Self::All | Self::Within(..) => 0,
         }
     }
 
@@ -372,7 +385,7 @@ impl Choice {
     fn shown(self, used: usize) -> Range<usize> {
         let first = match self {
             Self::Last(_) => 0,
-            Self::All => used.saturating_sub(SHOWN_FRAMES) / 2,
+            Self::All | Self::Within(..) => used.saturating_sub(SHOWN_FRAMES) / 2,
         };
         first..used.min(first + SHOWN_FRAMES)
     }

@@ -3,7 +3,7 @@
 
 use protocol::ImuSensor;
 use recording::profile::{Phone, Profile};
-use recording::session_file::{PhoneRecord, SessionFile};
+use recording::session_file::{ErrorPart, PhoneRecord, SessionFile};
 use serde::Serialize;
 use twist_sync::Prior;
 
@@ -35,6 +35,9 @@ pub struct Constants {
     /// 1-sigma of the constant between depth and phone, µs; nothing where the user gives it.
     #[serde(skip)]
     pub(crate) constant_sigma_us: Option<f64>,
+    /// The largest part of that.
+    #[serde(skip)]
+    pub(crate) constant_part: ErrorPart,
     /// The board's IMU.
     #[serde(skip)]
     pub(crate) board_sensor: ImuSensor,
@@ -149,6 +152,7 @@ impl Constants {
             return self;
         }
         self.constant_sigma_us = Some(profile.constant_sigma_us());
+        self.constant_part = profile.constant_part();
         let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
         // A measured bias says that the depth image is exposed later than its nominal centre,
         // against the phone's middle row.

@@ -21,6 +21,9 @@ pub struct Options {
     pub first_pulse: Option<usize>,
     /// The topic of depth in a bag of the camera's driver, if there are several.
     pub depth_topic: Option<String>,
+    /// Whether pairs from outside the aligned span, and those further apart than
+    /// 10 ms, are taken too.
+    pub all_pairs: bool,
     /// Whether infrared images are written too.
     pub infrared: bool,
     /// Exposure of the depth camera's colour images, ns.

@@ -6,6 +6,10 @@
 
 use super::time::BoardNanos;
 
+/// Pairs of an aligned recording that are further apart are left out unless asked for, ns: twice
+/// what the constants of a rig are that nobody has measured.
+pub(crate) const LIMIT_NS: i64 = 10_000_000;
+
 /// Two frames that belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Pair {

@@ -3,6 +3,7 @@
 //! Nothing in it depends on when or how often the extraction ran, so that
 //! repeating it gives the same files.
 
+use recording::session_file::ErrorPart;
 use serde::Serialize;
 
 pub use super::constants::Constants;
@@ -217,6 +218,8 @@ pub struct PairsReport {
     /// 1-sigma of depth − phone, µs: of the clocks, at most, and of the constant between the
     /// exposures; nothing where one of them is not known.
     pub sigma_us: Option<f64>,
+    /// The largest part of that.
+    pub largest: Option<ErrorPart>,
     /// Depth − phone, all of them.
     pub histogram: Histogram,
     /// Those near to the median (within ten times the distance of the quartiles).

@@ -183,6 +183,9 @@ pub(crate) fn write_rows<T: Serialize>(
     file.finish()
 }
 
+/// 1-sigma of depth − phone, ns, of a pair by the time of its phone frame, where it is known.
+pub(crate) type PairSigma<'a> = Box<dyn Fn(BoardNanos) -> Option<i64> + 'a>;
+
 /// Writes the tables of a phone that have rows: its frames, and their pairs.
 ///
 /// # Errors
@@ -191,14 +194,14 @@ pub(crate) fn write_rows<T: Serialize>(
 pub(crate) fn write_phone(
     folder: &Path,
     (color, shutter): (&[ColorFrame], Option<Shutter>),
-    pairs: &[Pair],
+    (pairs, sigma): (&[Pair], &PairSigma<'_>),
     depth: &[DepthFrame],
 ) -> io::Result<()> {
     if !color.is_empty() {
         write_color(&folder.join("phone_frames.csv"), color, shutter)?;
     }
     if !pairs.is_empty() {
-        write_pairs(&folder.join("pairs.csv"), pairs, color, depth)?;
+        write_pairs(&folder.join("pairs.csv"), (pairs, sigma), color, depth)?;
     }
     Ok(())
 }
@@ -279,15 +282,24 @@ pub(crate) fn write_pulses(
 /// Writing fails.
 fn write_pairs(
     path: &Path,
-    pairs: &[Pair],
+    (pairs, sigma): (&[Pair], &PairSigma<'_>),
     color: &[ColorFrame],
     depth: &[DepthFrame],
 ) -> io::Result<()> {
-    let header = "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],depth_minus_phone [ns]\n";
+    let header = "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],\
+                  depth_minus_phone [ns],sigma [ns]\n";
     let row = |pair: &Pair| {
         let phone = color.get(pair.color).map(|frame| frame.at);
         let centre = depth.get(pair.depth).and_then(|frame| frame.at);
-        (pair.color, phone, pair.depth, centre, pair.difference)
+        let sigma = phone.and_then(sigma);
+        (
+            pair.color,
+            phone,
+            pair.depth,
+            centre,
+            pair.difference,
+            sigma,
+        )
     };
     write_rows(path, header, pairs.iter().map(row))
 }

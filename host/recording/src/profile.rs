@@ -15,6 +15,7 @@ pub use error::ProfileError;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
+use crate::session_file::ErrorPart;
 use error::{in_line, located, syntax};
 use jiff::Timestamp;
 use jiff::civil::Date;
@@ -436,6 +437,25 @@ impl Profile {
         match self.frame_sync.bias_measured {
             Some(_) => self.frame_sync.bias_sigma_us,
             None => self.other_constant_sigma_us(&self.phone),
+        }
+    }
+
+    /// The largest part of [`Profile::constant_sigma_us`].
+    #[must_use]
+    pub fn constant_part(&self) -> ErrorPart {
+        let phone = &self.phone;
+        let parts = [
+            (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
+            (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
+            (
+                ErrorPart::Readout,
+                phone.readout_sigma_us * phone.middle_row_part(),
+            ),
+        ];
+        let largest = parts.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
+        match (self.frame_sync.bias_measured, largest) {
+            (None, Some((part, _))) => part,
+            _ => ErrorPart::Bias,
         }
     }
 

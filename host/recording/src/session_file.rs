@@ -256,6 +256,9 @@ pub struct Alignment {
     /// ([`Profile::constant_sigma_us`]).
     #[serde(default)]
     pub constant_sigma_us: Option<f64>,
+    /// The largest part of that.
+    #[serde(default)]
+    pub constant_part: Option<ErrorPart>,
     /// Whether that is of a measured bias, and not of what was assumed.
     #[serde(default)]
     pub bias_is_measured: bool,
@@ -292,28 +295,76 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// How well phase and drift are known, in words. What is assumed of the constant and what is
-    /// known of the clocks are added as the root of their squares.
+    /// How well the cameras expose together, in words. What is assumed of the constant and what
+    /// is known of the clocks are added as the root of their squares.
     #[must_use]
     pub fn promise(&self) -> String {
-        let (phase, constant) = (
-            self.phase_sigma_us,
-            self.constant_sigma_us.unwrap_or_default(),
-        );
-        let clocks = (phase * phase - constant * constant).max(0.0).sqrt();
-        let until = match self.bias_is_measured {
-            true => String::new(),
-            false => format!(
-                " until the bias is measured (± {} of clocks and frames)",
-                micros_text(clocks)
-            ),
-        };
-        format!(
-            "phase known to ± {}{until}, drift ± {:.1} µs/min (1-sigma, predicted)",
-            micros_text(phase),
-            self.drift_sigma_us_per_min
-        )
+        let total = self.phase_sigma_us;
+        together(total, Some(self.largest_part(total)))
     }
+
+    /// Tells whether the cameras are known to expose together, and not only believed to.
+    #[must_use]
+    pub fn is_sure(&self) -> bool {
+        self.bias_is_measured && self.phase_sigma_us < COARSE_US
+    }
+
+    /// The largest part of a total 1-sigma, µs: that of the constant, or of the clocks.
+    #[must_use]
+    pub fn largest_part(&self, total_us: f64) -> ErrorPart {
+        let constant = self.constant_sigma_us.unwrap_or_default();
+        match constant * constant * 2.0 > total_us * total_us {
+            true => self.constant_part.unwrap_or(ErrorPart::Bias),
+            false => ErrorPart::Clocks,
+        }
+    }
+}
+
+/// From this total on, µs, cameras are not known to expose together: a moving hand is blurred
+/// by as much.
+pub const COARSE_US: f64 = 1_000.0;
+
+/// A part of the total uncertainty between the middles of the two exposures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorPart {
+    /// The measured bias.
+    #[default]
+    Bias,
+    /// The assumed time from the trigger's edge to the middle of the depth exposure.
+    DepthCenter,
+    /// The assumed delay of the phone's gyroscope.
+    GyroDelay,
+    /// The assumed readout time of the phone.
+    Readout,
+    /// The relation of the clocks, and the phone's frame period.
+    Clocks,
+}
+
+impl ErrorPart {
+    /// It in words.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Bias => "the measured bias",
+            Self::DepthCenter => "the assumed centre of the depth exposure",
+            Self::GyroDelay => "the assumed delay of the phone's gyroscope",
+            Self::Readout => "the assumed readout of the phone",
+            Self::Clocks => "clocks and frame period",
+        }
+    }
+}
+
+/// How well the cameras expose together, in the same words everywhere.
+#[must_use]
+pub fn together(sigma_us: f64, largest: Option<ErrorPart>) -> String {
+    let part = largest.map_or(String::new(), |part| {
+        format!(", most of it from {}", part.text())
+    });
+    format!(
+        "cameras expose together to ± {} (1-sigma){part}",
+        micros_text(sigma_us)
+    )
 }
 
 /// A span of µs as people write it: of a millisecond and more in ms.

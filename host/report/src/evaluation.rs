@@ -18,6 +18,7 @@ use evaluate::shown::Shown;
 use crate::page::Page;
 use crate::summary::{Facts, Summary};
 use recording::finding::{Finding, Severity};
+use recording::session_file::{COARSE_US, ErrorPart, together};
 
 /// The report of a precision measurement, with pictures of one of its recordings.
 #[must_use]
@@ -115,8 +116,20 @@ pub fn precision_summary(result: &Precision) -> Summary {
         ),
         None => String::from("No recording gave a bias."),
     };
+    let total = result.bias.as_ref().filter(|_| !is_open);
+    let total_us = total.map(|bias| bias.mean_us.hypot(bias.mean_sigma_us));
     if is_open {
         text.push_str(" Which flash is which is open: the bias may be off by whole pitches.");
+    } else if let Some(total_us) = total_us {
+        let part = ErrorPart::Bias;
+        let _ = write!(text, " So the {}.", together(total_us, Some(part)));
+    }
+    // The distance itself is the verdict, however well it was measured.
+    if total_us.is_some_and(|total| total >= COARSE_US) {
+        parts.push(Finding::check(
+            "bias",
+            "milliseconds apart: write it into the profile with --calibrate",
+        ));
     }
     let severities = parts.iter().map(|part| part.severity);
     Summary {
@@ -143,10 +156,13 @@ pub fn drift_summary(r: &Drift) -> Summary {
     );
     fact(
         "bias",
-        format!(
-            "{:+.3} µs at the start, {:+.3} µs at the end, {:.1} s later",
-            r.bias_at_start_us, r.bias_at_end_us, r.span_s
-        ),
+        match (r.bias_at_start_us, r.bias_at_end_us) {
+            (Some(start), Some(end)) => format!(
+                "{start:+.3} µs at the start, {end:+.3} µs at the end, {:.1} s later",
+                r.span_s
+            ),
+            _ => String::from("open by whole pitches: which flash is which is not known"),
+        },
     );
     fact(
         "frames about the line",

@@ -14,9 +14,10 @@ use serde_json::json;
 use crate::REPORT_FILE;
 use crate::chart::{self, Data};
 use crate::page::Page;
+use crate::session::sentence;
 use crate::summary::{Facts, Summary};
 use recording::finding::{Finding, Severity};
-use recording::session_file::micros_text;
+use recording::session_file::{COARSE_US, together};
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
@@ -202,10 +203,9 @@ fn facts(report: &ExtractReport) -> Facts {
         facts.push((
             "pairs",
             format!(
-                "{}, depth − phone: median {} µs{}, quartiles {} to {} µs",
+                "{}, depth − phone: median {} µs, quartiles {} to {} µs",
                 spread.count,
                 us(spread.median_ns),
-                known(pairs),
                 us(spread.quartiles_ns[0]),
                 us(spread.quartiles_ns[1])
             ),
@@ -225,15 +225,21 @@ fn facts(report: &ExtractReport) -> Facts {
 fn verdict(report: &ExtractReport) -> (Severity, String) {
     let pairs = report.pairs.as_ref().map_or(String::new(), |pairs| {
         format!(
-            " {} pairs of frames; depth − phone is {:.1} µs{} in the median.",
+            " {} pairs of frames; depth − phone is {:.1} µs in the median.{}",
             pairs.spread.count,
             pairs.spread.median_ns as f64 / 1000.0,
-            known(pairs)
+            known(pairs).map_or(String::new(), |known| format!(" {}", sentence(&known)))
         )
     });
+    // Nothing is green where the number that it stands for is not known.
+    let sigma_us = report.pairs.as_ref().map(|pairs| pairs.sigma_us);
+    let is_open = sigma_us.is_some_and(|sigma| sigma.is_none_or(|sigma| sigma >= COARSE_US));
     match report.losses.len() {
         0 => (
-            Severity::Good,
+            match is_open {
+                true => Severity::Check,
+                false => Severity::Good,
+            },
             format!("Everything is there and has its time in board time.{pairs}"),
         ),
         count => (
@@ -246,11 +252,10 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
     }
 }
 
-/// How well depth − phone is known, in words behind it.
-fn known(pairs: &PairsReport) -> String {
-    pairs.sigma_us.map_or(String::new(), |sigma_us| {
-        format!(" ± {} (1-sigma)", micros_text(sigma_us))
-    })
+/// How well depth − phone is known, in words.
+fn known(pairs: &PairsReport) -> Option<String> {
+    let sigma_us = pairs.sigma_us?;
+    Some(together(sigma_us, pairs.largest))
 }
 
 fn clock_line(clock: &ClockReport) -> String {

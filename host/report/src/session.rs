@@ -18,6 +18,7 @@ use crate::REPORT_FILE;
 use crate::page::Page;
 use crate::summary::Facts;
 use board::StreamCount;
+pub(crate) use judgement::sentence;
 pub use judgement::{files_to_fetch, findings, has_recorded, summary};
 use recording::RecordingError;
 use recording::finding::{Finding, Severity};
@@ -105,9 +106,6 @@ fn facts(session: &SessionFile) -> Facts {
     }
     let phones = session.phones.iter();
     facts.extend(phones.map(|phone| ("phone", phone_fact(phone))));
-    if let Some(alignment) = session.alignment {
-        facts.push(("alignment", alignment.promise()));
-    }
     let counts = &session.counts;
     for (name, count) in [
         ("trigger pulses", counts.pulses),

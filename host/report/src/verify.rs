@@ -27,6 +27,7 @@ use recording::walk::{Damage, Event, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 use serde::Serialize;
 
+use crate::session::{has_recorded, sentence};
 use crate::summary::Summary;
 
 /// Version of the form of [`Report`].
@@ -140,6 +141,8 @@ pub struct Report {
     pub grid: Option<GridReport>,
     /// Everything that was found.
     pub findings: Vec<Finding>,
+    /// How well the cameras expose together, by the session.
+    pub alignment: Option<String>,
     /// The page that was written again; nothing without `session.json`.
     pub report: Option<PathBuf>,
 }
@@ -200,7 +203,7 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
         None => findings.check("not_finished", None, || {
             String::from("the program was ended before it could close the session")
         }),
-        Some(SessionOutcome::Failed) => findings.note("failed", || {
+        Some(SessionOutcome::Failed) => findings.check("failed", None, || {
             let why = session.problems.last();
             let why = why.map_or(String::new(), |problem| format!(": {}", problem.text));
             format!("the session failed{why}")
@@ -209,6 +212,11 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
             String::from("the session was stopped by its user")
         }),
         Some(SessionOutcome::Good | SessionOutcome::Loss) => {}
+    }
+    if session.outcome.is_some() && !has_recorded(session) {
+        findings.check("nothing_recorded", None, || {
+            String::from("nothing was recorded between begin and end")
+        });
     }
     if let Some(problem) = session.problems.first() {
         let many = (problem.at, session.problems.len() as u64);
@@ -237,10 +245,13 @@ impl Report {
     #[must_use]
     pub fn summary(&self) -> Summary {
         let text = match self.severity {
-            Severity::Good => "good: every byte and every number is right",
-            Severity::Check => "check: what is there is right, something is missing",
-            Severity::Bad => "BAD: parts cannot be read or contradict each other",
+            Severity::Good => "Good: every byte and every number is right.",
+            Severity::Check => "Check: what is there is right, something is missing.",
+            Severity::Bad => "Bad: parts cannot be read or contradict each other.",
         };
+        let alignment = self.alignment.iter();
+        let alignment: String = alignment.map(|it| format!(" {}", sentence(it))).collect();
+        let text = format!("{text}{alignment}");
         let file = &self.file;
         let mut facts = vec![
             ("recording", self.recording.clone()),

@@ -225,6 +225,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             bias_us,
             shift_us,
             constant_sigma_us: Some(constant_sigma_us),
+            constant_part: Some(profile.constant_part()),
             bias_is_measured: profile.frame_sync.bias_measured.is_some(),
             frame_period_ns,
             frame_period_sigma_ns: Some(frame_period_sigma_ns),
@@ -267,6 +268,29 @@ fn drift_sigma_us_per_min(rate: Rate, frames: &Frames) -> f64 {
     rate.sigma.hypot(frames.sigma_ns / frames.period_ns) * 60e6
 }
 
+/// Predicted 1-sigma of the mean drift over so many seconds from the anchor on, µs/min: of the
+/// rate of the clocks over that time, which changes while a rig warms up, and of the frame period.
+#[must_use]
+pub fn drift_sigma_over(alignment: &Alignment, seconds: f64) -> f64 {
+    let course = Course {
+        clock: alignment.clock,
+        change: alignment.change,
+    };
+    let anchor = BoardSeconds(alignment.anchor.as_secs_f64());
+    let rate = course.rate_over(anchor, seconds.max(1.0));
+    let period_sigma = frame_period_sigma(alignment);
+    rate.sigma.hypot(period_sigma) * 60e6
+}
+
+/// 1-sigma of the phone's frame period, as a part of it.
+fn frame_period_sigma(alignment: &Alignment) -> f64 {
+    // Sessions of before have neither.
+    let jitter_ns = alignment.frame_jitter_ns.unwrap_or(FRAME_JITTER_NS);
+    let reported_ns = || video_start_sigma_ns(jitter_ns);
+    let sigma_ns = alignment.frame_period_sigma_ns.unwrap_or_else(reported_ns);
+    sigma_ns / alignment.frame_period_ns
+}
+
 /// Predicted 1-sigma of the phase at a board time, µs, without the constant's.
 ///
 /// Where the grid is right on the phone's frames depends on the offset of the clocks
@@ -296,12 +320,8 @@ pub fn stated_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
 /// timestamp that the phone gave, and how many frames of an uncertain period lie between.
 pub(crate) fn frames_sigma_us(alignment: &Alignment, at: BoardSeconds) -> f64 {
     let since = at.0 - alignment.anchor.as_secs_f64();
-    // Sessions of before have neither.
     let jitter_ns = alignment.frame_jitter_ns.unwrap_or(FRAME_JITTER_NS);
-    let reported_ns = || video_start_sigma_ns(jitter_ns);
-    let sigma_ns = alignment.frame_period_sigma_ns.unwrap_or_else(reported_ns);
-    let period_sigma = sigma_ns / alignment.frame_period_ns;
-    (jitter_ns * 1e-3).hypot(since * period_sigma * 1e6)
+    (jitter_ns * 1e-3).hypot(since * frame_period_sigma(alignment) * 1e6)
 }
 
 /// The mean frame duration that the phone reports, where frames of the first 60 were lost

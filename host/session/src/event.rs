@@ -135,6 +135,8 @@ pub enum Prompt {
     },
     /// The twist was good: go on, or twist once more?
     TwistGood,
+    /// The twist was accepted and is weak: twist once more, or go on all the same?
+    TwistWeak,
     /// The twist was refused: twist again?
     TwistAgain,
     /// What was asked for cannot be left out.

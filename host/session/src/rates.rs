@@ -178,24 +178,30 @@ impl Course {
     /// meanwhile.
     #[must_use]
     pub fn rate_from(&self, from: BoardSeconds) -> Rate {
-        let to = BoardSeconds(from.0 + PLANNED_S);
+        self.rate_over(from, PLANNED_S)
+    }
+
+    /// The same over so many seconds.
+    #[must_use]
+    pub fn rate_over(&self, from: BoardSeconds, length_s: f64) -> Rate {
+        let to = BoardSeconds(from.0 + length_s);
         let base = self.clock.offset;
         let (start, _) = self.predicted(from, base);
         let (end, _) = self.predicted(to, base);
         // The rate's error is that of skew and change, and the wander over the span.
         let since = from.0 - self.clock.reference.0;
-        let of_change = (of_offset(since + PLANNED_S) - of_offset(since)) / PLANNED_S;
-        let longer = of_longer_warming(since + PLANNED_S) - of_longer_warming(since);
-        let of_time = WARMING_FACTOR_LN * longer[0] / PLANNED_S;
+        let of_change = (of_offset(since + length_s) - of_offset(since)) / length_s;
+        let longer = of_longer_warming(since + length_s) - of_longer_warming(since);
+        let of_time = WARMING_FACTOR_LN * longer[0] / length_s;
         let [_, [_, skew_variance]] = self.clock.covariance;
-        let wander = self.clock.wander.diffusion() * (since.abs() + PLANNED_S / 3.0);
+        let wander = self.clock.wander.diffusion() * (since.abs() + length_s / 3.0);
         let variance = skew_variance
             + 2.0 * of_change * self.change.with_skew
             + of_change * of_change * self.change.variance
             + self.change_squared() * of_time * of_time
             + wander;
         Rate {
-            skew: (end[0] - start[0]) / PLANNED_S,
+            skew: (end[0] - start[0]) / length_s,
             sigma: variance.max(0.0).sqrt(),
         }
     }

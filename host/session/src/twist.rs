@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use phone::PhoneSample;
 use protocol::{TICK_HZ, Ticks};
-use recording::session_file::{Span, Twist};
+use recording::session_file::{Span, Twist, micros_text};
 use timebase::{ClockModel, board_track, phone_track};
 use twist_sync::{GyroTrack, Options as EstimateOptions, estimate_offset};
 
 use crate::alignment::skew_prior;
 use crate::devices::Choice;
 use crate::error::{SessionError, Stop};
-use crate::event::{Phase, Prompt, SessionEvent, Step, TwistEstimate};
+use crate::event::{Phase, PhoneName, Prompt, SessionEvent, Step, TwistEstimate};
 use crate::log::Log;
 use crate::options::Options;
 use crate::phones::{Phones, REFERENCE};
@@ -30,6 +30,13 @@ const MARGIN: u64 = TICK_HZ as u64 / 4;
 /// A twist suffices when its expected 1-sigma is this part of the gate's: the
 /// phase then depends on the profile's constants more than on the twist.
 const ENOUGH: f64 = 0.1;
+
+/// A twist that passes with more than this part of the gate's 1-sigma is weak.
+const WEAK: f64 = 0.3;
+
+/// So is one that knows the rate of the clocks no better, ppm: a drift of half a millisecond a
+/// minute.
+const WEAK_PPM: f64 = 8.0;
 
 /// Makes the twists before a recording: each until it passes the gates, of every phone. Two
 /// at a distance give the rate of today; more of them, how it changes.
@@ -66,6 +73,18 @@ fn good_twist(
             }
             Err(stop) => return Err(stop),
         };
+        let weak = weak_twist(session, &clocks);
+        if let Some((number, phone, offset_us, skew_ppm)) = weak.clone() {
+            session.log.report(SessionEvent::TwistRemark {
+                number,
+                phone,
+                remark: format!(
+                    "weak: it relates the clocks to ± {} and their rate to ± {skew_ppm:.1} ppm only; \
+                     twist again, faster, about all three axes, for the whole time",
+                    micros_text(offset_us)
+                ),
+            })?;
+        }
         for (place, clock) in clocks.iter().enumerate() {
             if let Some(clock) = clock {
                 let joined = joined(session, place, before[place].as_ref(), clock)?;
@@ -75,15 +94,19 @@ fn good_twist(
         }
         session.log.save()?;
         if !session.operator.is_present() {
-            // Phones may have got theirs from different twists.
-            if known.iter().all(Option::is_some) {
+            // Phones may have got theirs from different twists. The last try is taken as it is.
+            if known.iter().all(Option::is_some) && (weak.is_none() || attempt >= TRIES) {
                 return Ok(known);
             }
             if attempt >= TRIES {
                 return Err(SessionError::Twists { tries: TRIES }.into());
             }
         } else if clocks.iter().all(Option::is_some) {
-            match session.ask(Prompt::TwistGood)? {
+            let prompt = match weak {
+                Some(_) => Prompt::TwistWeak,
+                None => Prompt::TwistGood,
+            };
+            match session.ask(prompt)? {
                 Choice::Repeat => {}
                 Choice::Quit => return Err(Stop::Interrupted),
                 Choice::Continue | Choice::Skip => return Ok(known),
@@ -93,6 +116,25 @@ fn good_twist(
         }
     }
     Ok(known)
+}
+
+/// The worst of a twist's relations that is accepted and yet weak, for several times what a
+/// twist of nine seconds gives: its number, its phone, and its 1-sigma, µs and ppm.
+fn weak_twist(
+    session: &Session<'_>,
+    clocks: &[Option<ClockModel>],
+) -> Option<(usize, PhoneName, f64, f64)> {
+    let limit_us = session.profile.align.max_offset_sigma_us * WEAK;
+    let number = session.log.phone(REFERENCE).twists.len();
+    let accepted = clocks.iter().enumerate();
+    accepted
+        .filter_map(|(place, clock)| {
+            let [[offset, _], [_, skew]] = clock.as_ref()?.covariance;
+            let [offset_us, skew_ppm] = [offset, skew].map(|it| it.max(0.0).sqrt() * 1e6);
+            let is_weak = offset_us > limit_us || skew_ppm > WEAK_PPM;
+            is_weak.then(|| (number, session.phones.name(place), offset_us, skew_ppm))
+        })
+        .max_by(|a, b| a.2.total_cmp(&b.2))
 }
 
 /// Joins what the earlier twists say of the phone at a place with one more.

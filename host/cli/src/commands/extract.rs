@@ -109,6 +109,9 @@ struct MoreArgs {
     /// The topic of the depth images in a bag, if it has several
     #[arg(long, value_name = "TOPIC", hide_short_help = true)]
     depth_topic: Option<String>,
+    /// Take the pairs from outside the aligned span too, and those more than 10 ms apart
+    #[arg(long, hide_short_help = true)]
+    all_pairs: bool,
     /// Write infrared images too
     #[arg(long, hide_short_help = true)]
     infrared: bool,
@@ -181,6 +184,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         options: Options {
             first_pulse: more.first_pulse,
             depth_topic: more.depth_topic.clone(),
+            all_pairs: more.all_pairs,
             infrared: more.infrared,
             view: args.register.map(View::from),
             free_running: more.free_running,

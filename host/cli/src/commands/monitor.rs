@@ -6,7 +6,7 @@ use protocol::{DeviceToHost, TICK_HZ, Ticks};
 use serde::Serialize;
 
 use crate::advice::imu_scale;
-use crate::context::Context;
+use crate::context::{Context, is_stdout_closed};
 use crate::decimal::parse_duration;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
@@ -86,7 +86,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         begun: None,
         last_line: None,
     };
-    while !context.interrupt.requested() {
+    while !context.interrupt.requested() && !is_stdout_closed() {
         monitor.take_events(&mut board)?;
         let now = lock(&monitor.state).now;
         if screen.is_none() {

@@ -201,7 +201,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
     };
     let outcome = match result {
-        Ok(SessionOutcome::Good) => ExitStatus::Good,
+        // Nothing between begin and end is not what was asked for.
+        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!has_recorded(&file)),
         Ok(SessionOutcome::Loss) => ExitStatus::Loss,
         Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
         Ok(SessionOutcome::Failed) => ExitStatus::Error,

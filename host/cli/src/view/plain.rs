@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use recording::session_file::micros_text;
+use recording::session_file::together;
 use session::event::Tracked;
 
 use super::state::{PhaseNow, State};
@@ -13,19 +13,15 @@ pub(super) fn lock(tracked: &Tracked) -> String {
         true => "locked",
         false => "LOCK LOST",
     };
-    tracked.temperature.map_or(lock.to_owned(), |celsius| {
-        format!("{lock}, phone {celsius:.1} °C")
-    })
+    // All of it has room in half of 80 columns.
+    tracked
+        .temperature
+        .map_or(lock.to_owned(), |celsius| format!("{lock}, {celsius:.0} C"))
 }
 
 /// Tells how well the phase is known.
 pub(super) fn known(now: &PhaseNow) -> String {
-    let until = if now.is_assumed {
-        " until measured"
-    } else {
-        ""
-    };
-    format!("phase known to ± {}{until}", micros_text(now.sigma_us))
+    together(now.sigma_us, now.largest)
 }
 
 /// The state as one plain line.

@@ -15,7 +15,7 @@ use ratatui::crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
 };
 
-use super::state::State;
+use super::state::{Keys, State};
 use super::text::draw;
 use crate::context::Interrupt;
 use crate::log;
@@ -172,6 +172,11 @@ fn show(
                 KeyCode::Char('q') | KeyCode::Esc => Key::Quit,
                 _ => continue,
             };
+            // Where nothing is asked nobody takes keys, and the last line says that this stops.
+            if meaning == Key::Quit && lock(state).keys() == Keys::Look {
+                interrupt.request();
+                continue;
+            }
             // Nobody listens any more: then it is only shown.
             let _ = keys.send(meaning);
         }

@@ -42,6 +42,7 @@ fn question(prompt: &Prompt) -> String {
                 "Twist the rig for {length_s} s about all axes. [Enter] to begin{skip}, [q] to quit"
             );
         }
+        Prompt::TwistWeak => "[r] twist again, faster; [Enter] go on all the same, [q] quit",
         Prompt::TwistGood => "[Enter] go on, [r] twist again, [q] quit",
         Prompt::TwistAgain => "[Enter] or [r] twist again, [q] quit",
         Prompt::CannotSkip => {

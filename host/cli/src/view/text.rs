@@ -57,7 +57,16 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
         None => SENSORS_MIN,
     };
     sensors.truncate(usize::from(area.height.saturating_sub(needed)));
-    let panels_height = if area.width >= WIDE { 8 } else { 16 };
+    let panels_height = match (area.width >= WIDE, &twist) {
+        (true, _) => 8,
+        (false, None) => 16,
+        // The twist's part, warnings and what was said go before.
+        (false, Some(_)) => 8,
+    };
+    let panels_height = match twist {
+        Some(_) => panels_height.min(area.height.saturating_sub(TWIST_ROWS + 5)),
+        None => panels_height,
+    };
     let middle_min = match (&twist, area.height >= CHART_MIN) {
         (Some(_), _) => TWIST_ROWS,
         (None, true) => CHART_ROWS,
@@ -119,8 +128,10 @@ fn title_line(state: &State) -> Paragraph<'static> {
 fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let [left, right] = if area.width >= WIDE {
         Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(area)
-    } else {
+    } else if area.height > 8 {
         Layout::vertical([Constraint::Length(8), Constraint::Length(8)]).areas(area)
+    } else {
+        [area, Rect::ZERO]
     };
     let block = |title: &'static str| Block::bordered().title(title).border_style(DIM);
     frame.render_widget(
@@ -342,7 +353,7 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect) {
         "q      stop; what was recorded is kept",
         "h      this help, and away again",
         "",
-        "phase known to: of the two exposures' middles (1-sigma)",
+        "together to: middles of the two exposures (1-sigma)",
         "phase: the last pulse against the grid it was sent to",
         "clocks: error of phone time in board time now (1-sigma)",
     ];
@@ -430,11 +441,10 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
     };
     let (phase, phase_style) = phase_text(state);
     let known = state.phase_now().map(|now| {
-        let style = if now.is_assumed { WARN } else { GOOD };
+        let style = if now.is_sure { GOOD } else { WARN };
         // Terminals need not have the sign.
         let sigma = micros_text(now.sigma_us).replace('µ', "u");
-        let basis = if now.is_assumed { ", unmeasured" } else { "" };
-        let text = format!("phase known to +-{sigma}{basis}");
+        let text = format!("cameras expose together to +-{sigma}");
         Line::styled(text, style.add_modifier(Modifier::BOLD))
     });
     let mut lines: Vec<Line<'_>> = known.into_iter().collect();
@@ -587,7 +597,7 @@ mod tests {
             "1:01 of 5:00",
             "30.0024 fps",
             "3456",
-            "phase known to +-90.8 us, unmeasured",
+            "cameras expose together to +-90.8 us",
             "+0.00 us off grid",
             "seen, 83 ns",
             "+-4.8 us now, 1:40 old",
@@ -677,6 +687,29 @@ mod tests {
                 shown(width, height, |frame| {
                     draw_twist(frame, &twist, frame.area());
                 });
+            }
+        }
+    }
+
+    /// Guidance, both bars and the verdict are there in every terminal that people have.
+    #[test]
+    fn bars_guidance_and_verdict_have_room_in_common_sizes() {
+        let mut twisting = busy();
+        begin_twist(&mut twisting);
+        for (width, height) in [(60, 24), (80, 24), (120, 16), (200, 50)] {
+            let text = screen(width, height, &twisting, false);
+            for word in [
+                "twist now, about all axes",
+                "expected 1-sigma",
+                "rad/s rms",
+                "q stop",
+            ] {
+                assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");
+            }
+            assert_eq!(text.matches('┌').count() >= 2, true, "{text}");
+            let text = screen(width, height, &busy(), false);
+            for word in ["cameras expose together to +-", "off grid", "m mark"] {
+                assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");
             }
         }
     }

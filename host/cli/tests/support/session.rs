@@ -35,6 +35,7 @@ pub(crate) fn session(
         bias_us: 0.0,
         constant_sigma_us: Some(100.0),
         shift_us: 0.0,
+        constant_part: None,
         bias_is_measured: false,
         frame_period_ns,
         frame_period_sigma_ns: None,

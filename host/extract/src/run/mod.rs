@@ -26,7 +26,7 @@ use index_files::Written;
 use phone_part::Phone;
 
 use super::board_data::BoardEvent;
-use super::constants::Constants;
+use super::constants::{self, Constants};
 use super::depth::DepthInput;
 use super::error::ExtractError;
 use super::grid::{self, GridReport};
@@ -42,8 +42,9 @@ use super::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, 
 use super::sequence::Sequences;
 use super::streams::each_event;
 use super::survey::{ImuSpan, Survey, survey};
-use super::tables::{self, ColorFrame, DepthFrame, Shutter};
+use super::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
 use super::time::BoardNanos;
+use recording::session_file::ErrorPart;
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
@@ -112,9 +113,10 @@ fn steps(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractErr
 
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
-    let pairs = find_pairs(color, depth_frames, &survey);
+    let pairs = run.aligned_pairs(find_pairs(color, depth_frames, &survey), color, &input);
+    let sigma = run.sigma_of_pairs(phone.as_ref(), &input);
     let shutter = input.camera(None, job.options.readout_ns).shutter;
-    run.write_tables(&survey, (color, shutter), depth_frames, &pairs)?;
+    run.write_tables(&survey, (color, shutter), depth_frames, (&pairs, &sigma))?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
     let size = video.as_ref().and_then(|video| video.size);
@@ -359,12 +361,14 @@ impl Extraction<'_> {
         let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
         // How well a user knows what is given instead is not said.
         let constant = phone.constants.constant_sigma_us;
+        let parts = clock.and_then(|clock| clock.sigma_us).zip(constant);
         Some(PairsReport {
             spread,
-            sigma_us: clock
-                .and_then(|clock| clock.sigma_us)
-                .zip(constant)
-                .map(|([_, most], constant)| most.hypot(constant)),
+            sigma_us: parts.map(|([_, most], constant)| most.hypot(constant)),
+            largest: parts.map(|([_, most], constant)| match most < constant {
+                true => phone.constants.constant_part,
+                false => ErrorPart::Clocks,
+            }),
             histogram: pairs::histogram(pairs)?,
             central: pairs::histogram(&central)?,
             course: central.iter().step_by(step).filter_map(place).collect(),
@@ -376,7 +380,7 @@ impl Extraction<'_> {
         survey: &Survey,
         (color, shutter): (&[ColorFrame], Option<Shutter>),
         depth: &[DepthFrame],
-        pairs: &[Pair],
+        pairs: (&[Pair], &PairSigma<'_>),
     ) -> Result<(), ExtractError> {
         let out = &self.output.out;
         let write = || -> io::Result<()> {
@@ -400,6 +404,53 @@ impl Extraction<'_> {
         })?;
         writer.finish().map_err(|error| self.failed(error))?;
         Ok(())
+    }
+}
+
+impl Extraction<'_> {
+    /// Leaves out pairs from before the trigger was aligned and from after the recording, and
+    /// with the phone that it was aligned to those that are far apart; says how many.
+    fn aligned_pairs(
+        &mut self,
+        mut pairs: Vec<Pair>,
+        color: &[ColorFrame],
+        input: &PhoneInput,
+    ) -> Vec<Pair> {
+        let Some((from, to)) = self.inputs.recorded.filter(|_| !self.job.options.all_pairs) else {
+            return pairs;
+        };
+        let found = pairs.len();
+        let is_within = |pair: &Pair| {
+            let at = color.get(pair.color).map(|frame| frame.at.0);
+            at.is_some_and(|at| (from..=to).contains(&at))
+        };
+        pairs.retain(is_within);
+        let aligned = pairs.len();
+        let limit = match input.is_other() {
+            true => i64::MAX,
+            false => pairs::LIMIT_NS,
+        };
+        pairs.retain(|pair| pair.difference.saturating_abs() <= limit);
+        let (outside, far) = (found - aligned, aligned - pairs.len());
+        if outside + far > 0 {
+            self.remarks.push(input.about(&format!(
+                "{outside} pairs from before the trigger was aligned or after the recording are \
+                 left out, and {far} that are more than {} ms apart (--all-pairs has them)",
+                pairs::LIMIT_NS / 1_000_000
+            )));
+        }
+        pairs
+    }
+
+    /// 1-sigma of depth − phone of a pair with a phone's frame at a time, ns.
+    fn sigma_of_pairs<'a>(&self, phone: Option<&'a Phone>, input: &PhoneInput) -> PairSigma<'a> {
+        let constant_us = input.constants.constant_sigma_us;
+        let clock = phone.and_then(|phone| phone.clock.as_ref());
+        Box::new(move |at| {
+            let model = clock?.model_at(at)?;
+            let clock_us = model.covariance[0][0].max(0.0).sqrt() * 1e6;
+            constants::nanos(clock_us.hypot(constant_us?))
+        })
     }
 }
 

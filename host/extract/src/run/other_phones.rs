@@ -30,10 +30,11 @@ impl Extraction<'_> {
         };
         let phone = self.read_phone(input, survey)?;
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
-        let pairs = find_pairs(color, depth, survey);
+        let pairs = self.aligned_pairs(find_pairs(color, depth, survey), color, input);
+        let sigma = self.sigma_of_pairs(phone.as_ref(), input);
         let folder = self.output.out.join(&input.folder);
         let known = input.camera(None, None);
-        tables::write_phone(&folder, (color, known.shutter), &pairs, depth)
+        tables::write_phone(&folder, (color, known.shutter), (&pairs, &sigma), depth)
             .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let size = video.as_ref().and_then(|video| video.size);

@@ -109,7 +109,7 @@ fn course(drift: &EvaluatedDrift) -> Chart {
     let every = drift.points.len().div_ceil(MAX_POINTS).max(1);
     let points = drift.points.iter().step_by(every).copied().map(place);
     let ends = drift.points.first().into_iter().chain(drift.points.last());
-    let line = ends.zip([result.bias_at_start_us, result.bias_at_end_us]);
+    let line = ends.zip(drift.line_us);
     let line = line.map(|(&(time_s, _), bias_us)| place((time_s, bias_us)));
     Chart::new("time, s", "sensor row")
         .title(&format!(

@@ -12,8 +12,9 @@ use phone::video_files;
 use recording::finding::{Finding, Severity};
 use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
-    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, micros_text,
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
+use session::alignment::drift_sigma_over;
 use timebase::PhoneNanos;
 
 use super::{facts, seconds, title};
@@ -39,10 +40,16 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
         (_, [only]) => only.text.clone(),
         (Severity::Good, _) => String::from("Everything is there, and nothing of it is unknown."),
         (Severity::Check, _) => {
-            let phase = unmeasured(session).unwrap_or_default();
-            format!("{phase}Recorded, but not all is there or known: {open}.")
+            format!("Recorded, but not all is there or known: {open}.")
         }
         (Severity::Bad, _) => format!("Not usable as it is: {open}."),
+    };
+    let promise = session
+        .alignment
+        .map(|alignment| sentence(&alignment.promise()));
+    let text = match promise {
+        Some(promise) if severity != Severity::Bad => format!("{promise} {text}"),
+        _ => text,
     };
     Summary {
         title: title(&session.name),
@@ -53,13 +60,11 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     }
 }
 
-/// How well the phase is known where the bias was not measured: what is to be read first.
-fn unmeasured(session: &SessionFile) -> Option<String> {
-    let alignment = session.alignment.filter(|known| !known.bias_is_measured)?;
-    let phase = micros_text(alignment.phase_sigma_us);
-    Some(format!(
-        "The phase is known to ± {phase} until the bias is measured. "
-    ))
+/// Words as a sentence.
+pub(crate) fn sentence(words: &str) -> String {
+    let mut letters = words.chars();
+    let first = letters.next().into_iter().flat_map(char::to_uppercase);
+    first.chain(letters).chain(['.']).collect()
 }
 
 /// The checks before the recording that were not good.
@@ -227,8 +232,16 @@ fn alignment(session: &SessionFile) -> Finding {
         );
     };
     let mut found = alignment.promise();
+    if let Some(span) = session.recorded {
+        let length_s = seconds(span.from, span.to);
+        let drift = drift_sigma_over(&alignment, length_s);
+        found += &format!(", drift ± {drift:.1} µs/min over these {length_s:.0} s");
+    }
     let mut next = Vec::new();
-    let mut verdict = Severity::Good;
+    let mut verdict = match alignment.is_sure() {
+        true => Severity::Good,
+        false => Severity::Check,
+    };
     for name in [CHECK_BIAS, CHECK_LEARNT] {
         let check = session.preflight.iter().find(|check| check.kind == name);
         match check {

@@ -69,6 +69,9 @@ impl Content {
             streams,
             topics: self.topics.reports(),
             findings: findings.0,
+            alignment: session
+                .and_then(|session| session.alignment)
+                .map(|alignment| alignment.promise()),
             report: None,
         }
     }

@@ -360,7 +360,9 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     with((1_250.0, 1_250.0), &changed);
     let stated = of(&changed).promise();
     assert!(
-        stated.starts_with("phase known to ± 1.3 ms until the bias is measured (± 10.6 µs"),
+        stated.ends_with(
+            "± 1.3 ms (1-sigma), most of it from the assumed centre of the depth exposure"
+        ),
         "{stated}"
     );
     // Half of the readout goes by before the middle row.
@@ -375,7 +377,7 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     assert!(
         of(&changed)
             .promise()
-            .starts_with("phase known to ± 10.6 µs, drift")
+            .ends_with("± 10.6 µs (1-sigma), most of it from clocks and frame period")
     );
 }
 

@@ -1,5 +1,6 @@
 //! The sentence of an event, as the recording's log and `session.json` keep it.
 
+use crate::rates::PLANNED_S;
 use std::fmt::{self, Display, Formatter};
 
 use board::reset_cause;
@@ -236,8 +237,11 @@ impl SessionEvent {
                 alignment,
             } => write!(
                 f,
-                "aligning: {shift_us:+.1} µs over {frames} frames; {}",
-                alignment.promise()
+                "aligning: {shift_us:+.1} µs over {frames} frames; {}, drift ± {:.1} µs/min over \
+                 {:.0} min",
+                alignment.promise(),
+                alignment.drift_sigma_us_per_min,
+                PLANNED_S / 60.0
             ),
             Self::Arrived {
                 name,

@@ -1,7 +1,7 @@
 //! What is shown of the state, at a moment.
 
 use protocol::{Period, TICK_HZ, Ticks};
-use recording::session_file::Placement;
+use recording::session_file::{COARSE_US, ErrorPart, Placement};
 use serde::Serialize;
 use session::alignment::phase_sigma_us_now;
 use session::event::{Phase, Tracked};
@@ -35,8 +35,10 @@ pub(crate) struct PhaseNow {
     /// 1-sigma of the phase now, µs: of the grid against the phone's frames, and of the
     /// constant between the cameras.
     pub(crate) sigma_us: f64,
-    /// True if the constant is assumed, not measured.
-    pub(crate) is_assumed: bool,
+    /// The largest part of that.
+    pub(crate) largest: Option<ErrorPart>,
+    /// True if it is measured, and below a millisecond.
+    pub(crate) is_sure: bool,
     /// True if that is more than a twist may have.
     pub(crate) is_twist_due: bool,
     /// Where the phone's clock is followed.
@@ -215,7 +217,17 @@ impl State {
     pub(crate) const fn keys(&self) -> Keys {
         match self.phase {
             Some(Phase::Recording { .. }) => Keys::Record,
-            _ if self.asks => Keys::Answer,
+            // A twist that runs asks nothing.
+            Some(
+                Phase::Twisting { .. }
+                | Phase::Connecting
+                | Phase::Checking
+                | Phase::BetweenTwists
+                | Phase::StartingRecorder
+                | Phase::StartingTrigger
+                | Phase::StartingVideos
+                | Phase::Aligning,
+            ) if self.asks && self.twist.is_none() => Keys::Answer,
             _ => Keys::Look,
         }
     }
@@ -245,10 +257,12 @@ impl State {
         let untracked_us = || phase_sigma_us_now(alignment, now, self.temperature);
         let tracked_us = self.tracked.map(|tracked| tracked.sigma_us);
         let constant_us = alignment.constant_sigma_us.unwrap_or_default();
+        let sigma_us = tracked_us.unwrap_or_else(untracked_us).hypot(constant_us);
         Some(PhaseNow {
             phase_us: self.tracked.map_or(off_us, |tracked| tracked.phase_us),
-            sigma_us: tracked_us.unwrap_or_else(untracked_us).hypot(constant_us),
-            is_assumed: !alignment.bias_is_measured,
+            sigma_us,
+            largest: Some(alignment.largest_part(sigma_us)),
+            is_sure: alignment.bias_is_measured && sigma_us < COARSE_US,
             is_twist_due: self.is_twist_due,
             tracked: self.tracked,
         })

@@ -57,6 +57,7 @@ fn aligned(clock: ClockModel, seconds: f64) -> Alignment {
         bias_us: 0.0,
         constant_sigma_us: None,
         shift_us: 0.0,
+        constant_part: None,
         bias_is_measured: false,
         frame_period_ns: 1e9 / 30.0,
         frame_period_sigma_ns: None,
