@@ -90,7 +90,7 @@ impl Table {
         path
     }
 
-    /// The commands of two sessions and a data set, to be pasted.
+    /// The first commands, to be pasted.
     pub(crate) fn commands(&self, profile: &Path) -> String {
         let profile = match profile.as_os_str() == "rig.toml" {
             true => String::new(),
@@ -99,10 +99,8 @@ impl Table {
         format!(
             "\nIn a second terminal, in this folder:\n\n\
              export PATH={}:$PATH\n\
-             smartdepthsync doctor{profile}\n\
-             smartdepthsync record{profile} --yes --calibrate\n\
-             smartdepthsync record{profile} --yes --duration 30s\n\
-             smartdepthsync extract\n\n",
+             smartdepthsync doctor{profile}\n\n\
+             Each command ends with the next one.\n\n",
             self.programs.display()
         )
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use recording::profile::Profile;
-use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, micros_text};
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
 use session::checks::{Checks, Fault};
 use session::housekeeping::free_space;
 
@@ -50,7 +50,7 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
     match &profile.phone.learnt {
         None => checks.warn(
             CHECK_LEARNT,
-            "none: the phase may drift by tens of µs a minute",
+            "none",
             "`smartdepthsync record --calibrate` learns them in 2 minutes",
         ),
         Some(learnt) if is_old(learnt.learnt) => checks.warn(
@@ -72,10 +72,7 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
     match profile.frame_sync.bias_measured {
         None => checks.warn(
             CHECK_BIAS,
-            format!(
-                "not measured: until it is, the phase is known to ± {} at best",
-                micros_text(profile.constant_sigma_us())
-            ),
+            "not measured",
             "measure it: `smartdepthsync evaluate precision ... --calibrate`",
         ),
         Some(date) if is_old(date) => checks.warn(

@@ -20,7 +20,7 @@ use signal_hook::iterator::Signals;
 
 use crate::fields;
 use crate::outcome::{ExitStatus, Failure};
-use crate::terminal::{Shown, harmless};
+use crate::terminal::{Shown, harmless, wrapped};
 
 /// Where the options of every subcommand stand in a help: below its own.
 const GLOBAL: &str = "Options of every command";
@@ -114,11 +114,15 @@ impl Context {
         value: &T,
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
-        let is_plain = self.global.json || !is_coloured();
-        if is_plain {
+        if self.global.json || !io::stdout().is_terminal() {
             return self.print(value, text);
         }
-        Ok(write_stdout(&text(), Shown::WithMarks)?)
+        let width = rustix::termios::tcgetwinsize(io::stdout()).map_or(80, |size| size.ws_col);
+        let shown = match is_coloured() {
+            true => Shown::WithMarks,
+            false => Shown::ForPeople,
+        };
+        Ok(write_stdout(&wrapped(&text(), width.into()), shown)?)
     }
 
     /// Whether nobody is to be told how it goes.

@@ -87,6 +87,16 @@ impl Place {
         }
     }
 
+    /// The option that names it again, with a blank before; nothing where it is found by itself.
+    pub(crate) fn option(&self) -> String {
+        match &self.path {
+            Some(path) if self.source == Source::Option && path.as_os_str() != FILE => {
+                format!(" --profile {}", files::shell_word(path))
+            }
+            _ => String::new(),
+        }
+    }
+
     /// The file, for what can only be written into one.
     ///
     /// # Errors

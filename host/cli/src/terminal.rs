@@ -45,6 +45,34 @@ pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
+/// The lines of a text, broken between words where they are wider than a terminal; what is
+/// broken stands below its beginning. Commands, which begin with two blanks, stay whole: they
+/// are to be pasted.
+pub(crate) fn wrapped(text: &str, width: usize) -> String {
+    let mut out = String::with_capacity(text.len() + 64);
+    for line in text.lines() {
+        let is_command = line
+            .strip_prefix("  ")
+            .is_some_and(|it| !it.starts_with(' '));
+        // Mark and kind of a finding are its first column.
+        let column = line.rfind("  ").map_or(0, |at| at + 2).min(width / 2);
+        let mut at = 0;
+        for (index, word) in line.split_inclusive(' ').enumerate() {
+            let letters = word.trim_end().chars().count();
+            if index > 0 && !is_command && at > column && at + letters > width {
+                out.truncate(out.trim_end_matches(' ').len());
+                out.push('\n');
+                out.extend(std::iter::repeat_n(' ', column));
+                at = column;
+            }
+            out.push_str(word);
+            at += word.chars().count();
+        }
+        out.push('\n');
+    }
+    out
+}
+
 /// The marks of checks at the beginnings of lines in green, yellow and bold red.
 fn with_marks(text: &str) -> String {
     const COLOURS: [&str; 3] = ["32", "33", "1;31"];
@@ -74,6 +102,18 @@ fn is_obeyed(c: char) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_are_broken_between_words_and_commands_are_not() {
+        let text =
+            "check  alignment  one two three four five\n  smartdepthsync extract x/y/z/long\n";
+        assert_eq!(
+            wrapped(text, 26),
+            "check  alignment  one two\n             three four\n             five\n\
+             \x20 smartdepthsync extract x/y/z/long\n"
+        );
+        assert_eq!(wrapped("a\n\nb", 0), "a\n\nb\n");
+    }
 
     #[test]
     fn marks_alone_are_coloured() {

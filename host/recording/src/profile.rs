@@ -440,19 +440,23 @@ impl Profile {
         }
     }
 
+    /// 1-sigma of each constant between the two exposures while the bias is not measured, µs.
+    #[must_use]
+    pub fn constant_parts(&self) -> [(ErrorPart, f64); 3] {
+        let phone = &self.phone;
+        let readout = phone.readout_sigma_us * phone.middle_row_part();
+        [
+            (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
+            (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
+            (ErrorPart::Readout, readout),
+        ]
+    }
+
     /// The largest part of [`Profile::constant_sigma_us`].
     #[must_use]
     pub fn constant_part(&self) -> ErrorPart {
-        let phone = &self.phone;
-        let parts = [
-            (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
-            (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
-            (
-                ErrorPart::Readout,
-                phone.readout_sigma_us * phone.middle_row_part(),
-            ),
-        ];
-        let largest = parts.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
+        let parts = self.constant_parts().into_iter();
+        let largest = parts.max_by(|a, b| a.1.total_cmp(&b.1));
         match (self.frame_sync.bias_measured, largest) {
             (None, Some((part, _))) => part,
             _ => ErrorPart::Bias,

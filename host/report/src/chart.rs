@@ -311,6 +311,38 @@ pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u
     stack(SIZE, &[chart.least(0.0..1.0)])
 }
 
+/// Named values as bars beside each other's length, each with its value in words.
+#[must_use]
+pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
+    const ROW: i32 = 64;
+    let drawn = values.iter().filter(|(_, value)| is_drawn(*value));
+    let most = drawn
+        .clone()
+        .map(|(_, value)| value.abs())
+        .fold(0.0, f64::max);
+    let (width, height) = (SIZE.0, ROW * drawn.clone().count() as i32);
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"{LABEL}\" \
+         xmlns=\"http://www.w3.org/2000/svg\">"
+    );
+    for (row, (name, value)) in (0..).zip(drawn) {
+        let length = match most > 0.0 {
+            true => f64::from(width) * value.abs() / most,
+            false => 0.0,
+        };
+        let top = row * ROW;
+        let RGBColor(red, green, blue) = RGBColor(0, 114, 178);
+        svg += &format!(
+            "<text x=\"0\" y=\"{}\">{name}: {}</text><rect x=\"0\" y=\"{}\" width=\"{length:.1}\" \
+             height=\"18\" fill=\"rgb({red},{green},{blue})\"/>",
+            top + 30,
+            words(*value),
+            top + 38,
+        );
+    }
+    svg + "</svg>"
+}
+
 /// Draws charts one below the other, each of `size` pixels; one with axes and more than two
 /// lines of title and legend is so much higher.
 ///

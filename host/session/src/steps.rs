@@ -280,7 +280,8 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
             mark(&mut session.log, now, Some(label))?;
         }
         steer(session)?;
-        if !is_twist_due_reported && is_twist_due(session) {
+        // A twist at the end relates the clocks again.
+        if !is_twist_due_reported && !options.second_twist && is_twist_due(session) {
             is_twist_due_reported = true;
             session.log.report(SessionEvent::TwistDue {
                 limit_us: session.profile.align.max_offset_sigma_us,

@@ -46,7 +46,7 @@ fn what_nobody_has_measured_is_in_what_is_stated() {
         // It is what is read first.
         let first = summary.text.split('.').next().unwrap();
         assert!(
-            !alignment.bias_is_measured && first.starts_with("The phase is known to ± 5"),
+            !alignment.bias_is_measured && first.starts_with("Cameras expose together to ± 5"),
             "{first}"
         );
     }

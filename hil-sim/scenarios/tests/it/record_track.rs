@@ -34,7 +34,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     });
     let phone = AdbPhone::new(rig.phone().storage(), "qemu-aarch64");
     // Without a length: how long a busy computer takes to all this is not known.
-    let mut command = rig.record("pulled", &["--track", "always", "--events"]);
+    let mut command = rig.record("pulled", &["--track", "always", "--no-fetch", "--events"]);
     let mut session = Session::start(phone.show(&mut command));
     session.wait_for("tracked", |event| event["tracked"]["holds"] == true);
     let forwarded = phone.adb(&["forward", "--list"]);

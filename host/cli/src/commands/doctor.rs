@@ -16,7 +16,9 @@ use crate::rig_profile::ProfileArg;
 use board::imu::{ImuLook, Scale};
 use board::{Board, Event};
 use phone::{PhoneClient, Settings};
+use recording::finding::Severity;
 use recording::profile::Profile;
+use recording::session_file::CHECK_LEARNT;
 use report::summary::findings_text;
 use serde::Serialize;
 use session::checks::{Checks, Fault, IMU_TIME, TRIGGER_TIME};
@@ -76,11 +78,26 @@ impl Found {
 /// None but those of printing; what is wrong is in the result.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let found = look(args, context);
-    context.print_checks(&found, || findings_text(&found.checks.checks))?;
+    let status = found.outcome();
+    context.print_checks(&found, || {
+        let place = args.profile.place().option();
+        let is_learnt = found
+            .checks
+            .checks
+            .iter()
+            .any(|check| check.kind == CHECK_LEARNT && check.severity == Severity::Good);
+        let (verdict, next) = match (status, is_learnt) {
+            (ExitStatus::Good, false) => ("Ready to record.", "record --calibrate"),
+            (ExitStatus::Good, true) => ("Ready to record.", "record --duration 1m"),
+            _ => ("Not ready: mend what is BAD.", "doctor"),
+        };
+        let checks = findings_text(&found.checks.checks);
+        format!("{checks}{verdict}\nnext\n  smartdepthsync {next}{place}")
+    })?;
     if context.interrupt.requested() {
         return Ok(ExitStatus::Interrupted);
     }
-    Ok(found.outcome())
+    Ok(status)
 }
 
 /// Makes the checks.

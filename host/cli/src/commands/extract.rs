@@ -20,6 +20,7 @@ use extract::run::{Job, run as extract};
 use phone::video_files::FilesError;
 use recording::SESSION_FILE;
 use recording::profile::Profile;
+use recording::session_file::SessionFile;
 
 /// The formats as the command line names them.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -202,7 +203,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     context.print_checks(&report, || {
         let text = report::extraction::summary(&report).text();
-        format!("{text}written to {}", job.out.display())
+        let folder = recordings::folder_of(&job.recording);
+        let session = SessionFile::load(folder).ok();
+        let next = session
+            .filter(|session| session.profile.phone.learnt.is_none())
+            .map_or("", |_| "\nnext\n  smartdepthsync record --calibrate");
+        format!("{text}written to {}{next}", job.out.display())
     })?;
     Ok(ExitStatus::of_loss(!report.losses.is_empty()))
 }

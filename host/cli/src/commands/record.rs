@@ -18,10 +18,11 @@ use crate::view::View;
 use crate::view::state::State;
 use phone::adb::get_files_command;
 use phone::task::PhoneTask;
+use recording::finding::Finding;
 use recording::folder::check_name;
 use recording::profile::Profile;
-use recording::session_file::{SessionFile, SessionOutcome};
-use report::session::{files_to_fetch, findings, has_recorded, summary};
+use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
+use report::session::{files_to_fetch, has_recorded, summary};
 use report::summary::{Summary, findings_text};
 use session::devices::{Phone, SystemClock};
 use session::hardware::{AdbClockStarter, SerialConnector};
@@ -190,8 +191,31 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let Ended {
         result,
         folder,
-        file,
+        mut file,
     } = record(args, &profile, &place, context)?;
+    let outcome = match result {
+        // Nothing between begin and end is not what was asked for.
+        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!has_recorded(&file)),
+        Ok(SessionOutcome::Loss) => ExitStatus::Loss,
+        Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
+        Ok(SessionOutcome::Failed) => ExitStatus::Error,
+        Err(error) => {
+            // The recording is there, whatever becomes of its report.
+            let _ = report::session::write(&folder, &file);
+            context.say(format!("what was recorded is in {}", folder.display()));
+            return Err(error.into());
+        }
+    };
+    let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
+        Some(profile) => match learn(profile, &folder, &file, None, None) {
+            Ok(learnt) => {
+                learnt_now(&mut file, &folder)?;
+                (learnt, None)
+            }
+            Err(failure) => (Vec::new(), Some(failure)),
+        },
+        None => (Vec::new(), None),
+    };
     // The recording is there, whatever becomes of its report.
     let html = match report::session::write(&folder, &file) {
         Ok(path) => Some(path),
@@ -200,27 +224,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             None
         }
     };
-    let outcome = match result {
-        // Nothing between begin and end is not what was asked for.
-        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!has_recorded(&file)),
-        Ok(SessionOutcome::Loss) => ExitStatus::Loss,
-        Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
-        Ok(SessionOutcome::Failed) => ExitStatus::Error,
-        Err(error) => {
-            context.say(format!("what was recorded is in {}", folder.display()));
-            return Err(error.into());
-        }
-    };
-    let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
-        Some(profile) => match learn(profile, &folder, &file, None, None) {
-            Ok(learnt) => (learnt, None),
-            Err(failure) => (Vec::new(), Some(failure)),
-        },
-        None => (Vec::new(), None),
-    };
     let report = PrintedSession {
         verdict: summary(&folder, &file),
-        next: next_commands(&folder, &file, to_teach.filter(|_| not_learnt.is_some())),
+        next: next_commands(&folder, &file, (to_teach, not_learnt.is_some()), &place),
         folder,
         report: html,
         learnt,
@@ -298,9 +304,24 @@ fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     }
 }
 
-/// Gives what to type next, ready to be pasted. `to_teach` is a profile that could not be taught
-/// yet.
-fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) -> Vec<String> {
+/// Notes in the session of a calibration that the clocks are learnt: what its checks found
+/// before is no more so.
+fn learnt_now(file: &mut SessionFile, folder: &Path) -> Result<(), Failure> {
+    let mut checks = file.preflight.iter_mut();
+    if let Some(check) = checks.find(|check| check.kind == CHECK_LEARNT) {
+        *check = Finding::good(CHECK_LEARNT, "from this recording");
+    }
+    Ok(file.save(folder)?)
+}
+
+/// Gives what to type next, ready to be pasted; `to_teach` is the profile that a calibration is
+/// for, and whether it could not be taught.
+fn next_commands(
+    folder: &Path,
+    session: &SessionFile,
+    to_teach: (Option<&Path>, bool),
+    place: &Place,
+) -> Vec<String> {
     if !has_recorded(session) {
         return Vec::new();
     }
@@ -310,44 +331,43 @@ fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) 
         .map(|(phase, place)| get_files_command(PhoneNanos(*phase), place, true))
         .collect();
     let recording = files::shell_word(folder);
-    if let Some(profile) = to_teach {
-        let profile = files::shell_word(profile);
-        commands.push(format!(
-            "smartdepthsync profile learn {recording} --profile {profile}"
-        ));
+    match to_teach {
+        (Some(profile), true) => {
+            let profile = files::shell_word(profile);
+            commands.push(format!(
+                "smartdepthsync profile learn {recording} --profile {profile}"
+            ));
+        }
+        (Some(_), false) => {
+            let profile = place.option();
+            commands.push(format!("smartdepthsync record --duration 1m{profile}"));
+        }
+        (None, _) => commands.push(format!("smartdepthsync extract {recording}")),
     }
-    commands.push(format!("smartdepthsync extract {recording}"));
     commands
 }
 
-/// What is said at the end.
+/// What is said at the end: the verdict, each remark once, and what to type next.
 fn text(printed: &PrintedSession<'_>) -> String {
     let session = printed.session;
-    let mut text = printed.verdict.text();
-    text += &format!("folder {}\n", printed.folder.display());
-    if let Some(html) = &printed.report {
-        text += &format!("report {}\n", html.display());
+    let verdict = &printed.verdict;
+    let mut text = format!("{}\n{}", verdict.text, findings_text(&verdict.parts));
+    // A single problem is a part of the verdict.
+    if session.problems.len() > 1 {
+        text += &findings_text(session.problems.iter().take(MAX_PROBLEMS));
     }
-    let problems = session.problems.iter().take(MAX_PROBLEMS);
     let more = session.problems.len().saturating_sub(MAX_PROBLEMS);
-    let more = (more > 0).then(|| format!("and {more} more, in session.json\n"));
-    let lessons = printed.learnt.iter().map(Lesson::text);
-    let next = printed.next.iter();
-    for (heading, part) in [
-        (
-            "before the recording the checks found",
-            findings_text(findings(session)),
-        ),
-        (
-            "what went wrong",
-            findings_text(problems) + &more.unwrap_or_default(),
-        ),
-        ("learnt, for the next recording", lessons.collect()),
-        ("next", next.map(|line| format!("  {line}\n")).collect()),
-    ] {
-        if !part.is_empty() {
-            text += &format!("\n{heading}\n{part}");
-        }
+    if more > 0 {
+        text += &format!("and {more} more, in session.json\n");
+    }
+    text.extend(printed.learnt.iter().map(Lesson::text));
+    text += &match &printed.report {
+        Some(html) => format!("report {}\n", html.display()),
+        None => format!("folder {}\n", printed.folder.display()),
+    };
+    if !printed.next.is_empty() {
+        text += "next\n";
+        text.extend(printed.next.iter().map(|line| format!("  {line}\n")));
     }
     text
 }

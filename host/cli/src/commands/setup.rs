@@ -169,19 +169,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         no_trigger: args.no_trigger,
         no_phone: false,
     };
-    let status = doctor::run(&doctor, context)?;
-    let profile = match args.profile.as_os_str() == FILE {
-        true => String::new(),
-        false => format!(" --profile {}", files::shell_word(&args.profile)),
-    };
-    context.say(match status {
-        ExitStatus::Good => format!(
-            "next, with the phone and the rig in your hands\n  smartdepthsync record \
-             --calibrate{profile}"
-        ),
-        _ => format!("mend what is BAD above; then\n  smartdepthsync doctor{profile}"),
-    });
-    Ok(status)
+    doctor::run(&doctor, context)
 }
 
 /// Asks the person at the terminal, or whoever writes to standard input.

@@ -12,7 +12,7 @@ use phone::video_files;
 use recording::finding::{Finding, Severity};
 use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
-    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, Span,
 };
 use session::alignment::drift_sigma_over;
 use timebase::PhoneNanos;
@@ -231,12 +231,14 @@ fn alignment(session: &SessionFile) -> Finding {
             vec![String::from("record again")],
         );
     };
-    let mut found = alignment.promise();
-    if let Some(span) = session.recorded {
-        let length_s = seconds(span.from, span.to);
-        let drift = drift_sigma_over(&alignment, length_s);
-        found += &format!(", drift ± {drift:.1} µs/min over these {length_s:.0} s");
-    }
+    // How well the cameras expose together is the first sentence of all.
+    let span = session.recorded.unwrap_or(Span {
+        from: alignment.anchor,
+        to: alignment.anchor,
+    });
+    let length_s = seconds(span.from, span.to);
+    let drift = drift_sigma_over(&alignment, length_s);
+    let mut found = format!("drift ± {drift:.1} µs/min (1-sigma) over these {length_s:.0} s");
     let mut next = Vec::new();
     let mut verdict = match alignment.is_sure() {
         true => Severity::Good,

@@ -7,7 +7,9 @@ use super::{MAX_LISTED, seconds};
 use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
 use recording::finding::Severity;
-use recording::session_file::{FramePeriodSource, SessionFile, Span};
+use recording::session_file::{
+    Alignment, ErrorPart, FramePeriodSource, SessionFile, Span, micros_text,
+};
 use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
@@ -99,6 +101,7 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
             },
         ),
     ]);
+    budget(page, session, &alignment);
     if let Some(span) = session.recorded {
         let sigma_us = |at| phase_sigma_us_at(&alignment, at);
         let svg = curve("phase", "1-sigma of the phase, µs", span, sigma_us);
@@ -111,6 +114,27 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
             );
         }
     }
+}
+
+/// The parts of the total uncertainty as bars, and what comes of them.
+fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
+    let total = alignment.phase_sigma_us;
+    let constant = alignment.constant_sigma_us.unwrap_or_default();
+    let clocks = (total * total - constant * constant).max(0.0).sqrt();
+    let mut parts = vec![(ErrorPart::Clocks.text(), clocks)];
+    match alignment.bias_is_measured {
+        true => parts.push((ErrorPart::Bias.text(), constant)),
+        false => {
+            let constants = session.profile.constant_parts();
+            parts.extend(constants.map(|(part, sigma_us)| (part.text(), sigma_us)));
+        }
+    }
+    parts.push(("all together", total));
+    page.figure(
+        &chart::bars(&parts, micros_text),
+        "Error budget: how far the middles of the two exposures may be from each other (1-sigma), \
+         part by part; all together is the root of the sum of squares.",
+    );
 }
 
 /// The sensors on the auxiliary outputs and the lidar, by name.
@@ -179,7 +203,14 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
         return;
     }
     page.section("The trigger");
-    if let Some(series) = off_grid {
+    let is_exact = curves
+        .off_grid
+        .columns()
+        .iter()
+        .all(|it| it.low == 0.0 && it.high == 0.0);
+    if off_grid.is_some() && is_exact {
+        page.text("Every pulse was where it should be on its grid, to the tick of 20.83 ns.");
+    } else if let Some(series) = off_grid {
         let svg = chart::series(
             "board time, s",
             "off the grid, ticks",
@@ -188,8 +219,7 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
         );
         page.figure(
             &svg,
-            "Each pulse against the grid it was sent to, in ticks of 20.83 ns. Zero everywhere: \
-             every pulse was where it should be.",
+            "Each pulse against the grid it was sent to, in ticks of 20.83 ns.",
         );
     }
     match readback {
@@ -240,7 +270,20 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
             20.0..30.0,
         ),
     ] {
-        if let Some(series) = range(name, envelope) {
+        let columns = envelope.columns();
+        let low = columns
+            .iter()
+            .map(|it| it.low)
+            .fold(f64::INFINITY, f64::min);
+        let high = columns
+            .iter()
+            .map(|it| it.high)
+            .fold(f64::NEG_INFINITY, f64::max);
+        if low.is_finite() && high - low < 1.0 {
+            page.text(&format!(
+                "The {name}: {low:.1} to {high:.1} {unit} all the time."
+            ));
+        } else if let Some(series) = range(name, envelope) {
             let svg = chart::series("board time, s", unit, least, vec![series]);
             page.figure(&svg, &format!("The {name}, in {unit}."));
         }
