@@ -23,13 +23,16 @@ use scenarios::virtual_session::SharedRig;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::SimDuration;
 
+/// A link in place of another.
+type Through = Box<dyn Fn(Box<dyn Link>) -> Box<dyn Link>>;
+
 /// A board with its wires, and whoever is at it.
 pub(crate) struct Bench {
     rig: SharedRig,
     jumpers: Arc<Mutex<Jumpers>>,
     board: Board,
     /// What is said goes through such a link.
-    through: Box<dyn Fn(Box<dyn Link>) -> Box<dyn Link>>,
+    through: Through,
 }
 
 /// What is measured where nothing else is said.

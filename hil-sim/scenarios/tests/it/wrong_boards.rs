@@ -43,7 +43,7 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    fn new(link: Box<dyn Link>, tape: &Arc<Mutex<Tape>>) -> Box<dyn Link> {
+    fn around(link: Box<dyn Link>, tape: &Arc<Mutex<Tape>>) -> Box<dyn Link> {
         let tape = Arc::clone(tape);
         let mut kept = Self { link, tape };
         kept.note(Entry::Connected);
@@ -179,7 +179,9 @@ fn tape(parts: &[Part]) -> Tape {
 fn tape_of(parts: &[Part], prepare: impl FnOnce(&Bench)) -> (Tape, Report) {
     let tape = Arc::new(Mutex::new(Tape::new()));
     let kept = Arc::clone(&tape);
-    let mut bench = Bench::with_link(31, Jumpers::default(), move |link| Kept::new(link, &kept));
+    let mut bench = Bench::with_link(31, Jumpers::default(), move |link| {
+        Kept::around(link, &kept)
+    });
     prepare(&bench);
     let report = bench.measure_attended(&plan(parts));
     drop(bench);
