@@ -215,8 +215,7 @@ pub(crate) fn clippy() -> Result<()> {
 /// Runs cargo in a folder whose programs are for a target without a system.
 fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     let mut cargo = process::command(process::cargo_program());
-    // The folder's own .cargo/config.toml sets target and profile, so that this
-    // is the very build of `cargo run` there.
+    // The folder's own .cargo/config.toml sets target and profile, as for `cargo run` there.
     cargo
         .current_dir(process::root().join(folder))
         .env("CARGO_TARGET_DIR", process::target_dir());
@@ -226,7 +225,7 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     };
     cargo.args(before);
     if target == TARGET {
-        // Its debug information names the sources.
+        // Its debug information names the sources, there by their folders.
         let options = process::remapped();
         cargo.arg(format!("--config=target.{TARGET}.rustflags={options:?}"));
     }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -385,7 +386,9 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]
     for kind in (np.int64, np.float64):
         form = np.dtype([("t", kind), ("x", "f8"), ("y", "f8"), ("z", "f8")])
         try:
-            with open_text(path) as file:
+            with open_text(path) as file, warnings.catch_warnings():
+                # NumPy 1.24 cuts the fraction off where later ones refuse, and warns.
+                warnings.simplefilter("error", DeprecationWarning)
                 table = np.loadtxt(
                     file,
                     form,
@@ -396,7 +399,7 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]
                     comments="#",
                     ndmin=1,
                 )
-        except (ValueError, OverflowError):
+        except (ValueError, OverflowError, DeprecationWarning):
             continue
         rates = np.column_stack([table[k] for k in "xyz"])
         if np.isfinite(rates).all():
