@@ -23,7 +23,7 @@ mod scenarios;
 mod views;
 
 pub use grip::Grip;
-pub use scenarios::{Scenario, scenarios};
+pub use scenarios::{REAL_STRENGTH, Scenario, scenarios};
 pub use views::RealMotion;
 
 /// Motion of the rig.
@@ -33,6 +33,8 @@ pub enum Motion {
     Twist(f64, f64),
     /// The same about one fixed axis.
     SingleAxis(f64, f64),
+    /// A twist with these peaks about the three axes, rad/s.
+    Axes([f64; 3]),
     /// Carried around and panned slowly; peak rate in this range, rad/s.
     Natural(f64, f64),
     /// Lying on the table.
@@ -59,6 +61,12 @@ pub struct Sensor {
     pub jitter_s: f64,
     /// Height and period of a zero-mean sawtooth error of the stamps, seconds.
     pub sawtooth_s: Option<(f64, f64)>,
+    /// The longest period, where each recording has its own; 0: the same in all.
+    pub longest_sawtooth_s: f64,
+    /// Rms and correlation time of a wander of the stamps, seconds.
+    pub wander_s: Option<(f64, f64)>,
+    /// Factor of the noise about z.
+    pub noisy_z: f64,
     /// Share of the samples that are lost, in bursts of 1 to 20.
     pub lost: f64,
     /// Copies and displaced samples as phones show them.
@@ -105,6 +113,9 @@ pub const SENSOR_A: Sensor = Sensor {
     range: None,
     jitter_s: 0.0,
     sawtooth_s: None,
+    longest_sawtooth_s: 0.0,
+    wander_s: None,
+    noisy_z: 1.0,
     lost: 0.0,
     faulty: false,
     faulty_period: 10.0,
@@ -291,6 +302,7 @@ impl Rates {
             Motion::Twist(low, high) | Motion::SingleAxis(low, high) => {
                 (low, high, 0.5, 3.5, rest_s)
             }
+            Motion::Axes(_) => (1.0, 1.0, 0.5, 3.5, rest_s),
             Motion::Natural(low, high) => (low, high, 0.05, 1.5, 0.0),
             Motion::Still => (0.0, 0.0, 0.5, 3.5, 0.0),
         };
@@ -314,6 +326,16 @@ impl Rates {
             scale: 1.0,
             axis,
         };
+        if let Motion::Axes(peaks) = motion {
+            for (axis, peak) in peaks.into_iter().enumerate() {
+                let at = |k| out.at(end_s * f64::from(k) / 2000.0)[axis].abs();
+                let highest = (0..2000).map(at).fold(1e-9, f64::max);
+                for (amplitude, ..) in &mut out.parts[axis] {
+                    *amplitude *= peak / highest;
+                }
+            }
+            return out;
+        }
         let highest = (0..2000)
             .map(|k| out.at(end_s * f64::from(k) / 2000.0).norm())
             .fold(1e-9, f64::max);
@@ -399,6 +421,13 @@ fn record(
         let frequency = 1.0 / rng.random_range(3.0..15.0);
         (amplitude, frequency, rng.random_range(0.0..1.0))
     });
+    // Draws of their own: what has none of these stays as it is.
+    let mut own = Pcg64::seed_from_u64(class as u64 + (phase * 1e15) as u64);
+    let mut wander = 0.0;
+    let sawtooth = sensor.sawtooth_s.map(|(height, period)| {
+        let longest = sensor.longest_sawtooth_s.max(period);
+        (height, period + (longest - period) * own.random::<f64>())
+    });
     let quantise = |x: f64| {
         if sensor.lsb > 0.0 {
             (x / sensor.lsb).round() * sensor.lsb
@@ -432,11 +461,18 @@ fn record(
             let turns: f64 = k as f64 * step * frequency + phase;
             content += amplitude * (std::f64::consts::TAU * turns).sin();
         }
-        if let Some((height, period)) = sensor.sawtooth_s {
+        if let Some((height, period)) = sawtooth {
             let x: f64 = (k as f64 * step / period + phase).fract();
             stamp += height * (0.5 - x);
         }
-        let noise: Vector3<f64> = Vector3::from_fn(|_, _| StandardNormal.sample(rng));
+        if let Some((rms, memory)) = sensor.wander_s {
+            let kept = if k == 0 { 0.0 } else { (-step / memory).exp() };
+            let new: f64 = StandardNormal.sample(&mut own);
+            wander = kept * wander + rms * (1.0 - kept * kept).sqrt() * new;
+            stamp += wander;
+        }
+        let mut noise: Vector3<f64> = Vector3::from_fn(|_, _| StandardNormal.sample(rng));
+        noise.z *= sensor.noisy_z;
         let clean = (rotation * seen.at(content)).component_mul(&scale) + bias;
         let mut value: Vec3 = (clean + noise * sensor.noise).into();
         for x in &mut value {

@@ -71,6 +71,7 @@ impl Settings {
             handle_faults: self.handle_faults,
             wander: self.wander_ppm.map_or(usual.wander, Wander::from_ppm),
             search: self.search,
+            ..usual
         })
     }
 }

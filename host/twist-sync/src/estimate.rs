@@ -52,6 +52,10 @@ pub struct Options {
     pub a_delay_s: f64,
     /// Delay of the low-pass of gyroscope b in seconds, subtracted from its timestamps.
     pub b_delay_s: f64,
+    /// Jump of a sawtooth which the timestamps of b are known to have, seconds, as an earlier
+    /// estimate gave it ([`FaultKind::TimestampSawtooth`]); 0: none is known. Where it does not
+    /// jump in these recordings, what it leaves open is part of the sigmas.
+    pub b_jump_s: f64,
     /// Estimates with a larger 1-sigma are refused, seconds.
     pub sigma_limit_s: f64,
     /// Least time that both recordings must have in common, seconds.
@@ -70,6 +74,7 @@ impl Default for Options {
             low_pass_hz: 25.0,
             a_delay_s: 0.0,
             b_delay_s: 0.0,
+            b_jump_s: 0.0,
             sigma_limit_s: 100e-6,
             min_overlap_s: 1.5,
             handle_faults: true,
@@ -283,8 +288,15 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     let mut report = Report::default();
-    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults);
-    let b = CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults);
+    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options.handle_faults);
+    let jump_s = options.b_jump_s;
+    let b = CheckedStream::new(
+        Stream::B,
+        b,
+        options.b_delay_s,
+        jump_s,
+        options.handle_faults,
+    );
     let usable = |s: &Option<CheckedStream<'_>>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {

@@ -43,6 +43,7 @@ impl<'a> CheckedStream<'a> {
         stream: Stream,
         track: &'a GyroTrack,
         delay_s: f64,
+        known_jump_s: f64,
         handle_faults: bool,
     ) -> Option<Self> {
         let n = track.t.len().min(track.w.len());
@@ -51,7 +52,7 @@ impl<'a> CheckedStream<'a> {
             .iter()
             .map(|v| v.iter().all(|x| x.is_finite() && x.abs() < LARGEST_RATE))
             .collect();
-        let checked = timestamps::check(stream, t, &finite)?;
+        let checked = timestamps::check(stream, t, &finite, known_jump_s)?;
         let mut out = Self {
             stream,
             epoch_s: track.epoch_s - delay_s,

@@ -20,6 +20,8 @@
 //!   sawtooth is not known, and its height over √12 remains as an uncertainty
 //!   ([`Timestamps::unresolved_s`]). If the stamps jump or the samples do, only
 //!   the other stream can tell ([`Pattern`]).
+//!   A sawtooth that is known from elsewhere and does not jump here cannot be seen: its drift is
+//!   that of another clock. Mean and spread of all that do not jump are taken ([`UNSEEN_DRIFT`]).
 //! * **A jump** of another kind is left as it is, and told to the comparison with the other
 //!   stream.
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
@@ -40,6 +42,9 @@ const LARGEST_LONE_RESET_S: f64 = 100e-6;
 /// longer part of the recording before or after it: of periods evenly over their logarithm,
 /// weighted by the probability that one jump is seen.
 const LONE_DRIFT: (f64, f64) = (0.52, 0.25);
+/// The same where a sawtooth is known of and no jump is seen: in jumps over the length of the
+/// recording, of periods up to five lengths. The last is the 1-sigma of its mean, in jumps.
+const UNSEEN_DRIFT: (f64, f64, f64) = (0.40, 0.17, 0.18);
 /// The drift between jumps that are seen, 1-sigma as a part of it: devices do not jump evenly.
 const UNEVEN_DRIFT: f64 = 0.02;
 /// The mean of a sawtooth of several jumps, 1-sigma as a part of a jump: where between two
@@ -110,9 +115,15 @@ impl Timestamps {
     }
 }
 
-/// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is
-/// finite. `None` if fewer than eight usable samples remain.
-pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
+/// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is finite;
+/// `known_jump_s` is that of a sawtooth which the stamps are known to have, or 0. `None` if
+/// fewer than eight usable samples remain.
+pub(crate) fn check(
+    stream: Stream,
+    t: &[f64],
+    finite: &[bool],
+    known_jump_s: f64,
+) -> Option<Timestamps> {
     let mut out = Timestamps {
         t: t.to_vec(),
         usable: t
@@ -155,6 +166,16 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
         outliers.period = recurrence(&outliers.samples);
         out.leave_out(&mut kept, outliers);
         look_for_jumps(stream, &kept, &mut out);
+        if out.pattern.is_none() && known_jump_s != 0.0 {
+            let (begin, end) = (t[kept[0]], t[kept[kept.len() - 1]]);
+            let (drift, drift_sigma, mean_sigma) = UNSEEN_DRIFT;
+            let each_s = known_jump_s / (end - begin);
+            let middle = 0.5 * (begin + end);
+            let undone = out.t.iter_mut();
+            undone.for_each(|t| *t += drift * each_s * (*t - middle));
+            out.unresolved_s = mean_sigma * known_jump_s.abs();
+            out.unresolved_skew = (drift_sigma * each_s).abs();
+        }
     } else {
         // Where few stamps step otherwise, the error is as long as the recording.
         let q = out.resolution_s;
@@ -436,7 +457,7 @@ mod tests {
             .enumerate()
             .map(|(k, t)| t + 20e-6 * (k as f64 * 1.3).sin())
             .collect();
-        let checked = check(Stream::B, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::B, &t, &vec![true; 1000], 0.0).unwrap();
         assert!(checked.faults.is_empty(), "{:?}", checked.faults);
         assert_eq!(checked.t, t);
     }
@@ -448,7 +469,7 @@ mod tests {
         t[500] -= 0.7;
         t[700] = f64::NAN;
         t[900] += 0.0007;
-        let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
         let lost: Vec<usize> = (0..1000).filter(|&k| !checked.usable[k]).collect();
         assert_eq!(lost, [300, 500, 700, 900]);
     }
@@ -459,7 +480,7 @@ mod tests {
             for at in [0, 500, 999] {
                 let mut t = regular(1000);
                 t[at] = wild;
-                let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
+                let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
                 assert_eq!(checked.faults.len(), 1, "{wild} at {at}");
                 let fault = &checked.faults[0];
                 assert_eq!(fault.kind, FaultKind::TimestampFar);
@@ -468,7 +489,7 @@ mod tests {
         }
         // Samples that are all far from each other leave nothing.
         let t: Vec<f64> = (0..1000).map(|k| 59.0 * f64::from(k)).collect();
-        assert!(check(Stream::A, &t, &vec![true; 1000]).is_none());
+        assert!(check(Stream::A, &t, &vec![true; 1000], 0.0).is_none());
     }
 
     #[test]
@@ -479,7 +500,7 @@ mod tests {
             .enumerate()
             .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
             .collect();
-        let checked = check(Stream::B, &t, &vec![true; 4500]).unwrap();
+        let checked = check(Stream::B, &t, &vec![true; 4500], 0.0).unwrap();
         // It is for the other stream to say that it is the stamps'.
         assert_eq!((checked.faults.len(), &checked.t), (0, &t));
         let pattern = checked.pattern.unwrap();
@@ -515,7 +536,7 @@ mod tests {
                 .filter(|k| k % 97 != 5)
                 .map(|k| (step * f64::from(k) / resolution + 1e-6).floor() * resolution)
                 .collect();
-            let checked = check(Stream::A, &t, &vec![true; t.len()]).unwrap();
+            let checked = check(Stream::A, &t, &vec![true; t.len()], 0.0).unwrap();
             assert_eq!(checked.resolution_s, expected, "{step} {resolution}");
             let noted = |f: &Fault| matches!(f.kind, FaultKind::Gap | FaultKind::TimestampOrder);
             assert!(checked.faults.iter().all(noted), "{:?}", checked.faults);
@@ -528,7 +549,7 @@ mod tests {
         for x in &mut t[400..] {
             *x += 0.05;
         }
-        let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
         assert_eq!(checked.faults.len(), 1);
         assert_eq!(checked.faults[0].kind, FaultKind::Gap);
         assert_eq!(checked.t, t);
