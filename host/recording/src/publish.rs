@@ -1,6 +1,6 @@
 //! What the board and the session say, as ROS 2 messages on their topics.
 
-use std::time::UNIX_EPOCH;
+use std::time::{Duration, UNIX_EPOCH};
 
 use protocol::{CaptureChannel, Edge, Ticks};
 
@@ -127,7 +127,8 @@ impl Writer {
         )
     }
 
-    /// The board's status; with it, the host's wall clock.
+    /// The board's status, which has `waited` before it was taken; with it, the host's wall clock
+    /// when it came.
     ///
     /// # Errors
     ///
@@ -136,13 +137,14 @@ impl Writer {
         &mut self,
         status: &protocol::Status,
         board_id: &str,
+        waited: Duration,
     ) -> Result<(), RecordingError> {
         let message = Item::Status(diagnostics(status, board_id));
         self.put_numbered(status.at, status.seq, message)?;
         let wall = (self.wall)()
             .duration_since(UNIX_EPOCH)
             .ok()
-            .and_then(|since| i64::try_from(since.as_nanos()).ok())
+            .and_then(|since| i64::try_from(since.saturating_sub(waited).as_nanos()).ok())
             .unwrap_or_default();
         self.put(
             status.at,

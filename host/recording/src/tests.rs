@@ -123,7 +123,9 @@ fn everything_comes_back_as_it_was_written() {
         after_loss: true,
     };
     writer.capture(&capture).unwrap();
-    writer.status(&status(Ticks(48_000_000)), "AB").unwrap();
+    writer
+        .status(&status(Ticks(48_000_000)), "AB", Duration::ZERO)
+        .unwrap();
     writer
         .marker(Ticks(77), Some(PhoneNanos(94_000_000_000_001)), "door")
         .unwrap();

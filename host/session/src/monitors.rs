@@ -1,9 +1,11 @@
 //! The monitors of the board's messages, and the one place through which every message
 //! goes: it is watched, put into SI units, reported and written.
 
+use std::time::Duration;
+
 use board::Stream;
 use board::imu::{ImuLook, Sample};
-use protocol::{Arrived, DeviceToHost, ImuSample, Ticks};
+use protocol::{Arrived, DeviceToHost, ImuFlags, ImuSample, Ticks};
 use recording::session_file::SessionFile;
 
 use crate::error::Stop;
@@ -23,14 +25,42 @@ pub struct Monitors {
     /// The IMU's samples, while it is checked.
     pub(crate) look: Option<ImuLook>,
     /// Gyroscope samples, while a twist is taken.
-    pub(crate) gyro: Option<Vec<(Ticks, [f64; 3])>>,
+    pub(crate) gyro: Option<BoardGyro>,
+    /// The least by which the computer's clock was ahead of a status' time, s.
+    least_ahead_s: Option<f64>,
     /// Temperature of the IMU, °C, from its last sample.
     pub(crate) temperature: Option<f64>,
     /// The last arrival that was reported.
     pub(crate) arrived: Option<Arrived>,
 }
 
+/// Samples of the board's gyroscope in a twist.
+#[derive(Default)]
+pub(crate) struct BoardGyro {
+    pub(crate) samples: Vec<(Ticks, [f64; 3])>,
+    /// Number of those which the board has marked as late or saturated: their rates are another
+    /// sample's, or at the end of the range.
+    pub(crate) marked: usize,
+}
+
+impl BoardGyro {
+    fn take(&mut self, raw: &ImuSample, sample: &Sample) {
+        match raw.flags.has(ImuFlags::LATE) || raw.flags.has(ImuFlags::SATURATED) {
+            true => self.marked += 1,
+            false => self.samples.push((sample.at, sample.gyro)),
+        }
+    }
+}
+
 impl Monitors {
+    /// How long a status has waited before it was taken, beyond what the fastest took.
+    fn waited(&mut self, now: Duration, at: Ticks) -> Duration {
+        let ahead_s = now.as_secs_f64() - at.as_secs_f64();
+        let least_s = self.least_ahead_s.map_or(ahead_s, |s| s.min(ahead_s));
+        self.least_ahead_s = Some(least_s);
+        Duration::from_secs_f64(ahead_s - least_s)
+    }
+
     /// Messages of a stream are missing.
     pub(crate) fn lost(&mut self, stream: Stream, count: u32) {
         if let Some(look) = &mut self.look {
@@ -68,7 +98,7 @@ impl Monitors {
             look.add(sample);
         }
         if let Some(gyro) = &mut self.gyro {
-            gyro.push((sample.at, sample.gyro));
+            gyro.take(raw, sample);
         }
         if let Some(watch) = &mut self.watch {
             watch.imu(raw, &mut self.findings);
@@ -140,7 +170,9 @@ pub(crate) fn take_message(
             capture.at
         }
         DeviceToHost::Status(status) => {
-            writer.status(&status, link.id())?;
+            // The computer's time of day is that of its arrival.
+            let waited = monitors.waited(link.board.now(), status.at);
+            writer.status(&status, link.id(), waited)?;
             status.at
         }
         DeviceToHost::Arrived(arrived) => {

@@ -191,6 +191,11 @@ fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alignment::plan;
+    use crate::twists::Twists;
+    use recording::profile::Profile;
+    use recording::session_file::Video;
+    use timebase::{PhoneNanos, Wander};
 
     /// The answer to a step may come late, or be that to its repetition.
     #[test]
@@ -203,5 +208,56 @@ mod tests {
             let told = turned + late * u128::from(new.0);
             assert_eq!(turn(begin, old, told, new), (7 + 35, turned), "{late}");
         }
+    }
+
+    /// The clocks are apart by 2 ppm more than the alignment knew, and the train begins 30 µs
+    /// late. Within a minute it is on the frames, from either side; with the sign of the phase
+    /// or of the rate the other way round it would go on moving away.
+    #[test]
+    fn the_train_comes_back_onto_the_frames_from_either_side() {
+        for sign in [1.0, -1.0] {
+            let believed = clock(1e-5);
+            let mut steering = Steering::new(&alignment(&believed), 1);
+            let begin = steering.alignment.anchor;
+            let mut is = clock(1e-5 + sign * 2e-6);
+            let at_begin = BoardSeconds::from(begin);
+            is.offset += believed.to_phone(at_begin).0 - is.to_phone(at_begin).0 + sign * 30e-6;
+            let at = |seconds: u64| Ticks(begin.0 + seconds * u64::from(TICK_HZ));
+            let phase_us = |steering: &Steering, at| steering.phase_s(&is, at) * 1e6;
+            assert!((phase_us(&steering, begin) - sign * 30.0).abs() < 0.1);
+            for step in 1..=45 {
+                let now = at(2 * step);
+                if let Some(period) = steering.wanted(&is, now, STEP_EVERY_S) {
+                    let (_, edge) = steering.edge_from(now);
+                    steering.follow(Ticks((edge >> FRACTION_BITS) as u64), edge as u32, period);
+                }
+                let phase = phase_us(&steering, now);
+                assert!(phase.abs() < 60.0, "after {step} steps {phase}");
+            }
+            let left = phase_us(&steering, at(90));
+            assert!(left.abs() < 1.0, "{left}");
+        }
+    }
+
+    fn clock(skew: f64) -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 5.0,
+            skew,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander::default(),
+        }
+    }
+
+    fn alignment(clock: &ClockModel) -> Alignment {
+        let video = Video {
+            phase: PhoneNanos(106_000_000_000),
+            frame_duration_ns: 1e9 / 30.0,
+            exposure_ns: Some(1_000_000),
+            boot_minus_frames_ns: 0,
+        };
+        let profile = Profile::published().unwrap();
+        let course = Twists::of(*clock).course();
+        plan(&profile, &course, &video).unwrap().alignment
     }
 }

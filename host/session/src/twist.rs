@@ -14,6 +14,7 @@ use crate::devices::Choice;
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, PhoneName, Prompt, SessionEvent, Step, TwistEstimate};
 use crate::log::Log;
+use crate::monitors::BoardGyro;
 use crate::options::Options;
 use crate::phones::{Phones, REFERENCE};
 use crate::rates::Course;
@@ -230,12 +231,23 @@ fn twist(
         length_s,
         enough_us: session.profile.align.max_offset_sigma_us * ENOUGH,
     })?;
-    session.monitors.gyro = Some(Vec::new());
+    session.monitors.gyro = Some(BoardGyro::default());
     let asked = twist_samples(session, length_s);
     let board = session.monitors.gyro.take().unwrap_or_default();
     session.log.report(SessionEvent::TwistFinished { number })?;
     let samples = asked?;
-    let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
+    if board.marked > 0 {
+        let remark = format!(
+            "{} samples of the board's IMU were late or at the end of its range, and are left out",
+            board.marked
+        );
+        session.log.report(SessionEvent::TwistRemark {
+            number,
+            phone: session.phones.name(REFERENCE),
+            remark,
+        })?;
+    }
+    let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.samples.into_iter().unzip();
     let span = Span {
         from: times.first().copied().unwrap_or_default(),
         to: times.last().copied().unwrap_or_default(),
@@ -284,6 +296,7 @@ fn relate(
     let options = EstimateOptions {
         a_delay_s: f64::from(delay_us) * 1e-6,
         b_delay_s: profile.gyro_delay_us * 1e-6,
+        b_jump_s: seen_jump_s(&log.phone(place).twists),
         sigma_limit_s: log.file.profile.align.max_offset_sigma_us * 1e-6,
         ..EstimateOptions::default()
     };
@@ -338,6 +351,18 @@ fn relate(
             Ok(None)
         }
     }
+}
+
+/// Jump of the sawtooth of the phone's stamps, s, by the last twist that showed one; 0: none has.
+/// Where it does not jump within a twist, its drift cannot be told from the clock's.
+fn seen_jump_s(twists: &[Twist]) -> f64 {
+    let of = |twist: &Twist| {
+        let faults = twist.report.get("faults")?.as_array()?;
+        let of_phone = faults.iter().filter(|fault| fault["stream"] == "phone");
+        let mut sawtooth = of_phone.filter(|fault| fault["kind"] == "timestamp_sawtooth");
+        sawtooth.next_back()?.get("displacement_s")?.as_f64()
+    };
+    twists.iter().rev().find_map(of).unwrap_or(0.0)
 }
 
 /// Takes the phones' samples of one twist, by their places; the board's go into the

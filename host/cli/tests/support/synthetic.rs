@@ -4,6 +4,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use board::imu::Sample;
 use protocol::{
@@ -177,7 +178,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                         0
                     };
                 let status = status(number as u32, at, made, pulses, lost.into());
-                writer.status(&status, "AB").unwrap();
+                writer.status(&status, "AB", Duration::ZERO).unwrap();
             }
             4 if wrong.outputs_lost.contains(&number) => {}
             4 => {
