@@ -132,6 +132,8 @@ pub struct DepthCamera {
     bad_left: u32,
     frames: VecDeque<FrameRecord>,
     frame_count: u64,
+    /// Frames that are still to be lost.
+    dropping: u32,
     random: Random,
     recorder: Option<Sender<FrameRecord>>,
 }
@@ -159,6 +161,7 @@ impl DepthCamera {
             bad_left: 0,
             frames: VecDeque::new(),
             frame_count: 0,
+            dropping: 0,
             random: seed.stream(Stream::DepthCamera),
             recorder: None,
         })
@@ -361,7 +364,7 @@ impl DepthCamera {
             center_true,
             device_ticks: self.device_ticks(center_true),
             bad,
-            delivered: !self.random.chance(self.config.drop_probability),
+            delivered: !self.is_dropped(),
         };
         self.frames.push_back(record);
         if let Some(recorder) = &self.recorder {
@@ -369,6 +372,17 @@ impl DepthCamera {
             let _ = recorder.send(record);
         }
         self.frame_count += 1;
+    }
+
+    fn is_dropped(&mut self) -> bool {
+        let at_once = self.config.dropped_at_once.max(1);
+        let begins = self.config.drop_probability / f64::from(at_once);
+        if self.random.chance(begins) && self.dropping == 0 {
+            self.dropping = at_once;
+        }
+        let is_dropped = self.dropping > 0;
+        self.dropping = self.dropping.saturating_sub(1);
+        is_dropped
     }
 
     /// From a pulse to the first flash of its frame, in units of the camera's time.

@@ -2,10 +2,11 @@
 //! the range in which that of a real rig may lie. The book's page of model ranges has a row
 //! for each, with its source; a test compares them.
 //!
-//! A seed draws a rig from the ranges ([`ModelValues::drawn`]); a study moves one at a time to
-//! the ends of its range ([`ModelValues::with`]). What a rig's owner measures once (filter
+//! A seed draws a rig from the ranges ([`ModelValues::drawn`]); of a drawn rig that is worst a
+//! study takes them back one at a time ([`ModelValues::each_without_one`]). What a rig's owner measures once (filter
 //! delays, readout, the delay of the flash) is not drawn: it is in the owner's profile.
 
+use crate::motion::gesture::Gesture;
 use crate::oscillator::{OscillatorConfig, Warming};
 use crate::phone::PhoneConfig;
 use crate::random::{Random, Seed, Stream, log_uniform};
@@ -23,7 +24,12 @@ pub enum Draw {
     EitherSign,
     /// A whole number.
     Whole,
+    /// Nominal, and of one rig in [`RARE`] even.
+    Rare,
 }
+
+/// Of so many rigs one has what is rare.
+const RARE: f64 = 10.0;
 
 /// A number of the models with its range.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +49,12 @@ pub struct ModelRange {
 
 type Apply = fn(f64, &mut RigConfig, &mut PhoneConfig);
 
-const LONGEST_EXPOSURE: &str = "longest exposure";
+/// What an exposure that is not locked does.
+const OF_EXPOSURE: [&str; 3] = [
+    "longest exposure",
+    "change of the exposure within a recording",
+    "frame period in the dark",
+];
 
 /// Warming of a clock, ppm in 10 min, with either sign.
 pub const WARMING_PPM: (f64, f64) = (0.1, 5.0);
@@ -55,7 +66,7 @@ pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
 pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
 /// All ranges.
-pub const MODEL_RANGES: [ModelRange; 25] = [
+pub const MODEL_RANGES: [ModelRange; 37] = [
     ModelRange::of("warming of the board's crystal", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, rig, _| rig.board_clock.warming.ppm = ppm),
@@ -77,9 +88,24 @@ pub const MODEL_RANGES: [ModelRange; 25] = [
     ModelRange::of("frames of the phone that are doubled", Draw::Even)
         .within(0.0, (0.0, 1.0), "%")
         .sets(|percent, _, phone| phone.camera.doubled = percent / 100.0),
-    ModelRange::of(LONGEST_EXPOSURE, Draw::Log)
-        .within(0.5, (0.5, 10.0), "ms")
+    ModelRange::of("frames of the phone that are lost at once", Draw::Rare)
+        .within(1.0, (1.0, 30.0), "")
+        .sets(|count, _, phone| phone.camera.lost_at_once = count as u32),
+    ModelRange::of(OF_EXPOSURE[0], Draw::Log)
+        .within(0.5, (0.5, 33.0), "ms")
         .sets(|ms, _, phone| phone.camera.longest_exposure_ns = (ms * 1e6) as u64),
+    ModelRange::of(OF_EXPOSURE[1], Draw::Rare)
+        .within(0.0, (0.0, 50.0), "%")
+        .sets(|percent, _, phone| phone.camera.exposure_swing = percent / 100.0),
+    ModelRange::of(OF_EXPOSURE[2], Draw::Rare)
+        .within(33.0, (33.0, 66.0), "ms")
+        .sets(|ms, _, phone| phone.camera.dark_period_ns = ms * 1e6),
+    ModelRange::of("frames on the clock that sleeps", Draw::Rare)
+        .within(0.0, (0.0, 1.0), "h")
+        .sets(|hours, _, phone| {
+            phone.camera.is_on_monotonic = true;
+            phone.slept_ns = (hours * 3.6e12) as i64;
+        }),
     ModelRange::of("frame period that follows the exposure", Draw::Even)
         .within(0.0, (0.0, 200.0), "ns/ms")
         .sets(|ns, _, phone| phone.camera.period_of_exposure = ns * 1e-6),
@@ -93,6 +119,27 @@ pub const MODEL_RANGES: [ModelRange; 25] = [
     ModelRange::of("jitter of sensor timestamps", Draw::Log)
         .within(1.0, (1.0, 500.0), "µs")
         .sets(|us, _, phone| phone.gyroscope.timestamp_jitter_ns = us * 1e3),
+    ModelRange::of("sawtooth of sensor timestamps", Draw::Even)
+        .within(0.0, (0.0, 60.0), "µs")
+        .sets(|us, _, phone| phone.gyroscope.stamps.sawtooth_ns = us * 1e3),
+    ModelRange::of("period of that sawtooth", Draw::Log)
+        .within(1.0, (0.5, 20.0), "s")
+        .sets(|s, _, phone| phone.gyroscope.stamps.sawtooth_s = s),
+    ModelRange::of("wander of sensor timestamps", Draw::Even)
+        .within(0.0, (0.0, 5.0), "µs")
+        .sets(|us, _, phone| phone.gyroscope.stamps.wander_ns = us * 1e3),
+    ModelRange::of("time over which that wander is correlated", Draw::Log)
+        .within(0.5, (0.1, 2.0), "s")
+        .sets(|s, _, phone| phone.gyroscope.stamps.wander_s = s),
+    ModelRange::of("step of sensor timestamps", Draw::Even)
+        .within(0.0, (0.0, 31.0), "µs")
+        .sets(|us, _, phone| phone.gyroscope.stamps.step_ns = us * 1e3),
+    ModelRange::of("kind of twist", Draw::Whole)
+        .within(0.0, (0.0, 2.0), "")
+        .sets(|kind, rig, _| twists(rig, kind)),
+    ModelRange::of("step of the temperature", Draw::EitherSign)
+        .within(0.0, (0.1, 2.0), "ppm")
+        .sets(|ppm, _, phone| phone.clock.warming.step_ppm = ppm),
     // The specimen has one within the nominal limit.
     ModelRange::of("bias of the board's gyroscope", Draw::Even)
         .within(2.0, (2.0, 20.0), "°/s")
@@ -135,6 +182,9 @@ pub const MODEL_RANGES: [ModelRange; 25] = [
     ModelRange::of("depth frames lost", Draw::Even)
         .within(0.0, (0.0, 2.0), "%")
         .sets(|percent, rig, _| camera(rig, |camera| camera.drop_probability = percent / 100.0)),
+    ModelRange::of("depth frames lost at once", Draw::Rare)
+        .within(1.0, (1.0, 60.0), "")
+        .sets(|count, rig, _| camera(rig, |camera| camera.dropped_at_once = count as u32)),
     ModelRange::of("photodiode: delay when light comes", Draw::Even)
         .within(0.0, (0.0, 20.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.0 = micros(us))),
@@ -150,6 +200,19 @@ fn micros(us: f64) -> SimDuration {
 fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::DepthCameraConfig)) {
     if let Some(camera) = &mut rig.depth_camera {
         change(camera);
+    }
+}
+
+/// Makes all twists of a motion be of this kind: strong, as the published one, about one axis.
+fn twists(rig: &mut RigConfig, kind: f64) {
+    for step in &mut rig.motion.0 {
+        if step.gesture == Gesture::Twist {
+            step.gesture = match kind as u32 {
+                0 => Gesture::Twist,
+                1 => Gesture::WeakTwist,
+                _ => Gesture::OneAxisTwist,
+            };
+        }
     }
 }
 
@@ -204,13 +267,17 @@ impl ModelRange {
                 if random.chance(0.5) { size } else { -size }
             }
             Draw::Whole => random.uniform(least, most + 1.0).floor().min(most),
+            Draw::Rare => {
+                let (value, is_so) = (random.uniform(least, most), random.chance(1.0 / RARE));
+                if is_so { value } else { self.nominal }
+            }
         }
     }
 
     /// The ends of its range that are not the nominal value; of one with either sign, both
     /// signs of the most.
-    #[must_use]
-    pub fn extremes(&self) -> Vec<f64> {
+    #[cfg(test)]
+    fn extremes(&self) -> Vec<f64> {
         let (least, most) = self.range;
         let ends = match self.draw {
             Draw::EitherSign => [-most, most],
@@ -278,13 +345,27 @@ impl ModelValues {
         self
     }
 
-    /// The same where each recording has the shortest exposure.
+    /// The same where the exposure and the rate of the frames are locked.
     #[must_use]
-    pub fn with_exposure_locked(self) -> Self {
-        match MODEL_RANGES.iter().position(|b| b.name == LONGEST_EXPOSURE) {
-            Some(place) => self.with(place, MODEL_RANGES[place].nominal),
-            None => self,
+    pub fn with_exposure_locked(mut self) -> Self {
+        for (range, value) in MODEL_RANGES.iter().zip(&mut self.0) {
+            if OF_EXPOSURE.contains(&range.name) {
+                *value = range.nominal;
+            }
         }
+        self
+    }
+
+    /// The same with one value after the other nominal, and each of those that are not, in words.
+    #[must_use]
+    pub fn each_without_one(&self) -> Vec<(String, Self)> {
+        let ranges = MODEL_RANGES.iter().enumerate().zip(self.0);
+        let others = ranges.filter(|((_, range), value)| *value != range.nominal);
+        let without = others.map(|((place, range), value)| {
+            let words = format!("{}: {value:.1} {}", range.name, range.unit);
+            (words.trim_end().to_owned(), self.with(place, range.nominal))
+        });
+        without.collect()
     }
 
     /// The value in the range at a place of [`MODEL_RANGES`].
@@ -306,9 +387,16 @@ impl ModelValues {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::MotionSpec;
+
+    fn nominal() -> (RigConfig, PhoneConfig) {
+        let motion = MotionSpec::always(Gesture::Twist);
+        let rig = RigConfig::published(Seed(3)).with_motion(motion);
+        (rig, PhoneConfig::draw(Seed(3)))
+    }
 
     fn made(values: &ModelValues) -> (RigConfig, PhoneConfig) {
-        let mut made = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
+        let mut made = nominal();
         values.apply(&mut made.0, &mut made.1);
         made
     }
@@ -316,7 +404,7 @@ mod tests {
     #[test]
     fn each_range_changes_the_rig_and_the_nominal_ones_do_not() {
         let nominal = ModelValues::default();
-        let usual = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
+        let usual = self::nominal();
         assert_eq!(made(&nominal), usual);
         for (place, range) in MODEL_RANGES.iter().enumerate() {
             let mut seen = vec![usual.clone()];
@@ -332,7 +420,7 @@ mod tests {
 
     #[test]
     fn a_seed_draws_from_the_whole_of_every_range() {
-        let draws: Vec<ModelValues> = (0..400)
+        let draws: Vec<ModelValues> = (0..4_000)
             .map(|seed| ModelValues::drawn(Seed(seed)))
             .collect();
         assert_eq!(draws[7], ModelValues::drawn(Seed(7)));
@@ -384,13 +472,33 @@ mod tests {
 
     #[test]
     fn the_exposure_can_be_locked() {
-        let drawn = ModelValues::drawn(Seed(3));
-        let locked = drawn.with_exposure_locked();
-        let moved = |place: &usize| locked.value(*place) != drawn.value(*place);
-        let moved: Vec<usize> = (0..MODEL_RANGES.len()).filter(moved).collect();
-        assert_eq!(moved.len(), 1);
-        assert_eq!(MODEL_RANGES[moved[0]].name, "longest exposure");
-        let longest = |values| made(&values).1.camera.longest_exposure_ns;
-        assert!(longest(drawn) > 500_000 && longest(locked) <= 500_000);
+        let locked = |seed| ModelValues::drawn(Seed(seed)).with_exposure_locked();
+        let mut moved = Vec::new();
+        for seed in 0..60 {
+            let (drawn, locked) = (ModelValues::drawn(Seed(seed)), locked(seed));
+            let differs = |place: &usize| locked.value(*place) != drawn.value(*place);
+            moved.extend((0..MODEL_RANGES.len()).filter(differs));
+        }
+        moved.sort_unstable();
+        moved.dedup();
+        let names: Vec<&str> = moved
+            .iter()
+            .map(|&place| MODEL_RANGES[place].name)
+            .collect();
+        assert_eq!(names, OF_EXPOSURE);
+    }
+
+    #[test]
+    fn each_value_but_one_is_that_of_the_rig() {
+        let drawn = ModelValues::drawn(Seed(4));
+        for (words, without) in drawn.each_without_one() {
+            let differs = |place: &usize| without.value(*place) != drawn.value(*place);
+            let moved: Vec<usize> = (0..MODEL_RANGES.len()).filter(differs).collect();
+            let [place] = moved[..] else {
+                panic!("{words}: {moved:?}");
+            };
+            assert!(words.starts_with(MODEL_RANGES[place].name), "{words}");
+            assert_eq!(without.value(place), Some(MODEL_RANGES[place].nominal));
+        }
     }
 }

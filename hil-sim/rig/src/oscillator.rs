@@ -99,16 +99,25 @@ pub struct Warming {
     pub ppm: f64,
     /// Time constant, in seconds.
     pub time_s: f64,
+    /// Change by a step of the temperature [`Warming::STEP_S`] after power-on, in parts per
+    /// million.
+    pub step_ppm: f64,
 }
 
 impl Warming {
     /// The time in which the frequency changes by [`Warming::ppm`], in seconds.
     pub const SPAN_S: f64 = 600.0;
 
+    /// When the temperature steps, and the time constant with which a crystal follows, seconds.
+    pub const STEP_S: f64 = 150.0;
+    const STEP_TIME_S: f64 = 30.0;
+
     /// Fractional frequency so many seconds after power-on, less that at power-on.
     fn fraction(&self, since_s: f64) -> f64 {
         let share = |time_s: f64| -libm::expm1(-time_s / self.time_s);
+        let step = -libm::expm1(-(since_s - Self::STEP_S).max(0.0) / Self::STEP_TIME_S);
         let fraction = self.ppm * 1e-6 * share(since_s) / share(Self::SPAN_S);
+        let fraction = fraction + self.step_ppm * 1e-6 * step;
         if fraction.is_finite() { fraction } else { 0.0 }
     }
 }
@@ -119,6 +128,7 @@ impl Default for Warming {
         Self {
             ppm: 0.0,
             time_s: Self::SPAN_S,
+            step_ppm: 0.0,
         }
     }
 }
@@ -429,7 +439,11 @@ mod tests {
     fn a_warming_crystal_moves_as_stated_and_ever_more_slowly() {
         for (ppm, time_s) in [(1.0, 120.0), (-5.0, 300.0), (0.3, 1e6)] {
             let config = OscillatorConfig {
-                warming: Warming { ppm, time_s },
+                warming: Warming {
+                    ppm,
+                    time_s,
+                    step_ppm: 0.0,
+                },
                 ..OscillatorConfig::default()
             };
             let o = Oscillator::new(config, Seed(1).stream(Stream::PhoneClock));
@@ -453,8 +467,15 @@ mod tests {
         let none = Warming {
             ppm: 1.0,
             time_s: 0.0,
+            step_ppm: 0.0,
         };
         assert!(none.fraction(0.0) == 0.0 && Warming::default().fraction(9.0) == 0.0);
+        let step = Warming {
+            step_ppm: 2.0,
+            ..Warming::default()
+        };
+        assert_eq!(step.fraction(Warming::STEP_S), 0.0);
+        assert!((step.fraction(Warming::STEP_S + 30.0) * 1e6 - 1.264).abs() < 0.001);
     }
 
     #[test]

@@ -68,6 +68,8 @@ pub struct DepthCameraConfig {
     pub zeroed_at_first_pulse: bool,
     /// Probability that a frame is lost on its way to the computer.
     pub drop_probability: f64,
+    /// So many at once.
+    pub dropped_at_once: u32,
     /// Probability that a frame's image is spoilt for no reason that is known.
     pub spoil_probability: f64,
     /// From the begin of a flash to the photodiode's rising edge, and from its end to the
@@ -102,6 +104,7 @@ impl Default for DepthCameraConfig {
             },
             zeroed_at_first_pulse: false,
             drop_probability: 0.0,
+            dropped_at_once: 1,
             spoil_probability: 0.0,
             photodiode_delay: (SimDuration::ZERO, SimDuration::ZERO),
             photodiode: true,

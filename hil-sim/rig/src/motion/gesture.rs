@@ -33,6 +33,10 @@ pub enum Gesture {
     Rest,
     /// Twisted by hand about all three axes: peaks of 2 to 4 rad/s, 0.4 to 2.2 Hz.
     Twist,
+    /// As strong as the one twist that is published: its peaks are 1.14, 0.37 and 0.015 rad/s.
+    WeakTwist,
+    /// The same about one axis alone.
+    OneAxisTwist,
     /// Carried while walking: about two steps a second, with the sway and
     /// tremor of the hands.
     Walk,
@@ -95,6 +99,10 @@ struct Pose {
 
 const TAU: f64 = core::f64::consts::TAU;
 
+/// Peaks of a twist, rad/s, and of the published one.
+const STRONG: (f64, f64) = (3.3, 3.8);
+const PUBLISHED: [f64; 3] = [1.14, 0.37, 0.015];
+
 /// A wave given by frequency and the amplitude of its *rate*.
 fn wave(random: &mut Random, hz: (f64, f64), rate: f64) -> Term {
     let omega = TAU * random.uniform(hz.0, hz.1);
@@ -106,7 +114,7 @@ fn wave(random: &mut Random, hz: (f64, f64), rate: f64) -> Term {
 }
 
 impl Drawn {
-    fn twist(random: &mut Random) -> Self {
+    fn twist(random: &mut Random, peaks: Option<[f64; 3]>) -> Self {
         let mut drawn = Self::default();
         for axis in &mut drawn.free {
             for band in 0..6 {
@@ -114,7 +122,8 @@ impl Drawn {
                 axis.0.push(wave(random, (low, low + 0.3), 1.0));
             }
         }
-        let target = [0; 3].map(|_| random.uniform(3.3, 3.8));
+        let strong = [0; 3].map(|_| random.uniform(STRONG.0, STRONG.1));
+        let target = peaks.unwrap_or(strong);
         // Scale each axis until its peak over two minutes is the one drawn. The
         // axes mix a little, so this takes a few rounds.
         let mut scale = [1.0; 3];
@@ -134,7 +143,7 @@ impl Drawn {
                 }
             }
             for ((scale, target), peak) in scale.iter_mut().zip(target).zip(peak) {
-                *scale *= target / peak;
+                *scale *= target / peak.max(f64::MIN_POSITIVE);
             }
         }
         for (axis, scale) in drawn.free.iter_mut().zip(scale) {
@@ -142,7 +151,8 @@ impl Drawn {
                 term.amplitude *= scale;
             }
         }
-        drawn.add_tremor(random);
+        // Hands that turn it less hold it more quietly.
+        drawn.add_tremor(random, target.map(|peak| (peak / STRONG.0).min(1.0)));
         drawn
     }
 
@@ -181,15 +191,15 @@ impl Drawn {
         }
         // Looking around: slow turns of up to a radian.
         drawn.free[2].0.push(wave(random, (0.04, 0.08), 0.35));
-        drawn.add_tremor(random);
+        drawn.add_tremor(random, [1.0; 3]);
         drawn
     }
 
     /// The tremor of hands: 8 to 12 Hz, some hundredths of a rad/s.
-    fn add_tremor(&mut self, random: &mut Random) {
-        for axis in &mut self.free {
-            axis.0.push(wave(random, (8.0, 10.0), 0.02));
-            axis.0.push(wave(random, (10.0, 12.0), 0.015));
+    fn add_tremor(&mut self, random: &mut Random, shares: [f64; 3]) {
+        for (axis, share) in self.free.iter_mut().zip(shares) {
+            axis.0.push(wave(random, (8.0, 10.0), 0.02 * share));
+            axis.0.push(wave(random, (10.0, 12.0), 0.015 * share));
         }
     }
 
@@ -297,7 +307,11 @@ impl Performance {
             let until = step.seconds.map_or(f64::INFINITY, |s| from + s);
             let drawn = match step.gesture {
                 Gesture::Rest => None,
-                Gesture::Twist => Some(Drawn::twist(&mut random)),
+                Gesture::Twist => Some(Drawn::twist(&mut random, None)),
+                Gesture::WeakTwist => Some(Drawn::twist(&mut random, Some(PUBLISHED))),
+                Gesture::OneAxisTwist => {
+                    Some(Drawn::twist(&mut random, Some([PUBLISHED[0], 0.0, 0.0])))
+                }
                 Gesture::Walk => Some(Drawn::walk(&mut random)),
             };
             if let Some(drawn) = drawn {

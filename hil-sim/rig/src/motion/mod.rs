@@ -77,10 +77,13 @@ impl core::str::FromStr for MotionSpec {
             let gesture = match name.trim() {
                 "rest" => Gesture::Rest,
                 "twist" => Gesture::Twist,
+                "weak-twist" => Gesture::WeakTwist,
+                "one-axis-twist" => Gesture::OneAxisTwist,
                 "walk" => Gesture::Walk,
                 other => {
                     return Err(format!(
-                        "'{other}' is not a motion: expected rest, twist, walk, or a sequence \
+                        "'{other}' is not a motion: expected rest, twist, weak-twist, one-axis-twist, \
+                         walk, or a sequence \
                          such as rest:5,twist:12,walk"
                     ));
                 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::config::{CameraConfig, PhoneConfig};
+use super::config::{CameraConfig, DARK, DARK_EVERY, EXPOSURE_SWING, PhoneConfig};
 use super::substream;
 use crate::ball;
 use crate::flash_log::FlashSource;
@@ -67,10 +67,18 @@ impl FrameTimes {
 
     /// The frames that the app gets, in order, without an end.
     fn delivered(&self) -> impl Iterator<Item = usize> + use<> {
-        let (lost, doubled) = (self.camera.lost, self.camera.doubled);
+        let (at_once, doubled) = (self.camera.lost_at_once.max(1), self.camera.doubled);
+        let lost = self.camera.lost / f64::from(at_once);
         let mut random = self.losses.clone();
+        let mut left = 0;
         (0..).flat_map(move |n| {
-            let times = match (random.chance(lost), random.chance(doubled)) {
+            let (begins, doubles) = (random.chance(lost), random.chance(doubled));
+            if begins && left == 0 {
+                left = at_once;
+            }
+            let is_lost = left > 0;
+            left = left.saturating_sub(1);
+            let times = match (is_lost, doubles) {
                 (true, _) => 0,
                 (false, true) => 2,
                 (false, false) => 1,
@@ -95,8 +103,24 @@ impl FrameTimes {
     /// the boot clock, without jitter.
     #[must_use]
     pub fn start_ns(&self, n: usize) -> i64 {
-        let since = (n as f64 * self.camera.frame_period_ns).round() as i64;
-        self.first_ns.saturating_add(since)
+        let mut since = n as f64 * self.camera.frame_period_ns;
+        if self.camera.dark_period_ns > 0.0 {
+            let within = (n % DARK_EVERY).saturating_sub(DARK_EVERY - DARK);
+            let dark = n / DARK_EVERY * DARK + within;
+            since += dark as f64 * (self.camera.dark_period_ns - self.camera.frame_period_ns);
+        }
+        self.first_ns.saturating_add(since.round() as i64)
+    }
+
+    /// By how much the exposure of frame `n` is longer than that of the first, nanoseconds.
+    fn longer_ns(&self, n: usize) -> f64 {
+        let swing = self.camera.exposure_swing;
+        if swing == 0.0 {
+            return 0.0;
+        }
+        let turns = n as f64 / EXPOSURE_SWING as f64;
+        let share = libm::sin(std::f64::consts::TAU * turns);
+        self.camera.exposure_ns as f64 * swing * share
     }
 
     /// Frame period, in nanoseconds of the boot clock.
@@ -109,13 +133,14 @@ impl FrameTimes {
     /// of the boot clock.
     #[must_use]
     pub fn middle_ns(&self, n: usize) -> i64 {
-        let offset = self.camera.middle_offset_ns().round() as i64;
-        self.start_ns(n).saturating_add(offset)
+        let offset = self.camera.middle_offset_ns() + 0.5 * self.longer_ns(n);
+        self.start_ns(n).saturating_add(offset.round() as i64)
     }
 
     /// When the last row of frame `n` has been exposed and read.
     pub(super) fn end_ns(&self, n: usize) -> i64 {
-        let length = self.camera.readout_ns() + self.camera.exposure_ns as f64;
+        let exposure_ns = self.camera.exposure_ns as f64 + self.longer_ns(n);
+        let length = self.camera.readout_ns() + exposure_ns;
         self.start_ns(n).saturating_add(length.round() as i64)
     }
 
@@ -212,6 +237,11 @@ pub(super) fn write_video(
                         }
                     })
                     .collect();
+                let exposure_ns = shutter.exposure_ns + frames.longer_ns(n);
+                let shutter = RollingShutter {
+                    exposure_ns,
+                    ..shutter
+                };
                 let mut image = shutter.render(frames.start_ns(n), n as u64, &flashes);
                 if camera.ball {
                     let half = 0.5 * camera.exposure_ns as f64;
@@ -303,6 +333,31 @@ mod tests {
             let found = of(n).period_ns() - config.camera.frame_period_ns;
             assert!((found - more).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn the_dark_makes_frames_longer_light_moves_their_middle_and_heat_loses_many() {
+        let mut config = PhoneConfig::draw(Seed(5));
+        let even = FrameTimes::new(&config, 0, 0);
+        config.camera.dark_period_ns = 66e6;
+        config.camera.exposure_swing = 0.5;
+        (config.camera.lost, config.camera.lost_at_once) = (0.01, 20);
+        let frames = FrameTimes::new(&config, 0, 0);
+        assert_eq!(frames.start_ns(839), even.start_ns(839));
+        let later = frames.start_ns(1_800) - even.start_ns(1_800);
+        let longer = 66e6 - frames.period_ns();
+        assert!((later as f64 - 120.0 * longer).abs() < 2.0, "{later}");
+        // A quarter of the way the exposure is half as long again.
+        let middle = |frames: &FrameTimes, n| frames.middle_ns(n) - frames.start_ns(n);
+        assert_eq!(middle(&frames, 450) - middle(&even, 450), 125_000);
+        for n in [0, 839, 845, 900, 30_000] {
+            assert_eq!(frames.complete_at(frames.end_ns(n)), n + 1);
+        }
+        let numbers = frames.delivered_of(30_000);
+        let gaps: Vec<usize> = numbers.windows(2).map(|p| p[1] - p[0] - 1).collect();
+        assert!(gaps.iter().all(|gap| gap % 20 == 0));
+        let lost: usize = gaps.iter().sum();
+        assert!((100..600).contains(&lost), "{lost}");
     }
 
     #[test]

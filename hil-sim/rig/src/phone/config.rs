@@ -97,6 +97,36 @@ pub struct SensorConfig {
     pub step: f64,
     /// White noise on the timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
+    /// What else is wrong with the timestamps.
+    pub stamps: StampErrors,
+}
+
+/// Errors of timestamps that are not white.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampErrors {
+    /// Height of a sawtooth, nanoseconds, and its period, seconds: a clock that is steered in
+    /// steps.
+    pub sawtooth_ns: f64,
+    pub sawtooth_s: f64,
+    /// Standard deviation of a wander, nanoseconds, and the time over which it is correlated,
+    /// seconds.
+    pub wander_ns: f64,
+    pub wander_s: f64,
+    /// Step to which they are cut, nanoseconds; 0: to none.
+    pub step_ns: f64,
+}
+
+impl Default for StampErrors {
+    /// None, with the times that they would have.
+    fn default() -> Self {
+        Self {
+            sawtooth_ns: 0.0,
+            sawtooth_s: 1.0,
+            wander_ns: 0.0,
+            wander_s: 0.5,
+            step_ns: 0.0,
+        }
+    }
 }
 
 /// The rolling-shutter camera and its video.
@@ -118,8 +148,14 @@ pub struct CameraConfig {
     pub longest_exposure_ns: u64,
     /// By how much a frame is longer for a longer exposure, as a part of it.
     pub period_of_exposure: f64,
-    /// Share of the frames that get lost before the app, 0 to 1.
+    /// Share of the frames that get lost before the app, 0 to 1, so many at once.
     pub lost: f64,
+    pub lost_at_once: u32,
+    /// The exposure swings by this share of itself, to and fro in [`EXPOSURE_SWING`] frames.
+    pub exposure_swing: f64,
+    /// Period of the frames while it is dark, nanoseconds, where the rate is automatic: for
+    /// [`DARK`] frames of each [`DARK_EVERY`]. 0: it is not.
+    pub dark_period_ns: f64,
     /// Share of the frames that the app gets twice, with one timestamp.
     pub doubled: f64,
     /// The frames are stamped with `CLOCK_MONOTONIC`, as by most cameras whose
@@ -148,6 +184,13 @@ pub struct CameraConfig {
     /// True if a [`ball`](crate::ball) swings before the camera.
     pub ball: bool,
 }
+
+/// Frames in which an exposure that changes goes to and fro.
+pub(super) const EXPOSURE_SWING: usize = 1_800;
+
+/// Of so many frames the last ones are in the dark.
+pub(super) const DARK_EVERY: usize = 900;
+pub(super) const DARK: usize = 60;
 
 /// A phone as its owner knows it.
 #[derive(Clone, Debug)]
@@ -192,6 +235,7 @@ impl PhoneConfig {
             // 70 mdps: 2,000 deg/s full scale in 16 bits.
             step: 0.07_f64.to_radians(),
             timestamp_jitter_ns: 1_000.0,
+            stamps: StampErrors::default(),
         };
         let accelerometer = SensorConfig {
             channel: ChannelConfig {
@@ -264,6 +308,9 @@ impl CameraConfig {
             longest_exposure_ns: 0,
             period_of_exposure: 0.0,
             lost: 0.0,
+            lost_at_once: 1,
+            exposure_swing: 0.0,
+            dark_period_ns: 0.0,
             doubled: 0.0,
             is_on_monotonic: false,
             row_time_ns: 10_200.0,

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::config::{PhoneConfig, SensorConfig};
+use super::config::{PhoneConfig, SensorConfig, StampErrors};
 use super::substream;
 use crate::inertial_channel::{Channel, ChannelConfig};
 use crate::motion::Motion;
@@ -130,12 +130,14 @@ impl Sensors {
             self.heading.reach(end as f64 * period_ns * 1.01e-9 + 1.0);
         }
         let walk = BiasWalk::new(config, substream(self.seed, kind.stream(), u64::MAX));
+        let stamps = substream(self.seed, Stream::PhoneTimestamps, u64::MAX - kind as u64);
+        let errors = Errors::new(config.stamps, stamps);
         (first / BLOCK..=(end - 1) / BLOCK)
             .into_par_iter()
             .map(|block| {
                 let begin = (first.max(block * BLOCK) - block * BLOCK) as usize;
                 let stop = (end.min((block + 1) * BLOCK) - block * BLOCK) as usize;
-                let samples = self.block(kind, config, block, stop, &walk);
+                let samples = self.block(kind, config, block, stop, (&walk, &errors));
                 samples.get(begin..).unwrap_or_default().to_vec()
             })
             .collect::<Vec<_>>()
@@ -149,7 +151,7 @@ impl Sensors {
         config: &SensorConfig,
         block: u64,
         count: usize,
-        walk: &BiasWalk,
+        (walk, errors): (&BiasWalk, &Errors),
     ) -> Vec<Sample> {
         let period_ns = 1e9 / config.rate_hz;
         let period_s = 1.0 / config.rate_hz;
@@ -192,11 +194,63 @@ impl Sensors {
             // Unused, and drawn all the same: a seed keeps its timestamps.
             stamps.uniform(0.0, 1.0);
             out.push(Sample {
-                time_ns: time_ns.saturating_add(jitter.round() as i64),
+                time_ns: errors.stamp(time_ns, n as f64 * period_s, jitter),
                 values,
             });
         }
         out
+    }
+}
+
+/// Errors of timestamps as functions of the time, so that a sample's does not depend on the
+/// request.
+struct Errors {
+    config: StampErrors,
+    phase: f64,
+    /// Angular frequency and phase of the sines that make the wander: with frequencies by
+    /// Cauchy's distribution its correlation is exponential.
+    wander: [(f64, f64); 32],
+}
+
+impl Errors {
+    fn new(config: StampErrors, mut random: Random) -> Self {
+        let phase = random.uniform(0.0, 1.0);
+        let wander = [0; 32].map(|_| {
+            let quarter = random.uniform(0.0, 0.98) * std::f64::consts::FRAC_PI_2;
+            let omega = libm::tan(quarter) / config.wander_s;
+            (omega, random.uniform(0.0, std::f64::consts::TAU))
+        });
+        Self {
+            config,
+            phase,
+            wander,
+        }
+    }
+
+    /// Stamp of a sample that is taken at `time_ns`, `since_s` after power-on.
+    fn stamp(&self, time_ns: i64, since_s: f64, jitter_ns: f64) -> i64 {
+        let StampErrors {
+            sawtooth_ns,
+            sawtooth_s,
+            wander_ns,
+            step_ns,
+            ..
+        } = self.config;
+        let mut late_ns = jitter_ns;
+        if sawtooth_ns != 0.0 {
+            late_ns += sawtooth_ns * (0.5 - (since_s / sawtooth_s + self.phase).fract());
+        }
+        if wander_ns != 0.0 {
+            let sines = self.wander.iter().map(|(w, p)| libm::sin(w * since_s + p));
+            late_ns += wander_ns * 0.25 * sines.sum::<f64>();
+        }
+        let stamp_ns = time_ns.saturating_add(late_ns.round() as i64);
+        let step = step_ns.round() as i64;
+        if step > 1 {
+            stamp_ns - stamp_ns.rem_euclid(step)
+        } else {
+            stamp_ns
+        }
     }
 }
 
@@ -322,6 +376,36 @@ mod tests {
             .collect();
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
         assert!((900.0..1100.0).contains(&rms), "{rms}");
+    }
+
+    #[test]
+    fn stamps_wander_jump_and_are_cut_as_they_are_said_to() {
+        let errors = |edit: fn(&mut StampErrors)| -> Vec<f64> {
+            let (sensors, zero) = sensors(|c| {
+                c.gyroscope.rate_hz = 500.0;
+                c.gyroscope.timestamp_jitter_ns = 0.0;
+                edit(&mut c.gyroscope.stamps);
+            });
+            let samples = sensors.samples(Kind::Gyroscope, zero, zero + 400_000_000_000);
+            let at = |(n, s): (usize, &Sample)| (s.time_ns - zero) as f64 - n as f64 * 2e6;
+            samples.iter().enumerate().map(at).collect()
+        };
+        let mean = |values: &mut dyn Iterator<Item = f64>| {
+            let values: Vec<f64> = values.collect();
+            values.iter().sum::<f64>() / values.len() as f64
+        };
+        let wander = errors(|e| (e.wander_ns, e.wander_s) = (5_000.0, 0.5));
+        let power = mean(&mut wander.iter().map(|e| e * e));
+        assert!((4_000.0..6_000.0).contains(&power.sqrt()), "{power}");
+        // After 0.5 s, 250 samples, exp(-1) is left of it.
+        let later = mean(&mut wander.windows(251).map(|w| w[0] * w[250])) / power;
+        assert!((0.2..0.55).contains(&later), "{later}");
+        let sawtooth = errors(|e| (e.sawtooth_ns, e.sawtooth_s) = (58_000.0, 10.0));
+        let jumps: Vec<f64> = sawtooth.windows(2).map(|w| w[1] - w[0]).collect();
+        assert_eq!(jumps.iter().filter(|jump| **jump > 57_000.0).count(), 40);
+        assert!(mean(&mut sawtooth.into_iter()).abs() < 100.0);
+        let cut = errors(|e| e.step_ns = 31_000.0);
+        assert!(cut.iter().all(|e| (-31_000.0..=0.0).contains(e)));
     }
 
     #[test]
