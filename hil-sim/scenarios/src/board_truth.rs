@@ -265,24 +265,47 @@ impl BoardTruth {
         Ok(())
     }
 
-    /// The course with another period that was asked for later, from each of its edges on from
-    /// which that explains all edges.
-    fn changed(&self, course: &Course) -> impl Iterator<Item = Course> {
+    /// The courses with other periods that were asked for later, each from one of the edges
+    /// before that at which the last one fails, which explain all edges. Two changes may be so
+    /// near to each other that no edge shows the first alone: after answers that were lost, the
+    /// period of then is followed at once by that of now.
+    fn changed(&self, course: &Course) -> Vec<Course> {
+        let failed = (self.first + self.edges.len() as u64).saturating_sub(1);
+        let mut explain = Vec::new();
+        for once in self.with_change(course, failed) {
+            match self.fails_at(&once) {
+                None => explain.push(once),
+                Some(failed) if failed as i64 > once.train.number => {
+                    let twice = self.with_change(&once, failed);
+                    explain.extend(twice.filter(|twice| self.fails_at(twice).is_none()));
+                }
+                Some(_) => {}
+            }
+        }
+        explain
+    }
+
+    /// The course with each period that was asked for later, from each of its edges before
+    /// `until` on.
+    fn with_change(&self, course: &Course, until: u64) -> impl Iterator<Item = Course> {
         let begin = u64::try_from(course.train.number).unwrap_or(0);
-        let first = self.first;
-        let changes = (begin.max(first)..self.next).flat_map(move |from| {
+        let course = *course;
+        (begin.max(self.first)..until).flat_map(move |from| {
             let asked = self.asked.iter().enumerate().skip(course.asked);
             asked.map(move |(place, &period)| Course {
                 train: course.train.with_period(period, from),
                 asked: place + 1,
                 changes: course.changes + 1,
             })
-        });
-        changes.filter(move |changed| {
-            let edges = (first..).zip(&self.edges);
-            let mut since = edges.skip_while(|(number, _)| (*number as i64) < changed.train.number);
-            since.all(|(number, &ticks)| changed.train.edge(number).0 == ticks)
         })
+    }
+
+    /// The first edge since its last change that is not where the course has it.
+    fn fails_at(&self, course: &Course) -> Option<u64> {
+        let edges = (self.first..).zip(&self.edges);
+        let mut since = edges.skip_while(|(number, _)| (*number as i64) < course.train.number);
+        let off = since.find(|&(number, &ticks)| course.train.edge(number).0 != ticks);
+        off.map(|(number, _)| number)
     }
 
     fn fall(&mut self, at: SimTime) -> Result<(), String> {

@@ -5,7 +5,6 @@ pub(crate) mod board_truth;
 pub mod campaign;
 pub mod demo;
 pub(crate) mod frame_phase;
-pub mod frame_sync;
 pub mod judge;
 pub mod long_run;
 pub mod programs;

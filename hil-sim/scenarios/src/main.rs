@@ -22,8 +22,6 @@ enum Command {
     RecordDepth(rig::depth_link::Args),
     /// Run a whole session on the simulated rig and judge it by the truth.
     Demo(commands::demo::Args),
-    /// Phase and drift of the frames from launch to launch, against the truth.
-    FrameSync(commands::frame_sync::Args),
     /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
     Study(commands::study::Args),
     /// Check extraction and evaluation on recordings of the whole rig, by the truth.
@@ -41,7 +39,6 @@ fn main() -> ExitCode {
         Command::Serve(args) => rig::serve::run(&args),
         Command::RecordDepth(args) => rig::depth_link::record(&args),
         Command::Demo(args) => commands::demo::run(&args),
-        Command::FrameSync(args) => commands::frame_sync::run(&args),
         Command::Study(args) => commands::study::run(&args),
         Command::Chain(args) => commands::chain::run(&args),
         Command::Bench(args) => commands::bench::run(&args),

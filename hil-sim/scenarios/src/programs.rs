@@ -23,22 +23,6 @@ impl Programs {
         command
     }
 
-    /// `smartdepthsync record` on a board's port, into the folder `name` below `out`, with
-    /// nobody there.
-    pub(crate) fn record(&self, port: &Path, profile: &Path, out: &Path, name: &str) -> Command {
-        let mut command = self.tool();
-        command
-            .arg("record")
-            .arg("--port")
-            .arg(port)
-            .arg("--profile")
-            .arg(profile)
-            .arg("--out")
-            .arg(out)
-            .args(["--name", name, "--yes"]);
-        command
-    }
-
     /// Says why the program cannot be started.
     pub(crate) fn cannot_start(&self) -> String {
         format!(

@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
-use scenarios::demo::stage::StageOptions;
+use anyhow::Result;
 use scenarios::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
 use scenarios::whole_chain::several::{self, SeveralPlan};
 
@@ -41,9 +40,9 @@ pub(crate) struct Args {
     out: PathBuf,
     #[command(flatten)]
     sessions: super::Sessions,
-    /// Virtual time passes at most so many times as fast as real time.
-    #[arg(long, default_value_t = 15.0, value_parser = super::speed)]
-    speed: f64,
+    /// The phone does not hang on a cable: its clock is not followed.
+    #[arg(long)]
+    without_cable: bool,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -51,13 +50,10 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         return run_several(args);
     }
     let done = demo::run(&DemoOptions {
-        stage: StageOptions {
-            seed: args.seed,
-            out: args.out.clone(),
-            programs: args.sessions.programs()?,
-            speed: args.speed,
-            recorder: std::env::current_exe().context("where is this program?")?,
-        },
+        seed: args.seed,
+        out: args.out.clone(),
+        programs: args.sessions.programs()?,
+        has_cable: !args.without_cable,
         seconds: args.seconds,
         fresh: args.fresh,
     })?;

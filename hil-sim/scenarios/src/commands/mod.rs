@@ -5,14 +5,12 @@ mod board_link;
 pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod faults;
-pub(crate) mod frame_sync;
 pub(crate) mod long_run;
 pub(crate) mod study;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-pub(crate) use rig::serve::speed;
 use scenarios::programs::Programs;
 use serde::Serialize;
 

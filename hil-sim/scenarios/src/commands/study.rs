@@ -15,9 +15,6 @@ pub(crate) struct Args {
     /// Rigs as modelled, and rigs that are drawn.
     #[arg(long, default_value_t = 10, global = true, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     rigs: u32,
-    /// Rigs with each value at each end of its range.
-    #[arg(long, value_name = "RIGS", default_value_t = 1, global = true, value_parser = clap::value_parser!(u32).range(0..=1_000))]
-    rigs_an_end: u32,
     /// The first rig's seed; the others follow it.
     #[arg(long, default_value_t = 1, global = true)]
     first_seed: u64,
@@ -38,8 +35,8 @@ enum What {
         /// No drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
         #[arg(long, value_name = "PPM", value_parser = warming)]
         most_warming: Option<f64>,
-        /// The exposure of drawn rigs is the same in each recording, as with the app's
-        /// exposure locked
+        /// The exposure of drawn rigs is the same in each recording and each frame, as with the
+        /// app's exposure locked
         #[arg(long)]
         exposure_locked: bool,
     },
@@ -75,7 +72,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let options = StudyOptions {
         first_seed: args.first_seed,
         rigs: args.rigs,
-        rigs_an_end: args.rigs_an_end,
         jobs: args.jobs,
     };
     let show_failed = |rig: &RigResult| {
@@ -107,7 +103,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 }
                 Ok(figures)
             };
-            let rigs = Rigs::of_models(None, false);
+            // Each is minutes.
+            let rigs = Rigs::of_models(None, false).without_causes();
             study::run(&options, &rigs, sessions, |rig| println!("{rig}"))
         }
     };

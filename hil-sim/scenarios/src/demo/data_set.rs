@@ -36,7 +36,16 @@ pub fn make(
 ) -> Result<DataSet> {
     // Another address of its report is wanted, now that nothing is missing any more.
     ask(programs, &["verify"], &[folder])?;
-    let report = ask(programs, &["extract", "--overwrite"], &[folder])?;
+    let report = ask(
+        programs,
+        &[
+            "extract",
+            "--overwrite",
+            "--phone",
+            &phone.to_string_lossy(),
+        ],
+        &[folder],
+    )?;
     let name = folder.file_name().context("the recording has no name")?;
     let data = folder.with_file_name(format!("{}-euroc", name.to_string_lossy()));
 

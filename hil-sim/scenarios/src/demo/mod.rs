@@ -1,22 +1,34 @@
 //! The demonstration: whole sessions on the simulated rig, judged by the truth.
 //!
-//! The rig runs in this process; each session is the program `smartdepthsync
-//! record` as a process of its own ([`stage`]). First comes a session with
-//! nothing learnt, as on a new rig, from which the profile learns the rates of
-//! the phone's clock and frames; then the one that is shown. Both are judged.
+//! The sessions are the program's own, on virtual time ([`crate::virtual_session`]), so that a
+//! seed gives the same figures on any machine. First comes a session with nothing learnt, as on
+//! a new rig, from which the profile learns the rates of the phone's clock and frames; then the
+//! one that is shown. The phone hangs on a cable, so the trigger follows its clock, unless the
+//! demonstration is to do without. The rig is twisted all the time: a session may ask for it at
+//! any moment.
 
 pub mod data_set;
 pub mod report;
-pub mod stage;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use recording::folder;
+use recording::profile::Profile;
+use rig::link_delay::LinkRanges;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::phone::PhoneConfig;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::wiring;
+use session::options::{Track, seconds};
 
-use crate::judge::Verdict;
+use crate::judge::{Truth, Verdict};
+use crate::programs::{Programs, ask};
+use crate::virtual_session::Bench;
 use report::Figures;
-use stage::{Stage, StageOptions};
 
 /// Seconds of board time that are recorded unless asked otherwise.
 pub const DEFAULT_SECONDS: u32 = 60;
@@ -31,8 +43,14 @@ const TEACHING_SECONDS: u32 = 60;
 /// Settings of a demo.
 #[derive(Clone, Debug)]
 pub struct DemoOptions {
-    /// The rig and where its files go.
-    pub stage: StageOptions,
+    /// The one seed of all randomness.
+    pub seed: u64,
+    /// Folder for recordings, the phone's files and the profile.
+    pub out: PathBuf,
+    /// The programs that extract.
+    pub programs: Programs,
+    /// The phone hangs on a cable, so its clock is followed.
+    pub has_cable: bool,
     /// Seconds of board time to record.
     pub seconds: u32,
     /// Show the session with nothing learnt alone.
@@ -62,30 +80,38 @@ pub struct Demo {
 /// judged.
 pub fn run(options: &DemoOptions) -> Result<Demo> {
     let begun = Instant::now();
-    let stage = Stage::start(options.stage.clone())?;
+    let (out, programs) = (&options.out, &options.programs);
+    let seed = Seed(options.seed);
+    let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
+    let mut phone = PhoneConfig::draw(seed);
+    // A phone knows nothing of the rigs before it, whose dates were the same.
+    let storage = folder::create(out, "phone")?;
+    phone.storage = Some(storage.clone());
+    phone.camera.show_ball();
+    let board = wiring::board_of(config.board, programs.elf.as_deref());
+    let mut bench = Bench::new(config, board, vec![phone], &[], out)?;
+    (bench.has_recorder, bench.shows_ball) = (true, true);
+    bench.phone_link = options.has_cable.then_some(LinkRanges::PHONE_USB);
     let taught = match options.fresh {
         true => None,
-        false => Some(stage.session("teaching", TEACHING_SECONDS, &["--calibrate"])?),
+        false => Some(teach(&mut bench, options)?),
     };
-    let arguments = ["--second-twist"];
-    let recording = stage.session("recording", options.seconds, &arguments)?;
-    let virtual_s = stage.now().as_secs_f64();
-    let phone = stage.phone()?.storage().to_owned();
-    let truth = stage.end()?;
+    let recording = session(&mut bench, options, "recording", options.seconds)?;
+    let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
+    let truth = Truth::of(bench.stop()?)?;
     let verdict = truth.judge(&recording)?;
     let before = taught
         .map(|recording| truth.judge(&recording))
         .transpose()?;
-    let programs = &options.stage.programs;
-    let data = data_set::make(truth, &recording, phone, programs).context("the data set")?;
+    let data = data_set::make(truth, &recording, storage, programs).context("the data set")?;
     let figures = Figures::new(
         &verdict,
         before.as_ref(),
         virtual_s,
         begun.elapsed().as_secs_f64(),
-        options.stage.seed,
+        options.seed,
     );
-    let report = options.stage.out.join("report.html");
+    let report = options.out.join("report.html");
     std::fs::write(&report, report::page(&figures, &verdict, &data))
         .with_context(|| format!("cannot write {}", report.display()))?;
     Ok(Demo {
@@ -95,4 +121,52 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         report,
         verdict,
     })
+}
+
+/// Records a session into a folder of this name.
+fn session(bench: &mut Bench, options: &DemoOptions, name: &str, length: u32) -> Result<PathBuf> {
+    let mut wishes = bench.options(&free_name(&options.out, name));
+    wishes.duration = Some(seconds(length.into()));
+    (wishes.second_twist, wishes.fetch_video) = (true, true);
+    wishes.track = match options.has_cable {
+        true => Track::Always,
+        false => Track::Never,
+    };
+    Ok(bench.run(&wishes).good()?.folder)
+}
+
+/// Records with nothing learnt, and lets the profile learn from it.
+fn teach(bench: &mut Bench, options: &DemoOptions) -> Result<PathBuf> {
+    let recording = session(bench, options, "teaching", TEACHING_SECONDS)?;
+    let profile = bench.write_profile()?;
+    let video = bench.with(|rig| rig.phones.first()?.videos().pop());
+    let timestamps = video.context("the phone has recorded no video")?.timestamps;
+    ask(
+        &options.programs,
+        &["profile", "learn", "--profile", &profile.to_string_lossy()],
+        &[Path::new("--timestamps"), &timestamps, &recording],
+    )?;
+    bench.profile = Profile::load(&profile)?;
+    Ok(recording)
+}
+
+/// A name in `folder` that is not taken.
+fn free_name(folder: &Path, name: &str) -> String {
+    let numbered = (2_u32..).map(|number| format!("{name}_{number}"));
+    let mut names = std::iter::once(name.to_owned()).chain(numbered);
+    let free = names.find(|name| !folder.join(name).exists());
+    free.unwrap_or_else(|| name.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(free_name(folder.path(), "recording"), "recording");
+        std::fs::create_dir(folder.path().join("recording")).unwrap();
+        assert_eq!(free_name(folder.path(), "recording"), "recording_2");
+    }
 }

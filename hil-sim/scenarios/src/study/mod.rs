@@ -1,11 +1,11 @@
 //! Figures of rigs over what may be true of them.
 //!
-//! Rigs as modelled, rigs drawn from all ranges at once, and rigs with one value at an end of
-//! its range. What each of them does is one of three: [sessions on the models](models), an hour
-//! of [tracking](tracking) on clocks and links, or the [whole
-//! chain](crate::whole_chain::ranges).
-//! A figure is given three times: nominal and over the draws as the 95th percentile of its
-//! size, and as the largest where one value alone is moved, with that value.
+//! Rigs as modelled, and rigs drawn from all ranges at once. What each of them does is one of
+//! three: [sessions on the models](models), an hour of [tracking](tracking) on clocks and links,
+//! or the [whole chain](crate::whole_chain::ranges).
+//! A figure is given as the 95th percentile of its size, nominal and over the draws, with the
+//! rms of error over stated sigma of both, and as the largest over the draws with its cause: of
+//! all values of that rig the one without which the figure is smallest.
 
 pub mod models;
 pub mod tracking;
@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use evaluate::stats::{mean, quantile};
-use rig::model_ranges::{MODEL_RANGES, ModelValues};
+use rig::model_ranges::ModelValues;
 use rig::random::Seed;
 use serde::Serialize;
 
@@ -28,11 +28,12 @@ pub struct StudyOptions {
     pub first_seed: u64,
     /// Rigs as modelled, and rigs that are drawn.
     pub rigs: u32,
-    /// Rigs with each value at each end of its range.
-    pub rigs_an_end: u32,
     /// Number of rigs that run at the same time.
     pub jobs: u32,
 }
+
+/// The values of a rig without each of them, which is in words.
+pub type Without<V> = Box<dyn Fn(&V) -> Vec<(String, V)>>;
 
 /// The rigs of a study, by what may be true of them.
 pub struct Rigs<V> {
@@ -40,8 +41,8 @@ pub struct Rigs<V> {
     pub nominal: V,
     /// Drawn by a seed.
     pub drawn: Box<dyn Fn(Seed) -> V>,
-    /// With one value at an end of its range, and that end in words.
-    pub extremes: Vec<(String, V)>,
+    /// A drawn one without each of its values; none where that takes too long.
+    pub without: Without<V>,
 }
 
 impl Rigs<ModelValues> {
@@ -61,30 +62,28 @@ impl Rigs<ModelValues> {
                 false => drawn,
             }
         };
-        let ranges = MODEL_RANGES.iter().enumerate();
-        let extremes = ranges.flat_map(|(place, range)| {
-            range.extremes().into_iter().map(move |end| {
-                let name = format!("{}: {end} {}", range.name, range.unit);
-                (name, ModelValues::default().with(place, end))
-            })
-        });
         Self {
             nominal: ModelValues::default(),
             drawn: Box::new(drawn),
-            extremes: extremes.collect(),
+            without: Box::new(ModelValues::each_without_one),
         }
+    }
+
+    /// The same, but the causes are not looked for.
+    #[must_use]
+    pub fn without_causes(mut self) -> Self {
+        self.without = Box::new(|_| Vec::new());
+        self
     }
 }
 
 /// The kind of a rig.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Kind {
     /// As modelled.
     Nominal,
     /// All values drawn by its seed.
     Drawn,
-    /// One value at an end of its range, in words.
-    Extreme(String),
 }
 
 impl fmt::Display for Kind {
@@ -92,7 +91,6 @@ impl fmt::Display for Kind {
         match self {
             Self::Nominal => f.write_str("as modelled"),
             Self::Drawn => f.write_str("drawn"),
-            Self::Extreme(value) => f.write_str(value),
         }
     }
 }
@@ -108,7 +106,7 @@ pub struct Specimen<V = ModelValues> {
     pub values: V,
 }
 
-/// A figure of a rig's sessions, the same ones in the same order for each rig.
+/// A figure of a rig's sessions. There may be several of one name.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
     /// Its name, with its unit.
@@ -146,8 +144,23 @@ impl fmt::Display for RigResult {
 /// All rigs.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
-    /// In the order of kinds and seeds.
+    /// In the order of seeds.
     pub rigs: Vec<RigResult>,
+    /// The largest error of a figure over the drawn rigs, by its name.
+    pub worst: Vec<Worst>,
+}
+
+/// The largest error of a figure.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Worst {
+    /// Name of the figure.
+    pub name: String,
+    /// The rig's seed.
+    pub seed: u64,
+    /// The error.
+    pub error: f64,
+    /// The value without which it is smallest, and the error then.
+    pub cause: Option<(String, f64)>,
 }
 
 /// Runs the study with these sessions of each rig; `done` is called for every rig that is
@@ -167,62 +180,122 @@ pub fn run<V: Clone + Sync>(
         add(seed, Kind::Nominal, rigs.nominal.clone());
         add(seed, Kind::Drawn, (rigs.drawn)(Seed(seed)));
     }
-    for (end, values) in &rigs.extremes {
-        for seed in seeds(options.rigs_an_end) {
-            add(seed, Kind::Extreme(end.clone()), values.clone());
-        }
-    }
-    let rigs = workers::each(&specimens, options.jobs as usize, |specimen| {
+    let results = workers::each(&specimens, options.jobs as usize, |specimen| {
         let result = RigResult {
             seed: specimen.seed,
-            kind: specimen.kind.clone(),
+            kind: specimen.kind,
             figures: sessions(specimen).map_err(|error| format!("{error:#}")),
         };
         done(&result);
         result
     });
-    Study { rigs }
+    let mut study = Study {
+        rigs: results,
+        worst: Vec::new(),
+    };
+    study.worst = study.worst_without_cause();
+    // Each rig that is worst in something, without each of its values.
+    let mut seeds: Vec<u64> = study.worst.iter().map(|worst| worst.seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
+    let variants = seeds.into_iter().flat_map(|seed| {
+        let without = (rigs.without)(&(rigs.drawn)(Seed(seed)));
+        without.into_iter().map(move |(words, values)| {
+            let kind = Kind::Drawn;
+            (words, Specimen { seed, kind, values })
+        })
+    });
+    let variants: Vec<(String, Specimen<V>)> = variants.collect();
+    let others = workers::each(&variants, options.jobs as usize, |(words, specimen)| {
+        let figures = sessions(specimen).ok()?;
+        Some((specimen.seed, words.clone(), figures))
+    });
+    for worst in &mut study.worst {
+        let of_rig = others
+            .iter()
+            .flatten()
+            .filter(|other| other.0 == worst.seed);
+        let errors = of_rig.filter_map(|(_, words, figures)| {
+            let own = figures.iter().filter(|figure| figure.name == worst.name);
+            let largest = own.map(|figure| figure.error).max_by(by_size)?;
+            Some((words.clone(), largest))
+        });
+        worst.cause = errors.min_by(|a, b| by_size(&a.1, &b.1));
+    }
+    study
+}
+
+fn by_size(a: &f64, b: &f64) -> std::cmp::Ordering {
+    a.abs().total_cmp(&b.abs())
 }
 
 impl Study {
-    /// The figure at a place, of each rig that has one.
-    fn at(&self, place: usize) -> impl Iterator<Item = (&Kind, &Figure)> {
-        self.rigs.iter().filter_map(move |rig| {
-            let figures = rig.figures.as_ref().ok()?;
-            Some((&rig.kind, figures.get(place)?))
+    /// The figures of rigs of a kind, each with its rig.
+    fn of(&self, kind: Kind) -> impl Iterator<Item = (&RigResult, &Figure)> {
+        let rigs = self.rigs.iter().filter(move |rig| rig.kind == kind);
+        rigs.flat_map(|rig| {
+            rig.figures
+                .iter()
+                .flatten()
+                .map(move |figure| (rig, figure))
         })
+    }
+
+    /// Names of the figures, as they come.
+    fn names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for figure in self
+            .rigs
+            .iter()
+            .filter_map(|rig| rig.figures.as_ref().ok())
+            .flatten()
+        {
+            if !names.contains(&figure.name.as_str()) {
+                names.push(&figure.name);
+            }
+        }
+        names
+    }
+
+    fn worst_without_cause(&self) -> Vec<Worst> {
+        let worst = self.names().into_iter().filter_map(|name| {
+            let drawn = self
+                .of(Kind::Drawn)
+                .filter(|(_, figure)| figure.name == name);
+            let (rig, figure) = drawn.max_by(|a, b| by_size(&a.1.error, &b.1.error))?;
+            Some(Worst {
+                name: name.to_owned(),
+                seed: rig.seed,
+                error: figure.error,
+                cause: None,
+            })
+        });
+        worst.collect()
     }
 
     /// The table for the terminal and the book.
     #[must_use]
     pub fn table(&self) -> String {
         let mut out = String::from(
-            "| session, figure | nominal, 95 % | drawn, 95 % | drawn: error over sigma | worst | with |\n\
-             |---|---|---|---|---|---|\n",
+            "| session, figure | nominal, 95 % | error over sigma | drawn, 95 % | error over sigma | drawn, worst | which is less without |\n\
+             |---|---|---|---|---|---|---|\n",
         );
-        let mut place = 0;
-        while let Some((_, Figure { name, .. })) = self.at(place).next() {
-            let of = |wanted: &Kind| -> Vec<&Figure> {
-                let all = self.at(place).filter(|(kind, _)| *kind == wanted);
-                all.map(|(_, figure)| figure).collect()
-            };
-            let size = |figures: &[&Figure]| {
-                let sizes: Vec<f64> = figures.iter().map(|figure| figure.error.abs()).collect();
-                quantile(&sizes, 0.95).map_or("-".to_owned(), |size| format!("{size:.1}"))
-            };
-            let drawn = of(&Kind::Drawn);
-            let (worst, with) = match self.worst(place) {
-                Some((worst, with)) => (format!("{worst:.1}"), with),
-                None => ("-".to_owned(), "-"),
-            };
-            let _ = writeln!(
-                out,
-                "| {name} | {} | {} | {} | {worst} | {with} |",
-                size(&of(&Kind::Nominal)),
-                size(&drawn),
-                over_sigma(&drawn),
-            );
-            place += 1;
+        for name in self.names() {
+            let _ = write!(out, "| {name} ");
+            for kind in [Kind::Nominal, Kind::Drawn] {
+                let own = self.of(kind).filter(|(_, figure)| figure.name == name);
+                let own: Vec<&Figure> = own.map(|(_, figure)| figure).collect();
+                let sizes: Vec<f64> = own.iter().map(|figure| figure.error.abs()).collect();
+                let size = quantile(&sizes, 0.95).map_or("-".to_owned(), digits);
+                let _ = write!(out, "| {size} | {} ", over_sigma(&own));
+            }
+            let worst = self.worst.iter().find(|worst| worst.name == name);
+            let error = worst.map_or("-".to_owned(), |worst| digits(worst.error.abs()));
+            let cause = worst.and_then(|worst| worst.cause.as_ref());
+            let cause = cause.map_or("-".to_owned(), |(words, left)| {
+                format!("{words} ({})", digits(left.abs()))
+            });
+            let _ = writeln!(out, "| {error} | {cause} |");
         }
         let (failed, all) = (self.failed().count(), self.rigs.len());
         let _ = writeln!(
@@ -232,21 +305,19 @@ impl Study {
         out
     }
 
-    /// The largest error where one value is at an end of its range, and that value.
-    fn worst(&self, place: usize) -> Option<(f64, &str)> {
-        let sizes = self.at(place).filter_map(|(kind, figure)| match kind {
-            Kind::Extreme(value) => Some((figure.error.abs(), value.as_str())),
-            Kind::Nominal | Kind::Drawn => None,
-        });
-        sizes.max_by(|a, b| a.0.total_cmp(&b.0))
-    }
-
     /// Rigs without sessions, and why.
     pub fn failed(&self) -> impl Iterator<Item = (&RigResult, &str)> {
         self.rigs.iter().filter_map(|rig| match &rig.figures {
             Ok(_) => None,
             Err(reason) => Some((rig, reason.as_str())),
         })
+    }
+}
+
+fn digits(value: f64) -> String {
+    match value < 1.0 {
+        true => format!("{value:.2}"),
+        false => format!("{value:.1}"),
     }
 }
 
@@ -266,14 +337,14 @@ fn over_sigma(figures: &[&Figure]) -> String {
 mod tests {
     use super::models::sessions;
     use super::*;
+    use rig::model_ranges::MODEL_RANGES;
 
     #[test]
-    fn a_warming_crystal_drifts_and_is_named() {
+    fn a_warming_crystal_drifts() {
         let warming = MODEL_RANGES
             .iter()
-            .position(|b| b.name.contains("phone's clock"))
+            .position(|b| b.name == "warming of the phone's clock")
             .unwrap();
-        let kind = Kind::Extreme(format!("{}: 5", MODEL_RANGES[warming].name));
         let nominal = ModelValues::default();
         let usual = sessions(1, &nominal).unwrap();
         let warm = sessions(1, &nominal.with(warming, 5.0)).unwrap();
@@ -281,42 +352,61 @@ mod tests {
         // take their noise for it.
         assert!(usual.learnt.phase_us.abs() < 15.0, "{usual:?}");
         let learnt = usual.learnt;
-        let sigmas = learnt.drift_5_us_per_min / learnt.drift_sigma_us_per_min;
+        let sigmas = learnt.drift_us_per_min / learnt.drift_sigma_us_per_min;
         assert!(sigmas.abs() < 3.0, "{usual:?}");
+        assert!(usual.three_twists.drift_us_per_min.abs() < 8.0, "{usual:?}");
+        assert!(usual.two_twists.drift_us_per_min.abs() < 15.0, "{usual:?}");
+        assert_eq!(usual.twists.len(), 14);
+        let skews = usual
+            .twists
+            .iter()
+            .filter(|twist| twist.name.contains("ppm"));
         assert!(
-            usual.three_twists.drift_5_us_per_min.abs() < 8.0,
-            "{usual:?}"
-        );
-        assert!(
-            usual.two_twists.drift_5_us_per_min.abs() < 15.0,
+            skews.clone().all(|skew| skew.error.abs() < 3.0),
             "{usual:?}"
         );
         // 5 ppm in ten minutes is 150 µs/min on the average of the first five, and more
         // twists foresee more of it.
-        let two = warm.two_twists.drift_5_us_per_min.abs();
-        let three = warm.three_twists.drift_5_us_per_min.abs();
+        let two = warm.two_twists.drift_us_per_min.abs();
+        let three = warm.three_twists.drift_us_per_min.abs();
         assert!((40.0..200.0).contains(&two), "{warm:?}");
         assert!(three < two, "{warm:?}");
-        let rig = |kind: &Kind, figures| RigResult {
-            seed: 1,
-            kind: kind.clone(),
-            figures,
+    }
+
+    #[test]
+    fn the_worst_rig_is_given_with_its_cause() {
+        let rigs = Rigs {
+            nominal: vec![0.0; 2],
+            drawn: Box::new(|seed| vec![seed.0 as f64, 10.0]),
+            without: Box::new(|values: &Vec<f64>| {
+                let one = ("first".to_owned(), vec![0.0, values[1]]);
+                vec![one, ("second".to_owned(), vec![values[0], 0.0])]
+            }),
         };
-        let study = Study {
-            rigs: vec![
-                rig(&Kind::Nominal, Ok(usual.figures())),
-                rig(&kind, Ok(warm.figures())),
-                rig(&Kind::Drawn, Err("no twist".to_owned())),
-            ],
+        let options = StudyOptions {
+            first_seed: 1,
+            rigs: 3,
+            jobs: 2,
         };
+        let figure = |error| Figure {
+            name: "phase".to_owned(),
+            error,
+            sigma: Some(2.0),
+        };
+        let sessions = |rig: &Specimen<Vec<f64>>| match (rig.seed, rig.kind) {
+            (2, Kind::Nominal) => anyhow::bail!("no twist"),
+            _ => Ok(vec![figure(1.0), figure(rig.values.iter().sum())]),
+        };
+        let study = run(&options, &rigs, sessions, |_| ());
+        let worst = Worst {
+            name: "phase".to_owned(),
+            seed: 3,
+            error: 13.0,
+            cause: Some(("second".to_owned(), 3.0)),
+        };
+        assert_eq!(study.worst, [worst]);
         let table = study.table();
-        let name = "two twists, cold rig: drift, five minutes (µs/min)";
-        let place = usual.figures().iter().position(|f| f.name == name);
-        let worst = study.worst(place.unwrap()).unwrap();
-        assert_eq!(worst, (two, kind.to_string().as_str()));
-        let row = format!("| {two:.1} | {kind} |");
-        let rows = |line: &&str| line.starts_with(&format!("| {name} |")) && line.ends_with(&row);
-        assert_eq!(table.lines().filter(rows).count(), 1, "{table}");
-        assert!(table.contains("1 of 3 rigs had no session"), "{table}");
+        assert!(table.contains("| 13.0 | second (3.0) |"), "{table}");
+        assert!(table.contains("1 of 6 rigs had no session"), "{table}");
     }
 }

@@ -49,6 +49,9 @@ const TO_ARRIVAL_S: f64 = 6.0;
 /// Length of a recording.
 const RECORDED_S: f64 = 300.0;
 
+/// The true skew is that of so long before and after, s: half a twist.
+const SKEW_OVER_S: f64 = 4.5;
+
 /// Number of times that a twist is tried.
 const TRIES: u32 = 3;
 
@@ -59,21 +62,25 @@ pub struct Judged {
     pub phase_us: f64,
     /// Its stated 1-sigma.
     pub phase_sigma_us: f64,
-    /// Drift over the first minute, µs/min.
-    pub drift_1_us_per_min: f64,
-    /// Drift over the first five minutes, µs/min.
-    pub drift_5_us_per_min: f64,
+    /// Drift over five minutes, µs/min.
+    pub drift_us_per_min: f64,
     /// Its stated 1-sigma.
     pub drift_sigma_us_per_min: f64,
     /// Error of the clocks' offset then, µs.
     pub offset_us: f64,
     /// Its stated 1-sigma.
     pub offset_sigma_us: f64,
+    /// Error of the clocks' skew then, ppm.
+    pub skew_ppm: f64,
+    /// Its stated 1-sigma.
+    pub skew_sigma_ppm: f64,
 }
 
 /// The sessions of one rig, each since it was switched on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sessions {
+    /// Offset and skew of each twist by itself.
+    pub twists: Vec<Figure>,
     /// One twist, nothing learnt.
     pub fresh: Judged,
     /// One twist, by what the session before it has taught, minutes ago.
@@ -99,26 +106,24 @@ impl Sessions {
         ];
         let figures = sessions.map(|(session, j)| {
             let figures = [
+                ("phase at the start (µs)", j.phase_us, j.phase_sigma_us),
                 (
-                    "phase at the start (µs)",
-                    j.phase_us,
-                    Some(j.phase_sigma_us),
+                    "drift (µs/min)",
+                    j.drift_us_per_min,
+                    j.drift_sigma_us_per_min,
                 ),
-                ("drift, first minute (µs/min)", j.drift_1_us_per_min, None),
-                (
-                    "drift, five minutes (µs/min)",
-                    j.drift_5_us_per_min,
-                    Some(j.drift_sigma_us_per_min),
-                ),
-                ("clock offset (µs)", j.offset_us, Some(j.offset_sigma_us)),
+                ("clock offset (µs)", j.offset_us, j.offset_sigma_us),
+                ("skew (ppm)", j.skew_ppm, j.skew_sigma_ppm),
             ];
             figures.map(|(name, error, sigma)| Figure {
                 name: format!("{session}: {name}"),
                 error,
-                sigma,
+                sigma: Some(sigma),
             })
         });
-        figures.into_iter().flatten().collect()
+        let mut all = self.twists.clone();
+        all.extend(figures.into_iter().flatten());
+        all
     }
 }
 
@@ -129,6 +134,7 @@ struct Rig {
     oscillator: Oscillator,
     imu: Bench<SimImu>,
     profile: Profile,
+    twists: Vec<Figure>,
 }
 
 /// The sessions on the rig of a seed with these values of the models.
@@ -189,6 +195,7 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     let three_twists = rig.record(&profile, &joined(&[1, 2]), 3, ends[2] + TO_VIDEO_S)?;
     let wide_twists = rig.record(&profile, &joined(&[2, 4]), 4, ends[4] + TO_VIDEO_S)?;
     Ok(Sessions {
+        twists: rig.twists,
         fresh,
         learnt,
         two_twists,
@@ -232,6 +239,7 @@ impl Rig {
             phone,
             imu,
             profile,
+            twists: Vec::new(),
         })
     }
 
@@ -257,12 +265,43 @@ impl Rig {
                 ..Options::default()
             };
             match estimate_offset(&track, &phone_track(&times, rates), &options) {
-                Ok(estimate) => return Ok((estimate.clock.into(), end)),
+                Ok(estimate) => {
+                    let clock = ClockModel::from(estimate.clock);
+                    self.judge(&clock);
+                    return Ok((clock, end));
+                }
                 Err(refused) => refusal = refused.to_string(),
             }
             at = end + 2.0;
         }
         bail!("{TRIES} twists were refused, the last one: {refusal}");
+    }
+
+    /// The true relation at a time of the board: offset in seconds, and skew.
+    fn truth(&self, at: BoardSeconds) -> (f64, f64) {
+        let ahead = |seconds: f64| {
+            let board = SimTime::from_nanos((seconds * 1e9).round() as u64);
+            let phone = self.oscillator.nanos_at(self.board().true_at(board));
+            phone as f64 * 1e-9 - board.as_secs_f64()
+        };
+        let (before, after) = (ahead(at.0 - SKEW_OVER_S), ahead(at.0 + SKEW_OVER_S));
+        (ahead(at.0), (after - before) / (2.0 * SKEW_OVER_S))
+    }
+
+    /// Notes the errors of a twist by itself.
+    fn judge(&mut self, clock: &ClockModel) {
+        let (offset, skew) = self.truth(clock.reference);
+        let sigma = |k: usize| clock.covariance[k][k].sqrt() * 1e6;
+        let figures = [
+            ("clock offset (µs)", clock.offset - offset, sigma(0)),
+            ("skew (ppm)", clock.skew - skew, sigma(1)),
+        ];
+        self.twists
+            .extend(figures.map(|(name, error, sigma)| Figure {
+                name: format!("each twist by itself: {name}"),
+                error: error * 1e6,
+                sigma: Some(sigma),
+            }));
     }
 
     /// The board's gyroscope in a twist that begins at a true time.
@@ -339,20 +378,22 @@ impl Rig {
         let first = (TO_ARRIVAL_S * 1e9 / frames.period_ns()) as usize;
         let after = |minutes: f64| first + (minutes * 60e9 / frames.period_ns()) as usize;
         let error = |frame| self.phase_us(&alignment, &frames, frame);
-        let (start, one, five) = (error(first)?, error(after(1.0))?, error(after(5.0))?);
+        let (start, five) = (error(first)?, error(after(5.0))?);
         let arrived = self.middle(&frames, first)?;
         let at = self.board().board_at(arrived);
         let at = BoardSeconds(at.as_secs_f64());
         let stated = alignment.clock.offset_at(at);
-        let truth = self.oscillator.nanos_at(arrived) as f64 * 1e-9 - at.0;
+        let (offset, skew) = self.truth(at);
+        let relation = alignment.clock;
         Ok(Judged {
             phase_us: start,
             phase_sigma_us: phase_sigma_us_at(&alignment, at),
-            drift_1_us_per_min: one - start,
-            drift_5_us_per_min: (five - start) / 5.0,
+            drift_us_per_min: (five - start) / 5.0,
             drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
-            offset_us: (stated.value - truth) * 1e6,
+            offset_us: (stated.value - offset) * 1e6,
             offset_sigma_us: stated.sigma * 1e6,
+            skew_ppm: (relation.skew - skew) * 1e6,
+            skew_sigma_ppm: relation.skew_sigma_at(at) * 1e6,
         })
     }
 

@@ -41,10 +41,10 @@ const FRAME_JITTER_NS: f64 = 1_000.0;
 /// [`LinkRanges::RANGES`] in that order, and after them the warming.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
-    /// Anywhere, by the seed.
-    Drawn,
-    /// In the middle, but for the range with this number, of which it is that share.
-    Middle(Option<(usize, f64)>),
+    /// Anywhere, by the seed, but for the range with this number, of which it is in the middle.
+    Drawn(Option<usize>),
+    /// In the middle.
+    Middle,
 }
 
 /// The link to the phone.
@@ -78,25 +78,19 @@ struct Session {
     reported_after_s: Option<f64>,
 }
 
-/// The rigs: with all values in the middle of their ranges, drawn, and with one of them at an
-/// end.
+/// The rigs: with all values in the middle of their ranges, and drawn.
 #[must_use]
 pub fn rigs() -> Rigs<Place> {
-    let names = LinkRanges::RANGES.iter().map(|(name, _)| *name);
-    let names = names.chain(["warming of the clocks"]).enumerate();
-    let ends = names.flat_map(|(number, name)| {
-        let end = move |(share, end)| {
-            (
-                format!("{name}: {end}"),
-                Place::Middle(Some((number, share))),
-            )
-        };
-        [(0.0, "least"), (1.0, "most")].map(end)
-    });
+    let without = |_: &Place| {
+        let names = LinkRanges::RANGES.iter().map(|(name, _)| *name);
+        let names = names.chain(["warming of the clocks"]).enumerate();
+        let without = names.map(|(number, name)| (name.to_owned(), Place::Drawn(Some(number))));
+        without.collect()
+    };
     Rigs {
-        nominal: Place::Middle(None),
-        drawn: Box::new(|_| Place::Drawn),
-        extremes: ends.collect(),
+        nominal: Place::Middle,
+        drawn: Box::new(|_| Place::Drawn(None)),
+        without: Box::new(without),
     }
 }
 
@@ -147,16 +141,17 @@ impl Place {
     /// Narrows the range with this number; its middle is that of its logarithm, where
     /// it does not begin at zero.
     fn within(self, number: usize, range: (f64, f64)) -> (f64, f64) {
-        let Self::Middle(moved) = self else {
-            return range;
+        let is_middle = match self {
+            Self::Middle => true,
+            Self::Drawn(but) => but == Some(number),
         };
+        if !is_middle {
+            return range;
+        }
         let (least, most) = range;
-        let share = moved
-            .filter(|(of, _)| *of == number)
-            .map_or(0.5, |(_, share)| share);
         let at = match least > 0.0 {
-            true => least * (most / least).powf(share),
-            false => least + (most - least) * share,
+            true => (least * most).sqrt(),
+            false => f64::midpoint(least, most),
         };
         (at, at)
     }
@@ -186,6 +181,7 @@ fn clock(
         warming: Warming {
             ppm: sign * log_uniform(random, warming_ppm),
             time_s: log_uniform(random, WARMING_S),
+            step_ppm: 0.0,
         },
     };
     Oscillator::new(config, seed.stream(stream))

@@ -222,6 +222,8 @@ pub struct Bench {
     pub out: PathBuf,
     /// True if a recorder of the depth camera is there.
     pub has_recorder: bool,
+    /// True if the depth pictures show the [`ball`](rig::ball); they name their frame otherwise.
+    pub shows_ball: bool,
     fate: Rc<RecorderFate>,
     /// Over what the phone's clock is read, if it can be.
     pub phone_link: Option<LinkRanges>,
@@ -251,6 +253,7 @@ impl Bench {
             profile,
             out: out.to_owned(),
             has_recorder: false,
+            shows_ball: false,
             fate: Rc::default(),
             phone_link: None,
             keeps_messages: false,
@@ -367,7 +370,7 @@ impl Bench {
             let phone = VirtualPhone::new(self.rig.clone(), place);
             Box::new(phone) as Box<dyn Phone>
         });
-        let mut recorder = VirtualRecorder::new(self.rig.clone(), self.recorder());
+        let mut recorder = VirtualRecorder::new(self.rig.clone(), self.recorder(), self.shows_ball);
         let mut no_recorder = NoRecorder;
         let recording: &mut dyn DepthRecorder = match self.has_recorder {
             true => &mut recorder,

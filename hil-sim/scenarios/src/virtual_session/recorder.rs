@@ -9,6 +9,7 @@ use std::rc::Rc;
 
 use ::session::devices::{DepthRecorder, RecorderEnd, RecorderError};
 use recording::profile::Depth;
+use rig::ball;
 use rig::depth_camera::FrameRecord;
 use rig::k4a_mkv::{self, K4aSettings};
 
@@ -37,6 +38,7 @@ impl RecorderFate {
 pub(super) struct VirtualRecorder {
     rig: SharedRig,
     fate: Rc<RecorderFate>,
+    shows_ball: bool,
     /// The file that it writes, and the first frame that is its own.
     recording: Option<(PathBuf, usize)>,
     frames: Vec<FrameRecord>,
@@ -44,10 +46,11 @@ pub(super) struct VirtualRecorder {
 }
 
 impl VirtualRecorder {
-    pub(super) const fn new(rig: SharedRig, fate: Rc<RecorderFate>) -> Self {
+    pub(super) const fn new(rig: SharedRig, fate: Rc<RecorderFate>, shows_ball: bool) -> Self {
         Self {
             rig,
             fate,
+            shows_ball,
             recording: None,
             frames: Vec::new(),
             end: None,
@@ -65,8 +68,30 @@ impl VirtualRecorder {
         };
         let frames = self.rig.with(|rig| rig.depth_frames()[first..].to_vec());
         self.frames = frames;
-        write_frames(&path, &self.frames)
+        match self.shows_ball {
+            true => write_ball(&path, &self.frames),
+            false => write_frames(&path, &self.frames),
+        }
     }
+}
+
+/// Writes images of the ball where it is.
+fn write_ball(path: &Path, frames: &[FrameRecord]) -> std::io::Result<()> {
+    let (width, height) = ball::DEPTH_SIZE;
+    let settings = K4aSettings {
+        width,
+        height,
+        ..K4aSettings::small()
+    };
+    let file = BufWriter::new(File::create(path)?);
+    let first = frames.first().map_or(0, |frame| frame.number);
+    k4a_mkv::write_frames(file, settings, frames, |number, pixels| {
+        let frame = usize::try_from(number - first).ok();
+        if let Some(frame) = frame.and_then(|place| frames.get(place)) {
+            ball::depth_picture(pixels, frame.center_true);
+        }
+    })?;
+    Ok(())
 }
 
 /// Writes small images that name their frame.

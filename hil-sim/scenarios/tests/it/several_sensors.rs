@@ -29,6 +29,8 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
         let limit = 6.0 * phone.sigma_us.hypot(1.0);
         assert!(phone.middle.largest_us < limit, "{phone:?}");
         assert!(phone.grid_error_us.abs() < limit, "{phone:?}");
+        let largest = phone.middle.largest_us.max(phone.grid_error_us.abs());
+        assert!(largest < 50.0, "{phone:?}");
     }
     // What the session had predicted of the phone that is not followed.
     let said = &figures.session[0];
@@ -36,6 +38,7 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
         said.placement.error_us.abs() < 5.0 * said.placement.sigma_us.hypot(1.5),
         "{said:?}"
     );
+    assert!(said.placement.error_us.abs() < 100.0, "{said:?}");
     let report = std::fs::read(figures.data.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let named = |name: &str| {
