@@ -59,20 +59,57 @@ fn a_step_of_a_clock_is_found_with_its_time_and_size() {
 
 #[test]
 fn weak_windows_add_up() {
-    // Each window alone is above the limit; the whole is not.
-    let options = Options {
-        sigma_limit_s: 110e-6,
-        ..Options::of_windows()
-    };
     for trial in 0..3 {
         let twist = carried(31_000 + 1000 * trial, 100.0, 0.2);
-        let whole = estimate_offset(&twist.a, &twist.b, &options).unwrap();
+        let whole = estimate_offset(&twist.a, &twist.b, &Options::of_windows()).unwrap();
+        // A tenth of it has 3.2 times its sigma: most windows alone are above the limit.
+        let options = Options {
+            sigma_limit_s: 2.5 * whole.offset_sigma_s(),
+            ..Options::of_windows()
+        };
         let clock = course_of_tracks(&twist.a, &twist.b, None, &options).unwrap();
+        let refused: usize = clock.refused.iter().map(|own| own.count).sum();
+        let alone = clock.windows - refused;
+        assert!(
+            clock.estimates.len() < alone,
+            "each of {alone} windows passed alone"
+        );
         let at_s = whole.clock.reference;
         let found: ClockRelation = clock.course.at(at_s);
         let error = found.offset - twist.offset_at(at_s);
         assert!(error.abs() < 4.0 * found.offset_at(at_s).sigma, "{error}");
     }
+}
+
+#[test]
+fn a_stretch_without_a_relation_is_named_and_widens_the_sigma() {
+    let mut twist = carried(60_000, 120.0, 0.8);
+    let other = carried(61_000, 120.0, 0.8).b;
+    let apart = 4000..8000;
+    twist.b.w[apart.clone()].copy_from_slice(&other.w[apart]);
+    let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::of_windows()).unwrap();
+    let refused: usize = clock.refused.iter().map(|own| own.count).sum();
+    assert!(refused >= 3, "{:?}", clock.refused);
+    let [stretch] = clock.course.unsupported[..] else {
+        panic!("{:?}", clock.course.unsupported);
+    };
+    let [from_s, to_s] = [stretch.from_s, stretch.to_s].map(|t| t - twist.a.epoch_s);
+    assert!(
+        (30.0..51.0).contains(&from_s) && (69.0..91.0).contains(&to_s),
+        "{from_s} to {to_s}"
+    );
+    let sigma = |at_s: f64| {
+        let at_s = twist.a.epoch_s + at_s;
+        let found = clock.course.at(at_s).offset_at(at_s);
+        assert!((found.value - twist.offset_at(at_s)).abs() < 4.5 * found.sigma);
+        found.sigma
+    };
+    assert!(
+        sigma(60.0) > 3.0 * sigma(20.0),
+        "{} {}",
+        sigma(60.0),
+        sigma(20.0)
+    );
 }
 
 #[test]

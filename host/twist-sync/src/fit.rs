@@ -85,7 +85,7 @@ pub(crate) struct FitOptions {
     pub(crate) oversampling: f64,
     /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
     pub(crate) noise_variance: f64,
-    /// Bandwidth of the long-run covariance, seconds.
+    /// Bandwidth of the long-run covariance, seconds; 0 of a trial whose sigma is not asked.
     pub(crate) memory_s: f64,
 }
 
@@ -343,17 +343,20 @@ pub(crate) fn fit(
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
     // Streams with large errors of their stamps settle slowly.
     settled |= last_s < SETTLED_SIGMAS * ideal_covariance[(0, 0)].sqrt();
-    let influences: Vec<(f64, Vector2<f64>)> = nodes
-        .iter()
-        .map(|n| (n.t, influence(n, &link, &inverse, &weights_now)))
-        .collect();
-    let covariance = long_run_covariance(&influences, options.memory_s);
+    let covariance = if options.memory_s > 0.0 {
+        let of_node = |n: &Node| (n.t, influence(n, &link, &inverse, &weights_now));
+        let influences: Vec<(f64, Vector2<f64>)> = nodes.iter().map(of_node).collect();
+        let long_run = long_run_covariance(&influences, options.memory_s);
+        at_least(long_run, &ideal_covariance)
+    } else {
+        ideal_covariance
+    };
     Some(Fit {
         link,
         calibration,
         nodes,
         weights: weights_now,
-        covariance: at_least(covariance, &ideal_covariance),
+        covariance,
         ideal_covariance,
         settled,
     })

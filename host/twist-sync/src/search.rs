@@ -29,6 +29,8 @@ const LAGS: usize = 6;
 const APART: u64 = 21;
 /// Half-width of the search around a lag, s.
 const MARGIN: f64 = 0.3;
+/// Largest 1-sigma of the first relation, s: it only says where to look.
+const FIRST_SIGMA_S: f64 = 10e-3;
 
 /// Turning rate over time, in bins.
 struct Profile {
@@ -64,6 +66,7 @@ pub(crate) fn first_relation<E: Error + 'static>(
             let around = between(b, start, end)?;
             let options = Options {
                 search: Some((offset as f64 * 1e-9, MARGIN)),
+                sigma_limit_s: options.sigma_limit_s.max(FIRST_SIGMA_S),
                 ..*options
             };
             match estimate_offset(&window, &around, &options) {
