@@ -415,6 +415,14 @@ class Others(Folder):
             with self.subTest(name):
                 code, out, err = run(A, self.file(name, content))
                 self.assertEqual((code, out), (5, ""), err)
+        # A terabyte that was never written.
+        for name, content in [("a.mcap", b"\x89MCAP0\r\n"), ("a.csv", b"0,1,2,3\n")]:
+            with self.subTest("sparse " + name):
+                path = self.file("sparse-" + name, content)
+                os.truncate(path, 1 << 40)
+                code, out, err = run(A, path)
+                self.assertEqual((code, out), (5, ""), err)
+                self.assertIn("were ever written", err)
                 self.assertIn(name, err)
                 self.assertNotIn("Traceback", err)
 

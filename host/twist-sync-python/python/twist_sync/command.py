@@ -7,7 +7,9 @@ import json
 import math
 import os
 import re
+import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +125,9 @@ def _once(text: str) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; gives its exit code."""
     options = _arguments(arguments)
+    if threading.current_thread() is threading.main_thread():
+        # As Ctrl-C: what reads for us ends with us.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return _run(options)
     except BrokenPipeError:

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,10 @@ LIMIT_S = 600
 LIMIT_BYTES = 8 << 30
 #: Text up to this size is read in this process, bytes.
 SMALL_TEXT = 256 << 20
+#: Bytes of a file that may never have been written; of more, half must be there.
+HOLES = 64 << 20
+#: The time after which it is said on a terminal what is being read, s.
+QUIET_S = 2.0
 
 _CHILD = """import sys
 sys.path[:] = filter(None, sys.path)
@@ -116,6 +121,7 @@ def read(
         if file.is_dir() and not (file / "metadata.yaml").is_file():
             file = _only(file)
         how = kind(file)
+        _check_written(file)
         if how == "text" and file.stat().st_size <= SMALL_TEXT:
             found = text.read(file, topic, columns, unit, time_unit)
         else:
@@ -133,7 +139,35 @@ def read(
     return found
 
 
+def _check_written(path: Path) -> None:
+    """Refuses a file that is mostly holes: its reader would search them to their end."""
+    if path.is_dir() or not hasattr(os, "SEEK_DATA"):
+        return
+    with open(path, "rb") as file:
+        length = file.seek(0, os.SEEK_END)
+        at, written, least = 0, 0, length - max(HOLES, length // 2)
+        while at < length and written < least:
+            try:
+                data = os.lseek(file.fileno(), at, os.SEEK_DATA)
+            except OSError:
+                break
+            at = os.lseek(file.fileno(), data, os.SEEK_HOLE)
+            written += at - data
+    if written < least:
+        raise Unreadable(f"only {written} of its {length} bytes were ever written; copy it again")
+
+
 def _in_process(path: Path, how: str, more: list[Any]) -> Recording:
+    told = threading.Timer(QUIET_S, lambda: print(f"reading {path} ...", file=sys.stderr))
+    if sys.stderr.isatty():
+        told.start()
+    try:
+        return _read_beside(path, how, more)
+    finally:
+        told.cancel()
+
+
+def _read_beside(path: Path, how: str, more: list[Any]) -> Recording:
     arguments = json.dumps([os.fspath(path.absolute()), how, more, LIMIT_S, LIMIT_BYTES])
     done = subprocess.run(
         [sys.executable, "-c", _CHILD, arguments],
