@@ -60,7 +60,8 @@ impl Video {
         let ffmpeg = Running::start("ffmpeg", &mut command, path, Limits::default())?;
         let depth = if pixels == Pixels::Rgb { 3 } else { 1 };
         // Where it does not say, each frame takes at least a byte of it.
-        let announced = info.frames.map(|frames| 2 * frames + MORE_FRAMES);
+        let announced = info.frames;
+        let announced = announced.map(|n| n.saturating_mul(2).saturating_add(MORE_FRAMES));
         Ok(Self {
             frame_bytes: info.width as usize * info.height as usize * depth,
             most: announced.unwrap_or(info.bytes),
