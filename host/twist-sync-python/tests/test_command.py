@@ -472,7 +472,7 @@ class Command(Folder):
             all(gate["passed"] and {"value", "limit"} <= gate.keys() for gate in pair["gates"])
         )
         self.assertEqual(np.shape(pair["rotation"]), (3, 3))
-        self.assertEqual({f["recording"] for f in pair["faults"]}, {B.name})
+        self.assertEqual({f["recording"] for f in pair["faults"]}, {A.name, B.name})
         self.assertEqual(
             {f["kind"] for f in pair["faults"]},
             {"copied_sample", "displaced_class", "timestamp_sawtooth", "outlier"},
