@@ -55,7 +55,7 @@ fn a_video_that_is_not_there_any_more_is_said_to_be_deleted() {
     for action in ["start", "stop"] {
         says(&bench.command(&[action], folder.path()), 0, &[]);
     }
-    let output = bench.command(&["get-video"], folder.path());
+    let output = bench.command(&["get-video", "--recorded"], folder.path());
     says(&output, PHONE, &["refused get_video", "was deleted"]);
 }
 
