@@ -41,6 +41,7 @@ pub fn make(
         &[
             "extract",
             "--overwrite",
+            "--all-pairs",
             "--phone",
             &phone.to_string_lossy(),
         ],

@@ -136,7 +136,14 @@ pub fn extracted(recorded: &Recorded, programs: &Programs) -> Result<ExtractionF
     let data_text = data.to_string_lossy().into_owned();
     let report = ask(
         programs,
-        &["extract", "--phone", &phone, "--out", &data_text],
+        &[
+            "extract",
+            "--all-pairs",
+            "--phone",
+            &phone,
+            "--out",
+            &data_text,
+        ],
         &[&recorded.folder],
     )?;
     judge(recorded, &data, &report)
