@@ -176,7 +176,10 @@ mod tests {
     #[test]
     fn bad_specifications_say_what_was_expected() {
         for (text, says) in [
-            ("dance", "expected rest, twist, walk"),
+            (
+                "dance",
+                "expected rest, twist, weak-twist, one-axis-twist, walk",
+            ),
             ("rest,twist", "has no duration"),
             ("twist:-1", "seconds above 0"),
             ("twist:x", "seconds above 0"),

@@ -180,9 +180,9 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         "get-video",
         "--recorded",
         "--ready",
-        "20",
+        "20s",
         "--timeout",
-        "10",
+        "10s",
     ];
     // Without any video it is not asked by default, and named if it is all the same.
     says(

@@ -74,6 +74,7 @@ fn record() -> Chain {
     let device: Vec<i64> = times.take(FRAMES).collect();
     let depth = full_size(&case, &device);
     let options = Options {
+        all_pairs: true,
         first_pulse: rows[0][2].map(|pulse| pulse as usize),
         ..Options::default()
     };
