@@ -38,7 +38,7 @@ fn it_boots_keeps_time_and_says_which_board_it_is() {
     let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
     let (top, bottom) = (symbol("_task_stack_start"), symbol("_stack_end"));
     let end = symbol("_stack_start");
-    assert_eq!((bottom, top, end), (0x2000_0000, 0x2000_6000, 0x2000_8000));
+    assert_eq!((bottom, top, end), (0x2000_0000, 0x2000_5000, 0x2000_8000));
     assert!(board.rig.peek(bottom, 4).is_some());
     assert!(board.rig.peek(bottom - 4, 4).is_none());
     // Of the one that is fuller.

@@ -687,7 +687,7 @@ fn the_stack_ends_where_memory_ends() {
     let mut board = Board::boot(wiring::board());
     let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
     let (top, bottom) = (symbol("_task_stack_start"), symbol("_stack_end"));
-    assert_eq!((bottom, top), (0x1000_0000, 0x1000_e000));
+    assert_eq!((bottom, top), (0x1000_0000, 0x1000_d000));
     let end = symbol("_stack_start");
     assert_eq!(end, 0x1001_0000);
     assert!(board.rig.peek(bottom, 4).is_some());

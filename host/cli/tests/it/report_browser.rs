@@ -65,7 +65,6 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         &[
             "<b>check</b>",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
-            "off the grid, ticks",
             "rad/s",
             "a door that has a very long name",
             "frame_sync.bias_us",
