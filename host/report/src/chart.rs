@@ -325,13 +325,13 @@ pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
         "<svg viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"{LABEL}\" \
          xmlns=\"http://www.w3.org/2000/svg\">"
     );
+    let RGBAColor(red, green, blue, _) = COLOURS[0].colour;
     for (row, (name, value)) in (0..).zip(drawn) {
         let length = match most > 0.0 {
             true => f64::from(width) * value.abs() / most,
             false => 0.0,
         };
         let top = row * ROW;
-        let RGBColor(red, green, blue) = RGBColor(0, 114, 178);
         svg += &format!(
             "<text x=\"0\" y=\"{}\">{name}: {}</text><rect x=\"0\" y=\"{}\" width=\"{length:.1}\" \
              height=\"18\" fill=\"rgb({red},{green},{blue})\"/>",

@@ -59,16 +59,7 @@ impl Envelope {
                 return;
             }
             self.width *= 2.0;
-            self.columns = self
-                .columns
-                .chunks(2)
-                .map(|pair| {
-                    pair.iter()
-                        .flatten()
-                        .copied()
-                        .reduce(|(low, high), (a, b)| (low.min(a), high.max(b)))
-                })
-                .collect();
+            self.columns = self.columns.chunks(2).map(extremes).collect();
         }
     }
 
@@ -90,11 +81,22 @@ impl Envelope {
             .collect()
     }
 
+    /// Smallest and largest value of all; `None` if nothing was gathered.
+    #[must_use]
+    pub fn extremes(&self) -> Option<(f64, f64)> {
+        extremes(&self.columns)
+    }
+
     /// How long one column is.
     #[must_use]
     pub const fn width(&self) -> f64 {
         self.width
     }
+}
+
+fn extremes(columns: &[Option<(f64, f64)>]) -> Option<(f64, f64)> {
+    let known = columns.iter().flatten().copied();
+    known.reduce(|(low, high), (a, b)| (low.min(a), high.max(b)))
 }
 
 #[cfg(test)]

@@ -203,12 +203,7 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
         return;
     }
     page.section("The trigger");
-    let is_exact = curves
-        .off_grid
-        .columns()
-        .iter()
-        .all(|it| it.low == 0.0 && it.high == 0.0);
-    if off_grid.is_some() && is_exact {
+    if curves.off_grid.extremes() == Some((0.0, 0.0)) {
         page.text("Every pulse was where it should be on its grid, to the tick of 20.83 ns.");
     } else if let Some(series) = off_grid {
         let svg = chart::series(
@@ -270,16 +265,7 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
             20.0..30.0,
         ),
     ] {
-        let columns = envelope.columns();
-        let low = columns
-            .iter()
-            .map(|it| it.low)
-            .fold(f64::INFINITY, f64::min);
-        let high = columns
-            .iter()
-            .map(|it| it.high)
-            .fold(f64::NEG_INFINITY, f64::max);
-        if low.is_finite() && high - low < 1.0 {
+        if let Some((low, high)) = envelope.extremes().filter(|(low, high)| high - low < 1.0) {
             page.text(&format!(
                 "The {name}: {low:.1} to {high:.1} {unit} all the time."
             ));
