@@ -9,6 +9,7 @@ use protocol::{BoardModel, Hello, RestartIntoRom};
 use serde::Serialize;
 use session::checks::firmware_version;
 
+use super::keep_trying;
 use crate::context::Context;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
@@ -278,18 +279,9 @@ fn write_by(folder: &Path, path: &Path, image: &Image) -> Result<(), Failure> {
 
 /// The board behind the loader.
 fn reconnect(port: &PortArg, context: &Context) -> Result<Hello, Failure> {
-    let begun = Instant::now();
-    loop {
-        match port.open() {
-            Ok(board) => return Ok(board.hello().clone()),
-            Err(error)
-                if error.status() == ExitStatus::OtherVersion
-                    || begun.elapsed() > APPEARS
-                    || context.interrupt.requested() =>
-            {
-                return Err(error);
-            }
-            Err(_) => std::thread::sleep(Duration::from_millis(200)),
-        }
-    }
+    let in_vain = |error: &Failure| {
+        error.status() == ExitStatus::OtherVersion || context.interrupt.requested()
+    };
+    let board = keep_trying(APPEARS, in_vain, || port.open())?;
+    Ok(board.hello().clone())
 }

@@ -8,6 +8,8 @@ mod pps;
 mod test;
 mod trigger;
 
+use std::time::{Duration, Instant};
+
 use clap::Subcommand;
 
 use crate::context::Context;
@@ -58,5 +60,22 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         Action::Trigger(args) => trigger::run(args, port, context),
         Action::Imu(args) => imu::run(args, port, context),
         Action::Pps(args) => pps::run(args, port, context),
+    }
+}
+
+/// Tries for so long, five times a second, until it works or is `in_vain`.
+fn keep_trying<T, E>(
+    within: Duration,
+    in_vain: impl Fn(&E) -> bool,
+    mut attempt: impl FnMut() -> Result<T, E>,
+) -> Result<T, E> {
+    let begun = Instant::now();
+    loop {
+        match attempt() {
+            Err(error) if begun.elapsed() < within && !in_vain(&error) => {
+                std::thread::sleep(Duration::from_millis(200));
+            }
+            result => return result,
+        }
     }
 }

@@ -3,10 +3,8 @@
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use board::BoardError;
-use board::transport::Link;
 use bring_up::{Operator, Part, Plan};
 use clap::ValueEnum;
 use protocol::usb::serial_number;
@@ -14,6 +12,7 @@ use recording::finding::Severity;
 use session::devices::Connector as _;
 use session::hardware::SerialConnector;
 
+use super::keep_trying;
 use crate::context::Context;
 use crate::decimal::parse_real_time;
 use crate::operator::lines_of_stdin;
@@ -122,7 +121,12 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         is_there: !args.hands_off,
         skips: &skips,
         stop: &stop,
-        reconnect: &|within| reconnect(port.port.clone(), &id, within, &stop),
+        reconnect: &|within| {
+            let mut connector = SerialConnector {
+                port: port.port.clone(),
+            };
+            keep_trying(within, |_| stop(), || connector.connect(Some(&id)))
+        },
     };
     let plan = Plan {
         parts: &parts,
@@ -143,23 +147,4 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         0 => ExitStatus::Good,
         _ => ExitStatus::Refused,
     })
-}
-
-/// A link to the board again, once its port is there.
-fn reconnect(
-    port: Option<String>,
-    board_id: &str,
-    within: Duration,
-    stop: &dyn Fn() -> bool,
-) -> Result<Box<dyn Link>, BoardError> {
-    let begun = Instant::now();
-    let mut connector = SerialConnector { port };
-    loop {
-        match connector.connect(Some(board_id)) {
-            Err(_) if begun.elapsed() < within && !stop() => {
-                std::thread::sleep(Duration::from_millis(200));
-            }
-            result => return result,
-        }
-    }
 }
