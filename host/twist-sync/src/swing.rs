@@ -18,7 +18,7 @@
 //! prior. That is honest where a swing cannot be seen, and exact where it can.
 //!
 //! Limits: a wander of a few µs that is correlated over seconds does not show within a twist: of
-//! 5 µs over 2 s the error is 1.5 times what is stated, and a prior that covers it would state
+//! 5 µs over 2 s the error is twice what is stated, and a prior that covers it would state
 //! twice too much of stamps without. A swing about as long as the twist bends the rate and hardly shows otherwise.
 //! Its uncertainty is the prior's: right on the average over swings of all periods up
 //! to twice the twist, too little for one whose period is always the worst.
