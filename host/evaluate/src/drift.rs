@@ -111,7 +111,7 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
     if let Some(doubt) = evidence::doubt(evidence, &footage, settings) {
         return Err(doubt);
     }
-    evidence::in_step(&line, evidence, &footage, settings)?;
+    evidence::in_step(&line, &footage, settings)?;
 
     let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());

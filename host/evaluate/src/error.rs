@@ -118,7 +118,7 @@ pub enum EvaluateError {
     },
     /// Bands that nothing shows to be the depth camera's.
     #[error(
-        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: there is no frame without them, and no end of the train in view{}", said(.lamp)
+        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: there is no frame without them, and they do not move with the trigger{}", said(.lamp)
     )]
     Unproven { path: PathBuf, lamp: Option<String> },
     /// Bands that move by themselves.

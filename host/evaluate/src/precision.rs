@@ -175,7 +175,7 @@ fn measure(
     let line = Line::fit(&places, 1);
     let evidence = evidence::of(&track, &footage, settings);
     if let Some(line) = &line {
-        evidence::in_step(line, evidence, &footage, settings)?;
+        evidence::in_step(line, &footage, settings)?;
     }
     let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
@@ -336,7 +336,7 @@ fn compare(measured: &mut [(Evaluated, Option<EvaluateError>)], train: &TrainGeo
         .map(|(m, _)| &m.result)
         .map(|r| (r.applied_bias_us.unwrap_or(f64::NAN), r.bias_us, r.sigma_us))
         .collect();
-    let off = |us: f64| us - (us / train.pitch_us).round() * train.pitch_us;
+    let off = |us| evidence::off_pitch(us, train.pitch_us);
     for ((evaluated, doubt), &(applied, bias, sigma)) in measured.iter_mut().zip(&places) {
         let moved_with = |&(other_applied, other_bias, other_sigma): &(f64, f64, f64)| {
             let shift = applied - other_applied;

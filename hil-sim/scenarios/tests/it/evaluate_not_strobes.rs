@@ -1,213 +1,283 @@
-//! Pictures of other things than strobes: none gives a figure.
+//! Recordings of other things than strobes give no figure; recordings of strobes do. All are
+//! drawn by a seed, encoded, and lie in the folder of a session that aligned its trigger.
 
-use std::path::PathBuf;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::strobes::Scene;
 use evaluate::evidence::Evidence;
 use evaluate::footage::Footage;
-use evaluate::frame::GreyView;
-use evaluate::precision::{self, evaluate_recording};
-use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
+use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
-use rig::rolling_shutter::{Flash, GreyImage, RollingShutter};
-use rig::video_writer::Quality;
+use rig::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
+use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
 
-/// Frames at 30 a second, drawn one after the other.
-struct Drawn<F> {
-    info: SourceInfo,
-    frames: u64,
-    next: u64,
-    image: GreyImage,
-    draw: F,
-}
+/// Any; each draws other videos.
+const SEEDS: Range<u64> = 7100..7101;
 
-impl<F: Fn(u64, &mut GreyImage)> Drawn<F> {
-    fn new(size: (usize, usize), frame_s: f64, draw: F) -> Self {
-        let frames = 40;
-        let start_ns = |frame: u64| (frame as f64 * frame_s * 1e9).round() as i64;
-        Self {
-            info: SourceInfo {
-                encoded: false,
-                path: PathBuf::from("drawn"),
-                width: size.0,
-                height: size.1,
-                white: 255,
-                frames: Some(frames),
-                times: FrameTimes::Listed((0..frames).map(start_ns).collect()),
-                notes: Vec::new(),
-            },
-            frames,
-            next: 0,
-            image: GreyImage::default(),
-            draw,
-        }
-    }
-}
+/// Values drawn one after the other (SplitMix64).
+struct Draw(u64);
 
-impl<F: Fn(u64, &mut GreyImage)> FrameSource for Drawn<F> {
-    fn info(&self) -> &SourceInfo {
-        &self.info
+impl Draw {
+    fn share(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (z ^ (z >> 31)) as f64 / 2f64.powi(64)
     }
 
-    fn next_frame(&mut self) -> Result<Option<GreyView<'_>>, EvaluateError> {
-        if self.next == self.frames {
-            return Ok(None);
-        }
-        (self.draw)(self.next, &mut self.image);
-        self.next += 1;
-        Ok(Some(GreyView {
-            width: self.image.width,
-            height: self.image.height,
-            pixels: &self.image.pixels,
-        }))
+    fn within(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * self.share()
     }
-}
 
-/// What a recording is said to show, if it is said to show strobes at all.
-fn figure(
-    read: impl Fn(&Settings) -> Result<Footage, EvaluateError>,
-    drifts: bool,
-) -> Option<String> {
-    let settings = Settings::default();
-    let footage = read(&settings).unwrap();
-    let found = if drifts {
-        drift::evaluate(footage, &settings).map(|found| format!("{:?}", found.result))
-    } else {
-        evaluate_recording(footage, &settings, 16).map(|found| format!("{:?}", found.result))
-    };
-    found.inspect_err(|refusal| println!("{refusal}")).ok()
-}
+    fn one<T: Copy>(&mut self, of: &[T]) -> T {
+        of[(self.share() * of.len() as f64) as usize]
+    }
 
-/// A lamp that is dimmed by switching it on and off.
-#[derive(Clone, Copy, Debug)]
-struct Lamp {
-    frequency_hz: f64,
-    /// Share of the time that it is on.
-    duty: f64,
-    exposure_us: f64,
-    row_time_us: f64,
-    frame_s: f64,
-    texture: f64,
-}
-
-impl Lamp {
-    fn footage(self, settings: &Settings) -> Result<Footage, EvaluateError> {
-        let camera = RollingShutter {
+    fn camera(&mut self) -> RollingShutter {
+        RollingShutter {
             columns: 48,
-            exposure_ns: 1e3 * self.exposure_us,
-            row_time_ns: 1e3 * self.row_time_us,
-            amplitude: 60.0,
-            texture: self.texture,
+            exposure_ns: self.within(90e3, 1000e3),
+            row_time_ns: self.within(7e3, 22e3),
+            amplitude: self.within(25.0, 90.0),
+            texture: self.one(&[0.0, 0.01]),
+            seed: self.0,
             ..RollingShutter::default()
-        };
-        let readout_s = camera.rows as f64 * camera.row_time_ns * 1e-9;
-        let draw = |frame: u64, image: &mut GreyImage| {
-            let start_s = 1.0 + frame as f64 * self.frame_s;
-            let first = ((start_s - 0.02) * self.frequency_hz).floor() as i64;
-            let last = ((start_s + readout_s + 0.02) * self.frequency_hz).ceil() as i64;
-            let pulses: Vec<Flash> = (first..=last)
-                .map(|k| Flash {
-                    start_ns: (k as f64 / self.frequency_hz * 1e9).round() as i64,
-                    duration_ns: (self.duty / self.frequency_hz * 1e9).round() as i64,
-                })
-                .collect();
-            camera.render_into((start_s * 1e9).round() as i64, frame, &pulses, image);
-        };
-        let mut source = Drawn::new(camera.image_size(), self.frame_s, draw);
-        Footage::from_source(&mut source, settings, None)
+        }
     }
 }
 
-/// Room light dimmed at 480 to 900 Hz, at random and at whole multiples of the frame rate
-/// (then it stands still in the picture, like strobes in step).
-#[test]
-fn a_dimmed_lamp_is_no_strobe() {
-    for (i, frequency_hz) in [480.0, 540.9, 613.7, 634.92, 660.02, 810.0, 888.8]
-        .into_iter()
-        .enumerate()
-    {
-        let lamp = Lamp {
-            frequency_hz,
-            duty: [0.08, 0.3, 0.5, 0.15, 0.7][i % 5],
-            exposure_us: [125.0, 400.0, 900.0][i % 3],
-            row_time_us: [10.2, 8.0, 14.0, 20.0][i % 4],
-            frame_s: [1.0 / 30.0, 1.0 / 29.97][i % 2],
-            texture: [0.0, 0.02][i % 2],
+/// A video, in the folder of a session that aligned its trigger with a bias.
+struct Drawn<'a> {
+    rate: f64,
+    frames: u64,
+    applied_us: f64,
+    camera: RollingShutter,
+    draw: Box<dyn Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a>,
+}
+
+impl Drawn<'_> {
+    fn record(&self, folder: &Path) {
+        let mut image = GreyImage::default();
+        let start_ns = |frame: u64| 1_000_000_000 + (frame as f64 * 1e9 / self.rate) as i64;
+        (self.draw)(&self.camera, start_ns(0), 0, &mut image);
+        let video = VideoSettings {
+            width: image.width,
+            height: image.height,
+            frame_rate: self.rate,
+            quality: Quality::RateFactor(18),
         };
-        let figure = figure(|settings| lamp.footage(settings), i % 2 == 1);
-        assert_eq!(figure, None, "{lamp:?}");
+        session(folder, self.applied_us);
+        let mut writer = Mp4Writer::create(&folder.join("video.mp4"), video).unwrap();
+        for frame in 0..self.frames {
+            (self.draw)(&self.camera, start_ns(frame), frame, &mut image);
+            writer.write(&image).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+
+    /// What is said of it.
+    fn figure(&self, settings: &Settings) -> Result<Evaluated, EvaluateError> {
+        let dir = tempfile::tempdir().unwrap();
+        self.record(dir.path());
+        figure(dir.path(), settings)
     }
 }
 
-/// With a known row time the rate is told.
-#[test]
-fn the_rate_of_a_lamp_is_told() {
-    let lamp = Lamp {
-        frequency_hz: 613.7,
-        duty: 0.5,
-        exposure_us: 400.0,
-        row_time_us: 10.2,
-        frame_s: 1.0 / 30.0,
-        texture: 0.0,
-    };
-    let settings = Settings {
-        row_time_us: Some(10.2),
-        ..Settings::default()
-    };
-    let refusal = evaluate_recording(lamp.footage(&settings).unwrap(), &settings, 16).unwrap_err();
-    assert!(refusal.to_string().contains("613.7 Hz"), "{refusal}");
+fn figure(folder: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError> {
+    let footage = Footage::read(folder, settings, None)?;
+    evaluate_recording(footage, settings, 16)
 }
 
-/// Bars across the picture: place of the first, period, width and number, in rows, and
-/// rows by which they move from frame to frame.
+fn session(folder: &Path, applied_us: f64) {
+    std::fs::create_dir_all(folder).unwrap();
+    let mut session = SessionFile::new(String::from("drawn"), Profile::published().unwrap());
+    let alignment = serde_json::json!({
+        "exposure_us": 250.0, "middle_row_us": 0.0, "center_offset_us": 0.0,
+        "bias_us": applied_us, "frame_period_ns": 33e6, "frame_period_sigma_ns": null,
+        "frame_period_source": "learnt",
+        "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
+            "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
+        "anchor": 0, "period_q32": 1_u64 << 32, "phase_sigma_us": 1.0,
+        "drift_sigma_us_per_min": 1.0, "arrival_pulse": null, "arrival": null,
+    });
+    session.alignment = Some(serde_json::from_value(alignment).unwrap());
+    session.save(folder).unwrap();
+}
+
+/// Something bright that wanders through a picture.
+fn pass_by(image: &mut GreyImage, place: f64) {
+    for (row, line) in image.pixels.chunks_mut(image.width).enumerate() {
+        let light = 50.0 * (-((row as f64 - place) / 120.0).powi(2)).exp();
+        for pixel in line {
+            *pixel = pixel.saturating_add(light as u8);
+        }
+    }
+}
+
+/// Room light dimmed by switching it at 480 to 900 Hz: at a whole multiple of the frame rate
+/// (then it stands still in the picture, like strobes in step), near one, or anywhere.
+fn lamp(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
+    let rate = draw.one(&[24.0, 25.0, 30.0, 30_000.0 / 1001.0, 60.0]);
+    let still = (draw.within(480.0, 900.0) / rate).round() * rate;
+    let hz = match kind % 3 {
+        0 => still,
+        1 => still + draw.within(-0.4, 0.4),
+        _ => draw.within(480.0, 900.0),
+    };
+    let duty = draw.within(0.05, 0.8);
+    let moves = draw.one(&[0.0, 9.0]);
+    let camera = draw.camera();
+    let name = format!("lamp {hz:.2} Hz at {rate:.2}, on {duty:.2}, scene {moves}, {camera:?}");
+    let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
+        let turn = 1e9 / hz;
+        let end = start as f64 + camera.rows as f64 * camera.row_time_ns + 20e6;
+        let pulses = ((start as f64 - 20e6) / turn) as i64..(end / turn) as i64;
+        let pulse = |k: i64| Flash {
+            start_ns: (k as f64 * turn) as i64,
+            duration_ns: (duty * turn) as i64,
+        };
+        camera.render_into(start, frame, &pulses.map(pulse).collect::<Vec<_>>(), image);
+        if moves > 0.0 {
+            pass_by(image, moves * frame as f64);
+        }
+    };
+    (name, drawn(draw, rate, camera, paint))
+}
+
+/// Bars across the picture, still or moving by some rows a frame.
+fn bars(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
+    let period = draw.within(40.0, 240.0);
+    let width = draw.within(0.1, 0.6) * period;
+    // Once in four as many as a train has, all in view.
+    let (period, count) = match kind % 4 {
+        0 => (draw.within(60.0, 105.0), 9.0),
+        _ => (period, draw.one(&[3.0, 5.0, 7.0, 9.0, 99.0])),
+    };
+    let first = if count > 50.0 {
+        -1000.0
+    } else {
+        draw.within(0.0, 200.0)
+    };
+    let speed = match kind % 3 {
+        0 => 0.0,
+        1 => draw.within(0.02, 1.0),
+        _ => draw.within(1.0, 20.0),
+    };
+    let name = format!("{count} bars of {width:.1} every {period:.1} from {first:.1}, {speed:.2}");
+    let paint = move |_: &RollingShutter, _: i64, frame: u64, image: &mut GreyImage| {
+        (image.width, image.height) = (48, 1080);
+        let shade = |pixel: usize| {
+            let place = (pixel / 48) as f64 - first - speed * frame as f64;
+            let bar = (place / period).floor();
+            let bright = (0.0..count).contains(&bar) && place - bar * period < width;
+            let grain = (pixel as u64 ^ frame).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 62;
+            (if bright { 140 } else { 40 }) + grain as u8
+        };
+        image.pixels = (0..48 * 1080).map(shade).collect();
+    };
+    (name, drawn(draw, 30.0, RollingShutter::default(), paint))
+}
+
+/// Flicker of the mains, or nothing but noise and rows of a scene.
+fn mains(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
+    let rate = draw.one(&[25.0, 30.0, 50.0]);
+    let depth = draw.within(0.1, 0.9);
+    let flicker = Flicker {
+        frequency_hz: draw.one(&[100.0, 120.0, 240.0]),
+        depth,
+        phase_rad: draw.within(0.0, 6.0),
+    };
+    let camera = RollingShutter {
+        flicker: (kind % 2 == 0).then_some(flicker),
+        ambient: 110.0,
+        texture: draw.within(0.0, 0.2),
+        ..draw.camera()
+    };
+    let name = format!("mains {:?}, texture {:.2}", camera.flicker, camera.texture);
+    let paint = |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
+        camera.render_into(start, frame, &[], image);
+    };
+    (name, drawn(draw, rate, camera, paint))
+}
+
+fn drawn<'a>(
+    draw: &mut Draw,
+    rate: f64,
+    camera: RollingShutter,
+    paint: impl Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a,
+) -> Drawn<'a> {
+    Drawn {
+        rate,
+        frames: draw.one(&[40, 40, 160]),
+        applied_us: 0.0,
+        camera,
+        draw: Box::new(paint),
+    }
+}
+
+/// Every other one with a row time stated, as it is: then a lamp is named by its frequency.
 #[test]
-fn bars_are_no_strobes() {
-    for (i, (first, period, width, count, speed)) in [
-        (-1000.0, 120.0, 12.0, 99, 0.0),
-        (-1000.0, 154.4, 40.0, 99, 2.0),
-        (200.0, 154.4, 12.3, 5, 0.0),
-        (200.0, 90.0, 20.0, 6, 11.0),
-        (-1000.0, 154.4, 12.3, 99, 1.0),
-        (200.0, 200.0, 30.0, 4, 3.0),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        let draw = |frame: u64, image: &mut GreyImage| {
-            (image.width, image.height) = (48, 1080);
-            let shade = |pixel: usize| {
-                let place = (pixel / 48) as f64 - first - speed * frame as f64;
-                let of = (place / period).floor();
-                let bright = (0.0..f64::from(count)).contains(&of) && place - of * period < width;
-                let grain = (pixel as u64 ^ frame).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 62;
-                (if bright { 140 } else { 40 }) + grain as u8
+fn nothing_but_strobes_gives_a_figure() {
+    let (mut videos, mut accepted) = (0, Vec::new());
+    for seed in SEEDS {
+        let mut draw = Draw(seed);
+        for kind in 0..16 {
+            let (name, video) = match kind {
+                0..7 => lamp(&mut draw, kind),
+                7..14 => bars(&mut draw, kind),
+                _ => mains(&mut draw, kind),
             };
-            image.pixels = (0..48 * 1080).map(shade).collect();
-        };
-        let read = |settings: &Settings| {
-            let mut source = Drawn::new((48, 1080), 1.0 / 30.0, draw);
-            Footage::from_source(&mut source, settings, None)
-        };
-        let figure = figure(read, i % 2 == 1);
-        assert_eq!(
-            figure, None,
-            "{count} bars every {period} rows, {speed} a frame"
-        );
+            let settings = Settings {
+                row_time_us: (kind % 2 == 0).then_some(1e-3 * video.camera.row_time_ns),
+                ..Settings::default()
+            };
+            videos += 1;
+            let dir = tempfile::tempdir().unwrap();
+            video.record(dir.path());
+            let found = if kind / 2 % 2 == 0 {
+                figure(dir.path(), &settings).map(|it| format!("{:?}", it.result))
+            } else {
+                let footage = Footage::read(dir.path(), &settings, None);
+                let found = footage.and_then(|footage| drift::evaluate(footage, &settings));
+                found.map(|it| format!("{:?}", it.result))
+            };
+            match found {
+                Ok(found) => accepted.push(format!("{name}: {found}")),
+                Err(refusal) => println!("{name}: {refusal}"),
+            }
+        }
     }
+    assert!(
+        accepted.is_empty(),
+        "{} of {videos}: {accepted:#?}",
+        accepted.len()
+    );
 }
 
 /// Pictures that ffmpeg makes by itself.
 #[test]
 fn test_pictures_are_no_strobes() {
     let dir = tempfile::tempdir().unwrap();
+    session(dir.path(), 0.0);
     let video = dir.path().join("video.mp4");
-    for (i, picture) in ["testsrc", "testsrc2", "smptebars", "mandelbrot", "cellauto"]
-        .into_iter()
-        .enumerate()
-    {
+    for picture in [
+        "testsrc",
+        "testsrc2",
+        "smptebars",
+        "smptehdbars",
+        "pal75bars",
+        "rgbtestsrc",
+        "yuvtestsrc",
+        "mandelbrot",
+        "cellauto",
+        "life",
+        "sierpinski",
+        "gradients",
+    ] {
         let status = Command::new("ffmpeg")
             .args(["-v", "error", "-y", "-f", "lavfi", "-i"])
             .arg(format!("{picture}=s=320x540"))
@@ -216,9 +286,98 @@ fn test_pictures_are_no_strobes() {
             .status()
             .unwrap();
         assert!(status.success(), "{picture}");
-        let read = |settings: &Settings| Footage::read(&video, settings, None);
-        assert_eq!(figure(read, i % 2 == 1), None, "{picture}");
+        let found = figure(dir.path(), &Settings::default()).ok();
+        assert_eq!(found.map(|it| it.result), None, "{picture}");
     }
+}
+
+/// With a known row time the rate is told.
+#[test]
+fn the_rate_of_a_lamp_is_told() {
+    let camera = RollingShutter {
+        columns: 48,
+        exposure_ns: 400e3,
+        ..RollingShutter::default()
+    };
+    let turn = 1e9 / 613.7;
+    let paint = |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
+        let first = (start as f64 / turn) as i64 - 10;
+        let pulse = |k: i64| Flash {
+            start_ns: (k as f64 * turn) as i64,
+            duration_ns: (0.5 * turn) as i64,
+        };
+        let pulses: Vec<Flash> = (first..first + 40).map(pulse).collect();
+        camera.render_into(start, frame, &pulses, image);
+    };
+    let settings = Settings {
+        row_time_us: Some(10.2),
+        ..Settings::default()
+    };
+    let video = drawn(&mut Draw(1), 30.0, camera, paint);
+    let refusal = video.figure(&settings).unwrap_err();
+    assert!(refusal.to_string().contains("613.7 Hz"), "{refusal}");
+}
+
+/// Flashes of a depth camera at a bias in each frame, if the trigger reached it.
+fn strobes<'a>(
+    camera: RollingShutter,
+    rate: f64,
+    bias_us: impl Fn(u64) -> Option<f64> + 'a,
+) -> Drawn<'a> {
+    let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
+        let centred = |bias: f64| start + (camera.middle_offset_ns() + 1e3 * bias) as i64;
+        let flashes = bias_us(frame).map(|bias| FlashTrain::NFOV.centered_at(centred(bias)));
+        let flashes: Vec<Flash> = flashes.into_iter().flatten().collect();
+        camera.render_into(start, frame, &flashes, image);
+    };
+    drawn(&mut Draw(3), rate, camera, paint)
+}
+
+/// Strobes that begin after some frames, that come on some frames only, that the trigger
+/// brings from elsewhere at 60 to 100 µs a frame, or of a camera with a known row time.
+#[test]
+fn strobes_give_a_figure() {
+    let mut refused = Vec::new();
+    for seed in SEEDS {
+        let mut draw = Draw(seed ^ 0x5EED);
+        for kind in 0..12 {
+            let camera = draw.camera();
+            let rate = draw.one(&[24.0, 30.0, 60.0]);
+            let bias_us = draw.within(-700.0, 700.0);
+            let slew_us = draw.within(60.0, 100.0);
+            let some = draw.one(&[3, 5, 11]);
+            let bias = move |frame: u64| match kind % 4 {
+                0 => (frame >= some).then_some(bias_us),
+                1 => frame.is_multiple_of(some.min(3)).then_some(bias_us),
+                2 => Some(bias_us + slew_us * (5 + some).saturating_sub(frame) as f64),
+                _ => Some(bias_us),
+            };
+            let settings = Settings {
+                row_time_us: (kind % 4 == 3).then_some(1e-3 * camera.row_time_ns),
+                ..Settings::default()
+            };
+            let name =
+                format!("{kind}: {bias_us:.1} µs, {slew_us:.0} {some} at {rate}, {camera:?}");
+            let pitch = 1575.0 / 2.0;
+            match strobes(camera, rate, bias).figure(&settings) {
+                // Which flash is which is not asked here.
+                Ok(Evaluated { result, .. }) => {
+                    let off = (result.bias_us - bias_us) / pitch;
+                    let off_us = (off - off.round()) * pitch;
+                    assert!(
+                        off_us.abs() < 3.0 + result.uncertainty_99_us,
+                        "{name}: {result:?}"
+                    );
+                }
+                Err(refusal) => refused.push(format!("{name}: {refusal}")),
+            }
+        }
+    }
+    assert!(
+        refused.is_empty(),
+        "{} refused: {refused:#?}",
+        refused.len()
+    );
 }
 
 /// A recording of which nothing shows that its bands are flashes, until a second one was
@@ -227,31 +386,18 @@ fn test_pictures_are_no_strobes() {
 fn a_second_recording_with_the_trigger_moved_shows_that_they_are_flashes() {
     let dir = tempfile::tempdir().unwrap();
     let recording = |name: &str, bias_us: f64, applied_us: f64| {
-        let folder = dir.path().join(name);
-        std::fs::create_dir_all(&folder).unwrap();
-        let scene = Scene {
-            camera: RollingShutter {
-                columns: 96,
-                exposure_ns: 250e3,
-                ..RollingShutter::default()
-            },
-            bias_us,
-            lit_from: 0,
-            ..Scene::default()
+        let camera = RollingShutter {
+            columns: 96,
+            exposure_ns: 250e3,
+            ..RollingShutter::default()
         };
-        scene.write_mp4(&folder.join("video.mp4"), Quality::RateFactor(18));
-        let mut session = SessionFile::new(name.to_owned(), Profile::published().unwrap());
-        let alignment = serde_json::json!({
-            "exposure_us": 250.0, "middle_row_us": 0.0, "center_offset_us": 0.0,
-            "bias_us": applied_us, "frame_period_ns": 33e6, "frame_period_sigma_ns": null,
-            "frame_period_source": "learnt",
-            "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
-                "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
-            "anchor": 0, "period_q32": 1_u64 << 32, "phase_sigma_us": 1.0,
-            "drift_sigma_us_per_min": 1.0, "arrival_pulse": null, "arrival": null,
-        });
-        session.alignment = Some(serde_json::from_value(alignment).unwrap());
-        session.save(&folder).unwrap();
+        let video = Drawn {
+            frames: 20,
+            applied_us,
+            ..strobes(camera, 30.0, move |_| Some(bias_us))
+        };
+        let folder = dir.path().join(name);
+        video.record(&folder);
         folder
     };
     let first = recording("first", 30.0, 0.0);

@@ -293,58 +293,6 @@ fn mains_flicker_is_recognised_and_left_out() {
 }
 
 #[test]
-fn scenes_without_flashes_are_not_taken_for_flashes() {
-    for (name, camera) in [
-        ("noise", RollingShutter::default()),
-        (
-            "texture",
-            RollingShutter {
-                texture: 0.2,
-                ..RollingShutter::default()
-            },
-        ),
-        (
-            "flicker",
-            RollingShutter {
-                flicker: Some(Flicker {
-                    frequency_hz: 120.0,
-                    depth: 0.4,
-                    phase_rad: 1.0,
-                }),
-                ambient: 120.0,
-                ..RollingShutter::default()
-            },
-        ),
-        (
-            "fast flicker",
-            RollingShutter {
-                flicker: Some(Flicker {
-                    frequency_hz: 240.0,
-                    depth: 0.4,
-                    phase_rad: 2.0,
-                }),
-                ambient: 120.0,
-                ..RollingShutter::default()
-            },
-        ),
-    ] {
-        let scene = Scene {
-            camera: RollingShutter {
-                columns: 64,
-                ..camera
-            },
-            frames: 12,
-            lit_from: u64::MAX,
-            ..Scene::default()
-        };
-        match scene.evaluate(&Settings::default()) {
-            Err(EvaluateError::NoFlashes { frames: 12, .. }) => {}
-            other => panic!("{name}: {other:?}"),
-        }
-    }
-}
-
-#[test]
 fn which_flash_is_which_is_decided_by_the_ends_or_stated_as_open() {
     // All of the train in view.
     let slow = scene(125.0, 20.0, 20.0, 2);
