@@ -1,18 +1,6 @@
-//! The firmware's ELF and the phone's agent, and a compiler for their targets.
-//!
-//! Three routes to `core` for such a target, tried in this order:
-//!
-//! 1. the active toolchain has the target;
-//! 2. `rustup target add` fetches it;
-//! 3. Debian's `rustc-web` with its library source (`rust-web-src`): cargo
-//!    stays rustup's, `core` is built from source with Debian's compiler.
-//!    Installed through apt when we are root.
-//!
-//! `SMARTDEPTHSYNC_TARGET_ROUTE=debian` forces the third, to try it out.
+//! The firmware's ELF and the phone's agent.
 
-use std::env;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
@@ -32,21 +20,6 @@ const AGENT_TARGETS: [(&str, &str); 2] = [
 const AGENT_MOST: u64 = 20_000;
 const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
 const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-embassy", "-p", "foreign-hal"];
-const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-const DEBIAN_SOURCE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
-const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
-const ROUTE_VARIABLE: &str = "SMARTDEPTHSYNC_TARGET_ROUTE";
-
-/// The oldest minor version of Rust 1.x that builds this workspace.
-const OLDEST_MINOR: u32 = 91;
-
-/// How the firmware is compiled.
-enum Route {
-    /// The active toolchain has the target.
-    Toolchain,
-    /// Debian's compiler builds `core` from its source.
-    Debian { linker: PathBuf },
-}
 
 /// Builds all of the simulated rig: the firmware, the host tool and the simulator.
 /// Gives the path of the ELF.
@@ -180,40 +153,23 @@ fn built(args: &[&str]) -> Result<PathBuf> {
 }
 
 /// Lints the programs for the chip's target, where the register code is compiled.
-/// Debian's compiler brings no clippy: there a build without warnings has to do.
 pub(crate) fn clippy() -> Result<()> {
-    let strictly = ["--", "-D", "warnings"];
-    let clippy = ["clippy", "--release"];
-    match route(TARGET)? {
-        Route::Toolchain => {
-            cargo_for_target(FIRMWARE, TARGET, &[&clippy[..], &strictly].concat())?;
-            let args = [&clippy[..], &BLACK_PILL, &strictly].concat();
-            cargo_for_target(FIRMWARE, TARGET, &args)?;
-            cargo_for_target(
-                FOREIGN,
-                TARGET,
-                &[&clippy, FOREIGN_PACKAGES, &strictly].concat(),
-            )?;
-        }
-        Route::Debian { .. } => {
-            build_black_pill()?;
-            build()?;
-            build_foreign()?;
-        }
-    }
+    let clippy = |folder, target, options: &[&str]| {
+        let args = [&["clippy", "--release"], options, &["--", "-D", "warnings"]].concat();
+        cargo_for_target(folder, target, &args)
+    };
+    clippy(FIRMWARE, TARGET, &[])?;
+    clippy(FIRMWARE, TARGET, &BLACK_PILL)?;
+    clippy(FOREIGN, TARGET, FOREIGN_PACKAGES)?;
     for (target, _) in AGENT_TARGETS {
-        let target_args = ["--target", target];
-        let args = match route(target)? {
-            Route::Toolchain => [&clippy[..], &target_args, &strictly].concat(),
-            Route::Debian { .. } => [&["build", "--release"], &target_args[..]].concat(),
-        };
-        cargo_for_target(AGENT, target, &args)?;
+        clippy(AGENT, target, &["--target", target])?;
     }
     Ok(())
 }
 
 /// Runs cargo in a folder whose programs are for a target without a system.
 fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
+    tools::ensure_target(target)?;
     let mut cargo = process::command(process::cargo_program());
     // The folder's own .cargo/config.toml sets target and profile, as for `cargo run` there.
     cargo
@@ -229,71 +185,5 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
         let options = process::remapped();
         cargo.arg(format!("--config=target.{TARGET}.rustflags={options:?}"));
     }
-    if let Route::Debian { linker } = route(target)? {
-        let target = target.to_uppercase().replace('-', "_");
-        cargo
-            .arg("-Zbuild-std=core")
-            .env("RUSTC", DEBIAN_RUSTC)
-            .env("RUSTC_BOOTSTRAP", "1")
-            .env(format!("CARGO_TARGET_{target}_LINKER"), linker);
-    }
     process::run(cargo.args(after))
-}
-
-fn route(target: &str) -> Result<Route> {
-    let forced = env::var(ROUTE_VARIABLE).unwrap_or_default();
-    match forced.as_str() {
-        "" => {}
-        "debian" => return debian(target),
-        other => bail!("{ROUTE_VARIABLE} is {other:?}; it can be unset or \"debian\""),
-    }
-    if tools::add_target(target)? {
-        return Ok(Route::Toolchain);
-    }
-    debian(target)
-}
-
-fn debian(target: &str) -> Result<Route> {
-    if !debian_ready() {
-        tools::apt_install(&DEBIAN_PACKAGES).with_context(|| {
-            format!(
-                "there is no Rust library for {target}; run `rustup target add {target}`, \
-                 or on Debian `sudo apt-get install {}`",
-                DEBIAN_PACKAGES.join(" ")
-            )
-        })?;
-    }
-    if !debian_ready() {
-        bail!(
-            "{DEBIAN_RUSTC} is older than Rust 1.{OLDEST_MINOR} or its library source is missing; \
-             run `rustup target add {target}`, or on Debian 12 with its security archive \
-             `sudo apt-get install {}`",
-            DEBIAN_PACKAGES.join(" ")
-        );
-    }
-    let linker = tools::sysroot()?.join("lib/rustlib/x86_64-unknown-linux-gnu/bin/rust-lld");
-    if linker.is_file() {
-        return Ok(Route::Debian { linker });
-    }
-    for candidate in ["rust-lld", "ld.lld"] {
-        if process::answers(candidate, &["-flavor", "gnu", "--version"])
-            || process::answers(candidate, &["--version"])
-        {
-            let linker = PathBuf::from(candidate);
-            return Ok(Route::Debian { linker });
-        }
-    }
-    bail!("no linker for {target}: run `sudo apt-get install lld`")
-}
-
-fn debian_ready() -> bool {
-    Path::new(DEBIAN_SOURCE).is_file()
-        && minor_version(DEBIAN_RUSTC).is_some_and(|minor| minor >= OLDEST_MINOR)
-}
-
-/// The `x` of `rustc 1.x.y`.
-fn minor_version(rustc: &str) -> Option<u32> {
-    let text = process::text(Command::new(rustc).arg("--version")).ok()?;
-    let version = text.split_whitespace().nth(1)?;
-    version.split('.').nth(1)?.parse().ok()
 }

@@ -138,31 +138,17 @@ fn make_venv(venv: &Path) -> bool {
 
 /// Makes sure that the compiler has the library of a target.
 pub(crate) fn ensure_target(target: &str) -> Result<()> {
-    if add_target(target)? {
+    let sysroot = process::text(process::command("rustc").args(["--print", "sysroot"]))
+        .context("rustc does not tell its sysroot; install Rust through rustup")?;
+    let library = Path::new(&sysroot)
+        .join("lib/rustlib")
+        .join(target)
+        .join("lib");
+    if library.is_dir() {
         return Ok(());
     }
-    bail!("there is no Rust library for {target}: run `rustup target add {target}`")
-}
-
-/// Whether the active toolchain has a target, or rustup adds it.
-pub(crate) fn add_target(target: &str) -> Result<bool> {
-    let library = sysroot()?.join("lib/rustlib").join(target).join("lib");
-    if !library.is_dir() {
-        println!("the Rust target {target} is missing: trying rustup target add");
-        let added = Command::new("rustup")
-            .current_dir(process::root())
-            .args(["target", "add", target])
-            .status();
-        return Ok(added.is_ok_and(|status| status.success()) && library.is_dir());
-    }
-    Ok(true)
-}
-
-/// Where the active compiler is installed.
-pub(crate) fn sysroot() -> Result<PathBuf> {
-    process::text(process::command("rustc").args(["--print", "sysroot"]))
-        .map(PathBuf::from)
-        .context("rustc does not tell its sysroot; install Rust through rustup")
+    process::run(process::command("rustup").args(["target", "add", target]))
+        .with_context(|| format!("there is no Rust library for {target}"))
 }
 
 /// A cargo tool of exactly this version in `target/tools`, built if need be.
