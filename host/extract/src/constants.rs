@@ -2,8 +2,9 @@
 //! what the session says, and that before the rig profile.
 
 use protocol::ImuSensor;
+use recording::error_budget::ErrorPart;
 use recording::profile::{Phone, Profile};
-use recording::session_file::{ErrorPart, PhoneRecord, SessionFile};
+use recording::session_file::{PhoneRecord, SessionFile};
 use serde::Serialize;
 use twist_sync::Prior;
 

@@ -3,7 +3,7 @@
 //! Nothing in it depends on when or how often the extraction ran, so that
 //! repeating it gives the same files.
 
-use recording::session_file::ErrorPart;
+use recording::error_budget::ErrorPart;
 use serde::Serialize;
 
 pub use super::constants::Constants;

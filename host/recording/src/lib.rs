@@ -15,6 +15,7 @@
 //! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`diagnostics`]: the counters in the board's status.
+//! - [`error_budget`]: how well the cameras expose together, in numbers and words.
 //! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
@@ -32,6 +33,7 @@ pub mod camera;
 pub mod chunks;
 mod damage;
 pub mod diagnostics;
+pub mod error_budget;
 pub mod finding;
 pub mod folder;
 pub mod grid;

@@ -15,7 +15,7 @@ pub use error::ProfileError;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
-use crate::session_file::ErrorPart;
+use crate::error_budget::ErrorPart;
 use error::{in_line, located, syntax};
 use jiff::Timestamp;
 use jiff::civil::Date;

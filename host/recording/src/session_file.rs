@@ -10,6 +10,7 @@ use protocol::{BoardModel, ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
+use crate::error_budget::{COARSE_US, ErrorPart, together};
 use crate::finding::Finding;
 use crate::profile::{Phone, Profile};
 use board::StreamCounts;
@@ -317,62 +318,6 @@ impl Alignment {
             true => self.constant_part.unwrap_or(ErrorPart::Bias),
             false => ErrorPart::Clocks,
         }
-    }
-}
-
-/// From this total on, µs, cameras are not known to expose together: a moving hand is blurred
-/// by as much.
-pub const COARSE_US: f64 = 1_000.0;
-
-/// A part of the total uncertainty between the middles of the two exposures.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ErrorPart {
-    /// The measured bias.
-    #[default]
-    Bias,
-    /// The assumed time from the trigger's edge to the middle of the depth exposure.
-    DepthCenter,
-    /// The assumed delay of the phone's gyroscope.
-    GyroDelay,
-    /// The assumed readout time of the phone.
-    Readout,
-    /// The relation of the clocks, and the phone's frame period.
-    Clocks,
-}
-
-impl ErrorPart {
-    /// It in words.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Bias => "the measured bias",
-            Self::DepthCenter => "the assumed centre of the depth exposure",
-            Self::GyroDelay => "the assumed delay of the phone's gyroscope",
-            Self::Readout => "the assumed readout of the phone",
-            Self::Clocks => "clocks and frame period",
-        }
-    }
-}
-
-/// How well the cameras expose together, in the same words everywhere.
-#[must_use]
-pub fn together(sigma_us: f64, largest: Option<ErrorPart>) -> String {
-    let part = largest.map_or(String::new(), |part| {
-        format!(", most of it from {}", part.text())
-    });
-    format!(
-        "cameras expose together to ± {} (1-sigma){part}",
-        micros_text(sigma_us)
-    )
-}
-
-/// A span of µs as people write it: of a millisecond and more in ms.
-#[must_use]
-pub fn micros_text(micros: f64) -> String {
-    match micros.abs() < 1_000.0 {
-        true => format!("{micros:.1} µs"),
-        false => format!("{:.1} ms", micros * 1e-3),
     }
 }
 

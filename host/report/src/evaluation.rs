@@ -17,8 +17,8 @@ use evaluate::shown::Shown;
 
 use crate::page::Page;
 use crate::summary::{Facts, Summary};
+use recording::error_budget::{COARSE_US, ErrorPart, together};
 use recording::finding::{Finding, Severity};
-use recording::session_file::{COARSE_US, ErrorPart, together};
 
 /// The report of a precision measurement, with pictures of one of its recordings.
 #[must_use]

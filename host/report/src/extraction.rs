@@ -16,8 +16,8 @@ use crate::chart::{self, Data};
 use crate::page::Page;
 use crate::session::sentence;
 use crate::summary::{Facts, Summary};
+use recording::error_budget::{COARSE_US, together};
 use recording::finding::{Finding, Severity};
-use recording::session_file::{COARSE_US, together};
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \

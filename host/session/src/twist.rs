@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use phone::PhoneSample;
 use protocol::{TICK_HZ, Ticks};
-use recording::session_file::{Span, Twist, micros_text};
+use recording::error_budget::micros_text;
+use recording::session_file::{Span, Twist};
 use timebase::{ClockModel, board_track, phone_track};
 use twist_sync::{GyroTrack, Options as EstimateOptions, estimate_offset};
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use recording::session_file::together;
+use recording::error_budget::together;
 use session::event::Tracked;
 
 use super::state::{PhaseNow, State};

@@ -12,7 +12,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Paragraph, Wrap};
 
 use protocol::Ticks;
-use recording::session_file::micros_text;
+use recording::error_budget::micros_text;
 
 use super::plain::{line, lock};
 use super::state::{Keys, State, Twist};

@@ -44,7 +44,7 @@ use super::streams::each_event;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
 use super::time::BoardNanos;
-use recording::session_file::ErrorPart;
+use recording::error_budget::ErrorPart;
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;

@@ -6,10 +6,9 @@ use super::curves::Curves;
 use super::{MAX_LISTED, seconds};
 use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
+use recording::error_budget::{ErrorPart, micros_text};
 use recording::finding::Severity;
-use recording::session_file::{
-    Alignment, ErrorPart, FramePeriodSource, SessionFile, Span, micros_text,
-};
+use recording::session_file::{Alignment, FramePeriodSource, SessionFile, Span};
 use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 

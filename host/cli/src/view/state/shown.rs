@@ -1,7 +1,8 @@
 //! What is shown of the state, at a moment.
 
 use protocol::{Period, TICK_HZ, Ticks};
-use recording::session_file::{COARSE_US, ErrorPart, Placement};
+use recording::error_budget::{COARSE_US, ErrorPart};
+use recording::session_file::Placement;
 use serde::Serialize;
 use session::alignment::phase_sigma_us_now;
 use session::event::{Phase, Tracked};
