@@ -38,29 +38,21 @@ impl LoadMeter {
     }
 }
 
-/// How many painted words in a row are taken for the end of the used stack:
-/// 1 KiB. A frame that leaves more than that unwritten hides what is below it.
-const STACK_GAP_WORDS: usize = 256;
+/// How many words of a stack are looked at, at once: 1 KiB, which takes 60 µs, in which no task
+/// runs. A frame that leaves more than that unwritten hides what is below it.
+const LOOK_WORDS: usize = 256;
 
 /// Words of a stack of `words` words that have ever been used, if it was filled
-/// with `paint` and the `known` topmost ones are known to be used. `read` gives
-/// the word at an index, 0 being the lowest address.
+/// with `paint` and the `known` topmost ones are known to be used, as far as one look
+/// reaches; the next one goes on from there. `read` gives the word at an index, 0 being the
+/// lowest address.
 pub fn stack_used(words: usize, read: impl Fn(usize) -> u32, paint: u32, known: usize) -> usize {
-    let mut used = known.min(words);
-    let mut gap = 0;
-    let first = used;
-    for depth in first..words {
-        if read(words - 1 - depth) == paint {
-            gap += 1;
-            if gap == STACK_GAP_WORDS {
-                break;
-            }
-        } else {
-            gap = 0;
-            used = depth + 1;
-        }
-    }
-    used
+    let known = known.min(words);
+    let until = words.min(known + LOOK_WORDS);
+    let mut depths = (known..until).rev();
+    depths
+        .find(|depth| read(words - 1 - depth) != paint)
+        .map_or(known, |deepest| deepest + 1)
 }
 
 #[cfg(test)]
@@ -92,6 +84,12 @@ mod tests {
         stack[100] = 7;
         assert_eq!(used(&stack, 200), 200);
         stack.fill(0);
-        assert_eq!(used(&stack, 0), 2000);
+        let mut known = 0;
+        for looked in [256, 512, 768] {
+            known = used(&stack, known);
+            assert_eq!(known, looked);
+        }
+        assert_eq!(used(&stack, 1_900), 2_000);
+        assert_eq!(used(&stack, 2_000), 2_000);
     }
 }

@@ -123,11 +123,6 @@ pub(crate) fn with_line<R>(
     }
 }
 
-/// A copy of the pulse per second's pulser, to be looked at with interrupts on.
-pub(crate) fn pps() -> Pulser {
-    with_line(Line::Pps, |pulser, _, _| *pulser)
-}
-
 /// Pulses that found no place in the queue to the handler below, and the longest
 /// time from an edge to the end of its handling, in ticks, since reset.
 pub(crate) fn counters() -> (u32, u32) {

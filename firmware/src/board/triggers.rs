@@ -2,7 +2,7 @@
 
 use firmware::pulser::{CompareOutput, Pulser};
 use firmware::timebase::Timebase;
-use protocol::{AlignPlan, Output, Refusal, TickDelta, TriggerAlign, TriggerStatus};
+use protocol::{AlignPlan, Output, OutputStatus, Refusal, TickDelta, TriggerAlign, TriggerStatus};
 
 use crate::board::outputs::{self, Line};
 use crate::board::tim2;
@@ -38,9 +38,9 @@ pub(crate) fn align(output: Output, command: u32, to: &TriggerAlign) -> Result<A
     }
 }
 
-/// A copy of the pulser, to be looked at with interrupts on.
-pub(crate) fn pulser(output: Output) -> Pulser {
-    with_pulser(output, |pulser, _, _| *pulser)
+/// What an output does, in short.
+pub(crate) fn summary(output: Output) -> OutputStatus {
+    with_pulser(output, |pulser, _, _| pulser.summary(tim2::now()))
 }
 
 /// The state of the train as it was at one moment.
@@ -49,18 +49,20 @@ pub(crate) fn status(output: Output) -> TriggerStatus {
     pulser.status(now)
 }
 
-/// Copies of the pulsers of all lines.
-fn pulsers() -> impl Iterator<Item = Pulser> {
-    Output::ALL.into_iter().map(pulser).chain([outputs::pps()])
-}
-
 /// Whether an edge of any line is overdue by more than `by`.
 pub(crate) fn is_overdue(by: TickDelta) -> bool {
     let now = tim2::now();
-    pulsers().any(|pulser| pulser.is_overdue(now, by))
+    is_any(|pulser| pulser.is_overdue(now, by))
 }
 
 /// Whether any line has a train.
 pub(crate) fn is_any_running() -> bool {
-    pulsers().any(|pulser| pulser.running().is_some())
+    is_any(|pulser| pulser.running().is_some())
+}
+
+/// Looks at the pulsers of all lines where they are: a copy of each takes 10 µs.
+fn is_any(is_so: impl Fn(&Pulser) -> bool) -> bool {
+    let mut outputs = Output::ALL.into_iter();
+    outputs.any(|output| with_pulser(output, |pulser, _, _| is_so(pulser)))
+        || outputs::with_line(Line::Pps, |pulser, _, _| is_so(pulser))
 }

@@ -82,7 +82,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         Some(_) => return Err(Refusal::GnssRunning),
         None => {}
     }
-    let stopped = outputs::pps().running().is_none();
+    let stopped = outputs::with_line(Line::Pps, |pulser, _, _| pulser.running().is_none());
     if state.open || !stopped {
         return Err(Refusal::GnssStopping);
     }
@@ -133,7 +133,7 @@ pub(crate) fn report() -> GnssReport {
 
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
-    let pulses = outputs::pps().summary(tim2::now());
+    let pulses = outputs::with_line(Line::Pps, |pulser, _, _| pulser.summary(tim2::now()));
     GnssStatus {
         state: pulses.state,
         pulses: pulses.pulses,

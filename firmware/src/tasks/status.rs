@@ -45,7 +45,7 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
     let (lost, output_latency) = outputs::counters();
     dropped.outputs = dropped.outputs.saturating_add(lost);
     let now = tim2::now();
-    let stack = stack::fullest();
+    let stack = stack::fullest(seq);
     Status {
         seq,
         at: now,
@@ -69,7 +69,7 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),
-        outputs: Output::FURTHER.map(|output| triggers::pulser(output).summary(now)),
+        outputs: Output::FURTHER.map(triggers::summary),
         output_latency,
         gnss: gnss::status(),
     }
