@@ -159,6 +159,10 @@ pub(crate) const STATUSES: usize = 2;
 /// and then some, 16 packets.
 pub const TRANSMIT_BUFFER: usize = 1024;
 
+/// Messages in [`TRANSMIT_BUFFER`], whose frames take 14 bytes at least: a capture of two bytes of
+/// number and five of time.
+pub const MOST_FRAMES: usize = TRANSMIT_BUFFER / 14;
+
 /// Packet of full-speed bulk endpoints, in bytes (USB 2.0, 5.8.3).
 pub const USB_PACKET: usize = 64;
 

@@ -39,6 +39,25 @@ enum OutputMessage {
     Pps(Pps),
 }
 
+/// The place where messages of a stream are counted.
+pub type Counter = fn(&mut Dropped) -> &mut u32;
+
+/// Where a message counts if it is lost; filler nowhere.
+#[must_use]
+pub fn counter_of(message: &DeviceToHost) -> Option<Counter> {
+    Some(match message {
+        DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => |dropped| &mut dropped.pulses,
+        DeviceToHost::Pulse(_) | DeviceToHost::Pps(_) => |dropped| &mut dropped.outputs,
+        DeviceToHost::Capture(_) => |dropped| &mut dropped.captures,
+        DeviceToHost::Imu(_) => |dropped| &mut dropped.imu,
+        DeviceToHost::Status(_) => |dropped| &mut dropped.status,
+        DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) => {
+            |dropped| &mut dropped.answers
+        }
+        DeviceToHost::Filler(_) => return None,
+    })
+}
+
 /// Queues `item` if there is a host, or counts it as dropped.
 fn push<T, const N: usize>(
     queue: &mut Deque<T, N>,
@@ -200,6 +219,12 @@ impl Outbox {
     #[must_use]
     pub const fn dropped(&self) -> Dropped {
         self.dropped
+    }
+
+    /// Counts a message that was taken to be sent and was not.
+    pub fn lose(&mut self, counter: Counter) {
+        let dropped = counter(&mut self.dropped);
+        *dropped = dropped.saturating_add(1);
     }
 
     /// Whether nothing waits.

@@ -11,8 +11,10 @@ use core::task::Poll;
 use embassy_time::{Duration, Timer, with_timeout};
 use embassy_usb::class::cdc_acm::Sender;
 use firmware::alive::Task;
-use firmware::config::{CHECK_IN_MS, TICKS_PER_US, TRANSMIT_BUFFER, USB_PACKET};
+use firmware::config::{CHECK_IN_MS, MOST_FRAMES, TICKS_PER_US, TRANSMIT_BUFFER, USB_PACKET};
 use firmware::filler::Pacer;
+use firmware::outbox::{Counter, counter_of};
+use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
 use crate::board::tim2;
@@ -26,6 +28,7 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
     let mut transmit = Transmit {
         buffer: [0; TRANSMIT_BUFFER],
         len: 0,
+        ends: Vec::new(),
         filler: Pacer::new(),
         filler_seq: 0,
         connect: 0,
@@ -45,6 +48,8 @@ struct Transmit {
     /// Frames; the first `len` bytes.
     buffer: [u8; TRANSMIT_BUFFER],
     len: usize,
+    /// Where the frames of numbered messages end, and where each counts if it is lost.
+    ends: Vec<(usize, Counter), MOST_FRAMES>,
     filler: Pacer,
     filler_seq: u32,
     /// The connection that the buffer belongs to.
@@ -56,6 +61,7 @@ impl Transmit {
     /// wait at most if that is nothing.
     fn fill(&mut self) -> Duration {
         self.len = 0;
+        self.ends.clear();
         if !with_outbox(|outbox| outbox.is_linked()) {
             return CHECK_IN;
         }
@@ -84,13 +90,19 @@ impl Transmit {
     }
 
     fn has_room(&self) -> bool {
-        TRANSMIT_BUFFER - self.len >= MAX_FRAME
+        TRANSMIT_BUFFER - self.len >= MAX_FRAME && !self.ends.is_full()
     }
 
     fn put(&mut self, message: &DeviceToHost) {
         let space = self.buffer.get_mut(self.len..).unwrap_or_default();
         match encode(message, space) {
-            Ok(frame) => self.len += frame.len(),
+            Ok(frame) => {
+                self.len += frame.len();
+                if let Some(counter) = counter_of(message) {
+                    // There is room: looked at before the message was taken.
+                    let _ = self.ends.push((self.len, counter));
+                }
+            }
             Err(_) => defmt::error!("a message does not fit into a frame"),
         }
     }
@@ -121,10 +133,14 @@ impl Transmit {
     /// goes away is not.
     async fn write(&self, sender: &mut Sender<'static, UsbDriver>) {
         let frames = self.buffer.get(..self.len).unwrap_or_default();
+        let mut written = 0;
         for packet in frames.chunks(USB_PACKET) {
             if !self.write_packet(sender, packet).await {
+                let unsent = self.ends.iter().filter(|(end, _)| *end > written);
+                with_outbox(|outbox| unsent.for_each(|(_, counter)| outbox.lose(*counter)));
                 return;
             }
+            written += packet.len();
         }
         // A transfer ends with a short packet, without which the host's
         // driver waits for more.

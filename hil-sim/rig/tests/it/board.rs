@@ -228,10 +228,10 @@ fn run_interrupted(times: u32, seconds: u64) {
          ticks off; missing at the host, and of them counted by the board: {missing:?}"
     );
     for (missing, dropped) in missing {
-        // What was in the transmitter's buffer when the link ended shows as a gap alone: 1 KiB
-        // and two packets of messages of 20 bytes at least.
-        let in_buffer = times * (1_024 + 128) / 20;
-        assert!(dropped > 0 && (dropped..=dropped + in_buffer).contains(&missing));
+        // The packet that the core had when the link ended shows as a gap alone: 64 bytes of messages
+        // of 14 bytes at least, and one that began before it.
+        let in_core = times * (64 / 14 + 2);
+        assert!(dropped > 0 && (dropped..=dropped + in_core).contains(&missing));
     }
     assert!(bench.board.rig.failures().is_empty());
 }
