@@ -19,7 +19,7 @@ const AGENT_TARGETS: [(&str, &str); 2] = [
 /// The agent is smaller than this, bytes.
 const AGENT_MOST: u64 = 20_000;
 const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
-const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-embassy", "-p", "foreign-hal"];
+const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-hal"];
 
 /// Builds all of the simulated rig: the firmware, the host tool and the simulator.
 /// Gives the path of the ELF.
@@ -94,7 +94,7 @@ fn keep(elf: &Path, ending: &str) -> Result<PathBuf> {
     Ok(kept)
 }
 
-/// Builds the programs that the tests of `stm32f4-sim` run beside the firmware. Not
+/// Builds the program of others that the tests of `stm32f4-sim` run beside the firmware. Not
 /// in one call of cargo with it: the features of what both depend on would add up.
 pub(crate) fn build_foreign() -> Result<()> {
     cargo_for_target(

@@ -340,7 +340,12 @@ fn settings_are_bounded_and_described() {
 
 #[test]
 fn the_later_mpus_have_no_clock_input_and_a_filter_for_each_sensor() {
-    for (identity, model) in [(0x70, ImuModel::Mpu6500), (0x71, ImuModel::Mpu9250)] {
+    let known = [
+        (0x70, ImuModel::Mpu6500),
+        (0x71, ImuModel::Mpu9250),
+        (0x73, ImuModel::Mpu9250),
+    ];
+    for (identity, model) in known {
         let mut sensor = imu(Mock::with_identity(identity));
         let mut delay = Delay::default();
         let config = ImuConfig {

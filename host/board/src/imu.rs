@@ -453,6 +453,22 @@ mod tests {
     }
 
     #[test]
+    fn a_sensor_that_is_sold_for_a_known_one_is_named() {
+        for (found, name) in [
+            (0x72, "clones of the MPU-6050"),
+            (0x74, "MPU-6515"),
+            (0x98, "ICM-20689"),
+            (0xff, "is it powered"),
+        ] {
+            let mut setup = setup();
+            setup.status.last_fault = Some(ImuFault::WrongIdentity { found });
+            let said = last_fault(&setup);
+            assert!(said.contains(&format!("{found:#04x}, ")), "{said}");
+            assert!(said.contains(name), "{said}");
+        }
+    }
+
+    #[test]
     fn counts_become_si_units() {
         let scale = Scale::of(&setup()).unwrap();
         let sample = scale.apply(&raw(5, ImuFlags(0), 655));

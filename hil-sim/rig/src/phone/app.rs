@@ -514,11 +514,6 @@ impl App {
         self.later(end, Due::Background);
     }
 
-    /// The app comes back to the foreground.
-    pub(super) fn to_foreground(&self) {
-        self.state().background = None;
-    }
-
     /// The process ends, as by a crash or by hand, and the app is as if just opened.
     /// A video that runs ends with it.
     pub(super) fn reopen(self: &Arc<Self>) {

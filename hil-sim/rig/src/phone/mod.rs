@@ -179,18 +179,6 @@ impl SimPhone {
         self.link.pause(&self.app);
     }
 
-    /// Brings the app back to the foreground. Whether its remote control works again: not
-    /// while a client has held its connection all the time, since the old server still has
-    /// the port then.
-    ///
-    /// # Errors
-    ///
-    /// Someone else has taken its port.
-    pub fn bring_to_foreground(&self) -> std::io::Result<bool> {
-        self.app.to_foreground();
-        self.link.resume()
-    }
-
     /// Ends the app, if it has not ended itself, and opens it again.
     ///
     /// # Errors

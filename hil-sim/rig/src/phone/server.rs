@@ -89,15 +89,6 @@ impl Link {
         *lock(&self.ending) = Some(app.in_ms(ACCEPT_MS));
     }
 
-    /// The app is in the foreground again. Whether its new server got the port.
-    pub(super) fn resume(&self) -> std::io::Result<bool> {
-        if lock(&self.listener).is_some() {
-            return Ok(false);
-        }
-        *lock(&self.ending) = None;
-        self.join().map(|()| true)
-    }
-
     /// The app's process has ended, or is opened again.
     pub(super) fn forget_background(&self) {
         *lock(&self.ending) = None;

@@ -10,7 +10,6 @@ mod imu;
 mod imu_bench;
 mod model_ranges_page;
 mod outputs;
-mod phone_app;
 mod phone_bench;
 mod phone_rude;
 mod phone_server;

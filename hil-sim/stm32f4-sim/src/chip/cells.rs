@@ -46,7 +46,12 @@ const CELLS: &[Cell] = &[
     },
     cell(0x4001_3800, "SYSCFG_MEMRMP", 0, "code runs from the flash"),
     cell(0x4001_3804, "SYSCFG_PMC", 0, "there is no Ethernet"),
-    cell(0x4001_3c04, "EXTI_EMR", 0, "the core wakes by interrupts"),
+    cell(
+        0x4001_3820,
+        "SYSCFG_CMPCR",
+        0,
+        "an edge of a pin takes no time",
+    ),
     cell(0x4002_0008, "GPIOA_OSPEEDR", 0x0c00_0000, OSPEEDR),
     cell(0x4002_0408, "GPIOB_OSPEEDR", 0x0000_00c0, OSPEEDR),
     Cell {

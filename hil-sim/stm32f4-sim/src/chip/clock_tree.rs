@@ -1,7 +1,7 @@
 //! Consequences of a change of a clock: everybody's rate, and the clock on PA8.
 
 use super::gpio::Mode;
-use super::{Soc, TIM1, TIMERS, uart};
+use super::{Soc, TIM1, TIMERS};
 use crate::clock::{Clock, Rate};
 use crate::pin::Pin;
 
@@ -28,13 +28,7 @@ impl Soc {
             self.reschedule_tim(n);
         }
         self.i2c.set_clock(clocks.pclk1);
-        for (uart, port) in self.uart.iter_mut().zip(&uart::PORTS) {
-            uart.set_clock(if port.on_apb2 {
-                clocks.pclk2
-            } else {
-                clocks.pclk1
-            });
-        }
+        self.uart.set_clock(clocks.pclk1);
         self.update_mco();
         self.update_waits();
         self.require_clocks();

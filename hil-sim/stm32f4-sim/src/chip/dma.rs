@@ -10,6 +10,15 @@ use super::Soc;
 use super::rules::Rule;
 
 /// One transfer that a request asks for: read from, write to, and width.
+/// How a stream must not be enabled (RM0090 10.3.17).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum EnabledWrongly {
+    /// While flags of its last transfer are set.
+    WithFlags,
+    /// By the write that sets it up.
+    WhileSetUp,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Transfer {
     /// Address of the peripheral's register.
@@ -89,12 +98,21 @@ impl Dma {
         })
     }
 
-    /// True if a write enables a stream whose flags of the last transfer are still set.
-    pub(crate) fn enables_with_flags(&self, offset: u32, value: u32) -> Option<usize> {
+    /// What is wrong with a write that enables a stream, if it is one.
+    pub(crate) fn enables_wrongly(
+        &self,
+        offset: u32,
+        value: u32,
+    ) -> Option<(usize, EnabledWrongly)> {
         let s = (offset.checked_sub(0x10)? / 0x18) as usize;
         let st = self.streams.get(s)?;
-        let enables = (offset - 0x10).is_multiple_of(0x18) && value & !st.cr & CR_EN != 0;
-        (enables && st.flags != 0).then_some(s)
+        if !(offset - 0x10).is_multiple_of(0x18) || value & !st.cr & CR_EN == 0 {
+            return None;
+        }
+        if st.flags != 0 {
+            return Some((s, EnabledWrongly::WithFlags));
+        }
+        (value & !CR_EN != st.cr).then_some((s, EnabledWrongly::WhileSetUp))
     }
 
     /// One item of stream `s` was moved.

@@ -1,7 +1,6 @@
 //! The next event of each part of the chip, and the earliest of all.
 
 use super::TIMERS;
-use super::uart::UARTS;
 use crate::time::SimTime;
 
 /// Whose event it is. Those of one time are done in the order given here.
@@ -11,7 +10,7 @@ pub(super) enum Source {
     /// A transfer that a timer asked the DMA for.
     TimDma,
     I2c,
-    Uart(usize),
+    Uart,
     Usb,
     Watchdog,
     /// A clock that changes without a register access (an oscillator gets ready).
@@ -22,7 +21,7 @@ pub(super) enum Source {
 const TIM_DMA: usize = TIMERS;
 const I2C: usize = TIM_DMA + 1;
 const UART: usize = I2C + 1;
-const USB: usize = UART + UARTS;
+const USB: usize = UART + 1;
 const WATCHDOG: usize = USB + 1;
 const CLOCK: usize = WATCHDOG + 1;
 const MODELS: usize = CLOCK + 1;
@@ -34,7 +33,7 @@ impl Source {
             Self::Tim(n) => n,
             Self::TimDma => TIM_DMA,
             Self::I2c => I2C,
-            Self::Uart(n) => UART + n,
+            Self::Uart => UART,
             Self::Usb => USB,
             Self::Watchdog => WATCHDOG,
             Self::Clock => CLOCK,
@@ -46,7 +45,7 @@ impl Source {
         match index {
             TIM_DMA => Self::TimDma,
             I2C => Self::I2c,
-            UART..USB => Self::Uart(index - UART),
+            UART => Self::Uart,
             USB => Self::Usb,
             WATCHDOG => Self::Watchdog,
             CLOCK => Self::Clock,

@@ -4,7 +4,6 @@ use super::adc::{TS_CAL, VREFINT_CAL};
 use super::events::Source;
 use super::memory::is_flash;
 use super::rules::{End, FLASH_ACR, Rule};
-use super::uart::UARTS;
 use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, names};
 use crate::pin::Pin;
 use crate::time::SimTime;
@@ -18,10 +17,8 @@ const OTG_FS: u32 = 0x5000_0000;
 enum Block {
     Tim(usize),
     Iwdg,
-    Uart(usize),
+    Uart,
     I2c1,
-    Syscfg,
-    Exti,
     Gpio(usize),
     Rcc,
     Dma(usize),
@@ -49,17 +46,11 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
         0x4000_0800 => (Block::Tim(TIM4), Some((APB1, 2))),
         0x4000_0c00 => (Block::Tim(TIM5), Some((APB1, 3))),
         0x4000_3000 => (Block::Iwdg, None),
-        0x4000_4400 => (Block::Uart(1), Some((APB1, 17))),
-        0x4000_4800 => (Block::Uart(2), Some((APB1, 18))),
-        0x4000_4c00 => (Block::Uart(3), Some((APB1, 19))),
-        0x4000_5000 => (Block::Uart(4), Some((APB1, 20))),
+        0x4000_5000 => (Block::Uart, Some((APB1, 20))),
         0x4000_5400 => (Block::I2c1, Some((APB1, 21))),
         0x4001_0000 => (Block::Tim(TIM1), Some((APB2, 0))),
-        0x4001_1000 => (Block::Uart(0), Some((APB2, 4))),
-        0x4001_1400 => (Block::Uart(5), Some((APB2, 5))),
         0x4001_2000 => (Block::Adc, Some((APB2, 8))),
-        0x4001_3800 => (Block::Syscfg, Some((APB2, 14))),
-        0x4001_3c00 => (Block::Exti, None),
+        0x4001_3800 => (Block::Other, Some((APB2, 14))),
         base @ 0x4002_0000..=0x4002_2000 => {
             let port = (base - 0x4002_0000) / 0x400;
             (Block::Gpio(port as usize), Some((AHB1, port)))
@@ -132,7 +123,7 @@ impl Soc {
                 value
             }
             Block::Iwdg => self.iwdg.read(offset),
-            Block::Uart(n) => self.uart[n].read(offset),
+            Block::Uart => self.uart.read(offset),
             Block::I2c1 => {
                 let value = self.i2c.read(offset, now, &mut self.i2c_bus);
                 if matches!(offset, 0x10 | 0x14 | 0x18) {
@@ -140,8 +131,6 @@ impl Soc {
                 }
                 value
             }
-            Block::Syscfg => self.exti.read_syscfg(offset),
-            Block::Exti => self.exti.read(offset),
             Block::Gpio(port) => self.gpio.read(port, offset),
             Block::Rcc => {
                 self.rcc.gates_read(offset);
@@ -208,9 +197,9 @@ impl Soc {
                 self.set_event(Source::Watchdog, at);
                 done
             }
-            Block::Uart(n) => {
-                let done = self.uart[n].write(offset, value, now);
-                self.after_uart(n);
+            Block::Uart => {
+                let done = self.uart.write(offset, value, now);
+                self.after_uart();
                 done
             }
             Block::I2c1 => {
@@ -224,12 +213,6 @@ impl Soc {
                     self.require_pins(&[wires.scl, wires.sda], 4, "I2C1");
                 }
                 self.after_i2c();
-                done
-            }
-            Block::Syscfg => self.exti.write_syscfg(offset, value),
-            Block::Exti => {
-                let done = self.exti.write(offset, value);
-                self.after_exti();
                 done
             }
             Block::Gpio(port) => {
@@ -246,10 +229,11 @@ impl Soc {
             Block::Rng => self.rng.write(offset, value, now),
             Block::Adc => self.adc.write(offset, value, now, self.clocks.pclk2),
             Block::Dma(n) => {
-                if let Some(stream) = self.dma[n].enables_with_flags(offset, value) {
-                    self.forbid(Rule::DmaFlags {
+                if let Some((stream, wrong)) = self.dma[n].enables_wrongly(offset, value) {
+                    self.forbid(Rule::DmaEnabled {
                         controller: n + 1,
                         stream,
+                        wrong,
                     });
                 }
                 let done = self.dma[n].write(offset, value);
@@ -258,9 +242,6 @@ impl Soc {
                 self.after_dma();
                 self.ask_for_timers();
                 self.after_i2c();
-                for uart in 0..UARTS {
-                    self.after_uart(uart);
-                }
                 done
             }
             Block::Otg => {
@@ -356,25 +337,16 @@ impl Soc {
                     self.cells.clear_block(0x4000_5400);
                     self.after_i2c();
                 }
-                self.reset_uarts(bits, &[(17, 1), (18, 2), (19, 3), (20, 4)]);
-            }
-            0x24 => {
-                if chosen(0) {
-                    self.tim[TIM1].reset(now);
-                    self.after_tim(TIM1);
+                if chosen(20) {
+                    self.uart.reset();
+                    self.after_uart();
                 }
-                self.reset_uarts(bits, &[(4, 0), (5, 5)]);
+            }
+            0x24 if chosen(0) => {
+                self.tim[TIM1].reset(now);
+                self.after_tim(TIM1);
             }
             _ => {}
-        }
-    }
-
-    fn reset_uarts(&mut self, bits: u32, uarts: &[(u32, usize)]) {
-        for (bit, n) in uarts {
-            if bits & (1 << bit) != 0 {
-                self.uart[*n].reset();
-                self.after_uart(*n);
-            }
         }
     }
 

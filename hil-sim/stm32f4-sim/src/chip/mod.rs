@@ -10,7 +10,6 @@ pub(crate) mod cells;
 mod clock_tree;
 pub(crate) mod dma;
 mod events;
-pub(crate) mod exti;
 mod flash;
 pub(crate) mod gpio;
 pub(crate) mod i2c;
@@ -43,7 +42,6 @@ use adc::{Adc, Die};
 use cells::Cells;
 use dma::Dma;
 use events::{Events, Source};
-use exti::Exti;
 use flash::FlashControl;
 use gpio::Gpio;
 use i2c::{BusErrors, I2c};
@@ -56,7 +54,7 @@ use rcc::{Clocks, Rcc, ResetCause};
 use rng::Rng;
 use rules::End;
 use tim::Tim;
-use uart::{UARTS, Uart};
+use uart::Uart;
 use waits::Waits;
 
 /// Timers of the model, by index.
@@ -133,13 +131,12 @@ pub(crate) struct Soc {
     pub(crate) waited: u64,
     rcc: Rcc,
     pub(crate) gpio: Gpio,
-    exti: Exti,
     tim: [Tim; TIMERS],
     dma: [Dma; 2],
     i2c: I2c,
     pub(crate) i2c_bus: I2cBus,
     iwdg: Iwdg,
-    uart: [Uart; UARTS],
+    uart: Uart,
     pub(crate) rng: Rng,
     adc: Adc,
     flash: FlashControl,
@@ -199,7 +196,6 @@ impl Soc {
             waited: 0,
             rcc,
             gpio: Gpio::new(),
-            exti: Exti::default(),
             tim: [
                 Tim::new(false, true, config.synchroniser),
                 Tim::new(true, false, config.synchroniser),
@@ -214,7 +210,7 @@ impl Soc {
             }),
             i2c_bus: I2cBus::default(),
             iwdg: Iwdg::new(),
-            uart: std::array::from_fn(|_| Uart::new()),
+            uart: Uart::new(),
             rng: Rng::new(seed.stream(RNG_STREAM)),
             adc: Adc::new(config.die, config.part.temperature_channel()),
             flash: FlashControl::default(),
@@ -256,7 +252,6 @@ impl Soc {
     pub(crate) fn reset(&mut self, cause: ResetCause) {
         self.rcc.reset(cause);
         self.gpio.reset();
-        self.exti = Exti::default();
         for tim in &mut self.tim {
             tim.reset(self.now);
         }
@@ -264,9 +259,7 @@ impl Soc {
         self.set_event(Source::TimDma, SimTime::NEVER);
         self.i2c.reset();
         self.iwdg.reset();
-        for uart in &mut self.uart {
-            uart.reset();
-        }
+        self.uart.reset();
         self.rng.reset();
         self.adc.reset();
         self.flash = FlashControl::default();
@@ -288,9 +281,7 @@ impl Soc {
         }
         self.set_event(Source::I2c, self.i2c.next_event());
         self.set_event(Source::Watchdog, self.iwdg.next_event());
-        for n in 0..UARTS {
-            self.set_event(Source::Uart(n), self.uart[n].next_event());
-        }
+        self.set_event(Source::Uart, self.uart.next_event());
     }
 
     /// Logs the edges of a pin from now on.
@@ -360,9 +351,9 @@ impl Soc {
                 }
                 Source::TimDma => self.serve_timers(),
                 Source::I2c => self.step_i2c(at),
-                Source::Uart(n) => {
-                    self.uart[n].advance(at);
-                    self.after_uart(n);
+                Source::Uart => {
+                    self.uart.advance(at);
+                    self.after_uart();
                 }
                 Source::Usb => {
                     self.usb.step(at, &mut self.otg);
@@ -462,15 +453,6 @@ impl Soc {
                 self.set_irq(*irq, on);
             }
         }
-    }
-
-    fn after_exti(&mut self) {
-        let active = self.exti.active();
-        for n in 0..5 {
-            self.set_irq(6 + n, active & (1 << n) != 0);
-        }
-        self.set_irq(23, active & 0x03e0 != 0);
-        self.set_irq(40, active & 0xfc00 != 0);
     }
 
     // ---- the USB host -------------------------------------------------------------------

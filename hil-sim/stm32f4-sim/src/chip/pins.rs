@@ -60,10 +60,7 @@ impl Soc {
                 if let Some((_, _, tim, ch)) = timer {
                     return self.tim[*tim].output(*ch);
                 }
-                let uart = uart::PORTS
-                    .iter()
-                    .position(|port| port.tx.contains(&(pin, af)))?;
-                Some(self.uart[uart].line())
+                ((pin, af) == uart::TX).then(|| self.uart.line())
             }
         }
     }
@@ -134,8 +131,6 @@ impl Soc {
             self.tim[tim].input_edge(ti, high, at);
             self.after_capture(tim);
         }
-        self.exti.pin_edge(pin, high);
-        self.after_exti();
         // The I2C wires moved by software.
         if let Some(wires) = self.i2c_wires {
             self.bus_by_hand(wires, pin, high);

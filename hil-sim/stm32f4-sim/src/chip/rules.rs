@@ -4,6 +4,7 @@
 
 use core::fmt;
 
+use super::dma::EnabledWrongly;
 use super::gpio::Mode;
 use super::{Revision, Soc, names};
 use crate::pin::Pin;
@@ -35,11 +36,12 @@ pub(crate) enum Rule {
         function: u8,
         peripheral: &'static str,
     },
-    /// A DMA stream is enabled while flags of its last transfer are set (RM0090 10.3.17).
-    DmaFlags {
+    /// A DMA stream is not enabled as it should be.
+    DmaEnabled {
         /// From 1.
         controller: usize,
         stream: usize,
+        wrong: EnabledWrongly,
     },
     /// A DMA stream is to reach memory that is not on its bus (RM0090 2.3.1).
     DmaMemory { address: u32 },
@@ -112,11 +114,22 @@ impl fmt::Display for Rule {
                 "{peripheral} is used while {pin} is not in its alternate function {function} \
                  (DS8626 table 9)"
             ),
-            Self::DmaFlags { controller, stream } => write!(
-                f,
-                "it enables stream {stream} of DMA{controller} while flags of its last transfer \
-                 are set (RM0090 10.3.17): clear them first"
-            ),
+            Self::DmaEnabled {
+                controller,
+                stream,
+                wrong,
+            } => {
+                let wrong = match wrong {
+                    EnabledWrongly::WithFlags => {
+                        "while flags of its last transfer are set: clear them first"
+                    }
+                    EnabledWrongly::WhileSetUp => "by the write that sets it up: set it up first",
+                };
+                write!(
+                    f,
+                    "it enables stream {stream} of DMA{controller} {wrong} (RM0090 10.3.17)"
+                )
+            }
             Self::DmaMemory { address } => write!(
                 f,
                 "a DMA stream is to use memory at {address:#010x}, which it cannot reach: only \

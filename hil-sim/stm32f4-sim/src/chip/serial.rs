@@ -1,4 +1,4 @@
-//! I2C1 and the UARTs: their DMA requests, interrupts and wires.
+//! I2C1 and UART5: DMA requests, interrupts and wires.
 
 use super::events::Source;
 use super::gpio::Mode;
@@ -15,22 +15,13 @@ impl Soc {
         self.set_event(Source::I2c, at);
     }
 
-    pub(super) fn after_uart(&mut self, n: usize) {
-        let port = &uart::PORTS[n];
-        while self.uart[n].wants_tx()
-            && let Some(s) = port.armed_stream(&self.dma[port.dma])
-        {
-            let byte = self.next_item(port.dma, s);
-            self.uart[n].write_dr(byte, self.now);
-        }
-        self.after_dma();
-        self.set_irq(port.irq, self.uart[n].irq());
-        let at = self.uart[n].next_event();
-        self.set_event(Source::Uart(n), at);
-        for (pin, function) in port.tx {
-            if self.gpio.mode(*pin) == Mode::Alternate(*function) {
-                self.update_pin(*pin);
-            }
+    pub(super) fn after_uart(&mut self) {
+        self.set_irq(uart::IRQ, self.uart.irq());
+        let at = self.uart.next_event();
+        self.set_event(Source::Uart, at);
+        let (pin, function) = uart::TX;
+        if self.gpio.mode(pin) == Mode::Alternate(function) {
+            self.update_pin(pin);
         }
     }
 

@@ -1,82 +1,16 @@
-//! The transmitters of the UARTs (RM0090 chapter 30), bit by bit on their pins.
+//! The transmitter of UART5 (RM0090 chapter 30), bit by bit on its pin.
 //!
-//! Eight data bits and one stop bit, no parity; the receivers are not modelled.
+//! Eight data bits and one stop bit, no parity; receiver and DMA are not modelled.
 
-use super::dma::Dma;
 use crate::clock::{Clock, Rate};
 use crate::pin::Pin;
 use crate::time::SimTime;
 
-/// USART1 to USART3, UART4, UART5 and USART6.
-pub(super) const UARTS: usize = 6;
+/// Number of its interrupt.
+pub(super) const IRQ: usize = 53;
 
-/// Where a UART is connected to the rest of the chip.
-#[derive(Debug)]
-pub(super) struct Port {
-    /// Its clock is that of APB2, not of APB1.
-    pub(super) on_apb2: bool,
-    /// Number of its interrupt.
-    pub(super) irq: usize,
-    /// The DMA controller that serves it, by index.
-    pub(super) dma: usize,
-    /// Streams of its transmitter with their channels (RM0090 tables 42 and 43).
-    streams: &'static [(usize, u32)],
-    /// Pins of its transmitter with their alternate functions (DS8626 table 9).
-    pub(super) tx: &'static [(Pin, u8)],
-}
-
-impl Port {
-    /// The stream that is set up to serve the transmitter, if there is one.
-    pub(super) fn armed_stream(&self, dma: &Dma) -> Option<usize> {
-        let armed = |(stream, channel): &&(usize, u32)| dma.armed(*stream, *channel);
-        self.streams.iter().find(armed).map(|(stream, _)| *stream)
-    }
-}
-
-pub(super) const PORTS: [Port; UARTS] = [
-    Port {
-        on_apb2: true,
-        irq: 37,
-        dma: 1,
-        streams: &[(7, 4)],
-        tx: &[(Pin::PA9, 7), (Pin::PB6, 7)],
-    },
-    Port {
-        on_apb2: false,
-        irq: 38,
-        dma: 0,
-        streams: &[(6, 4)],
-        tx: &[(Pin::PA2, 7), (Pin::PD5, 7)],
-    },
-    Port {
-        on_apb2: false,
-        irq: 39,
-        dma: 0,
-        streams: &[(3, 4), (4, 7)],
-        tx: &[(Pin::PB10, 7), (Pin::PC10, 7), (Pin::PD8, 7)],
-    },
-    Port {
-        on_apb2: false,
-        irq: 52,
-        dma: 0,
-        streams: &[(4, 4)],
-        tx: &[(Pin::PA0, 8), (Pin::PC10, 8)],
-    },
-    Port {
-        on_apb2: false,
-        irq: 53,
-        dma: 0,
-        streams: &[(7, 4)],
-        tx: &[(Pin::PC12, 8)],
-    },
-    Port {
-        on_apb2: true,
-        irq: 71,
-        dma: 1,
-        streams: &[(6, 5), (7, 5)],
-        tx: &[(Pin::PC6, 8), (Pin::PG14, 8)],
-    },
-];
+/// Its pin, and that one's alternate function.
+pub(super) const TX: (Pin, u8) = (Pin::PC12, 8);
 
 const SR_TC: u32 = 1 << 6;
 const SR_TXE: u32 = 1 << 7;
@@ -84,7 +18,6 @@ const CR1_TE: u32 = 1 << 3;
 const CR1_TCIE: u32 = 1 << 6;
 const CR1_TXEIE: u32 = 1 << 7;
 const CR1_UE: u32 = 1 << 13;
-const CR3_DMAT: u32 = 1 << 7;
 
 #[derive(Debug)]
 pub(crate) struct Uart {
@@ -134,11 +67,6 @@ impl Uart {
 
     fn enabled(&self) -> bool {
         self.cr[0] & (CR1_UE | CR1_TE) == CR1_UE | CR1_TE
-    }
-
-    /// True if the DMA is to deliver a byte.
-    pub(crate) fn wants_tx(&self) -> bool {
-        self.cr[2] & CR3_DMAT != 0 && self.enabled() && self.sr & SR_TXE != 0
     }
 
     pub(crate) fn irq(&self) -> bool {

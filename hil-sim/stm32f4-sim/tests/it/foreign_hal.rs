@@ -2,13 +2,12 @@
 //! by usb-device and synopsys-usb-otg.
 
 use stm32f4_sim::clock::Rate;
-use stm32f4_sim::pin::Pin;
-use stm32f4_sim::sim::{Sim, SimBuilder};
+use stm32f4_sim::pin::{Drive, Pin};
+use stm32f4_sim::sim::{FailureKind, Sim, SimBuilder, SimError};
 use stm32f4_sim::time::SimDuration;
 use stm32f4_sim::usb::UsbState;
 
 use crate::foreign_elf;
-use crate::signals::times;
 
 /// As much as the program's serial port holds.
 const CHUNK: usize = 128;
@@ -85,11 +84,34 @@ fn the_timer_blinks_every_20_ms() {
     let mut sim = board().build().unwrap();
     sim.log_pin(Pin::PD13);
     sim.run_for(SimDuration::from_millis(510)).unwrap();
-    let blinks = times(&sim.take_edges(), Pin::PD13);
+    let blinks: Vec<_> = sim.take_edges().iter().map(|edge| edge.2).collect();
     assert!((24..=25).contains(&blinks.len()), "{blinks:?}");
     // The handler may wait for the other one.
     for pair in blinks.windows(2) {
         let apart = (pair[1] - pair[0]).as_nanos();
         assert!(apart.abs_diff(20_000_000) < 50_000, "{apart} ns");
     }
+}
+
+#[test]
+fn a_register_that_is_not_modelled_ends_the_run() {
+    let mut sim = board().tolerate_failures().build().unwrap();
+    sim.drive(Pin::PA0, Drive::High);
+    let error = sim.run_for(SimDuration::from_millis(50)).unwrap_err();
+    let SimError::Failed(failure) = &error else {
+        panic!("{error}");
+    };
+    assert_eq!(failure.kind, FailureKind::Unmodelled);
+    let text = error.to_string();
+    let register = "it reads CRC_DR at 0x40023000, which is not modelled";
+    assert!(text.contains(register), "{text}");
+    assert!(text.contains("read_checksum"), "{text}");
+}
+
+#[test]
+fn an_i2c_bus_is_wired_to_its_pins_or_not_at_all() {
+    let wired = |scl, sda| board().i2c_bus(scl, sda).build();
+    assert!(wired(Pin::PB8, Pin::PB7).is_ok());
+    let error = wired(Pin::PB7, Pin::PB6).unwrap_err().to_string();
+    assert!(error.contains("those of I2C1 are [PB6, PB8]"), "{error}");
 }

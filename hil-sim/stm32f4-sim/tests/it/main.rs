@@ -1,14 +1,12 @@
 //! Programs of others on the chip, and what the chip does not know.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod foreign_embassy;
 mod foreign_hal;
 mod qemu;
-mod signals;
 
 use std::path::PathBuf;
 
-/// The ELF of one of the programs in `foreign/`, which `cargo xtask test` builds.
+/// The ELF of a program in `foreign/`, which `cargo xtask test` builds.
 fn foreign_elf(name: &str) -> PathBuf {
     // target/<profile>/deps/<test>
     let test = std::env::current_exe().unwrap();

@@ -179,6 +179,7 @@ fn with_dma(memory: u32) -> Soc {
             (S0CR + 8, TIM4_EGR + 0x20),
             (S0M0AR, memory),
             (S0NDTR, 1),
+            (S0CR, S0_ENABLED & !1),
             (S0CR, S0_ENABLED),
         ],
     );
@@ -198,12 +199,33 @@ fn a_stream_is_enabled_with_its_flags_cleared() {
             write(&mut soc, &[(DMA1_LIFCR, 0x3d)]);
         }
         write(&mut soc, &[(S0NDTR, 1), (S0CR, S0_ENABLED)]);
-        let rule = Rule::DmaFlags {
+        let rule = Rule::DmaEnabled {
             controller: 1,
             stream: 0,
+            wrong: EnabledWrongly::WithFlags,
         };
         assert_eq!(broken(&mut soc), (!cleared).then_some(rule));
     }
+}
+
+#[test]
+fn a_stream_is_set_up_before_it_is_enabled() {
+    let mut soc = with_dma(0x2000_0000);
+    write(
+        &mut soc,
+        &[
+            (S0CR, 0),
+            (DMA1_LIFCR, 0x3d),
+            (S0NDTR, 1),
+            (S0CR, S0_ENABLED),
+        ],
+    );
+    let rule = Rule::DmaEnabled {
+        controller: 1,
+        stream: 0,
+        wrong: EnabledWrongly::WhileSetUp,
+    };
+    assert_eq!(broken(&mut soc), Some(rule));
 }
 
 #[test]
