@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use twist_sync::interpolant::Uniform;
 
-use super::{Rates, direction, rotation, second_order};
+use super::{Rates, direction, second_order};
 
 /// Grip of the two. Ranges are drawn from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -29,8 +29,6 @@ pub enum Grip {
     Wrong(f64, f64),
     /// The mount is a spring: resonance in Hz, damping ratio 0.03 to 0.15.
     Flexing(f64, f64),
-    /// The same, but about each axis of the mount another one: damping ratio 0.01 to 0.3.
-    FlexingByAxis(f64, f64),
 }
 
 /// Motion of body b while a does `rates`.
@@ -41,9 +39,8 @@ pub(super) struct Held<'a> {
     loose: Option<(f64, f64, f64)>,
     /// Axis, angle in rad, time and duration of a turn; another takes it back.
     turns: Vec<(Unit<Vector3<f64>>, f64, f64, f64)>,
-    /// The motion after the mount, about its axes, of which it has three or one.
-    flexing: Vec<Uniform>,
-    mount: Rotation3<f64>,
+    /// The motion after a mount that gives way.
+    flexing: Option<Uniform>,
     /// Stretches in which the two are not one body, seconds of true time.
     pub(super) stretches: Vec<(f64, f64)>,
 }
@@ -78,8 +75,7 @@ impl<'a> Held<'a> {
             other,
             loose: None,
             turns: Vec::new(),
-            flexing: Vec::new(),
-            mount: Rotation3::identity(),
+            flexing: None,
             stretches: Vec::new(),
         };
         let mut between = |low: f64, high: f64| rng.random_range(low..=high);
@@ -111,18 +107,7 @@ impl<'a> Held<'a> {
             Grip::Flexing(low, high) => {
                 let (hz, damping) = (between(low, high), between(0.03, 0.15));
                 let motion = |t: f64| rates.at(t);
-                let carried = second_order(&motion, hz, damping, true, from - 2.0, to + 2.0);
-                out.flexing.extend(carried);
-            }
-            Grip::FlexingByAxis(low, high) => {
-                let each: [(f64, f64); 3] =
-                    std::array::from_fn(|_| (between(low, high), between(0.01, 0.3)));
-                let mount = rotation(&mut rng);
-                let motion = |t: f64| mount.inverse() * rates.at(t);
-                out.flexing.extend(each.iter().filter_map(|&(hz, damping)| {
-                    second_order(&motion, hz, damping, true, from - 2.0, to + 2.0)
-                }));
-                out.mount = mount;
+                out.flexing = second_order(&motion, hz, damping, true, from - 2.0, to + 2.0);
             }
         }
         let loose = out.loose;
@@ -133,11 +118,8 @@ impl<'a> Held<'a> {
 
     /// The rate of body b in its own axes.
     pub(super) fn at(&self, t: f64) -> Vector3<f64> {
-        let mut rate: Vector3<f64> = match &self.flexing[..] {
-            [x, y, z] => self.mount * Vector3::new(x.value(t)[0], y.value(t)[1], z.value(t)[2]),
-            [all, ..] => all.value(t).into(),
-            [] => self.rates.at(t),
-        };
+        let carried = self.flexing.as_ref().map(|carried| carried.value(t).into());
+        let mut rate: Vector3<f64> = carried.unwrap_or_else(|| self.rates.at(t));
         if let Some((begin, end, share)) = self.loose {
             let taken = rise((t - begin) / HANDLING_S) * (1.0 - rise((t - end) / HANDLING_S));
             rate += (self.other.at(t) - rate) * (share * taken);

@@ -65,6 +65,8 @@ pub struct Sensor {
     pub longest_sawtooth_s: f64,
     /// Rms and correlation time of a wander of the stamps, seconds.
     pub wander_s: Option<(f64, f64)>,
+    /// Step to which the stamps are cut, seconds; 0: none.
+    pub resolution_s: f64,
     /// Factor of the noise about z.
     pub noisy_z: f64,
     /// Share of the samples that are lost, in bursts of 1 to 20.
@@ -75,9 +77,6 @@ pub struct Sensor {
     pub faulty_period: f64,
     /// By how much the sample after a displaced one is early, seconds.
     pub faulty_next_s: f64,
-    /// Largest amplitude of a slow swing of the content against the stamps, seconds;
-    /// amplitude and period (3 s to 15 s) are drawn. 0: none.
-    pub swing_s: f64,
 }
 
 /// A pair of recordings to be made.
@@ -115,12 +114,12 @@ pub const SENSOR_A: Sensor = Sensor {
     sawtooth_s: None,
     longest_sawtooth_s: 0.0,
     wander_s: None,
+    resolution_s: 0.0,
     noisy_z: 1.0,
     lost: 0.0,
     faulty: false,
     faulty_period: 10.0,
     faulty_next_s: 0.0,
-    swing_s: 0.0,
 };
 
 /// A phone's gyroscope at about 500 Hz.
@@ -130,6 +129,17 @@ pub const SENSOR_B: Sensor = Sensor {
     lsb: 3.787e-5,
     ..SENSOR_A
 };
+
+impl Sensor {
+    /// A time as this sensor's stamps give it.
+    fn stamp(&self, t: f64) -> f64 {
+        if self.resolution_s > 0.0 {
+            (t / self.resolution_s).floor() * self.resolution_s
+        } else {
+            t
+        }
+    }
+}
 
 impl Default for TwistSpec {
     /// The base scenario: 9 s, 2 to 4 rad/s about changing axes.
@@ -416,11 +426,6 @@ fn record(
     let scale = Vector3::from_fn(|_, _| 1.0 + rng.random_range(-0.005..0.005));
     let class = rng.random_range(0..10_usize);
     let phase = rng.random_range(0.0..1.0);
-    let swing = (sensor.swing_s > 0.0).then(|| {
-        let amplitude = sensor.swing_s * rng.random_range(0.3..1.0);
-        let frequency = 1.0 / rng.random_range(3.0..15.0);
-        (amplitude, frequency, rng.random_range(0.0..1.0))
-    });
     // Draws of their own: what has none of these stays as it is.
     let mut own = Pcg64::seed_from_u64(class as u64 + (phase * 1e15) as u64);
     let mut wander = 0.0;
@@ -456,10 +461,6 @@ fn record(
             if rng.random_bool(0.001) {
                 stamp += 0.7e-3;
             }
-        }
-        if let Some((amplitude, frequency, phase)) = swing {
-            let turns: f64 = k as f64 * step * frequency + phase;
-            content += amplitude * (std::f64::consts::TAU * turns).sin();
         }
         if let Some((height, period)) = sawtooth {
             let x: f64 = (k as f64 * step / period + phase).fract();
@@ -549,10 +550,17 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     );
 
     // Clock a is true time plus its boot; clock b takes the path.
-    let a_s: Vec<f64> = a_t.iter().map(|t| t + start_s + a_boot).collect();
+    let cut = |t: &f64| spec.a.stamp(t + start_s) + a_boot;
+    let a_s: Vec<f64> = a_t.iter().map(cut).collect();
     Twist {
         a: GyroTrack::from_seconds(&a_s, a_w),
-        b: on_path(a_boot + start_s + offset_s, path, start_s, (&b_t, b_w)),
+        b: on_path(
+            &spec.b,
+            a_boot + start_s + offset_s,
+            path,
+            start_s,
+            (&b_t, b_w),
+        ),
         skew: path.skew_at(start_s + 0.5 * end),
         boot_s: a_boot,
         offset_s,
@@ -567,8 +575,14 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
 
 /// Recording in true time, stamped by a clock that reads `zero_s` when true time
 /// is zero, and is on a path of which `start_s` have gone by then.
-fn on_path(zero_s: f64, path: &ClockPath, start_s: f64, (t, w): (&[f64], Vec<Vec3>)) -> GyroTrack {
-    let at = |t: f64| t + path.drift_at(start_s + t);
+fn on_path(
+    sensor: &Sensor,
+    zero_s: f64,
+    path: &ClockPath,
+    start_s: f64,
+    (t, w): (&[f64], Vec<Vec3>),
+) -> GyroTrack {
+    let at = |t: f64| sensor.stamp(t + path.drift_at(start_s + t));
     let first = at(t.first().copied().unwrap_or(0.0));
     GyroTrack {
         epoch_s: zero_s + first,

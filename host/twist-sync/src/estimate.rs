@@ -13,9 +13,8 @@ use crate::axes::{self, LateAxis};
 use crate::calibration::{self, Calibration};
 use crate::clock::{ClockRelation, Wander, WithSigma, transition};
 use crate::crosscheck;
-use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
+use crate::faults::{Fault, LeftOut, Stream, Why};
 use crate::fit::{self, Fit};
-use crate::flexing;
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
 use crate::lag;
@@ -24,8 +23,8 @@ use crate::rigid::{self, Stretch};
 use crate::samples::Made;
 use crate::signal::Signal;
 use crate::stream::CheckedStream;
-use crate::swing;
 use crate::track::GyroTrack;
+use crate::wander;
 
 /// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
@@ -400,7 +399,6 @@ fn related(
         (fit, signals, kept_share) = pair.without_faults(fit, signals, &settings)?;
         open = left_open + pair.open_jumps(&fit, &signals, &settings);
     }
-    flexing::include_mount(&mut fit, &settings);
     // An axis that was advanced says nothing more about the offset.
     let least = late_axis.map_or(0.0, |late| late.variance);
     if fit.link != first {
@@ -413,13 +411,7 @@ fn related(
         fit.covariance = wider * fit.covariance * wider;
         late_axis = late_axis.or(late.axis);
     }
-    let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
-    let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
-    swing::include_swings(
-        &mut fit,
-        settings.fit.oversampling,
-        classes[0].max(classes[1]),
-    );
+    wander::include_wander(&mut fit, settings.fit.oversampling);
     let noise_s = fit.covariance[(0, 0)].sqrt();
     fit.covariance += open;
     report.common_s = common_s(pair, &fit, options);

@@ -18,7 +18,6 @@ mod crosscheck;
 mod estimate;
 mod faults;
 mod fit;
-mod flexing;
 mod gates;
 #[doc(hidden)] // of the workspace: no part of the interface
 pub mod interpolant;
@@ -35,10 +34,10 @@ mod samples;
 mod search;
 mod signal;
 mod stream;
-mod swing;
 mod timestamps;
 mod track;
 pub mod tracker;
+mod wander;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::{ClockCourse, ClockStep, Unsupported};

@@ -9,9 +9,9 @@
 //!   sequence are left out (longest increasing subsequence), so one wild value
 //!   costs one sample, not the rest of the recording.
 //! * **Outliers**: one timestamp late or early between regular neighbours.
-//! * **Coarse stamps**: all are whole multiples of a decimal step, and their distances are
-//!   not equal. If they are rounded or cut off is not known: half a step remains as an
-//!   uncertainty.
+//! * **Coarse stamps**: all are whole multiples of a step, which is decimal or the period of a
+//!   counter, and their distances are not equal. If they are rounded or cut off is not known:
+//!   half a step remains as an uncertainty.
 //! * **Sawtooth**: a device whose sensor clock is steered in steps shows small
 //!   jumps of one size and sign with a slow drift in between. Jumps and drift
 //!   together average out. With two jumps or more the drift is the jumps' size over their
@@ -51,13 +51,20 @@ const UNEVEN_DRIFT: f64 = 0.02;
 /// samples it jumps is not known.
 const UNEVEN_MEAN: f64 = 0.01;
 
+/// A sawtooth does not jump more often than at each tenth sample: rounded stamps do.
+const MOST_OFTEN: usize = 10;
+
 /// No sampling jumps by less than this part of its step, but stamps do.
 const OWN_JUMP: f64 = 0.1;
 
-/// Resolutions of stamps that are looked for, seconds, the coarsest first.
+/// Decimal resolutions of stamps that are looked for, seconds, the coarsest first.
 const RESOLUTIONS_S: [f64; 9] = [20e-3, 10e-3, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5];
 /// Distance of a stamp from a multiple, as a part of the resolution.
 const NEAR_MULTIPLE: f64 = 0.02;
+/// Least other resolution that is looked for, seconds: half of it is less than a twist can tell.
+const LEAST_RESOLUTION_S: f64 = 3e-6;
+/// Stamps are rounded to so many seconds on the way.
+const ROUNDING_S: f64 = 2e-9;
 
 /// Longest gap within a recording, seconds.
 const LONGEST_GAP_S: f64 = 60.0;
@@ -288,7 +295,10 @@ fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize)
         let most = kept.len() / 50;
         kept.iter().filter(|&k| off(k)).take(most + 1).count() <= most
     };
-    let Some(q) = RESOLUTIONS_S.into_iter().find(|&q| is_multiple(q)) else {
+    let decimal = RESOLUTIONS_S.into_iter().find(|&q| is_multiple(q));
+    let Some(q) =
+        decimal.or_else(|| counter_period(t, kept, steps, step).filter(|&q| is_multiple(q)))
+    else {
         return 0.0;
     };
     // Even sampling that fits the step, with gaps, needs none.
@@ -310,6 +320,31 @@ fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize)
     let beats = apart.len() >= 8 && even * 10 > apart.len() * 9 && double.len() * 50 > steps.len();
     let is_coarse = odd || beats || equal * 200 > kept.len();
     if is_coarse { q } else { 0.0 }
+}
+
+/// Period of the counter that the stamps may be of: the least by which their distances differ.
+fn counter_period(t: &[f64], kept: &[usize], steps: &[f64], step: f64) -> Option<f64> {
+    let uneven = steps.iter().map(|d| (d - step).abs());
+    let mut uneven: Vec<f64> = uneven.filter(|d| *d > 2.0 * ROUNDING_S).collect();
+    if uneven.len() < 2 * FEW_RESETS {
+        return None;
+    }
+    // Some stamps may be damaged.
+    let least = uneven.len() / 50;
+    let rough = *uneven.select_nth_unstable_by(least, f64::total_cmp).1;
+    if rough < LEAST_RESOLUTION_S {
+        return None;
+    }
+    // The longer the span, the better it is known.
+    let mut period = rough;
+    for &k in kept {
+        let span = t[k] - t[kept[0]];
+        let turns = (span / period).round();
+        if turns > 0.0 && (span / period - turns).abs() < NEAR_MULTIPLE {
+            period = span / turns;
+        }
+    }
+    ((period - rough).abs() < ROUNDING_S).then_some(period)
 }
 
 /// The jumps with those that fall on a sample that was left out, where the distance is a
@@ -361,7 +396,7 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let scatter = robust::mad_sigma(deviation).unwrap_or(0.0);
     let threshold = (8.0 * scatter).max(LEAST_RESET_S);
     let jumps: Vec<(usize, f64)> = adjacent.filter(|(_, d)| d.abs() > threshold).collect();
-    if count < 16 || jumps.is_empty() || jumps.len() * 4 > count {
+    if count < 16 || jumps.is_empty() || jumps.len() * MOST_OFTEN > count {
         return;
     }
     let sizes: Vec<f64> = jumps.iter().map(|&(_, d)| d).collect();
