@@ -2,8 +2,7 @@
 //! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
 //! typed against it as against hardware.
 
-use std::fs::File;
-use std::io::{BufWriter, Write as _};
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
@@ -21,11 +20,9 @@ use crate::table::Table;
 use crate::wiring;
 use anyhow::{Context, Result};
 use jiff::SignedDuration;
-use stm32f4_sim::pin::Pin;
 use stm32f4_sim::rtt::LogLine;
 use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::SimTime;
-use stm32f4_sim::vcd_trace::VcdTrace;
 
 /// Interval between looks whether it should end.
 const POLL: Duration = Duration::from_millis(2);
@@ -76,9 +73,6 @@ pub struct Args {
     /// `readback on`, `clock off`, `clock on`, `sda low`, `sda free`.
     #[arg(long, conflicts_with = "phone")]
     bring_up: bool,
-    /// Write the edges of the board's pins to this file, for a wave viewer.
-    #[arg(long, value_name = "FILE")]
-    vcd: Option<PathBuf>,
     /// Let the firmware fail and restart, as the hardware would.
     #[arg(long)]
     tolerate_failures: bool,
@@ -86,21 +80,6 @@ pub struct Args {
     #[arg(long)]
     quiet: bool,
 }
-
-/// The pins of a trace and the names of their wires.
-const TRACED: [(Pin, &str); 11] = [
-    (wiring::TRIGGER, "trigger"),
-    (wiring::IMU_READY, "imu_ready"),
-    (wiring::STROBE, "strobe"),
-    (wiring::READBACK, "readback"),
-    (wiring::SCL, "scl"),
-    (wiring::SDA, "sda"),
-    (wiring::PPS, "pps"),
-    (wiring::LED_IMU, "led_imu"),
-    (wiring::LED_PULSE, "led_pulse"),
-    (wiring::LED_FAULT, "led_fault"),
-    (wiring::LED_LINK, "led_link"),
-];
 
 /// Speed of virtual time against real time, on a command line.
 ///
@@ -149,15 +128,6 @@ pub fn run(args: &Args) -> Result<()> {
     if args.tolerate_failures {
         board = board.tolerate_failures();
     }
-    let mut trace = None;
-    if let Some(path) = &args.vcd {
-        let cannot = || format!("cannot write {}", path.display());
-        let file = BufWriter::new(File::create(path).with_context(cannot)?);
-        let vcd = VcdTrace::new(file, &TRACED).with_context(cannot)?;
-        let shared = Arc::new(Mutex::new(vcd));
-        board = board.model(Arc::clone(&shared));
-        trace = Some(shared);
-    }
     let phone = args.phone.map(|port| (phone(args), port));
     let pace = Pace {
         speed: args.speed,
@@ -195,11 +165,6 @@ pub fn run(args: &Args) -> Result<()> {
         std::thread::sleep(POLL);
     }
     let ended = rig.stop();
-    if let Some(trace) = trace {
-        lock(&trace)
-            .flush()
-            .context("the trace could not be written")?;
-    }
     ended.map(drop)
 }
 

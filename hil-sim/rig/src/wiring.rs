@@ -25,7 +25,7 @@ pub(crate) const IMU_READY: Pin = Pin::PA1;
 /// Strobe input (TIM2 CH3).
 pub const STROBE: Pin = Pin::PA2;
 /// The trigger's wire, read back (TIM2 CH4).
-pub(crate) const READBACK: Pin = Pin::PA3;
+pub const READBACK: Pin = Pin::PA3;
 /// Clock of an IMU that takes 19.2 MHz (MCO1).
 pub const IMU_CLOCK: Pin = Pin::PA8;
 /// Clock of an IMU that takes 32 kHz (TIM3 CH3).
@@ -40,15 +40,6 @@ pub(crate) const NMEA: Pin = Pin::PC12;
 pub(crate) const PPS: Pin = Pin::PE9;
 /// The further trigger outputs (TIM1 CH2 to CH4).
 pub const OUTPUTS: [Pin; 3] = [Pin::PE11, Pin::PE13, Pin::PE14];
-/// LED: the IMU is alive.
-pub(crate) const LED_IMU: Pin = Pin::PD12;
-/// LED: a pulse.
-pub(crate) const LED_PULSE: Pin = Pin::PD13;
-/// LED: a fault.
-pub(crate) const LED_FAULT: Pin = Pin::PD14;
-/// LED: the host is linked.
-pub(crate) const LED_LINK: Pin = Pin::PD15;
-
 /// Voltage that the 74AHCT gates between the board and a 5 V input take as high (data sheet of
 /// the 74AHCT125, at 4.5 to 5.5 V).
 pub const GATE_HIGH: f64 = 2.0;
@@ -139,10 +130,10 @@ mod tests {
             (OUTPUTS[2], "trigger 4"),
             (PPS, "pulse per second for a lidar"),
             (NMEA, "sentences for a lidar"),
-            (LED_IMU, "IMU samples come"),
-            (LED_PULSE, "toggles with each pulse"),
-            (LED_FAULT, "a fault, or a last run that failed"),
-            (LED_LINK, "a host is linked"),
+            (Pin::PD12, "IMU samples come"),
+            (Pin::PD13, "toggles with each pulse"),
+            (Pin::PD14, "a fault, or a last run that failed"),
+            (Pin::PD15, "a host is linked"),
         ];
         let wires = wires.map(|(pin, signal)| (format!("{pin:?}"), signal));
         let table: Vec<_> = protocol::pins::pins()

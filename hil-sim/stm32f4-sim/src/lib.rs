@@ -36,7 +36,6 @@
 //!
 //! A part that is wired to the chip is a [`model::PinModel`] (pins), an [`i2c::I2cTarget`] (the
 //! I2C bus) or both; [`model_bench::Bench`] runs one alone, for its tests.
-//! [`vcd_trace::VcdTrace`] writes edges for a wave viewer.
 //!
 //! A failure of the firmware ends the run with its log and call stack, and so does the
 //! touch of a register that is neither modelled nor one of the
@@ -61,4 +60,3 @@ pub mod shared;
 pub mod sim;
 pub mod time;
 pub mod usb;
-pub mod vcd_trace;

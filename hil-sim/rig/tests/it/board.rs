@@ -383,8 +383,11 @@ fn a_panic_is_reported_in_the_next_hello() {
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Pin);
     assert_eq!(hello.last_panic, None);
-    // Power, pin, software.
-    assert_eq!(board.next_status().resets, [1, 0, 1, 1, 0, 0, 0, 0]);
+    board.rig.brown_out();
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::BrownOut);
+    // Power, brown-out, pin, software.
+    assert_eq!(board.next_status().resets, [1, 1, 1, 1, 0, 0, 0, 0]);
     // After power went, the record in RAM is not mistaken for noise, and the flash has it still.
     board.rig.power_cycle();
     let hello = next_run(&mut board);

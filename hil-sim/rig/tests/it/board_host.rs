@@ -189,12 +189,6 @@ impl Board {
         self.ask(StartTrigger { output, start })
     }
 
-    /// Changes its period, or is refused.
-    pub(crate) fn try_period(&mut self, period: Period) -> Result<TriggerStatus, Refusal> {
-        let output = Output::Camera;
-        self.ask(SetPeriod { output, period })
-    }
-
     /// Stops it.
     pub(crate) fn stop(&mut self) -> TriggerStatus {
         self.ask(StopTrigger(Output::Camera)).unwrap()
@@ -237,12 +231,6 @@ pub(crate) const fn train(period: Period, width: u32) -> TriggerStart {
         first_edge: None,
         first_fraction: 0,
     }
-}
-
-/// An align of the camera's train.
-pub(crate) const fn camera_align(to: TriggerAlign) -> AlignTrigger {
-    let output = Output::Camera;
-    AlignTrigger { output, to }
 }
 
 /// Relates the pin's time to the board's: the time at which tick 0 was.

@@ -21,6 +21,8 @@ const LSI_START: SimDuration = SimDuration::from_micros(15);
 pub enum ResetCause {
     /// Power came up.
     PowerOn,
+    /// The supply dipped below the level of its option bytes, and not so far that power was off.
+    BrownOut,
     /// The reset pin (the board's button).
     Pin,
     /// The firmware asked for it (SYSRESETREQ).
@@ -93,6 +95,7 @@ impl Rcc {
         let mut flags = self.csr & 0xfe00_0000;
         flags |= match cause {
             ResetCause::PowerOn => 0x0e00_0000,
+            ResetCause::BrownOut => (1 << 25) | (1 << 26),
             ResetCause::Pin => 1 << 26,
             ResetCause::Software => (1 << 28) | (1 << 26),
             ResetCause::IndependentWatchdog => (1 << 29) | (1 << 26),

@@ -275,6 +275,11 @@ impl Sim {
         self.reset(ResetCause::PowerOn);
     }
 
+    /// Lets the supply dip.
+    pub fn brown_out(&mut self) {
+        self.reset(ResetCause::BrownOut);
+    }
+
     // ---- the log -----------------------------------------------------------------
 
     fn poll_log(&mut self) {
