@@ -9,8 +9,12 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 
 use crate::wiring;
 
+/// By how many ticks an edge is late at an input that comes from a pin, of the pulse with this
+/// number, from 1, that goes that way.
+type Late = fn(Pin, Pin, Level, u64) -> u64;
+
 /// Wires that a person has put on the board's pins, and moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Jumpers {
     /// The trigger is wired to the read-back input.
     pub readback: bool,
@@ -21,8 +25,12 @@ pub struct Jumpers {
     /// A buffer and a divider are between the trigger and the read-back input: how long a rising
     /// and a falling edge take. Both are shorter than a pulse.
     pub buffer: Option<[SimDuration; 2]>,
-    /// The edge that is on its way through them.
-    pub on_its_way: Option<(SimTime, Level)>,
+    /// Board or wires make edges late by less than a pulse.
+    pub late: Option<Late>,
+    /// The edges that are on their way to the tap and to the strobe input.
+    pub on_its_way: [Option<(SimTime, Level)>; 2],
+    /// Pulses that went there.
+    pub pulses: [u64; 2],
 }
 
 impl Default for Jumpers {
@@ -33,19 +41,24 @@ impl Default for Jumpers {
             strobe: Some(wiring::TRIGGER),
             inverted: false,
             buffer: None,
-            on_its_way: None,
+            late: None,
+            on_its_way: [None; 2],
+            pulses: [0; 2],
         }
     }
 }
 
+const TAP: usize = 0;
+const STROBE: usize = 1;
+
 impl Jumpers {
-    fn at_tap(&self, level: Level, io: &mut PinIo<'_>) {
-        if self.readback {
-            io.drive(wiring::READBACK, Drive::from(level));
-        }
-        if self.strobe == Some(wiring::READBACK) {
-            io.drive(wiring::STROBE, Drive::from(level));
-        }
+    /// An edge of a pin sets out, and is held up for so long and for what is late.
+    fn sets_out(&mut self, to: usize, from: Pin, level: Level, now: SimTime, held: SimDuration) {
+        self.pulses[to] += u64::from(level.is_high());
+        let input = [wiring::READBACK, wiring::STROBE][to];
+        let late = (self.late).map_or(0, |late| late(input, from, level, self.pulses[to]));
+        let late = SimDuration::from_units(late * wiring::UNITS_PER_TICK);
+        self.on_its_way[to] = Some((now + held + late, level));
     }
 }
 
@@ -61,30 +74,32 @@ impl PinModel for Jumpers {
 
     fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         if pin == wiring::TRIGGER {
-            match self.buffer {
-                None => self.at_tap(level, io),
-                Some([rise, fall]) => {
-                    let delay = if level.is_high() { rise } else { fall };
-                    self.on_its_way = Some((io.now() + delay, level));
-                }
-            }
+            let [rise, fall] = self.buffer.unwrap_or([SimDuration::ZERO; 2]);
+            let held = if level.is_high() { rise } else { fall };
+            self.sets_out(TAP, pin, level, io.now(), held);
         }
         if self.strobe == Some(pin) {
             let level = Level::from(level.is_high() != self.inverted);
-            io.drive(wiring::STROBE, Drive::from(level));
+            self.sets_out(STROBE, pin, level, io.now(), SimDuration::ZERO);
         }
+        self.advance(io);
     }
 
     fn next_event(&self) -> Option<SimTime> {
-        self.on_its_way.map(|(at, _)| at)
+        self.on_its_way.iter().flatten().map(|(at, _)| *at).min()
     }
 
     fn advance(&mut self, io: &mut PinIo<'_>) {
-        if let Some((at, level)) = self.on_its_way
-            && at <= io.now()
-        {
-            self.on_its_way = None;
-            self.at_tap(level, io);
+        for to in [TAP, STROBE] {
+            let Some((_, level)) = self.on_its_way[to].take_if(|(at, _)| *at <= io.now()) else {
+                continue;
+            };
+            if to == TAP && self.readback {
+                io.drive(wiring::READBACK, Drive::from(level));
+            }
+            if to == STROBE || self.strobe == Some(wiring::READBACK) {
+                io.drive(wiring::STROBE, Drive::from(level));
+            }
         }
     }
 }

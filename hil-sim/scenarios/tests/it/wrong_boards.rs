@@ -15,11 +15,13 @@ use ::bring_up::{Operator, Part, Report, run};
 use board::Board;
 use board::transport::{Link, LinkError};
 use protocol::{
-    Answer, CORE_HZ, Decoder, DeviceToHost, Edge, HandlerTime, Hello, MAX_FRAME, MIN_PULSE_GAP,
-    Output, QueryImu, Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
+    Answer, CORE_HZ, Decoder, DeviceToHost, HandlerTime, Hello, MAX_FRAME, MIN_PULSE_GAP, Output,
+    QueryImu, Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
 };
 use recording::finding::Severity;
 use rig::jumpers::Jumpers;
+use rig::wiring;
+use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::shared::lock;
 
 use crate::bring_up::{self, Bench, plan};
@@ -243,30 +245,6 @@ fn setup(message: &mut DeviceToHost, change: impl FnOnce(&mut protocol::ImuSetup
     true
 }
 
-/// Pulses of an output that say to be so many ticks earlier than they are.
-fn further(
-    message: &mut DeviceToHost,
-    output: Output,
-    which: fn(&protocol::Pulse) -> bool,
-    early: i64,
-) -> bool {
-    if let DeviceToHost::Pulse(pulse) = message
-        && pulse.output == output
-        && which(pulse)
-    {
-        pulse.at = pulse.at - TickDelta(early);
-    }
-    true
-}
-
-fn falling(message: &mut DeviceToHost, is_so: bool, late: i64) -> bool {
-    capture(message, |c| {
-        if is_so && c.edge == Edge::Falling {
-            c.at = c.at + TickDelta(late);
-        }
-    })
-}
-
 /// Some edges on the way to another phase are so late.
 fn slewing(message: &mut DeviceToHost, late: i64) -> bool {
     pulse(message, |p| {
@@ -296,9 +274,6 @@ fn off_by(message: &mut DeviceToHost, ppm: u64) -> bool {
     true
 }
 
-/// The longest delay of a capture that passes, ticks.
-const LONGEST: i64 = 24;
-
 /// A board at the edge of the limit, which passes.
 #[derive(Clone, Copy)]
 enum AtLimit {
@@ -322,11 +297,6 @@ const TRIGGER: &[Row] = &[
     // Captures would move with the edges; here they stay. The board in order is at the limit: the
     // fraction of its period takes the one tick.
     ("slew, strobe input", InOrder, |m, _| slewing(m, 3)),
-    (
-        "read-back",
-        By(|m, _| pulse(m, |p| p.readback = Some(LONGEST as i32))),
-        |m, _| pulse(m, |p| p.readback = Some(LONGEST as i32 + 1)),
-    ),
     ("read-back", Elsewhere, |m, _| {
         pulse(m, |p| {
             if p.number == 5 {
@@ -334,84 +304,10 @@ const TRIGGER: &[Row] = &[
             }
         })
     }),
-    // Edges that come late by some ticks, which no message says.
-    ("read-back", Elsewhere, |m, _| {
-        pulse(m, |p| {
-            p.readback = p
-                .readback
-                .map(|delay| delay + 2 * i32::from(p.number % 5 == 0))
-        })
-    }),
-    (
-        "strobe input",
-        By(|m, _| capture(m, |c| c.at = c.at + TickDelta(LONGEST - 3))),
-        |m, _| capture(m, |c| c.at = c.at + TickDelta(LONGEST - 2)),
-    ),
     ("strobe input", Elsewhere, |m, _| match m {
         DeviceToHost::Capture(capture) => capture.seq != 10 && capture.seq != 11,
         _ => true,
     }),
-    (
-        "pulse width",
-        By(|m, _| {
-            capture(m, |c| {
-                c.at = c.at + TickDelta(i64::from(c.edge == Edge::Falling))
-            })
-        }),
-        |m, _| {
-            capture(m, |c| {
-                c.at = c.at + TickDelta(2 * i64::from(c.edge == Edge::Falling))
-            })
-        },
-    ),
-];
-
-const OUTPUTS: &[Row] = &[
-    (
-        "output 2 on the strobe input",
-        By(|m, _| further(m, Output::Two, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Two, |p| p.number % 20 == 9, 2),
-    ),
-    (
-        "pulse width of output 2",
-        By(|m, output| falling(m, output == Output::Two, 1)),
-        |m, output| falling(m, output == Output::Two, 2),
-    ),
-    (
-        "output 2 beside the trigger",
-        By(|m, _| further(m, Output::Two, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Two, |_| true, 1),
-    ),
-    (
-        "output 3 on the strobe input",
-        By(|m, _| further(m, Output::Three, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Three, |p| p.number % 20 == 9, 2),
-    ),
-    (
-        "pulse width of output 3",
-        By(|m, output| falling(m, output == Output::Three, 1)),
-        |m, output| falling(m, output == Output::Three, 2),
-    ),
-    (
-        "output 3 beside the trigger",
-        By(|m, _| further(m, Output::Three, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Three, |_| true, 1),
-    ),
-    (
-        "output 4 on the strobe input",
-        By(|m, _| further(m, Output::Four, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Four, |p| p.number % 20 == 9, 2),
-    ),
-    (
-        "pulse width of output 4",
-        By(|m, output| falling(m, output == Output::Four, 1)),
-        |m, output| falling(m, output == Output::Four, 2),
-    ),
-    (
-        "output 4 beside the trigger",
-        By(|m, _| further(m, Output::Four, |p| p.number % 20 == 9, 1)),
-        |m, _| further(m, Output::Four, |_| true, 1),
-    ),
 ];
 
 const IMU: &[Row] = &[
@@ -524,16 +420,6 @@ const CLOCK: &[Row] = &[
     ),
 ];
 
-/// Captures while the wire is at PE9, by their place in their second, in ticks.
-fn of_pps(message: &mut DeviceToHost, change: impl FnOnce(u64, &mut protocol::Capture)) -> bool {
-    capture(message, |c| {
-        let place = c.at.0 % u64::from(TICK_HZ);
-        if place < 2_000_000 {
-            change(place, c);
-        }
-    })
-}
-
 /// Edges of the serial line, so many times as far from the beginning of its sentence as they are,
 /// and so much later.
 fn of_line(message: &mut DeviceToHost, times: f64, later: i64) -> bool {
@@ -547,15 +433,6 @@ fn of_line(message: &mut DeviceToHost, times: f64, later: i64) -> bool {
     })
 }
 
-/// Both edges of every other pulse per second so much later.
-fn late_pps(message: &mut DeviceToHost, late: i64) -> bool {
-    of_pps(message, |_, c| {
-        if c.at.0 / u64::from(TICK_HZ) % 2 == 0 {
-            c.at = c.at + TickDelta(late);
-        }
-    })
-}
-
 fn pps(message: &mut DeviceToHost, change: impl FnOnce(&mut protocol::Pps)) -> bool {
     if let DeviceToHost::Pps(pps) = message {
         change(pps);
@@ -564,22 +441,6 @@ fn pps(message: &mut DeviceToHost, change: impl FnOnce(&mut protocol::Pps)) -> b
 }
 
 const LIDAR: &[Row] = &[
-    ("pulse per second", By(|m, _| late_pps(m, 1)), |m, _| {
-        late_pps(m, 2)
-    }),
-    (
-        "width of the pulse per second",
-        By(|m, _| {
-            of_pps(m, |place, c| {
-                c.at = c.at + TickDelta(i64::from(place > 10_000))
-            })
-        }),
-        |m, _| {
-            of_pps(m, |place, c| {
-                c.at = c.at + TickDelta(2 * i64::from(place > 10_000))
-            })
-        },
-    ),
     ("whole seconds", InOrder, |m, _| {
         pps(m, |p| p.at = p.at + TickDelta(1))
     }),
@@ -708,25 +569,6 @@ const RESETS: &[Row] = &[
     }),
 ];
 
-const BUFFER: &[Row] = &[
-    (
-        "read-back behind the buffer",
-        By(|m, _| pulse(m, |p| p.readback = Some(LONGEST as i32))),
-        |m, _| pulse(m, |p| p.readback = Some(LONGEST as i32 + 1)),
-    ),
-    // 480 ticks were asked for; the camera wants 384.
-    (
-        "pulse behind the buffer",
-        By(|m, _| falling(m, true, -96)),
-        |m, _| falling(m, true, -97),
-    ),
-    (
-        "pulse behind the buffer",
-        By(|m, _| falling(m, true, LONGEST)),
-        |m, _| falling(m, true, LONGEST + 1),
-    ),
-];
-
 const SOAK: &[Row] = &[
     ("soak", InOrder, |m, _| {
         pulse(m, |p| p.at = p.at + TickDelta(i64::from(p.number == 2_000)))
@@ -741,8 +583,156 @@ const SOAK: &[Row] = &[
     ("soak", Elsewhere, |m, _| status(m, |s| s.dropped.imu *= 2)),
 ];
 
-/// Checks that no message makes fail, with the test that has them on wrong boards and at limits.
+/// A wrong board or wire: by how many ticks an edge reaches an input late, from which pin it comes,
+/// and the number of its pulse there.
+type Late = fn(Pin, Pin, Level, u64) -> u64;
+
+/// Parts, edges that are late at the pins, and the checks that fail by it: none of boards at a limit.
+/// Of 24 ticks from an edge to its capture three are the input's.
+const AT_THE_PINS: &[(&[Part], Late, &str)] = &[
+    // Nothing but the falling edges at the strobe input is one tick later than the others.
+    (
+        &[Part::Trigger],
+        |to, _, level, _| 21 + u64::from(to == wiring::STROBE && !level.is_high()),
+        "",
+    ),
+    (
+        &[Part::Trigger],
+        |to, _, _, _| 22 * u64::from(to == wiring::READBACK),
+        "read-back",
+    ),
+    (
+        &[Part::Trigger],
+        |to, _, _, n| 2 * u64::from(to == wiring::READBACK && n % 5 == 0),
+        "read-back",
+    ),
+    (
+        &[Part::Trigger],
+        |to, _, _, _| 22 * u64::from(to == wiring::STROBE),
+        "strobe input",
+    ),
+    (
+        &[Part::Trigger],
+        |to, _, _, n| 2 * u64::from(to == wiring::STROBE && n % 5 == 0),
+        "strobe input",
+    ),
+    (
+        &[Part::Trigger],
+        |to, _, level, _| 2 * u64::from(to == wiring::STROBE && !level.is_high()),
+        "pulse width",
+    ),
+    (
+        &[Part::Trigger, Part::Outputs],
+        |_, from, _, n| u64::from(from != wiring::TRIGGER && n % 20 == 9),
+        "",
+    ),
+    (
+        &[Part::Trigger, Part::Outputs],
+        |_, from, _, n| 2 * u64::from(from != wiring::TRIGGER && n % 20 == 9),
+        "output 2 on the strobe input, output 3 on the strobe input, output 4 on the strobe input",
+    ),
+    (
+        &[Part::Trigger, Part::Outputs],
+        |_, from, level, _| 2 * u64::from(from != wiring::TRIGGER && !level.is_high()),
+        "pulse width of output 2, pulse width of output 3, pulse width of output 4",
+    ),
+    (
+        &[Part::Trigger, Part::Outputs],
+        |_, from, _, _| u64::from(from != wiring::TRIGGER),
+        "output 2 beside the trigger, output 3 beside the trigger, output 4 beside the trigger",
+    ),
+    (
+        &[Part::Lidar],
+        |_, from, _, n| (n % 2) * u64::from(from == Pin::PE9),
+        "",
+    ),
+    (
+        &[Part::Lidar],
+        |_, from, _, n| 2 * (n % 2) * u64::from(from == Pin::PE9),
+        "pulse per second",
+    ),
+    (
+        &[Part::Lidar],
+        |_, from, level, _| 2 * u64::from(from == Pin::PE9 && !level.is_high()),
+        "width of the pulse per second",
+    ),
+];
+
+#[test]
+fn edges_that_are_late_at_the_pins_fail() {
+    for (n, &(parts, late, expected)) in AT_THE_PINS.iter().enumerate() {
+        let jumpers = Jumpers {
+            late: Some(late),
+            ..Jumpers::default()
+        };
+        let report = Bench::with_link(31, jumpers, |link| link).measure_attended(&plan(parts));
+        assert_eq!(failed(&report), expected, "row {n}: {report:#?}");
+    }
+}
+
+/// Names of the checks that failed.
+fn failed(report: &Report) -> String {
+    let bad = |c: &&::bring_up::Check| c.finding.severity == Severity::Bad;
+    let names: Vec<_> = (report.checks.iter().filter(bad))
+        .map(|check| check.finding.kind.as_str())
+        .collect();
+    names.join(", ")
+}
+
+/// Checks of which wrong boards and those at a limit are in another test, of wires, pins and parts.
 const TESTS: &[(&str, fn())] = &[
+    ("strobe input", edges_that_are_late_at_the_pins_fail),
+    ("pulse width", edges_that_are_late_at_the_pins_fail),
+    ("read-back", edges_that_are_late_at_the_pins_fail),
+    (
+        "output 2 on the strobe input",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "output 3 on the strobe input",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "output 4 on the strobe input",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "pulse width of output 2",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "pulse width of output 3",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "pulse width of output 4",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "output 2 beside the trigger",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "output 3 beside the trigger",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "output 4 beside the trigger",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    ("pulse per second", edges_that_are_late_at_the_pins_fail),
+    (
+        "width of the pulse per second",
+        edges_that_are_late_at_the_pins_fail,
+    ),
+    (
+        "read-back behind the buffer",
+        bring_up::a_divider_that_is_loaded_too_much_fails,
+    ),
+    (
+        "pulse behind the buffer",
+        bring_up::a_divider_that_is_loaded_too_much_fails,
+    ),
     (
         "crystal",
         bring_up::the_crystal_is_compared_with_the_computers_clock,
@@ -770,14 +760,14 @@ const TESTS: &[(&str, fn())] = &[
 fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
     let tables: [(&[Part], &[Row]); 10] = [
         (&[Part::Trigger], TRIGGER),
-        (&[Part::Trigger, Part::Outputs], OUTPUTS),
+        (&[Part::Trigger, Part::Outputs], &[]),
         (&[Part::Lidar], LIDAR),
         (&[Part::Imu], IMU),
         (&[Part::Link], LINK),
         (&[Part::Clock], CLOCK),
         (&[Part::Replug], REPLUG),
         (&[Part::Resets], RESETS),
-        (&[Part::Buffer], BUFFER),
+        (&[Part::Buffer], &[]),
         (&[Part::Soak], SOAK),
     ];
     let (mut odd, mut known) = (Vec::new(), Vec::new());
@@ -785,11 +775,7 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
         let tape = tape(parts);
         let judge = |change: Change, expected: &str| {
             let report = replay(&tape, parts, change);
-            let bad = |c: &&::bring_up::Check| c.finding.severity == Severity::Bad;
-            let names: Vec<_> = (report.checks.iter().filter(bad))
-                .map(|check| check.finding.kind.as_str())
-                .collect();
-            let failed = names.join(", ");
+            let failed = failed(&report);
             (failed != expected).then(|| format!("{failed:?} for {expected:?}"))
         };
         for (n, (name, at_limit, wrong)) in rows.iter().enumerate() {
@@ -810,7 +796,13 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
         let rows: Vec<&Row> = all().filter(|row| names(row).contains(&&**name)).collect();
         let has_limit = rows.iter().any(|row| !matches!(row.1, Elsewhere));
         let has_test = TESTS.iter().any(|(check, _)| check == name);
-        assert!(has_limit != has_test, "no board, or two, for {name}");
+        assert!(has_limit || has_test, "no board for {name}");
+    }
+    let at_pins = AT_THE_PINS.iter().flat_map(|row| row.2.split(", "));
+    for (name, test) in TESTS {
+        let is_here = at_pins.clone().any(|at_pin| at_pin == *name);
+        let says_here = std::ptr::fn_addr_eq(*test, edges_that_are_late_at_the_pins_fail as fn());
+        assert_eq!(is_here, says_here, "{name}");
     }
     let rows = all()
         .flat_map(names)

@@ -71,7 +71,8 @@ struct Interrupted {
     lost: u64,
     /// Messages that the board had dropped before, and by now.
     dropped: Option<(u64, u64)>,
-    suspends: u32,
+    /// Suspends of the bus before, and by now.
+    suspends: Option<(u32, u32)>,
 }
 
 impl Interrupted {
@@ -84,8 +85,15 @@ impl Interrupted {
             self.dropped = Some((before, now));
         }
         if let Some(status) = heard.statuses.last() {
-            self.suspends = status.usb.suspends;
+            let now = status.usb.suspends;
+            let (before, _) = self.suspends.unwrap_or((now, now));
+            self.suspends = Some((before, now));
         }
+    }
+
+    fn suspended(&self) -> u32 {
+        self.suspends
+            .map_or(0, |(before, now)| now.saturating_sub(before))
     }
 }
 
@@ -112,17 +120,22 @@ impl Session<'_> {
             self.interrupted_by_hand(name, Prompt::Replug, |_, _| false, REASON)?;
         }
         let slept = |train: &Interrupted, h: &Heard| {
-            (h.statuses.last()).is_some_and(|status| status.usb.suspends > train.suspends)
+            let status = h.statuses.last().zip(train.suspends);
+            status.is_some_and(|(status, (_, before))| status.usb.suspends > before)
         };
         self.interrupted_by_hand("sleep of the computer", Prompt::Sleep, slept, REASON)
     }
 
     /// Minutes of trigger and IMU; in turn the computer does not read for a while, and the board
-    /// leaves the bus.
+    /// leaves the bus. The computer may sleep meanwhile, whether the link ends by that or not.
     pub(super) fn soak(&mut self, length: Duration) -> Result<(), BringUpError> {
         let mut train = self.train_to_interrupt()?;
         for minute in 0..length.as_secs().div_ceil(60) {
-            let mut heard = self.hear(millis(48_000))?;
+            let mut heard = Heard::default();
+            if self.link_ends(&mut heard, millis(48_000), |_| false)? {
+                self.come_back("soak")?;
+                train.times += 1;
+            }
             if minute % 2 == 0 {
                 self.board.pause(SLEEP);
             } else if !self.leave_bus(&mut heard, "soak")? {
@@ -145,7 +158,7 @@ impl Session<'_> {
             times: 0,
             lost: 0,
             dropped: None,
-            suspends: 0,
+            suspends: None,
         };
         train.take(&self.hear(millis(1_500))?);
         Ok(train)
@@ -201,11 +214,10 @@ impl Session<'_> {
             return Ok(());
         }
         heard.append(self.hear(millis(2_500))?);
-        let before = train.suspends;
         train.take(&heard);
         train.times = 1;
         // A computer that cuts the supply of its ports while it sleeps does not suspend them.
-        let seen = ended || train.suspends > before;
+        let seen = ended || train.suspended() > 0;
         self.judge(train, name, seen, reason)
     }
 
@@ -231,12 +243,18 @@ impl Session<'_> {
                 && trains.is_read_back()
                 && uncounted.is_some_and(|uncounted| uncounted <= most),
             format!(
-                "{} times: {}, {} of them read back; {} messages lost, the board counted {counted}{}",
+                "{} times, the bus suspended {} times: {}, {} of them read back; {} messages lost, \
+                 the board counted {counted}{}",
                 train.times,
+                train.suspended(),
                 trains.on_grid_text(),
                 trains.read_back,
                 train.lost,
-                if same_run { "" } else { "; the board was reset" }
+                if same_run {
+                    ""
+                } else {
+                    "; the board was reset"
+                }
             ),
             format!(
                 "0 ticks off, all read back; each lost message counted, but for those in the \
