@@ -53,7 +53,10 @@ impl Advice for BoardError {
         let (status, step) = match self {
             Self::Open(error) => return error.advice(),
             Self::Silent => {
-                let step = format!("press the board's reset button; if it stays silent, {FLASH}");
+                let step = format!(
+                    "choose another port if this is not the board's (`smartdepthsync board list` \
+                     marks boards), or press its reset button; if it stays silent, {FLASH}"
+                );
                 return (ExitStatus::NoAnswer, step.into());
             }
             Self::NotThisBoard { .. } => {
@@ -442,7 +445,7 @@ impl Advice for RecordingError {
             }
             Self::Mcap { .. } => {
                 "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
-                 what is wrong with one, `smartdepthsync verify --repair OUT` saves what can be read"
+                 what is wrong with one"
             }
             Self::Io { source, .. } => file_step(source.kind()),
             Self::NoRecording { .. } => bag_step(self),

@@ -1,6 +1,7 @@
 //! Options that several commands have.
 
 use board::Board;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use recording::profile::Profile;
 
 use crate::outcome::Failure;
@@ -34,9 +35,23 @@ impl PortArg {
     ///
     /// # Errors
     ///
-    /// As [`PortArg::open_of`].
+    /// As [`PortArg::open_of`]; or no port is given, and that profile cannot be used.
     pub(crate) fn open(&self) -> Result<Board, Failure> {
-        let profile = ProfileArg::default().load().ok();
-        self.open_of(profile.as_ref().map(|(profile, _)| profile))
+        let profile = match self.port {
+            Some(_) => None,
+            None => Some(ProfileArg::default().load()?.0),
+        };
+        self.open_of(profile.as_ref())
     }
+}
+
+/// For clap: the value of one of these words.
+pub(crate) fn one_of<T>(words: &'static [(&'static str, T)]) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Send + Sync + 'static,
+{
+    PossibleValuesParser::new(words.iter().map(|(word, _)| *word)).try_map(|given| {
+        let known = words.iter().find(|(word, _)| *word == given);
+        known.map(|(_, value)| *value).ok_or("no such word")
+    })
 }

@@ -24,7 +24,7 @@
 mod input;
 
 use std::fs::{self, File, Permissions};
-use std::io::{self, ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
@@ -118,26 +118,6 @@ pub fn open(path: &Path) -> io::Result<Input> {
         return Err(io::Error::new(ErrorKind::InvalidInput, what));
     }
     Input::open(path)
-}
-
-/// Copies a file to a new one, its holes as holes.
-///
-/// # Errors
-///
-/// As [`open`]; or it cannot be read, or `to` is there or cannot be written.
-pub fn copy(from: &Path, to: &Path) -> io::Result<()> {
-    let (mut from, mut to) = (open(from)?, File::create_new(to)?);
-    let mut block = vec![0; 1 << 20];
-    loop {
-        let place = from.stream_position()?;
-        let data = from.next_data(place)?;
-        from.seek(SeekFrom::Start(data))?;
-        to.seek(SeekFrom::Start(data))?;
-        match from.read(&mut block)? {
-            0 => return to.set_len(from.length()),
-            read => to.write_all(block.get(..read).unwrap_or_default())?,
-        }
-    }
 }
 
 /// Reads a text of at most `most` bytes.

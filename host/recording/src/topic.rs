@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::rosbag2::{QOS, QOS_KEY};
 
-    /// What readers of other programs rely on, and what a repair assumes where the
+    /// What readers of other programs rely on, and what a reader assumes where the
     /// description of the topics is lost.
     #[test]
     fn channels_are_the_rows_of_the_table() {

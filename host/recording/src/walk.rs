@@ -1,5 +1,5 @@
 //! Walks an MCAP file over any damage, and gives everything that can be read: the one reader
-//! of bytes below the typed [`reader`](super::reader), `verify`, `repair` and `extract`.
+//! of bytes below the typed [`reader`](super::reader), `verify` and `extract`.
 //!
 //! ```no_run
 //! # fn show(path: &std::path::Path) -> Result<(), recording::RecordingError> {
@@ -10,7 +10,6 @@
 //!     match event {
 //!         Event::Message(message) => println!("{}", message.channel.described.topic),
 //!         Event::Damage(damage) => println!("{damage}"),
-//!         _ => {}
 //!     }
 //!     Ok::<(), RecordingError>(())
 //! })? {}
@@ -24,7 +23,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use mcap::records::{self, MessageHeader, Record, SchemaHeader, op};
+use mcap::records::{self, MessageHeader, Record, op};
 use protocol::Ticks;
 
 use super::chunks::{BadChunk, parse};
@@ -40,16 +39,8 @@ const ZSTD: &str = "zstd";
 
 /// Something in the file.
 pub enum Event<'a> {
-    /// The definition of a type.
-    Schema(&'a SchemaHeader, &'a [u8]),
-    /// The description of a topic.
-    Channel(&'a Channel),
     /// A message.
     Message(Message<'a>),
-    /// All messages of a chunk were given.
-    EndOfChunk,
-    /// The body of the record of an attached file.
-    Attachment(&'a [u8]),
     /// Something cannot be read, or contradicts the rest.
     Damage(Damage),
 }
@@ -207,17 +198,16 @@ impl Walk {
                 }
                 let bytes = chunk.cut_off();
                 self.scan.reuse(chunk);
-                if bytes > 0 {
-                    each(Event::Damage(Damage::ChunkEnd { bytes }))?;
+                match bytes {
+                    0 => Ok(()),
+                    bytes => each(Event::Damage(Damage::ChunkEnd { bytes })),
                 }
-                each(Event::EndOfChunk)
             }
             // Whoever makes chunks packs every message into one: a message outside of them,
             // without a checksum, is most likely another record that was damaged.
             Piece::Record(op::MESSAGE, _) if self.scan.report.chunks > 0 => {
                 each(Event::Damage(Damage::OutsideChunk))
             }
-            Piece::Record(op::ATTACHMENT, body) => each(Event::Attachment(&body)),
             Piece::Record(opcode, body) => self.topics.record(opcode, &body, each),
             Piece::Damage(damage) => each(Event::Damage(damage)),
             Piece::End => Ok(()),
@@ -228,8 +218,7 @@ impl Walk {
 impl Topics {
     fn record<E>(&mut self, opcode: u8, body: &[u8], each: Each<'_, E>) -> Result<(), E> {
         match parse(opcode, body) {
-            Some(Record::Schema { header, data }) => {
-                each(Event::Schema(&header, &data))?;
+            Some(Record::Schema { header, .. }) => {
                 self.schemas.insert(header.id, header.name);
                 Ok(())
             }
@@ -244,7 +233,6 @@ impl Topics {
                     known: Topic::of(&described.topic),
                     described,
                 };
-                each(Event::Channel(&channel))?;
                 self.channels.insert(channel.described.id, channel);
                 Ok(())
             }

@@ -14,7 +14,7 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufWriter, Seek, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -158,7 +158,9 @@ impl Writer {
     ///
     /// As [`Writer::imu`].
     pub fn finish_with(mut self, session: &SessionFile) -> Result<(), RecordingError> {
-        attach(&mut self.bag.mcap, self.last, session).map_err(RecordingError::mcap(&self.path))?;
+        attachments(self.last.as_nanos(), session)
+            .try_for_each(|attachment| self.bag.mcap.attach(&attachment))
+            .map_err(RecordingError::mcap(&self.path))?;
         self.finish()
     }
 
@@ -176,19 +178,7 @@ impl Writer {
     }
 }
 
-/// Attaches `session.json` and the rig profile in it, as of board time `at`.
-///
-/// # Errors
-///
-/// The file cannot be written.
-pub fn attach<W: Write + Seek>(
-    mcap: &mut mcap::Writer<W>,
-    at: Ticks,
-    session: &SessionFile,
-) -> Result<(), mcap::McapError> {
-    attachments(at.as_nanos(), session).try_for_each(|attachment| mcap.attach(&attachment))
-}
-
+/// `session.json` and the rig profile in it.
 fn attachments(nanos: u64, session: &SessionFile) -> impl Iterator<Item = Attachment<'static>> {
     // Neither fails: both are written to files of their own in the same way.
     let texts = [

@@ -3,7 +3,6 @@
 use bring_up::Report;
 use serde_json::json;
 
-use crate::chart;
 use crate::page::Page;
 use crate::summary::Summary;
 use recording::finding::{Finding, Severity};
@@ -59,14 +58,12 @@ pub fn page(report: &Report) -> String {
     let intervals = &report.intervals;
     if !intervals.counts.is_empty() {
         page.section("Data-ready");
-        let svg = chart::histogram(
-            "interval [ticks of 20.83 ns]",
-            "number",
-            intervals.first as f64,
-            intervals.bin as f64,
+        page.histogram(
+            ["interval, ticks of 20.83 ns", "number"],
+            (intervals.first as f64, intervals.bin as f64),
             &intervals.counts,
+            "Intervals of the IMU's data-ready.",
         );
-        page.figure(&svg, "Intervals of the IMU's data-ready.");
     }
     page.settings("Everything, as JSON", &json!(report));
     page.html()

@@ -301,13 +301,14 @@ pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: Vec<(&str, D
 
 /// A drawing of bars over bins of equal width: `first` is the left end of the first.
 #[must_use]
-pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u64]) -> String {
+pub fn histogram(labels: [&str; 2], (first, bin): (f64, f64), counts: &[u64]) -> String {
     let data = Data::Bins {
         first,
         width: bin,
         counts: counts.to_vec(),
     };
-    let chart = Chart::new(x_label, y_label).add("", data, COLOURS[0].pale(0.25));
+    let [x, y] = labels;
+    let chart = Chart::new(x, y).add("", data, COLOURS[0].pale(0.25));
     stack(SIZE, &[chart.least(0.0..1.0)])
 }
 

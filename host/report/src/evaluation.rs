@@ -1,7 +1,7 @@
 //! The report of a measurement of frame sync.
 
 mod picture;
-pub mod plot;
+mod plot;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,14 +16,19 @@ use evaluate::precision::{Precision, Spread};
 use evaluate::shown::Shown;
 
 use crate::page::Page;
+use crate::session::link_to;
 use crate::summary::{Facts, Summary};
 use recording::error_budget::{COARSE_US, ErrorPart, together};
 use recording::finding::{Finding, Severity};
 
-/// The report of a precision measurement, with pictures of one of its recordings.
+/// The report of a precision measurement, with pictures of one of its recordings, for the file
+/// `out`.
 #[must_use]
-pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> String {
+pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &Path) -> String {
     let mut page = Page::new(&precision_summary(result));
+    let recordings = result.recordings.iter();
+    let links = recordings.filter_map(|recording| recording_link(&recording.path, out));
+    page.links(&links.collect::<Vec<_>>());
     let drawing = plot::precision(result, shown);
     let caption = "Brightness of the sensor's rows with the fitted train of flashes; with two or \
                    more recordings, their biases.";
@@ -32,15 +37,22 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings) -> Stri
     page.html()
 }
 
-/// The report of a drift measurement.
+/// The report of a drift measurement, for the file `out`.
 #[must_use]
-pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
+pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String {
     let mut page = Page::new(&drift_summary(&drift.result));
+    page.links(recording_link(&drift.result.path, out).as_slice());
     let caption = "Brightness of the sensor's rows with the fitted train of flashes; and the \
                    train's place against time with the fitted line.";
     pictures(&mut page, &drift.shown, &plot::drift(drift), caption);
     page.settings("Settings", &json!(settings));
     page.html()
+}
+
+/// The link to the report of the recording that a video lies in.
+fn recording_link(video: &Path, out: &Path) -> Option<(String, String)> {
+    let from = files::folder_of(out);
+    link_to(video, from).or_else(|| link_to(files::folder_of(video), from))
 }
 
 /// The frame with lines where the flashes were found, and a drawing of the fit.

@@ -14,39 +14,42 @@ use serde_json::json;
 use crate::REPORT_FILE;
 use crate::chart::{self, Data};
 use crate::page::Page;
-use crate::session::sentence;
+use crate::session::{link_to, predicted, sentence};
 use crate::summary::{Facts, Summary};
 use recording::error_budget::{COARSE_US, together};
 use recording::finding::{Finding, Severity};
+use recording::session_file::SessionFile;
 
 /// What stands below the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
     Depth: near is light, far is dark, none is black.";
 
-/// Writes the report of an extraction into its output folder.
+/// Writes the report of an extraction into its output folder; `recording` is the folder of
+/// the recording, whose session has the prediction.
 ///
 /// # Errors
 ///
 /// The file cannot be written.
-pub fn write(out: &Path, report: &ExtractReport) -> io::Result<()> {
+pub fn write(out: &Path, report: &ExtractReport, recording: &Path) -> io::Result<()> {
     let samples = std::fs::read_to_string(out.join(SAMPLES_FILE)).ok();
-    let html = page(report, samples.as_deref());
+    let session = SessionFile::load(recording).ok();
+    let link = link_to(recording, out);
+    let html = page(report, samples.as_deref(), session.as_ref(), link);
     crate::put(&out.join(REPORT_FILE), &html)
 }
 
 /// `samples` is a drawing of sample pairs.
-fn page(report: &ExtractReport, samples: Option<&str>) -> String {
+fn page(
+    report: &ExtractReport,
+    samples: Option<&str>,
+    session: Option<&SessionFile>,
+    recording: Option<(String, String)>,
+) -> String {
     let mut page = Page::new(&summary(report));
+    page.links(recording.as_slice());
     if let Some(pairs) = &report.pairs {
         page.section("Time difference of the pairs");
         let histogram = &pairs.central;
-        let svg = chart::histogram(
-            "depth − phone, µs",
-            "pairs",
-            histogram.first_ns as f64 / 1000.0,
-            histogram.bin_ns as f64 / 1000.0,
-            &histogram.counts,
-        );
         let mut caption = String::from(
             "Middle of exposure of the depth image minus that of the phone's frame it is paired \
              with, both in board time.",
@@ -62,10 +65,14 @@ fn page(report: &ExtractReport, samples: Option<&str>) -> String {
                 pairs.spread.count
             );
         }
-        page.figure(&svg, &caption);
+        let [first, bin] = [histogram.first_ns, histogram.bin_ns].map(|ns| ns as f64 / 1000.0);
+        let labels = ["depth − phone, µs", "pairs"];
+        page.histogram(labels, (first, bin), &histogram.counts, &caption);
         page.figure(
-            &pairs_svg(&pairs.course),
-            "The same over time. A slope is a drift of the trigger against the phone's frames.",
+            &pairs_svg(&pairs.course, session),
+            "The same over time, as measured, with 1-sigma of what was predicted while recording \
+             from clocks and frame period. A slope is a drift of the trigger against the phone's \
+             frames.",
         );
         if let Some(samples) = samples {
             page.figure(samples, SAMPLES);
@@ -107,13 +114,14 @@ fn page(report: &ExtractReport, samples: Option<&str>) -> String {
     page.html()
 }
 
-/// The difference of each pair over time.
-fn pairs_svg(course: &[(i64, i64)]) -> String {
+/// The difference of each pair over time, beside what was predicted.
+fn pairs_svg(course: &[(i64, i64)], session: Option<&SessionFile>) -> String {
     let points = course
         .iter()
         .map(|&(at, difference)| (at as f64 * 1e-9, difference as f64 / 1000.0));
     let points = Data::Points(points.collect());
-    let all = vec![("pairs", points)];
+    let mut all = vec![("pairs", points)];
+    all.extend(session.and_then(predicted).into_iter().flatten());
     chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all)
 }
 

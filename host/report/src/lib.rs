@@ -7,7 +7,7 @@
 //! - [`summary`] is the head of every report: what the terminal prints, and the page begins
 //!   with. [`page`] is the frame of the rest, [`chart`] draws into it.
 //! - [`session`], [`extraction`], [`evaluation`], [`board_test`]: a report each.
-//! - [`verify`] checks whether a recording is whole, [`repair`] makes it whole.
+//! - [`verify`] checks whether a recording is whole.
 #![forbid(unsafe_code)]
 
 pub mod board_test;
@@ -15,7 +15,6 @@ pub mod chart;
 pub mod evaluation;
 pub mod extraction;
 pub mod page;
-pub mod repair;
 pub mod session;
 pub mod summary;
 pub mod verify;

@@ -20,6 +20,7 @@ use std::fmt::Write as _;
 use recording::finding::{Finding, Severity};
 use serde_json::Value;
 
+use crate::chart;
 use crate::summary::Summary;
 
 const STYLE: &str = "\
@@ -153,6 +154,28 @@ impl Page {
         );
     }
 
+    /// Counts in bins of equal width, of which `first` is the left end of the first; in a line
+    /// if all of them are in one.
+    pub fn histogram(
+        &mut self,
+        labels: [&str; 2],
+        (first, bin): (f64, f64),
+        counts: &[u64],
+        caption: &str,
+    ) {
+        let mut filled = (0..).zip(counts).filter(|(_, count)| **count > 0);
+        if let (Some((place, count)), None) = (filled.next(), filled.next()) {
+            let (from, [what, of]) = (first + f64::from(place) * bin, labels);
+            let text = format!(
+                "{caption} All {count} {of}: {what}, {from} to {}.",
+                from + bin
+            );
+            return self.text(&text);
+        }
+        let svg = chart::histogram(labels, (first, bin), counts);
+        self.figure(&svg, caption);
+    }
+
     /// A picture (SVG) that is shown at its own size, or as large as fits.
     pub fn picture(&mut self, svg: &str, caption: &str) {
         let _ = writeln!(
@@ -164,14 +187,27 @@ impl Page {
 
     /// Something to be known.
     pub fn note(&mut self, severity: Severity, text: &str) {
-        let (word, text) = (severity.word(), escape(text));
+        let (word, text) = (severity.word(), marked_up(text));
         let _ = writeln!(self.body, "<p class=\"note {word}\">{text}</p>");
+    }
+
+    /// Links to other pages, by their addresses from this one.
+    pub fn links(&mut self, links: &[(String, String)]) {
+        for (text, address) in links {
+            let (text, address) = (escape(text), escape(address));
+            let _ = writeln!(self.body, "<p><a href=\"{address}\">{text}</a></p>");
+        }
     }
 
     /// A note a finding.
     pub fn findings<'a>(&mut self, findings: impl IntoIterator<Item = &'a Finding>) {
         for finding in findings {
-            self.note(finding.severity, &finding.line());
+            let word = finding.severity.word();
+            let (kind, words) = (escape(&finding.kind), marked_up(&finding.words()));
+            let step = finding.next_step.as_deref().map(marked_up);
+            let step = step.map_or(String::new(), |step| format!("<br>help: {step}"));
+            let note = format!("<p class=\"note {word}\">{kind}: {words}{step}</p>");
+            let _ = writeln!(self.body, "{note}");
         }
     }
 
@@ -245,6 +281,23 @@ fn plain(value: &Value) -> String {
         Value::String(text) => text.clone(),
         other => other.to_string(),
     }
+}
+
+/// A text whose commands, between backticks, are set as such.
+fn marked_up(text: &str) -> String {
+    let parts: Vec<String> = text.split('`').map(escape).collect();
+    // A single backtick is itself.
+    if parts.len().is_multiple_of(2) {
+        return parts.join("`");
+    }
+    let mut out = String::new();
+    for (index, part) in parts.iter().enumerate() {
+        match index % 2 {
+            0 => out.push_str(part),
+            _ => out += &format!("<code>{part}</code>"),
+        }
+    }
+    out
 }
 
 /// Text that is not ours is not markup.

@@ -5,6 +5,7 @@
 
 mod curves;
 mod judgement;
+mod measured;
 mod sections;
 
 use std::fmt::Write as _;
@@ -23,6 +24,7 @@ pub use judgement::{files_to_fetch, findings, has_recorded, summary};
 use recording::RecordingError;
 use recording::finding::{Finding, Severity};
 use recording::session_file::{PhoneRecord, SessionFile, Span};
+pub(crate) use sections::predicted;
 use timebase::ClockModel;
 
 /// The most findings and marks that are listed one by one.
@@ -41,9 +43,20 @@ pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingE
     Ok(path)
 }
 
+/// Writes it again, with what has been put there since; `None` where there is no session.
+///
+/// # Errors
+///
+/// As [`write`].
+pub fn write_again(folder: &Path) -> Result<Option<PathBuf>, RecordingError> {
+    let session = SessionFile::load(folder).ok();
+    session.map(|session| write(folder, &session)).transpose()
+}
+
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let mut page = Page::new(&summary(folder, session));
+    page.links(&pages_of(folder));
     if curves.broken_off {
         page.note(
             Severity::Check,
@@ -61,17 +74,67 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
         "What the checks before the recording found",
         findings(session).collect(),
     );
-    sections::clocks(&mut page, session);
-    sections::alignment(&mut page, session);
+    sections::clocks(&mut page, session, curves);
+    sections::alignment(&mut page, session, curves);
     sections::trigger(&mut page, session, curves);
     sections::auxiliary(&mut page, session, curves);
     sections::motion(&mut page, curves);
+    sections::losses(&mut page, curves);
     sections::marks(&mut page, session);
     page.settings("Settings: the rig profile", &json!(session.profile));
     if let Some(imu) = &session.imu {
         page.settings("Settings: the IMU", &json!(imu));
     }
     page
+}
+
+/// The pages about a recording: those of data sets beside it that bear its name, and others
+/// in its folder, as evaluations leave them.
+fn pages_of(folder: &Path) -> Vec<(String, String)> {
+    let named = |place: PathBuf| -> Vec<String> {
+        let entries = std::fs::read_dir(place).into_iter().flatten();
+        let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+        let mut names: Vec<String> = names.filter(|name| is_plain(name)).collect();
+        names.sort();
+        names
+    };
+    let own = folder.canonicalize().ok();
+    let own = own.as_deref().and_then(Path::file_name);
+    let prefix = own.map_or(String::from("-"), |own| {
+        format!("{}-", own.to_string_lossy())
+    });
+    let beside = named(folder.join("..")).into_iter();
+    let data_sets = beside.filter_map(|name| {
+        let place = format!("../{name}/{REPORT_FILE}");
+        (name.starts_with(&prefix) && folder.join(&place).is_file())
+            .then(|| (format!("Data set {name}"), place))
+    });
+    let inside = named(folder.to_owned()).into_iter();
+    let inside = inside.filter(|name| name.ends_with(".html") && name != REPORT_FILE);
+    let inside = inside.map(|name| (format!("Evaluation {name}"), name));
+    data_sets.chain(inside).collect()
+}
+
+/// Tells whether a name is an address as it stands.
+fn is_plain(name: &str) -> bool {
+    name.chars()
+        .all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
+}
+
+/// The link to the report of the recording in `folder`, from a page in the folder `from`, if
+/// it is there.
+pub(crate) fn link_to(folder: &Path, from: &Path) -> Option<(String, String)> {
+    let (folder, from) = (folder.canonicalize().ok()?, from.canonicalize().ok()?);
+    folder.join(REPORT_FILE).is_file().then_some(())?;
+    let both = folder.components().zip(from.components());
+    let common = both.take_while(|(a, b)| a == b).count();
+    let mut steps = vec![".."; from.components().count() - common];
+    for part in folder.components().skip(common) {
+        steps.push(part.as_os_str().to_str().filter(|name| is_plain(name))?);
+    }
+    steps.push(REPORT_FILE);
+    let name = folder.file_name()?.to_string_lossy();
+    Some((format!("Recording {name}"), steps.join("/")))
 }
 
 /// A section of findings, if there are any.

@@ -4,7 +4,6 @@
 //!   where the file breaks and where it can be taken up again.
 //! - `content`: messages. The numbers that the board gave are followed and held against the
 //!   board's own counters; pulses must be on their grid, times must go on.
-//! - [`crate::repair`]: what can be read, as a new recording.
 //!
 //! Bad is a contradiction or damage; check is something that is missing and known to be;
 //! good is worth knowing. The verdict is that of the worst.
@@ -13,7 +12,7 @@
 //! read; `smartdepthsync extract` does that.
 
 mod content;
-mod numbers;
+pub(crate) mod numbers;
 mod pulses;
 mod topics;
 
@@ -23,7 +22,7 @@ use std::path::{Path, PathBuf};
 use protocol::Ticks;
 use recording::finding::{Finding, Severity};
 use recording::session_file::{SessionFile, SessionOutcome};
-use recording::walk::{Damage, Event, FileReport, Walk};
+use recording::walk::{Damage, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 use serde::Serialize;
 
@@ -35,7 +34,7 @@ const FORM: u32 = 2;
 
 /// What was found, one entry a kind, in order of appearance.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Findings(Vec<Finding>);
+struct Findings(Vec<Finding>);
 
 impl Findings {
     /// Adds `count` of a kind; text and time are those of the first.
@@ -97,15 +96,6 @@ pub struct StreamReport {
     pub dropped_by_board: u64,
 }
 
-/// A topic of the file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct TopicReport {
-    /// Messages that can be read.
-    pub messages: u64,
-    /// Missing by their running number in the file.
-    pub missing: u64,
-}
-
 /// The grid of the pulses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct GridReport {
@@ -135,8 +125,6 @@ pub struct Report {
     pub damaged_frames: u64,
     /// The board's streams, by name.
     pub streams: BTreeMap<&'static str, StreamReport>,
-    /// The topics, by name.
-    pub topics: BTreeMap<String, TopicReport>,
     /// The pulses against their grid; nothing without `session.json`.
     pub grid: Option<GridReport>,
     /// Everything that was found.
@@ -148,7 +136,7 @@ pub struct Report {
 }
 
 /// The session file beside a recording's file, if it is there and can be read.
-pub(crate) fn session_of(mcap: &Path, findings: &mut Findings) -> Option<SessionFile> {
+fn session_of(mcap: &Path, findings: &mut Findings) -> Option<SessionFile> {
     let folder = mcap.parent()?;
     if mcap.file_name()? != MCAP_FILE {
         return None;
@@ -178,24 +166,16 @@ pub fn verify(recording: &Path) -> Result<Report, RecordingError> {
     let mut findings = Findings::default();
     let session = session_of(&path, &mut findings);
     let mut content = content::Content::new(session.as_ref());
-    let file = walk(&path, &mut |event| {
+    let mut walk = Walk::open(&path)?;
+    while walk.next_part(&mut |event| {
         content.take(event, &mut findings);
-        Ok(())
-    })?;
+        Ok::<_, RecordingError>(())
+    })? {}
+    let file = walk.report().clone();
     if let Some(session) = &session {
         check_session(session, &path, &file, &mut findings);
     }
     Ok(content.finish(recording, file, session.as_ref(), findings))
-}
-
-/// Gives everything in a file to `each`.
-pub(crate) fn walk(
-    path: &Path,
-    each: &mut dyn FnMut(Event<'_>) -> Result<(), RecordingError>,
-) -> Result<FileReport, RecordingError> {
-    let mut walk = Walk::open(path)?;
-    while walk.next_part(each)? {}
-    Ok(walk.report().clone())
 }
 
 fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {
@@ -294,7 +274,8 @@ impl Report {
             facts.push(("grid", text));
         }
         if self.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
-            let next = "`smartdepthsync verify RECORDING --repair OUT` makes a whole file of what can be read";
+            let next = "`smartdepthsync extract` reads what is there; `mcap recover` makes a whole \
+                        file of it for other programs";
             facts.push(("next", next.to_owned()));
         }
         Summary {

@@ -7,7 +7,7 @@ use crate::strobes::Scene;
 use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings};
-use report::evaluation::{self, plot};
+use report::evaluation;
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
 
@@ -146,11 +146,10 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     assert!(reasons[1].contains("no strobe flashes"), "{reasons:?}");
 
     let shown = shown.unwrap();
-    let html = evaluation::precision(&result, &shown.shown, &settings);
+    let html = evaluation::precision(&result, &shown.shown, &settings, &good);
     assert!(html.contains("data:image/png;base64,") && html.contains("left out"));
     assert!(!html.contains("src=\"http") && !html.contains("<script"));
-    let svg = plot::precision(&result, &shown.shown);
-    assert!(svg.starts_with("<svg") && svg.contains("sensor row"));
+    assert!(html.contains("<svg") && html.contains("sensor row"));
 }
 
 /// The phone's timestamps beside the video are the time axis.

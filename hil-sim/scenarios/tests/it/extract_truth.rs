@@ -202,7 +202,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
 
     // And as people see it.
     let pairs = format!("{} pairs of frames", expected.len());
-    report::extraction::write(&case.out(), &report).unwrap();
+    report::extraction::write(&case.out(), &report, &case.folder.path().join("recording")).unwrap();
     browser::check(
         &case.out().join(report::REPORT_FILE),
         "extract",
@@ -212,7 +212,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
             "missing or damaged",
             "Time difference of the pairs",
             "depth − phone, µs",
-            "The same over time.",
+            "The same over time, as measured",
             "Clock of the phone",
             "1-sigma of the course",
             "Settings: constants",

@@ -98,7 +98,6 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let recording = rig.recording("whole");
     let recording = recording.to_str().unwrap();
     print(folder, &["verify", recording]);
-    print(folder, &["verify", recording, "--repair", "repaired"]);
     let storage = folder.join("phone");
     let extract = ["extract", recording, "--phone", storage.to_str().unwrap()];
     print(folder, &extract);

@@ -18,7 +18,7 @@ use evaluate::precision::{self, Precision, RecordingResult, Spread};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings};
-use report::evaluation::{drift_summary, plot, precision_summary};
+use report::evaluation::{drift_summary, precision_summary};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -71,13 +71,10 @@ struct CommonArgs {
     /// Stop at this time of the recording
     #[arg(long, value_name = "TIME", value_parser = parse_seconds)]
     to: Option<f64>,
-    /// Write the plots to this SVG file
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
     /// Write a report with all pictures to this HTML file
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Replace the files of --plot and --out if they are there
+    /// Replace the file of --out if it is there
     #[arg(long)]
     overwrite: bool,
 }
@@ -106,7 +103,9 @@ struct PrecisionArgs {
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: smartdepthsync evaluate drift recordings/walk --out drift.html")]
+#[command(
+    after_help = "Example: smartdepthsync evaluate drift recordings/walk --out recordings/walk/drift.html"
+)]
 struct DriftArgs {
     /// Recording's folder, video, or folder of images
     #[arg(value_name = "VIDEO_OR_FRAMES")]
@@ -121,9 +120,8 @@ struct DriftArgs {
 impl CommonArgs {
     /// Refuses what cannot be written, before hours of work.
     fn check_targets(&self) -> Result<(), Failure> {
-        let targets = [&self.plot, &self.out];
-        let mut targets = targets.into_iter().flatten();
-        targets.try_for_each(|path| refuse_to_overwrite(path, self.overwrite))
+        let mut out = self.out.iter();
+        out.try_for_each(|path| refuse_to_overwrite(path, self.overwrite))
     }
 
     fn settings(&self, timestamps: Option<PathBuf>) -> Result<Settings, EvaluateError> {
@@ -311,13 +309,10 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         )
         .next_step("fix what the reason names; -v lists the reason of every recording"));
     };
-    if let Some(path) = &args.common.plot {
-        let svg = plot::precision(&result, &shown.shown);
-        write_file(path, &svg)?;
-    }
     if let Some(path) = &args.common.out {
-        let html = report::evaluation::precision(&result, &shown.shown, &settings);
+        let html = report::evaluation::precision(&result, &shown.shown, &settings, path);
         write_file(path, &html)?;
+        show_in_recordings(&args.inputs);
     }
     let calibrated = match &args.calibrate {
         Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
@@ -337,6 +332,15 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         precision_summary(&result).text() + &calibrated.unwrap_or_default()
     })?;
     Ok(ExitStatus::of_loss(!result.left_out.is_empty()))
+}
+
+/// Writes the reports of recordings again, which then lead to the evaluation.
+fn show_in_recordings(inputs: &[PathBuf]) {
+    for folder in inputs {
+        if let Err(error) = report::session::write_again(folder) {
+            tracing::warn!("the report of {} is as it was: {error}", folder.display());
+        }
+    }
 }
 
 /// Adds the measured bias to the one that was applied, and writes it.
@@ -399,12 +403,10 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
         let waited = recording.waited;
         drift::evaluate(recording, &settings).map(|evaluated| (evaluated, waited))
     })?;
-    if let Some(path) = &args.common.plot {
-        let svg = plot::drift(&evaluated);
-        write_file(path, &svg)?;
-    }
     if let Some(path) = &args.common.out {
-        write_file(path, &report::evaluation::drift(&evaluated, &settings))?;
+        let html = report::evaluation::drift(&evaluated, &settings, path);
+        write_file(path, &html)?;
+        show_in_recordings(std::slice::from_ref(&args.input));
     }
     let output = DriftOutput {
         settings: &settings,

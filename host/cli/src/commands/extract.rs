@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::advice::bag_step;
 use crate::context::Context;
+use crate::options::one_of;
 use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};
 use extract::error::ExtractError;
@@ -22,50 +23,17 @@ use recording::SESSION_FILE;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 
-/// The formats as the command line names them.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum FormatArg {
-    /// EuRoC / ASL: `mav0/cam0`, `imu0`, `imu1`, `depth0`.
-    Euroc,
-    /// TUM RGB-D: `rgb`, `depth`, `associations.txt`.
-    Tum,
-    /// One folder a topic, as the published extractor has it.
-    Topics,
-    /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
-    Kalibr,
-    /// A ROS 2 bag (MCAP) of images and samples: `ros2/data.mcap`
-    Ros2,
-}
-
-impl From<FormatArg> for Format {
-    fn from(format: FormatArg) -> Self {
-        match format {
-            FormatArg::Euroc => Self::Euroc,
-            FormatArg::Tum => Self::Tum,
-            FormatArg::Topics => Self::Topics,
-            FormatArg::Kalibr => Self::Kalibr,
-            FormatArg::Ros2 => Self::Ros2,
-        }
-    }
-}
+/// The formats on the command line.
+const FORMATS: [(&str, Format); 5] = [
+    ("euroc", Format::Euroc),
+    ("tum", Format::Tum),
+    ("topics", Format::Topics),
+    ("kalibr", Format::Kalibr),
+    ("ros2", Format::Ros2),
+];
 
 /// The cameras that depth is registered to.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum ViewArg {
-    /// The phone's; the profile must have its intrinsics and where both cameras are
-    Phone,
-    /// That of the depth camera's colour images, by the camera's own calibration
-    Color,
-}
-
-impl From<ViewArg> for View {
-    fn from(view: ViewArg) -> Self {
-        match view {
-            ViewArg::Phone => Self::Phone,
-            ViewArg::Color => Self::Color,
-        }
-    }
-}
+const VIEWS: [(&str, View); 2] = [("phone", View::Phone), ("color", View::Color)];
 
 /// Where the options for few stand in the long help.
 const MORE: &str = "More";
@@ -76,9 +44,10 @@ const MORE: &str = "More";
 pub(crate) struct Args {
     #[command(flatten)]
     recording: RecordingArg,
-    /// The format
-    #[arg(long, value_enum, default_value_t = FormatArg::Euroc)]
-    format: FormatArg,
+    /// The format: EuRoC (ASL), TUM RGB-D, a folder a topic as the published extractor has it,
+    /// what Kalibr's bag creator takes, or a ROS 2 bag (MCAP)
+    #[arg(long, default_value = "euroc", value_parser = one_of(&FORMATS))]
+    format: Format,
     /// The output folder; else RECORDING-FORMAT beside the recording
     #[arg(short, long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -93,9 +62,11 @@ pub(crate) struct Args {
     /// or its .mcap file); else the one in the recording's folder
     #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
-    /// Give depth images from the place of another camera, in the size of its images
-    #[arg(long, value_enum)]
-    register: Option<ViewArg>,
+    /// Give depth images from the place of another camera, in the size of its images: the phone's
+    /// (the profile must have its intrinsics and where both cameras are), or that of the depth
+    /// camera's colour images
+    #[arg(long, value_parser = one_of(&VIEWS))]
+    register: Option<View>,
     #[command(flatten, next_help_heading = MORE)]
     more: MoreArgs,
 }
@@ -149,7 +120,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let recording = args.recording.find(context)?;
     let out = match &args.out {
         Some(out) => out.clone(),
-        None => default_out(&recording, args.format.into())?,
+        None => default_out(&recording, args.format)?,
     };
     let mut phones = Vec::new();
     let mut unnamed = Vec::new();
@@ -180,14 +151,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         recording,
         phone: unnamed.pop(),
         depth: args.depth.clone(),
-        format: args.format.into(),
+        format: args.format,
         out,
         options: Options {
             first_pulse: more.first_pulse,
             depth_topic: more.depth_topic.clone(),
             all_pairs: more.all_pairs,
             infrared: more.infrared,
-            view: args.register.map(View::from),
+            view: args.register,
             free_running: more.free_running,
             phones,
             ..given
@@ -199,11 +170,15 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         bar: Mutex::new(ProgressBar::hidden()),
     };
     let report = context.over_files(true, || extract(&job, &bar))?;
-    report::extraction::write(&job.out, &report)
+    let folder = recordings::folder_of(&job.recording);
+    report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
+    // The recording's leads to it then; it may lie where nothing can be written.
+    if let Err(error) = report::session::write_again(folder) {
+        tracing::info!("the report of the recording is as it was: {error}");
+    }
     context.print_checks(&report, || {
         let text = report::extraction::summary(&report).text();
-        let folder = recordings::folder_of(&job.recording);
         let session = SessionFile::load(folder).ok();
         let next = session
             .filter(|session| session.profile.phone.learnt.is_none())

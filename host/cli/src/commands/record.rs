@@ -10,7 +10,7 @@ use crate::checks;
 use crate::context::Context;
 use crate::decimal::{parse_duration, parse_real_time};
 use crate::operator::AtTerminal;
-use crate::options::PortArg;
+use crate::options::{PortArg, one_of};
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings;
 use crate::rig_profile::{Place, ProfileArg};
@@ -65,15 +65,11 @@ pub(crate) struct Args {
     #[arg(long)]
     second_twist: bool,
     /// Follow the phone's clock through adb while it records, so that the trigger stays on
-    /// its frames for hours
-    #[arg(
-        long,
-        value_enum,
-        value_name = "WHEN",
-        default_value_t,
-        hide_possible_values = true
-    )]
-    track: TrackArg,
+    /// its frames for hours: auto where an adb server has the phone, always or it is an error,
+    /// never
+    #[arg(long, value_name = "WHEN", default_value = "auto", value_parser = one_of(&TRACKS),
+          hide_possible_values = true)]
+    track: Track,
     /// Leave the phone's files and video on the phone
     #[arg(long)]
     no_fetch: bool,
@@ -115,16 +111,11 @@ struct MoreArgs {
 }
 
 /// When the phone's clock is followed.
-#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
-enum TrackArg {
-    /// Where an adb server runs and has the phone
-    #[default]
-    Auto,
-    /// An error if it cannot be
-    Always,
-    /// Nothing is started on the phone
-    Never,
-}
+const TRACKS: [(&str, Track); 3] = [
+    ("auto", Track::IfThere),
+    ("always", Track::Always),
+    ("never", Track::Never),
+];
 
 impl Args {
     fn options(&self) -> Options {
@@ -137,11 +128,7 @@ impl Args {
             name: self.name.clone(),
             duration,
             markers: more.markers.clone(),
-            track: match self.track {
-                TrackArg::Auto => Track::IfThere,
-                TrackArg::Always => Track::Always,
-                TrackArg::Never => Track::Never,
-            },
+            track: self.track,
             twists: more.twists,
             second_twist: self.second_twist || self.calibrate,
             fetch_video: !self.no_fetch,

@@ -1,4 +1,4 @@
-//! `smartdepthsync verify`: is a recording whole; its report, and its repair.
+//! `smartdepthsync verify`: is a recording whole; its report.
 
 use std::path::{Path, PathBuf};
 
@@ -7,9 +7,7 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use recording::RecordingError;
 use recording::finding::Severity;
-use recording::session_file::SessionFile;
-use report::repair::repair;
-use report::session;
+use report::session::write_again;
 use report::verify::verify;
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
@@ -22,10 +20,6 @@ use report::verify::verify;
 pub(crate) struct Args {
     #[command(flatten)]
     recording: RecordingArg,
-    /// Write what can be read of it as a new, whole recording, which must not be there yet: a
-    /// folder for a folder, a file for a file. The recording itself is never changed
-    #[arg(long, value_name = "OUT")]
-    repair: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -35,11 +29,6 @@ pub(crate) struct Args {
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
-    if let Some(out) = &args.repair {
-        let result = context.over_files(false, || repair(&recording, out))?;
-        context.print_checks(&result, || result.summary().text())?;
-        return Ok(ExitStatus::of_loss(result.lost));
-    }
     let verified = context.over_files(false, || {
         let mut verified = verify(&recording)?;
         verified.report = write_report(recordings::folder_of(&recording), context);
@@ -58,12 +47,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 
 /// Writes the report of a recording that has a session; one that cannot be written is told.
 fn write_report(folder: &Path, context: &Context) -> Option<PathBuf> {
-    let file = SessionFile::load(folder).ok()?;
-    let written = session::write(folder, &file);
+    let written = write_again(folder);
     if let Err(error) = &written
         && !context.interrupt.requested()
     {
         context.say(format!("warning: cannot write the report: {error}"));
     }
-    written.ok()
+    written.ok().flatten()
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::crossterm::execute;
 use ratatui::crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
@@ -153,34 +153,78 @@ fn show(
                 // A new size is taken by the next drawing.
                 continue;
             };
-            if key.kind == KeyEventKind::Release {
-                continue;
-            }
-            let meaning = match key.code {
-                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
-                    interrupt.request();
-                    continue;
-                }
-                KeyCode::Char('h' | '?') => {
+            match act(key, lock(state).keys()) {
+                Some(Act::Help) => {
                     help = !help;
                     break;
                 }
-                KeyCode::Enter => Key::GoOn,
-                KeyCode::Char('r') => Key::Repeat,
-                KeyCode::Char('s') => Key::Skip,
-                KeyCode::Char('m' | ' ') => Key::Mark,
-                KeyCode::Char('q') | KeyCode::Esc => Key::Quit,
-                _ => continue,
-            };
-            // Where nothing is asked nobody takes keys, and the last line says that this stops.
-            if meaning == Key::Quit && lock(state).keys() == Keys::Look {
-                interrupt.request();
-                continue;
+                Some(Act::Stop) => interrupt.request(),
+                // Nobody listens any more: then it is only shown.
+                Some(Act::Tell(key)) => drop(keys.send(key)),
+                None => {}
             }
-            // Nobody listens any more: then it is only shown.
-            let _ = keys.send(meaning);
         }
     }
     terminal.show_cursor()?;
     out.flush()
+}
+
+/// An effect of a key.
+#[derive(Debug, PartialEq, Eq)]
+enum Act {
+    Help,
+    Stop,
+    Tell(Key),
+}
+
+/// The effect of a key where keys mean this.
+fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
+    if key.kind == KeyEventKind::Release {
+        return None;
+    }
+    Some(match key.code {
+        KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Act::Stop,
+        KeyCode::Char('h' | '?') => Act::Help,
+        KeyCode::Enter => Act::Tell(Key::GoOn),
+        KeyCode::Char('r') => Act::Tell(Key::Repeat),
+        KeyCode::Char('s') => Act::Tell(Key::Skip),
+        KeyCode::Char('m' | ' ') => Act::Tell(Key::Mark),
+        // Where nothing is asked nobody takes keys, and the last line says that this stops.
+        KeyCode::Char('q') | KeyCode::Esc if keys == Keys::Look => Act::Stop,
+        KeyCode::Char('q') | KeyCode::Esc => Act::Tell(Key::Quit),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::operator::AtTerminal;
+    use crate::view::text::keys_text;
+    use session::devices::{Choice, Operator as _, Wish};
+
+    /// Whatever the last line offers to stop with stops it.
+    #[test]
+    fn q_stops_wherever_the_last_line_says_so() {
+        let press = |letter| KeyEvent::new(KeyCode::Char(letter), KeyModifiers::NONE);
+        for keys in [Keys::Look, Keys::Answer, Keys::Record] {
+            assert!(keys_text(keys).contains("q stop"));
+            let (sender, receiver) = channel();
+            let interrupt = Interrupt::default();
+            let mut operator = AtTerminal::new(Some(receiver), true, &interrupt);
+            match act(press('q'), keys) {
+                Some(Act::Stop) => interrupt.request(),
+                Some(Act::Tell(key)) => sender.send(key).unwrap(),
+                other => panic!("{keys:?}: {other:?}"),
+            }
+            let stops = match keys {
+                Keys::Look => operator.interrupted(),
+                Keys::Answer => operator.answer() == Some(Choice::Quit),
+                Keys::Record => operator.wish() == Some(Wish::Stop),
+            };
+            assert!(stops, "{keys:?}");
+        }
+        assert_eq!(act(press('h'), Keys::Look), Some(Act::Help));
+        assert_eq!(act(press('x'), Keys::Answer), None);
+    }
 }

@@ -342,13 +342,17 @@ fn draw_said(frame: &mut Frame<'_>, said: Vec<Vec<Line<'static>>>, area: Rect) {
     frame.render_widget(Paragraph::new(shown), area);
 }
 
-fn keys_line(keys: Keys) -> Paragraph<'static> {
-    let text = match keys {
+/// What the keys do, as the last line says it.
+pub(super) const fn keys_text(keys: Keys) -> &'static str {
+    match keys {
         Keys::Look => " q stop   h help",
         Keys::Answer => " Enter go on   r twist again / repeat   s skip   q stop   h help",
         Keys::Record => " m mark   q stop   h help",
-    };
-    Paragraph::new(text).style(Style::new().fg(Color::Black).bg(Color::Gray))
+    }
+}
+
+fn keys_line(keys: Keys) -> Paragraph<'static> {
+    Paragraph::new(keys_text(keys)).style(Style::new().fg(Color::Black).bg(Color::Gray))
 }
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
@@ -709,6 +713,7 @@ mod tests {
                 "twist now, about all axes",
                 "expected 1-sigma",
                 "rad/s rms",
+                "cameras expose together to +-",
                 "q stop",
             ] {
                 assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");

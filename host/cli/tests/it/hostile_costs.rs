@@ -4,7 +4,7 @@
 use std::ffi::OsString;
 use std::fs;
 use std::io::{BufWriter, Read as _};
-use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
+use std::os::unix::fs::{FileExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -97,14 +97,9 @@ fn what_a_small_file_unpacks_to_is_bounded() {
     let length = fs::metadata(folder.join(MCAP_FILE)).unwrap().len();
     assert!(length < 5 << 20, "{length}");
     SessionFile::save(&synthetic::session(), &folder).unwrap();
-    let out = parent.path().join("out");
-    for (args, expected) in [
-        (vec!["verify", utf8(&folder)], 4),
-        (vec!["extract", utf8(&folder)], 4),
-        (vec!["verify", utf8(&folder), "--repair", utf8(&out)], 4),
-    ] {
-        let output = limited(&args);
-        assert_eq!(code(&output), expected, "{args:?}: {output:?}");
+    for command in ["verify", "extract"] {
+        let output = limited(&[command, utf8(&folder)]);
+        assert_eq!(code(&output), 4, "{command}: {output:?}");
     }
 }
 
@@ -113,25 +108,14 @@ fn what_a_small_file_unpacks_to_is_bounded() {
 fn the_largest_file_size_is_as_a_full_disk() {
     let parent = tempfile::tempdir().unwrap();
     let folder = synthetic::make(parent.path(), Wrong::default());
-    let (out, repaired) = (parent.path().join("out"), parent.path().join("repaired"));
-    for args in [
-        vec!["extract", utf8(&folder), "--out", utf8(&out)],
-        vec!["verify", utf8(&folder), "--repair", utf8(&repaired)],
-    ] {
-        // Whoever runs the tests may have switched the signal off.
-        let output = Command::new("env")
-            .args([
-                "--default-signal=XFSZ",
-                "prlimit",
-                "--fsize=4096",
-                "--core=0",
-            ])
-            .arg(env!("CARGO_BIN_EXE_smartdepthsync"))
-            .args(&args)
-            .output()
-            .unwrap();
-        assert_eq!(code(&output), 13, "{args:?}: {output:?}");
-    }
+    // Whoever runs the tests may have switched the signal off.
+    let output = Command::new("env")
+        .args(["--default-signal=XFSZ", "prlimit", "--fsize=4096"])
+        .args(["--core=0", env!("CARGO_BIN_EXE_smartdepthsync")])
+        .args(["extract", utf8(&folder)])
+        .output()
+        .unwrap();
+    assert_eq!(code(&output), 13, "{output:?}");
 }
 
 /// A port that gives zeros, or nonsense, as fast as it is read.
@@ -241,14 +225,13 @@ fn a_terabyte_that_was_never_written_costs_nothing() {
     sparse(&stamps, b"94002000000000\n", b"94002033333333\n");
     let profile = place("rig.toml");
     fs::write(&profile, DEFAULT).unwrap();
-    let [repaired, out, out2] = ["repaired", "out", "out2"].map(place);
+    let [out, out2] = ["out", "out2"].map(place);
     let (holed, whole) = (utf8(&holed), utf8(&whole));
     let learn = ["profile", "learn", whole, "--profile", utf8(&profile)];
     for (args, expected) in [
         (vec!["verify", utf8(&empty)], 13),
         (vec!["verify", utf8(&torn)], 2),
         (vec!["verify", holed], 4),
-        (vec!["verify", holed, "--repair", utf8(&repaired)], 4),
         (vec!["extract", utf8(&empty)], 13),
         (vec!["extract", holed, "--out", utf8(&out)], 4),
         (
@@ -271,17 +254,11 @@ fn a_terabyte_that_was_never_written_costs_nothing() {
         let output = limited_to(3, &args);
         assert_eq!(code(&output), expected, "{args:?}: {output:?}");
     }
-    // The hole was copied as one: these are 4 MiB.
-    let copy = repaired.join(stamps.file_name().unwrap());
-    for written in [&copy, &repaired.join(MCAP_FILE)] {
-        assert!(fs::metadata(written).unwrap().blocks() < 1 << 13);
-    }
 }
 
 /// What the commands read that read long.
 struct Long {
     folder: PathBuf,
-    out: PathBuf,
     video: PathBuf,
     times: PathBuf,
     profile: PathBuf,
@@ -291,8 +268,8 @@ struct Long {
 impl Long {
     fn new(parent: &Path) -> Self {
         let place = |name| parent.join(name);
-        let [folder, out, video, times, profile] =
-            ["walk", "out", "VID.mp4", "times.csv", "rig.toml"].map(place);
+        let [folder, video, times, profile] =
+            ["walk", "VID.mp4", "times.csv", "rig.toml"].map(place);
         bomb(&folder, Topic::Marker, TIMES, 100, (16 << 20) / 15);
         SessionFile::save(&synthetic::session(), &folder).unwrap();
         fs::write(&profile, DEFAULT).unwrap();
@@ -301,7 +278,6 @@ impl Long {
         Self {
             path: stand_ins(parent, 10_000_000, "exec cat /dev/zero"),
             folder,
-            out,
             video,
             times,
             profile,
@@ -309,29 +285,15 @@ impl Long {
     }
 
     fn commands(&self) -> Vec<Vec<&str>> {
-        let [folder, out, video, times, profile] = [
-            &self.folder,
-            &self.out,
-            &self.video,
-            &self.times,
-            &self.profile,
-        ]
-        .map(|p| utf8(p));
+        let [folder, video, times, profile] =
+            [&self.folder, &self.video, &self.times, &self.profile].map(|path| utf8(path));
+        let learn = ["profile", "learn", folder, "--profile", profile];
         vec![
             vec!["verify", folder],
-            vec!["verify", folder, "--repair", out],
             vec!["extract", folder],
             vec!["evaluate", "precision", video],
             vec!["evaluate", "drift", video],
-            vec![
-                "profile",
-                "learn",
-                folder,
-                "--profile",
-                profile,
-                "--timestamps",
-                times,
-            ],
+            [&learn[..], &["--timestamps", times]].concat(),
         ]
     }
 }

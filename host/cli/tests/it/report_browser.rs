@@ -5,10 +5,11 @@ use std::process::Command;
 use board::{StreamCount, StreamCounts};
 use protocol::Ticks;
 use recording::finding::Finding;
-use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist};
+use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist, Video};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use test_support::browser;
+use timebase::PhoneNanos;
 
 #[test]
 fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
@@ -30,6 +31,26 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         board_temperature_c: Some(27.5),
         report: serde_json::Value::Null,
     });
+    // The phone turned as the board did.
+    let row = |number: u64| {
+        let at = clock.ticks_to_phone(Ticks(48_000_777 + 5_000 + number * 96_000));
+        // By the delay of its filter later.
+        let at = at.0 + (session.profile.phone.gyro_delay_us * 1e3) as i64;
+        format!("{},0.1,0.2,{at}\n", (number % 600) as f64 * 1e-3)
+    };
+    let rows: String = (0..SECONDS * 500).map(row).collect();
+    std::fs::write(folder.join("twist_1_phone_gyro.csv"), rows).unwrap();
+    session.phones[0].video = Some(Video {
+        phase: PhoneNanos(0),
+        frame_duration_ns: 33e6,
+        exposure_ns: None,
+        boot_minus_frames_ns: 0,
+    });
+    let frame = |number: i64| clock.ticks_to_phone(Ticks(48_000_777)).0 + number * 33_330_652;
+    let frames: String = (0..150)
+        .map(|number| format!("{}\n", frame(number)))
+        .collect();
+    std::fs::write(folder.join("VID_1_timestamps.csv"), frames).unwrap();
     session.counts = StreamCounts {
         pulses: StreamCount {
             received: SECONDS * 30,
@@ -65,7 +86,10 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         &[
             "<b>check</b>",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
-            "rad/s",
+            "Twist 1: how fast board and phone turned",
+            "What is left between the two: 0.000 rad/s rms",
+            "Measured is each pulse",
+            "no message of any stream is missing",
             "a door that has a very long name",
             "frame_sync.bias_us",
         ],

@@ -88,10 +88,7 @@ const CASES: &str = "\
 2 | extract broken.mcap --out folder/text | not empty | --out
 13 | verify nothing | nothing | check the
 2 | verify folder | recording.mcap | `record` made
-13 | verify broken.mcap | broken.mcap | repair
-13 | verify nothing --repair new | nothing | check the
-13 | verify broken.mcap --repair text.txt | text.txt | not taken
-13 | verify broken.mcap --repair new.mcap | broken.mcap | verify
+13 | verify broken.mcap | broken.mcap | verify
 # Which recording.
 2 | verify | which recording | smartdepthsync record
 2 | verify many | 2 recordings | many/
@@ -101,7 +98,7 @@ const CASES: &str = "\
 # What is there is not overwritten.
 13 | board imu --out text.txt | not overwritten | --overwrite
 13 | evaluate precision folder --out text.txt | not overwritten | --overwrite
-13 | evaluate drift folder --plot text.txt | not overwritten | --overwrite
+13 | evaluate drift folder --out text.txt | not overwritten | --overwrite
 # Profiles that are made and taught.
 2 | setup --yes | address | help setup
 13 | setup --yes --phone x --profile text.txt | text.txt | --overwrite

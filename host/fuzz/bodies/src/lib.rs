@@ -20,7 +20,6 @@ use phone::rows::{RowError, Rows};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
-use report::repair::repair;
 use report::verify::verify;
 use video::{parse_presentation_times, parse_probe};
 
@@ -125,8 +124,7 @@ pub fn link(data: &[u8]) {
     assert_eq!(whole, events(usize::from(step)));
 }
 
-/// Any bytes as a recording: read, checked, repaired. What is repaired must be
-/// whole as a file.
+/// Any bytes as a recording: read and checked.
 pub fn recording(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("recording.mcap");
@@ -138,16 +136,9 @@ pub fn recording(data: &[u8]) {
             }
         }
     }
-    let Ok(report) = verify(&place) else {
-        return;
-    };
-    assert!(report.file.bytes == data.len() as u64);
-    let out = folder.path().join("out.mcap");
-    if let Ok(repaired) = repair(&place, &out) {
-        assert!(repaired.after.file.closed);
+    if let Ok(report) = verify(&place) {
+        assert!(report.file.bytes == data.len() as u64);
     }
-    // Nothing else was written.
-    assert!(std::fs::read_dir(folder.path()).unwrap().count() <= 2);
 }
 
 /// Any text as a rig profile.

@@ -1,9 +1,8 @@
 //! Plots of a result as SVG.
 
 use evaluate::drift::EvaluatedDrift;
-use evaluate::precision::Precision;
+use evaluate::precision::{Precision, RecordingResult};
 use evaluate::shown::Shown;
-use evaluate::stats::quantile;
 
 use crate::chart::{Chart, Data, Ink, stack};
 
@@ -16,21 +15,19 @@ const MEASURED: Ink = Ink::rgb(60, 60, 60);
 const FITTED: Ink = Ink::rgb(214, 69, 40);
 const MARK: Ink = Ink::rgb(20, 110, 180);
 
-/// Averaged row profile, fit, and histogram over launches (with two or more).
+/// Averaged row profile, fit, and the biases of launches (of two or more).
 #[must_use]
-pub fn precision(precision: &Precision, shown: &Shown) -> String {
+pub(super) fn precision(precision: &Precision, shown: &Shown) -> String {
     let profile = profile(shown);
-    let values: Vec<f64> = precision.recordings.iter().map(|r| r.bias_us).collect();
-    if values.len() > 1 {
-        stack(SIZE, &[profile, launches(&values)])
-    } else {
-        stack(SIZE, &[profile])
+    match precision.recordings.as_slice() {
+        [] | [_] => stack(SIZE, &[profile]),
+        several => stack(SIZE, &[profile, launches(several)]),
     }
 }
 
 /// Averaged row profile of the shown frames, and row against time with the line.
 #[must_use]
-pub fn drift(drift: &EvaluatedDrift) -> String {
+pub(super) fn drift(drift: &EvaluatedDrift) -> String {
     stack(SIZE, &[profile(&drift.shown), course(drift)])
 }
 
@@ -66,38 +63,13 @@ fn profile(shown: &Shown) -> Chart {
         )
 }
 
-fn launches(values: &[f64]) -> Chart {
-    let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let side = (0.1 * (high - low)).max(1e-6 * (1.0 + high.abs()));
-    let (first, span) = (low - side, high - low + 2.0 * side);
-    // Freedman and Diaconis' width of bins, between 5 and 40 of them.
-    let quartile = |q| quantile(values, q).unwrap_or(0.0);
-    let width = 2.0 * (quartile(0.75) - quartile(0.25)) / (values.len() as f64).cbrt();
-    let bins = if width > 0.0 {
-        (span / width).round().clamp(5.0, 40.0) as usize
-    } else {
-        5
-    };
-    let width = span / bins as f64;
-    let mut counts = vec![0; bins];
-    for v in values {
-        let at = ((v - first) / width) as usize;
-        if let Some(count) = counts.get_mut(at.min(bins - 1)) {
-            *count += 1;
-        }
-    }
-    let bins = Data::Bins {
-        first,
-        width,
-        counts,
-    };
-    let quartiles = vec![quartile(0.25), quartile(0.75)];
-    Chart::new("bias, µs", "launches")
-        .title(&format!("Bias over {} launches", values.len()))
-        .add("", bins, MARK.pale(0.25))
-        .add("median", Data::Upright(vec![quartile(0.5)]), FITTED)
-        .add("quartiles", Data::Upright(quartiles), MEASURED)
+/// The bias of each launch with its 1-sigma.
+fn launches(recordings: &[RecordingResult]) -> Chart {
+    let biases = (1..).map(f64::from).zip(recordings);
+    let biases = biases.map(|(number, of)| (number, of.bias_us, of.sigma_us));
+    Chart::new("recording", "bias, µs")
+        .title(&format!("Bias of {} launches", recordings.len()))
+        .add("", Data::Bars(biases.collect()), MEASURED)
 }
 
 fn course(drift: &EvaluatedDrift) -> Chart {

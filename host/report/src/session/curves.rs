@@ -6,14 +6,20 @@ use std::path::Path;
 use protocol::Ticks;
 
 use super::MAX_LISTED;
+use super::measured::{Frames, TwistRates};
 use crate::chart::Envelope;
+use crate::verify::numbers::stream_of;
+use board::Stream;
 use recording::RecordingError;
 use recording::grid::FollowedGrid;
-use recording::reader::{Item, Reader};
+use recording::reader::{Entry, Item, Reader};
 use recording::session_file::SessionFile;
 
 /// Letters of a sensor's name that are shown.
 const MAX_NAME: usize = 200;
+
+/// The most losses that are kept, for an hour of one a second.
+const MAX_LOSSES: usize = 3_600;
 
 /// What the plots need of the recording.
 #[derive(Debug, Default)]
@@ -23,6 +29,21 @@ pub(super) struct Curves {
     pub(super) readback: Envelope,
     pub(super) load: Envelope,
     pub(super) temperature: Envelope,
+    /// From sample to sample of the IMU, µs.
+    pub(super) imu_intervals: Envelope,
+    /// From pulse to pulse of the camera, µs.
+    pub(super) pulse_intervals: Envelope,
+    last_imu: Option<f64>,
+    last_pulse: Option<f64>,
+    /// Both gyroscopes in each twist.
+    pub(super) twists: Vec<TwistRates>,
+    /// Depth less phone at each pulse, µs.
+    pub(super) phase: Envelope,
+    frames: Option<Frames>,
+    /// Where messages are missing by the board's numbers: when, of which stream, how many.
+    pub(super) losses: Vec<(Ticks, Stream, u32)>,
+    /// The next number of each stream.
+    expected: [Option<u32>; Stream::ALL.len()],
     /// Pulses of auxiliary outputs by the sensor's name: how many, first and last.
     pub(super) outputs: BTreeMap<String, (u64, Ticks, Ticks)>,
     /// Seconds of a lidar: how many, the last with the UTC that it was told, ns; and
@@ -51,12 +72,17 @@ impl Curves {
         let alignment = session.alignment.as_ref();
         let mut curves = Self {
             grid: alignment.map(|alignment| FollowedGrid::new(alignment.into())),
+            twists: TwistRates::of_session(recording, session),
+            frames: Frames::of_session(recording, session),
             ..Self::default()
         };
         let mut reader = Reader::open(recording)?;
         for entry in reader.by_ref() {
             match entry {
-                Ok(entry) => curves.take(entry.at, &entry.item, session),
+                Ok(entry) => {
+                    curves.number(entry.at, &entry);
+                    curves.take(entry.at, &entry.item, session);
+                }
                 Err(error @ RecordingError::Io { .. }) => return Err(error),
                 Err(_) => curves.broken_off = true,
             }
@@ -65,10 +91,33 @@ impl Curves {
         Ok(curves)
     }
 
+    /// Follows the board's number of a message.
+    fn number(&mut self, at: Ticks, entry: &Entry) {
+        let Some(stream) = stream_of(entry.item.topic()) else {
+            return;
+        };
+        let Some(expected) = self.expected.get_mut(stream as usize) else {
+            return;
+        };
+        let number = entry.sequence;
+        let missing = number.wrapping_sub(expected.unwrap_or(number));
+        *expected = Some(number.wrapping_add(1));
+        // More is a number that came twice or out of order.
+        if (1..u32::MAX / 2).contains(&missing) && self.losses.len() < MAX_LOSSES {
+            self.losses.push((at, stream, missing));
+        }
+    }
+
     fn take(&mut self, at: Ticks, item: &Item, session: &SessionFile) {
         let x = at.as_secs_f64();
         match item {
             Item::Imu(imu) => {
+                if let Some(last) = self.last_imu.replace(x) {
+                    self.imu_intervals.add(x, (x - last) * 1e6);
+                }
+                for twist in &mut self.twists {
+                    twist.take(at, imu);
+                }
                 let rates = imu.angular_velocity;
                 for (envelope, rate) in self.gyro.iter_mut().zip(rates) {
                     envelope.add(x, rate);
@@ -81,6 +130,9 @@ impl Curves {
             }
             Item::Temperature(value) => self.temperature.add(x, value.temperature),
             Item::Pulse(pulse) => {
+                if let Some(last) = self.last_pulse.replace(x) {
+                    self.pulse_intervals.add(x, (x - last) * 1e6);
+                }
                 if pulse.readback {
                     self.readback.add(x, f64::from(pulse.readback_ticks));
                 }
@@ -88,6 +140,10 @@ impl Curves {
                     && (span.from..=span.to).contains(&at)
                 {
                     self.off_grid.add(x, grid.off(at).0 as f64);
+                    let frames = self.frames.as_mut();
+                    if let Some(difference) = frames.and_then(|it| it.difference_us(at)) {
+                        self.phase.add(x, difference);
+                    }
                 }
             }
             Item::Output(pulse) => {

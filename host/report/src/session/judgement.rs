@@ -8,7 +8,7 @@
 use std::path::{Path, PathBuf};
 
 use phone::adb::get_files_command;
-use phone::video_files;
+use phone::video_files::{self, VideoFiles};
 use recording::finding::{Finding, Severity};
 use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
@@ -156,9 +156,7 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
             (Severity::Bad, found)
         }
         None => {
-            next.push(String::from(
-                "`smartdepthsync verify --repair OUT` makes a whole recording of what is there",
-            ));
+            next.push(String::from("`smartdepthsync extract` reads what is there"));
             let found = "the program was ended before it could close the session";
             (Severity::Bad, found.to_owned())
         }
@@ -197,13 +195,18 @@ fn place_of(folder: &Path, session: &SessionFile, name: &str) -> PathBuf {
     }
 }
 
+/// The files of a phone's video that are in the folder.
+pub(super) fn phone_files(folder: &Path, session: &SessionFile, name: &str) -> Option<VideoFiles> {
+    video_files::find(&place_of(folder, session, name), None)
+        .ok()
+        .flatten()
+}
+
 /// The kinds of a phone's files that a folder lacks.
 fn missing_files(place: &Path) -> Vec<&'static str> {
     match video_files::find(place, None) {
         Ok(Some(files)) => files.missing(),
-        Ok(None) | Err(video_files::FilesError::Io { .. }) => {
-            video_files::VideoFiles::default().missing()
-        }
+        Ok(None) | Err(video_files::FilesError::Io { .. }) => VideoFiles::default().missing(),
         // Several videos lie there: whoever put them there names the right one.
         Err(video_files::FilesError::Several { .. }) => Vec::new(),
     }

@@ -3,6 +3,7 @@
 use protocol::Ticks;
 
 use super::curves::Curves;
+use super::measured::TwistRates;
 use super::{MAX_LISTED, seconds};
 use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
@@ -12,7 +13,7 @@ use recording::session_file::{Alignment, FramePeriodSource, SessionFile, Span};
 use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
-pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
+pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let Some(phone) = session.reference() else {
         return;
     };
@@ -46,7 +47,9 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
     );
     if let (Some(clock), Some(span)) = (phone.clock, session.recorded) {
         let sigma_us = |at| clock.offset_at(at).sigma * 1e6;
-        let svg = curve("offset", "1-sigma of the offset, µs", span, sigma_us);
+        let all = vec![("offset", curve(span, sigma_us))];
+        let unit = "1-sigma of the offset, µs";
+        let svg = chart::series("board time, s", unit, 0.0..1.0, all);
         if !svg.is_empty() {
             page.figure(
                 &svg,
@@ -56,9 +59,47 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
             );
         }
     }
+    for twist in &curves.twists {
+        overlay(page, twist);
+    }
 }
 
-pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
+/// Both gyroscopes in a twist, and what is left between them.
+fn overlay(page: &mut Page, twist: &TwistRates) {
+    let number = twist.number;
+    let Some([board, phone, residual]) = twist.drawn() else {
+        let text = format!("Twist {number} is not drawn: the phone's samples of it are missing.");
+        return page.text(&text);
+    };
+    let squares: f64 = residual.iter().map(|(_, off)| off * off).sum();
+    let rms = (squares / residual.len().max(1) as f64).sqrt();
+    let all = vec![("board", Data::Line(board)), ("phone", Data::Line(phone))];
+    let svg = chart::series("time of the twist, s", "rad/s", 0.0..1.0, all);
+    page.figure(
+        &svg,
+        &format!(
+            "Twist {number}: how fast board and phone turned, whatever the axis; the phone's \
+             samples on board time by this twist."
+        ),
+    );
+    let all = vec![("residual", Data::Line(residual))];
+    let svg = chart::series(
+        "time of the twist, s",
+        "phone − board, rad/s",
+        -0.1..0.1,
+        all,
+    );
+    page.figure(
+        &svg,
+        &format!(
+            "What is left between the two: {rms:.3} rad/s rms. It is noise where they are rigidly \
+             joined and rightly timed; a copy of the motion in it is a gyroscope's bias or scale, \
+             or a wrong time."
+        ),
+    );
+}
+
+pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let Some(alignment) = session.alignment else {
         return;
     };
@@ -101,18 +142,40 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
         ),
     ]);
     budget(page, session, &alignment);
-    if let Some(span) = session.recorded {
-        let sigma_us = |at| phase_sigma_us_at(&alignment, at);
-        let svg = curve("phase", "1-sigma of the phase, µs", span, sigma_us);
-        if !svg.is_empty() {
-            page.figure(
-                &svg,
-                "Predicted distance of the two exposures' middles over the recording (1-sigma), \
-                 from the uncertainty of clocks and frame period, without that of the constant. \
-                 The command evaluate measures it.",
-            );
+    let mut all: Vec<_> = range("measured", &curves.phase).into_iter().collect();
+    let measured = match all.is_empty() {
+        false => {
+            "Measured is each pulse against the phone's nearest frame, by the app's file of frame \
+             timestamps and the last clock relation: an error of that relation moves both and does \
+             not show. An extraction and the command evaluate see it."
         }
+        true => {
+            "Nothing is measured yet: the phone's file of frame timestamps is not in the folder."
+        }
+    };
+    all.extend(predicted(session).into_iter().flatten());
+    let svg = chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all);
+    if !svg.is_empty() {
+        page.figure(
+            &svg,
+            &format!(
+                "Distance of the two exposures' middles over the recording, predicted from the \
+                 uncertainty of clocks and frame period, without that of the constant. {measured}"
+            ),
+        );
     }
+}
+
+/// The distance of the exposures' middles that was predicted, depth less phone, µs, over the
+/// recording: the curves of its 1-sigma.
+pub(crate) fn predicted(session: &SessionFile) -> Option<[(&'static str, Data); 2]> {
+    let (span, alignment) = (session.recorded?, session.alignment?);
+    let band = |sign: f64| {
+        curve(span, |at| {
+            sign * phase_sigma_us_at(&alignment, at) - alignment.shift_us
+        })
+    };
+    Some([("predicted: +1-sigma", band(1.0)), ("−1-sigma", band(-1.0))])
 }
 
 /// The parts of the total uncertainty as bars, and what comes of them.
@@ -217,19 +280,11 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
         );
     }
     match readback {
-        Some(series) => {
-            let svg = chart::series(
-                "board time, s",
-                "edge to wire, ticks",
-                0.0..10.0,
-                vec![series],
-            );
-            page.figure(
-                &svg,
-                "From the trigger's edge to the same edge behind the buffer, as the board measured \
-                 it. Steady: the wire is good.",
-            );
-        }
+        Some(_) => course(
+            page,
+            "time from the trigger's edge to the same edge behind the buffer",
+            ("ticks", &curves.readback, 1.5),
+        ),
         None if session.counts.pulses.received > 0 => page.note(
             Severity::Check,
             "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
@@ -255,24 +310,65 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
         "Gyroscope of the board: smallest and largest value in each stretch of time. The twist \
          stands out at the beginning.",
     );
-    for (name, unit, envelope, least) in [
-        ("load of the processor", "%", &curves.load, 0.0..10.0),
+    for (name, what) in [
         (
-            "temperature of the IMU",
-            "°C",
-            &curves.temperature,
-            20.0..30.0,
+            "time from sample to sample of the IMU",
+            ("µs", &curves.imu_intervals, 0.1),
         ),
+        (
+            "time from pulse to pulse",
+            ("µs", &curves.pulse_intervals, 0.1),
+        ),
+        ("load of the processor", ("%", &curves.load, 1.0)),
+        ("temperature of the IMU", ("°C", &curves.temperature, 1.0)),
     ] {
-        if let Some((low, high)) = envelope.extremes().filter(|(low, high)| high - low < 1.0) {
-            page.text(&format!(
-                "The {name}: {low:.1} to {high:.1} {unit} all the time."
-            ));
-        } else if let Some(series) = range(name, envelope) {
-            let svg = chart::series("board time, s", unit, least, vec![series]);
-            page.figure(&svg, &format!("The {name}, in {unit}."));
-        }
+        course(page, name, what);
     }
+}
+
+/// A quantity over the recording as a chart; in a line if it changes by less than the last of
+/// its unit, its values and what counts as steady.
+fn course(page: &mut Page, name: &str, (unit, values, steady): (&str, &Envelope, f64)) {
+    let Some((low, high)) = values.extremes() else {
+        return;
+    };
+    if high - low < steady {
+        return page.text(&format!(
+            "The {name}: {low:.2} to {high:.2} {unit} all the time."
+        ));
+    }
+    let all = range(name, values).into_iter().collect();
+    let svg = chart::series("board time, s", unit, low..low + steady, all);
+    page.figure(
+        &svg,
+        &format!("The {name}, in {unit}: smallest and largest in each stretch of time."),
+    );
+}
+
+/// Where messages of the board are missing.
+pub(super) fn losses(page: &mut Page, curves: &Curves) {
+    page.section("Losses");
+    if curves.losses.is_empty() {
+        return page.text("By the board's numbers no message of any stream is missing.");
+    }
+    let streams = curves.losses.iter().map(|&(.., stream, _)| stream.name());
+    let mut streams: Vec<&str> = streams.collect();
+    streams.sort_unstable();
+    streams.dedup();
+    let all = streams.iter().map(|&name| {
+        let of_it = curves
+            .losses
+            .iter()
+            .filter(|(_, stream, _)| stream.name() == name);
+        let points = of_it.map(|&(at, _, count)| (at.as_secs_f64(), f64::from(count)));
+        (name, Data::Points(points.collect()))
+    });
+    let svg = chart::series("board time, s", "messages", 0.0..1.0, all.collect());
+    let caption = format!(
+        "Messages of {} missing by the board's numbers: dropped by the board, or lost on the link.",
+        streams.join(", ")
+    );
+    page.figure(&svg, &caption);
 }
 
 pub(super) fn marks(page: &mut Page, session: &SessionFile) {
@@ -298,12 +394,11 @@ fn range<'a>(name: &'a str, envelope: &Envelope) -> Option<(&'a str, Data)> {
 }
 
 /// A curve over a span, of a hundred points.
-fn curve(name: &str, unit: &str, span: Span, value: impl Fn(BoardSeconds) -> f64) -> String {
+fn curve(span: Span, value: impl Fn(BoardSeconds) -> f64) -> Data {
     let (from, to) = (span.from.as_secs_f64(), span.to.as_secs_f64());
     let points = (0..=100).map(|step| {
         let at = from + (to - from) * f64::from(step) / 100.0;
         (at, value(BoardSeconds(at)))
     });
-    let all = vec![(name, Data::Line(points.collect()))];
-    chart::series("board time, s", unit, 0.0..1.0, all)
+    Data::Line(points.collect())
 }

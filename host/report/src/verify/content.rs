@@ -67,7 +67,6 @@ impl Content {
             damaged_frames,
             grid: self.pulses.report(),
             streams,
-            topics: self.topics.reports(),
             findings: findings.0,
             alignment: session
                 .and_then(|session| session.alignment)
@@ -108,7 +107,6 @@ impl Content {
                     self.topics.gap();
                 }
             }
-            Event::Schema(..) | Event::Channel(_) | Event::EndOfChunk | Event::Attachment(_) => {}
         }
     }
 

@@ -17,7 +17,7 @@ use super::{Findings, StreamReport};
 const UNDER_WAY: u32 = 8;
 
 /// The stream whose numbers the messages of a topic have.
-pub(super) const fn stream_of(topic: Topic) -> Option<Stream> {
+pub(crate) const fn stream_of(topic: Topic) -> Option<Stream> {
     Some(match topic {
         Topic::Status => Stream::Status,
         Topic::Pulse => Stream::Pulses,

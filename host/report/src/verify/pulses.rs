@@ -27,8 +27,6 @@ pub(super) struct Pulses {
     held: Option<(Ticks, Ticks)>,
     report: GridReport,
     last: Option<Pulse>,
-    /// The shortest and the longest step on a grid that is not known, ticks.
-    steps: Option<(u64, u64)>,
 }
 
 impl Pulses {
@@ -55,7 +53,6 @@ impl Pulses {
     /// Something is missing here: what follows is not compared with what was before.
     pub(super) fn forget(&mut self) {
         self.last = None;
-        self.steps = None;
     }
 
     /// The pulses that were made against those that came.
@@ -77,9 +74,8 @@ impl Pulses {
     pub(super) fn pulse(&mut self, pulse: &Pulse, findings: &mut Findings) {
         let at = Ticks(pulse.ticks);
         let last = self.last.replace(pulse.clone());
-        match last.filter(|last| last.train == pulse.train) {
-            Some(last) => self.step(&last, pulse, findings),
-            None => self.steps = None,
+        if let Some(last) = last.filter(|last| last.train == pulse.train) {
+            step(&last, pulse, findings);
         }
         let (Some(grid), Some((from, to))) = (&self.grid, self.held) else {
             return;
@@ -98,38 +94,21 @@ impl Pulses {
             });
         }
     }
+}
 
-    /// The step from one pulse of a train to the next that came. On a grid that is not known,
-    /// steps differ by a tick at most.
-    fn step(&mut self, last: &Pulse, pulse: &Pulse, findings: &mut Findings) {
-        let (at, number) = (Some(Ticks(pulse.ticks)), pulse.number);
-        let step = number.wrapping_sub(last.number);
-        if step == 0 || step > u64::MAX / 2 {
-            findings.bad("pulse_twice", at, || {
-                format!("pulse {number} comes after {}", last.number)
-            });
-        } else if step > 1 {
-            let count = step - 1;
-            findings.add(Severity::Check, "pulses_missing", (at, count), || {
-                format!("{count} pulses are missing before pulse {number}")
-            });
-        }
-        if self.grid.is_some() || step != 1 || !last.aligned || !pulse.aligned {
-            self.steps = None;
-            return;
-        }
-        let length = pulse.ticks.saturating_sub(last.ticks);
-        let (low, high) = self.steps.map_or((length, length), |(low, high)| {
-            (low.min(length), high.max(length))
+/// The step from one pulse of a train to the next that came.
+fn step(last: &Pulse, pulse: &Pulse, findings: &mut Findings) {
+    let (at, number) = (Some(Ticks(pulse.ticks)), pulse.number);
+    let step = number.wrapping_sub(last.number);
+    if step == 0 || step > u64::MAX / 2 {
+        findings.bad("pulse_twice", at, || {
+            format!("pulse {number} comes after {}", last.number)
         });
-        self.steps = Some((low, high)).filter(|_| high - low <= 1);
-        if self.steps.is_none() {
-            findings.bad("grid", at, || {
-                format!(
-                    "pulse {number} comes {length} ticks after the one before, others {low} to {high}"
-                )
-            });
-        }
+    } else if step > 1 {
+        let count = step - 1;
+        findings.add(Severity::Check, "pulses_missing", (at, count), || {
+            format!("{count} pulses are missing before pulse {number}")
+        });
     }
 }
 

@@ -8,8 +8,8 @@ use recording::Topic;
 use recording::finding::Severity;
 use recording::ticks_of_nanos;
 
+use super::Findings;
 use super::numbers::stream_of;
-use super::{Findings, TopicReport};
 
 /// The most topics that are counted one by one.
 const MAX_TOPICS: usize = 1_000;
@@ -24,7 +24,6 @@ const fn in_order(topic: Topic) -> bool {
 /// A topic's running number and time.
 #[derive(Default)]
 struct TopicState {
-    report: TopicReport,
     expected: Option<u32>,
     last: Option<u64>,
     /// Something is missing in the file since its last message.
@@ -51,11 +50,6 @@ impl Topics {
         self.span
     }
 
-    pub(super) fn reports(self) -> BTreeMap<String, TopicReport> {
-        let reports = self.topics.into_iter();
-        reports.map(|(name, state)| (name, state.report)).collect()
-    }
-
     /// The number of a message in its topic, and its time.
     pub(super) fn place(
         &mut self,
@@ -70,7 +64,6 @@ impl Topics {
             return;
         }
         let state = self.topics.entry(name.to_owned()).or_default();
-        state.report.messages += 1;
         // Of what the board numbers, what is missing was lost on the way, unless the file is
         // damaged here.
         let after_gap = std::mem::take(&mut state.after_gap);
@@ -82,9 +75,8 @@ impl Topics {
                 format!("message {number} of {name} comes twice or too late")
             });
         } else if missing > 0 {
-            let count = u64::from(missing);
-            state.report.missing += count;
-            findings.add(Severity::Bad, "messages_cut_out", (Some(at), count), || {
+            let count = (Some(at), u64::from(missing));
+            findings.add(Severity::Bad, "messages_cut_out", count, || {
                 format!("{missing} messages of {name} are gone from the file")
             });
         }

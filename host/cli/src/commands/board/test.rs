@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use bring_up::{Operator, Part, Plan};
-use clap::ValueEnum;
 use protocol::usb::serial_number;
 use recording::finding::Severity;
 use session::devices::Connector as _;
@@ -16,7 +15,7 @@ use super::keep_trying;
 use crate::context::Context;
 use crate::decimal::parse_real_time;
 use crate::operator::lines_of_stdin;
-use crate::options::PortArg;
+use crate::options::{PortArg, one_of};
 use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
@@ -26,9 +25,13 @@ use crate::outcome::{ExitStatus, Failure, write_file};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board test --hands-off")]
 pub(crate) struct Args {
-    /// Measure only this; may be given several times [default: all but buffer]
-    #[arg(long = "part", value_name = "PART", value_enum)]
-    parts: Vec<PartArg>,
+    /// Measure only this; may be given several times: edges and widths of the trigger, outputs 2
+    /// to 4, pulse per second of a lidar, data-ready of the imu, throughput of the link, the
+    /// crystal beside the computer's clock and the supply, an unplugged cable and a computer that
+    /// sleeps, panics and other resets, the trigger behind its buffer with PA2 wired to PA3
+    /// there [default: all but buffer]
+    #[arg(long = "part", value_name = "PART", value_parser = one_of(&PARTS))]
+    parts: Vec<Part>,
     /// Leave out what needs somebody at the board
     #[arg(long)]
     hands_off: bool,
@@ -43,49 +46,23 @@ pub(crate) struct Args {
     /// outputs, its crystal against this computer's clock
     #[arg(long)]
     keep: bool,
-    /// Folder for board-test.json and board-test.html
+    /// Folder for board-test.json and board-test.html; of some parts with their names
     #[arg(short, long, value_name = "FOLDER", default_value = "board-test")]
     out: PathBuf,
 }
 
-/// A part on the command line.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum PartArg {
-    /// Edges, widths and aligns of the trigger
-    Trigger,
-    /// Outputs 2 to 4 beside the trigger
-    Outputs,
-    /// Pulse per second and serial line
-    Lidar,
-    /// Data-ready of the IMU, without its clock and after SDA was unplugged
-    Imu,
-    /// Throughput of USB, losses, handlers
-    Link,
-    /// The crystal beside the computer's clock; the supply
-    Clock,
-    /// Leaving the bus, an unplugged cable, a computer that sleeps
-    Replug,
-    /// Panic, fault, hang and other resets
-    Resets,
-    /// The trigger behind its buffer and divider, with PA2 wired to PA3 there
-    Buffer,
-}
-
-impl From<PartArg> for Part {
-    fn from(part: PartArg) -> Self {
-        match part {
-            PartArg::Trigger => Self::Trigger,
-            PartArg::Outputs => Self::Outputs,
-            PartArg::Imu => Self::Imu,
-            PartArg::Link => Self::Link,
-            PartArg::Clock => Self::Clock,
-            PartArg::Lidar => Self::Lidar,
-            PartArg::Replug => Self::Replug,
-            PartArg::Resets => Self::Resets,
-            PartArg::Buffer => Self::Buffer,
-        }
-    }
-}
+/// The parts on the command line.
+const PARTS: [(&str, Part); 9] = [
+    ("trigger", Part::Trigger),
+    ("outputs", Part::Outputs),
+    ("lidar", Part::Lidar),
+    ("imu", Part::Imu),
+    ("link", Part::Link),
+    ("clock", Part::Clock),
+    ("replug", Part::Replug),
+    ("resets", Part::Resets),
+    ("buffer", Part::Buffer),
+];
 
 /// Runs the command.
 ///
@@ -94,9 +71,9 @@ impl From<PartArg> for Part {
 /// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
 /// written.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
-    let mut parts: Vec<Part> = match args.parts.as_slice() {
+    let mut parts = match args.parts.as_slice() {
         [] => Part::ALL.to_vec(),
-        some => some.iter().copied().map(Part::from).collect(),
+        some => some.to_vec(),
     };
     parts.extend((args.hours > 0).then_some(Part::Soak));
     let mut board = port.open()?;
@@ -136,8 +113,13 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
     };
     let report = bring_up::run(&mut board, operator, plan)?;
     let json = serde_json::to_string_pretty(&report)?;
-    let page = args.out.join("board-test.html");
-    write_file(&args.out.join("board-test.json"), &json)?;
+    // A test of some parts leaves the report of the whole.
+    let mut name = String::from("board-test");
+    for (word, _) in PARTS.iter().filter(|(_, part)| args.parts.contains(part)) {
+        name += &format!("-{word}");
+    }
+    let page = args.out.join(format!("{name}.html"));
+    write_file(&args.out.join(format!("{name}.json")), &json)?;
     write_file(&page, &report::board_test::page(&report))?;
     context.print_checks(&report, || {
         let text = report::board_test::summary(&report).text();
