@@ -58,6 +58,17 @@ impl Noted {
         }
     }
 
+    /// Forgets frames and samples.
+    pub(crate) fn forget(&mut self) {
+        (self.depth, self.imu) = (Vec::new(), Vec::new());
+    }
+
+    /// The board's tick count at a board time; `None` after a reset, and before it was seen.
+    pub(crate) fn ticks(&self, at: SimTime) -> Option<u64> {
+        let zero = self.zero.filter(|_| !self.was_reset)?;
+        Some(at.units().checked_sub(zero.units())? / wiring::UNITS_PER_TICK)
+    }
+
     /// The board has been reset: its count begins again.
     pub(crate) fn was_reset(&mut self) {
         self.was_reset = true;

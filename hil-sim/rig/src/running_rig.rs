@@ -224,7 +224,16 @@ impl RunningRig {
     /// Forgets what the models noted so far: for a run of any length whose ground truth
     /// nobody asks for.
     pub(crate) fn forget(&self) {
-        *lock(&self.shared.noted) = Noted::default();
+        lock(&self.shared.noted).forget();
+    }
+
+    /// The board's tick count and the phone's boot clock, ns, at one instant by the ground
+    /// truth; `None` without a phone, or where the count is not known.
+    pub(crate) fn clocks_now(&self) -> Option<(u64, i64)> {
+        let now = self.now();
+        let ticks = lock(&self.shared.noted).ticks(now)?;
+        let phone = self.phone.as_ref()?.oscillator();
+        Some((ticks, phone.nanos_at(self.parts.board.true_at(now))))
     }
 
     /// Tells whether the board still runs: a firmware that fails ends it.

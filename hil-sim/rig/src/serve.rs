@@ -2,8 +2,9 @@
 //! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
 //! typed against it as against hardware.
 
+use std::fs::File;
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -68,6 +69,10 @@ pub struct Args {
     /// commands of a session.
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
+    /// Write the ground truth to this file: the constants of phone and depth camera, and from
+    /// second to second the board's count of ticks with the phone's clock.
+    #[arg(long, value_name = "FILE", requires = "phone")]
+    truth: Option<PathBuf>,
     /// Wire the board for `smartdepthsync board test` instead of a camera. Lines on standard
     /// input move the wires: `strobe PE11`, `strobe PC12 inverted`, `readback off`,
     /// `readback on`, `clock off`, `clock on`, `sda low`, `sda free`.
@@ -148,7 +153,9 @@ pub fn run(args: &Args) -> Result<()> {
             let own = std::env::current_exe().context("where is this program?")?;
             let table = Table::new(rig.parts(), phone, &own)?;
             let port = format!("port = \"{}\"\n", rig.port().display());
-            std::fs::write(path, port + &rig.profile()? + &table.recorder())
+            let fresh = port + &rig.profile()? + &table.recorder();
+            let before = std::fs::read_to_string(path).unwrap_or_default();
+            std::fs::write(path, served_again(&before, &fresh).unwrap_or(fresh))
                 .with_context(|| format!("cannot write {}", path.display()))?;
             print!("{}", table.commands(path));
             Some(table)
@@ -156,16 +163,78 @@ pub fn run(args: &Args) -> Result<()> {
         _ => None,
     };
     std::io::stdout().flush()?;
+    let truth = args.truth.as_deref();
+    let mut truth = truth.map(|path| Truth::create(path, &rig)).transpose()?;
 
     let end = args.length.map_or(SimTime::NEVER, |length| {
         SimTime::from_nanos(u64::try_from(length.as_nanos()).unwrap_or(u64::MAX))
     });
     while rig.is_running() && rig.now() < end && !stopped.load(Ordering::Relaxed) {
         rig.forget();
+        if let Some(truth) = &mut truth {
+            truth.note(&rig)?;
+        }
         std::thread::sleep(POLL);
     }
     let ended = rig.stop();
     ended.map(drop)
+}
+
+/// The ground truth, while it is written.
+struct Truth {
+    file: File,
+    /// Ticks at which the next line is due.
+    next: u64,
+}
+
+impl Truth {
+    fn create(path: &Path, rig: &RunningRig) -> Result<Self> {
+        let cannot = || format!("cannot write {}", path.display());
+        let mut file = File::create(path).with_context(cannot)?;
+        for line in rig.profile()?.lines() {
+            writeln!(file, "# {line}")?;
+        }
+        writeln!(file, "board_ticks,phone_ns")?;
+        Ok(Self { file, next: 0 })
+    }
+
+    /// Writes a line once a second of board time.
+    fn note(&mut self, rig: &RunningRig) -> Result<()> {
+        if let Some((ticks, phone_ns)) = rig.clocks_now().filter(|now| now.0 >= self.next) {
+            writeln!(self.file, "{ticks},{phone_ns}")?;
+            self.next = ticks + u64::from(protocol::TICK_HZ);
+        }
+        Ok(())
+    }
+}
+
+/// The profile of the same rig from before with where things are now: what was learnt and
+/// measured stays. `None` if it is of another rig.
+fn served_again(before: &str, fresh: &str) -> Option<String> {
+    const MOVED: [&str; 3] = ["port = ", "address = ", "command = "];
+    let named = |text: &str| {
+        text.lines()
+            .find(|line| line.starts_with("name = "))
+            .map(str::to_owned)
+    };
+    if before.is_empty() || named(before) != named(fresh) {
+        return None;
+    }
+    let places = |text: &str, key: &str| -> Vec<String> {
+        let lines = text.lines().filter(|line| line.starts_with(key));
+        lines.map(str::to_owned).collect()
+    };
+    let mut kept = before.to_owned();
+    for key in MOVED {
+        let (old, new) = (places(before, key), places(fresh, key));
+        if old.len() != new.len() {
+            return None;
+        }
+        for (old, new) in old.iter().zip(&new) {
+            kept = kept.replacen(old.as_str(), new, 1);
+        }
+    }
+    Some(kept)
 }
 
 /// The phone: its video shows something where a session is to be extracted.
@@ -206,5 +275,29 @@ fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
                  sda low, sda free"
             ),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rig_that_is_served_again_keeps_what_was_learnt() {
+        let fresh = |port: u8| {
+            format!(
+                "port = \"{port}\"\nname = \"rig, seed 1\"\n\n[phone]\naddress = \"x:{port}\"\n\
+                 \n[depth.recorder]\ncommand = [\"{port}\"]\n"
+            )
+        };
+        let learnt = format!("{}\n[phone.learnt]\nskew = 1e-5\n", fresh(1));
+        let again = served_again(&learnt, &fresh(2)).unwrap();
+        assert_eq!(
+            again,
+            format!("{}\n[phone.learnt]\nskew = 1e-5\n", fresh(2))
+        );
+        assert_eq!(served_again("", &fresh(2)), None);
+        let other = learnt.replace("seed 1", "seed 2");
+        assert_eq!(served_again(&other, &fresh(2)), None);
     }
 }

@@ -36,15 +36,10 @@ pub fn make(
 ) -> Result<DataSet> {
     // Another address of its report is wanted, now that nothing is missing any more.
     ask(programs, &["verify"], &[folder])?;
+    let place = phone.to_string_lossy();
     let report = ask(
         programs,
-        &[
-            "extract",
-            "--overwrite",
-            "--all-pairs",
-            "--phone",
-            &phone.to_string_lossy(),
-        ],
+        &["extract", "--overwrite", "--phone", &place],
         &[folder],
     )?;
     let name = folder.file_name().context("the recording has no name")?;

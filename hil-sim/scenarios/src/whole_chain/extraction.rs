@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::{Plan, Recorded, record};
 use crate::programs::{Programs, ask};
+use recording::session_file::Span;
 use rig::depth_camera::{FrameRecord, Source};
 use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;
@@ -18,6 +19,8 @@ pub(crate) const PHONE_LIMIT_US: f64 = 10.0;
 pub const DEPTH_LIMIT_US: f64 = 6.0;
 /// Two frames further apart than this are no pair, ns: half a frame.
 const PAIR_NS: i64 = 16_665_000;
+/// So near to the ends of the aligned span, ns, a pair may be inside or outside.
+const SPAN_MARGIN_NS: i64 = 1_000_000;
 
 /// Errors of many timestamps, µs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -136,14 +139,7 @@ pub fn extracted(recorded: &Recorded, programs: &Programs) -> Result<ExtractionF
     let data_text = data.to_string_lossy().into_owned();
     let report = ask(
         programs,
-        &[
-            "extract",
-            "--all-pairs",
-            "--phone",
-            &phone,
-            "--out",
-            &data_text,
-        ],
+        &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
     judge(recorded, &data, &report)
@@ -190,7 +186,10 @@ pub(crate) fn judge(
     }
     let (depth, center_of, rows, free_running) = depth_frames(recorded, data)?;
     let dropped = dropped_frames(recorded, |frame| pulse_of(recorded, frame), report)?;
-    let pairs = check_pairs(data, &middles, &center_of, &rows)?;
+    let span = recorded.session.recorded.map(|Span { from, to }| {
+        [from, to].map(|at| i64::try_from(at.as_nanos()).unwrap_or(i64::MAX))
+    });
+    let pairs = check_pairs(data, &middles, &center_of, &rows, span)?;
     Ok(ExtractionFigures {
         recorded_s: recorded
             .session
@@ -339,17 +338,23 @@ fn check_pairs(
     middles: &[(i64, i64)],
     center_of: &BTreeMap<usize, i64>,
     depth_rows: &[Vec<Option<i64>>],
+    span: Option<[i64; 2]>,
 ) -> Result<usize> {
+    // Pairs are taken from the span in which the trigger was aligned, and no others.
+    let is_inside = |at: i64, margin: i64| {
+        span.is_none_or(|[from, to]| (from - margin..=to + margin).contains(&at))
+    };
     let mut expected = BTreeMap::new();
     for (&index, &center) in center_of {
         let place = middles.partition_point(|m| m.1 < center - PAIR_NS);
         if let Some(middle) = middles.get(place)
             && (middle.1 - center).abs() < PAIR_NS
         {
-            expected.insert(place, index);
+            expected.insert(place, (index, middle.1));
         }
     }
     let rows = table(&data.join("pairs.csv"), &[0, 2])?;
+    let all = expected.len();
     let mut found = 0;
     for row in &rows {
         let (phone, depth) = (whole(row[0])? as usize, whole(row[1])? as usize);
@@ -357,17 +362,21 @@ fn check_pairs(
         if depth_rows.get(depth).is_some_and(|r| r[1].is_none()) {
             continue;
         }
+        let truth = expected.remove(&phone);
         ensure!(
-            expected.get(&phone) == Some(&depth),
-            "phone frame {phone} is paired with depth frame {depth}, its neighbour is {:?}",
-            expected.get(&phone)
+            truth.is_some_and(|(index, at)| index == depth && is_inside(at, SPAN_MARGIN_NS)),
+            "phone frame {phone} is paired with depth frame {depth}, its neighbour is {truth:?}, \
+             and the trigger was aligned in {span:?} ns"
         );
         found += 1;
     }
+    let left_out = expected
+        .iter()
+        .find(|(_, (_, at))| is_inside(*at, -SPAN_MARGIN_NS));
     ensure!(
-        found == expected.len(),
-        "{found} pairs were found, there are {}",
-        expected.len()
+        left_out.is_none(),
+        "{found} pairs of {all} were found; left out is {left_out:?}, and the trigger was aligned \
+         in {span:?} ns"
     );
     Ok(found)
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use crate::support;
+use protocol::Ticks;
 use recording::finding::Severity;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -29,6 +30,7 @@ impl Served {
             ])
             .args(["--wait-for-host", "--tolerate-failures"])
             .args(["--phone", "0", "--profile", "owner.toml"])
+            .args(["--truth", "truth.csv"])
             .current_dir(folder)
             .stdout(Stdio::piped())
             .spawn()
@@ -181,11 +183,35 @@ fn the_page_is_followed_to_a_data_set() {
         bias.text.contains("constant bias: not measured"),
         "{bias:?}"
     );
+    is_near_truth(&session, &place.join("truth.csv"));
     let html = std::fs::read_to_string(recording.join("report.html")).unwrap();
     assert!(
         said.contains(&bias.text) && html.contains(&bias.text),
         "{said}"
     );
+}
+
+/// The phone's clock as the session knows it against what the rig wrote of it, within five
+/// times what is stated.
+fn is_near_truth(session: &SessionFile, truth: &Path) {
+    let (span, clock) = (session.recorded.unwrap(), session.clock().unwrap());
+    let text = std::fs::read_to_string(truth).unwrap();
+    let lines = text.lines().filter_map(|line| line.split_once(','));
+    let delay_s = session.profile.phone.gyro_delay_sigma_us * 1e-6;
+    let mut compared = 0;
+    for (ticks, phone_ns) in lines {
+        let (Ok(ticks), Ok(phone_ns)) = (ticks.parse(), phone_ns.parse::<i64>()) else {
+            continue;
+        };
+        let at = Ticks(ticks);
+        if (span.from..=span.to).contains(&at) {
+            let error_s = (clock.ticks_to_phone(at).0 - phone_ns) as f64 * 1e-9;
+            let sigma_s = clock.offset_at(at.into()).sigma.hypot(delay_s);
+            assert!(error_s.abs() < 5.0 * sigma_s, "{error_s} {sigma_s}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 4, "{text}");
 }
 
 /// Types a command as a person does, with Enter at each question; gives what it printed.

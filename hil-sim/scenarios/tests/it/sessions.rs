@@ -77,6 +77,27 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     as_sent(&folder, &session, &samples);
 }
 
+/// A twist that passes the gates and leaves the clocks little better known than they allow is
+/// tried again, and at last taken as it is.
+#[test]
+fn a_weak_twist_is_tried_again_where_nobody_is_asked() {
+    let mut rig = Twisted::new(2);
+    let twists = |rig: &mut Twisted, name: &str| -> Vec<f64> {
+        rig.record(name, 3);
+        let session = rig.readable(name, SessionOutcome::Good);
+        let twists = session.phones[0].twists.iter();
+        twists.map(|twist| twist.offset_sigma_us.unwrap()).collect()
+    };
+    let usual = twists(&mut rig, "usual");
+    let [sigma_us] = usual.as_slice() else {
+        panic!("{usual:?}");
+    };
+    // What was good enough is weak then: it passes by half.
+    rig.bench.profile.align.max_offset_sigma_us = 2.0 * sigma_us;
+    let weak = twists(&mut rig, "weak");
+    assert_eq!(weak.len(), 3, "{weak:?}");
+}
+
 /// Compares the file with the sensor's registers, bit for bit, in
 /// this program's reader and in public ones.
 fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
