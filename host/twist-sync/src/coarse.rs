@@ -15,7 +15,7 @@ use crate::correlate::{Correlator, Spectrum};
 use crate::interpolant::Vec3;
 
 /// Bin width of the search in seconds.
-pub(crate) const BIN_S: f64 = 0.01;
+const BIN_S: f64 = 0.02;
 
 /// Peaks of each of the two scores that the fit tries.
 const PEAKS: usize = 6;
@@ -123,7 +123,7 @@ pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Ve
             let lag_s = (first_lag as f64 + place) * BIN_S + start_y - start_x;
             if found
                 .iter()
-                .all(|other| (other - lag_s).abs() > 3.0 * BIN_S)
+                .all(|other| (other - lag_s).abs() > 1.5 * BIN_S)
             {
                 found.push(lag_s);
             }

@@ -13,6 +13,8 @@ use crate::rigid::{self, Stretch};
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;
+/// Distance of the nodes of a quick fit, seconds, or more.
+const NODE_S: f64 = 0.01;
 /// Nodes of a quick fit at most: those of a minute.
 const MOST_NODES: usize = 6000;
 
@@ -55,9 +57,9 @@ pub(crate) fn chosen(
     report: &mut Report,
 ) -> Option<(Link, Vec<Stretch>)> {
     // Over minutes every bin is more than the choice needs.
-    let mut data = signals.data.sampled(coarse::BIN_S);
+    let mut data = signals.data.sampled(NODE_S);
     let every = data.len().div_ceil(MOST_NODES).max(1);
-    let node_s = coarse::BIN_S * every as f64;
+    let node_s = NODE_S * every as f64;
     if every > 1 {
         data = data.into_iter().step_by(every).collect();
     }

@@ -14,7 +14,7 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
-use crate::interpolant::{POINTS, Uneven, Uniform, Vec3};
+use crate::interpolant::{Uneven, Uniform, Vec3};
 use crate::neighbours;
 
 /// Reach of the Gaussian kernel, in standard deviations. The
@@ -23,6 +23,9 @@ const KERNEL_REACH: f64 = 4.5;
 
 /// Nodes in a standard deviation of the kernel, at least.
 const NODES: f64 = 2.5;
+
+/// Pieces of fewer nodes are left out.
+const LEAST_NODES: usize = 10;
 
 /// The grid is fine enough for this low-pass, Hz, whatever the fit's is: single samples are
 /// looked for with a wider one.
@@ -99,7 +102,7 @@ impl Resampled {
             let start = from + (kernel.len() / 2) as f64 * self.grid;
             let step = self.grid * keep_every as f64;
             let nodes = filtered(rates, &kernel, keep_every);
-            if nodes.len() < 2 * (POINTS - 1) {
+            if nodes.len() < LEAST_NODES {
                 return None;
             }
             Uniform::new(start, step, nodes)
