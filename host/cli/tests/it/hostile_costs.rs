@@ -17,6 +17,7 @@ use recording::session_file::SessionFile;
 use recording::{MCAP_FILE, SESSION_FILE, Topic};
 
 use super::hostile_files::{command, limited, limited_to, recording_with_video, utf8};
+use super::phone_command::endless;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, text};
 use test_support::interrupts::worked_s;
@@ -262,6 +263,7 @@ struct Long {
     video: PathBuf,
     times: PathBuf,
     profile: PathBuf,
+    phone: String,
     path: OsString,
 }
 
@@ -276,6 +278,7 @@ impl Long {
         fs::write(&video, "a video").unwrap();
         fs::write(&times, vec![b'\n'; 200 << 20]).unwrap();
         Self {
+            phone: endless(),
             path: stand_ins(parent, 10_000_000, "exec cat /dev/zero"),
             folder,
             video,
@@ -294,6 +297,11 @@ impl Long {
             vec!["evaluate", "precision", video],
             vec!["evaluate", "drift", video],
             [&learn[..], &["--timestamps", times]].concat(),
+            [
+                &["phone", "get-video", "--recorded", "--out", folder][..],
+                &["--phone", &self.phone],
+            ]
+            .concat(),
         ]
     }
 }
@@ -358,7 +366,7 @@ fn a_command_that_reads_long_shows_how_far_it_is() {
         while let Ok(read @ 1..) = master.read(&mut part) {
             seen.extend_from_slice(&part[..read]);
             let seen = String::from_utf8_lossy(&seen);
-            if ["reading ", "survey", "recording"]
+            if ["reading ", "survey", "recording", "left"]
                 .iter()
                 .any(|word| seen.contains(word))
             {

@@ -61,6 +61,24 @@ fn serve(mut stream: &TcpStream, mut script: impl FnMut(&mut TcpStream)) -> Stri
     asked
 }
 
+/// The address of a phone whose video never ends, for any number of clients.
+pub(crate) fn endless() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            serve(&client.unwrap(), |stream| {
+                let head = format!("{HEAD}{}\nVID.mp4\nend\n", 1_u64 << 35);
+                let mut going = stream.write_all(head.as_bytes());
+                while going.is_ok() {
+                    going = stream.write_all(&[0; 1 << 20]);
+                }
+            });
+        }
+    });
+    address
+}
+
 struct Run {
     code: Option<i32>,
     stdout: String,
