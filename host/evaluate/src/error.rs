@@ -71,18 +71,6 @@ pub enum EvaluateError {
         /// Message of the decoder, and its likely cause.
         message: String,
     },
-    /// An image could not be read.
-    #[error("{path}: not a readable image: {message}")]
-    NotAnImage {
-        path: PathBuf,
-        /// Message of the decoder.
-        message: String,
-    },
-    /// A folder without images.
-    #[error(
-        "{0}: no images in this folder: expected png, jpg or pgm files, one a frame, whose names sort in the order of time"
-    )]
-    NoImages(PathBuf),
     /// A file could not be read or written.
     #[error("{path}: {source}")]
     Io {

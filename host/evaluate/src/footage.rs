@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::frame::{GreyView, RowProfile, RowReducer};
 use super::input::{self, Applied};
 use super::search::RowGrid;
-use super::source::{self, FrameSource};
+use super::source::{FrameSource, Video};
 use super::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
 use super::{EvaluateError, Settings};
 
@@ -60,8 +60,7 @@ pub struct Footage {
 }
 
 impl Footage {
-    /// Opens and reads a recording's folder, a video, a folder of images or one
-    /// image.
+    /// Opens and reads a recording's folder, or a video.
     ///
     /// `expected` is the size of earlier recordings.
     pub fn read(
@@ -71,9 +70,9 @@ impl Footage {
     ) -> Result<Self, EvaluateError> {
         let started = Instant::now();
         let input = input::resolve(path)?;
-        let mut source = source::open(&input.path, settings.timestamps.as_deref())?;
+        let mut source = Video::open(&input.path, settings.timestamps.as_deref())?;
         let opened = started.elapsed();
-        let mut footage = Self::from_source(source.as_mut(), settings, expected)?;
+        let mut footage = Self::from_source(&mut source, settings, expected)?;
         footage.waited += opened;
         footage.applied = input.applied;
         Ok(footage)

@@ -22,7 +22,6 @@ pub(crate) struct Applied {
 /// An input made definite: a recording's folder stands for its video.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Input {
-    /// Video, folder of images, or image.
     pub path: PathBuf,
     /// Alignment of the recording, if the input belongs to one.
     pub applied: Option<Applied>,
@@ -30,11 +29,13 @@ pub(crate) struct Input {
 
 /// Finds the video of a recording's folder, and the session of a video in one.
 pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
-    let own = path.is_dir() && path.join(SESSION_FILE).is_file();
-    let folder = if own { Some(path) } else { path.parent() };
+    let is_folder = std::fs::metadata(path)
+        .map_err(EvaluateError::io(path))?
+        .is_dir();
+    let folder = if is_folder { Some(path) } else { path.parent() };
     let session = folder.filter(|folder| folder.join(SESSION_FILE).is_file());
     Ok(Input {
-        path: if own {
+        path: if is_folder {
             video_in(path)?
         } else {
             path.to_owned()
@@ -68,7 +69,7 @@ fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
     match (videos.pop(), videos.len()) {
         (Some(video), 0) => Ok(video),
         (video, _) => Err(EvaluateError::Setting(format!(
-            "{}: {} in this recording; give the phone's video itself",
+            "{}: {} in this folder; give the phone's video itself",
             folder.display(),
             if video.is_some() {
                 "more than one video"
@@ -110,7 +111,7 @@ mod tests {
     fn a_recording_stands_for_its_video() {
         let dir = tempfile::tempdir().unwrap();
         let path = |name: &str| dir.path().join(name);
-        assert_eq!(resolve(dir.path()).unwrap().applied, None);
+        assert!(resolve(dir.path()).is_err());
         let profile = Profile::published().unwrap();
         let mut session = SessionFile::new(String::from("walk"), profile);
         session.alignment = Some(alignment(-3.5, 500.0));

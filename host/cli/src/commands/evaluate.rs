@@ -84,7 +84,7 @@ struct CommonArgs {
     after_help = "Example: smartdepthsync evaluate precision recordings/walk --calibrate rig.toml"
 )]
 struct PrecisionArgs {
-    /// Recordings' folders, videos, or folders of images; each is one recording
+    /// Recordings' folders, or videos; each is one recording
     #[arg(required = true, value_name = "VIDEO_OR_FRAMES")]
     inputs: Vec<PathBuf>,
     /// Frames with flashes to use of each recording, the last ones
@@ -107,7 +107,7 @@ struct PrecisionArgs {
     after_help = "Example: smartdepthsync evaluate drift recordings/walk --out recordings/walk/drift.html"
 )]
 struct DriftArgs {
-    /// Recording's folder, video, or folder of images
+    /// Recording's folder, or video
     #[arg(value_name = "VIDEO_OR_FRAMES")]
     input: PathBuf,
     /// File with one integer of nanoseconds a frame, if not the one beside the video
@@ -226,12 +226,11 @@ impl From<EvaluateError> for Failure {
             ),
             E::Ffmpeg(_) => (
                 ExitStatus::Error,
-                "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder \
-                 of images",
+                "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`)",
             ),
-            E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => (
+            E::NotAVideo { .. } => (
                 ExitStatus::Usage,
-                "give a video, or a folder of png, jpg or pgm images, one a frame",
+                "give a video; of single images `ffmpeg` makes one: `ffmpeg -pattern_type glob -i '*.png' -c:v ffv1 video.mkv`",
             ),
             E::Io { source, .. } => (ExitStatus::Storage, file_step(source.kind())),
             E::Timestamps { .. } => (

@@ -1,5 +1,6 @@
 //! `smartdepthsync evaluate` as a process: files in, JSON and pictures out.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -13,36 +14,38 @@ fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
 }
 
-/// Frames of 64 columns and 1,080 rows of 10.2 µs; the first three without flashes.
-fn frames(folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
-    frames_of(12, folder, bias_us, flash)
+/// A video of 64 columns and 1,080 rows of 10.2 µs, without loss; the first three frames
+/// without flashes.
+fn video(path: PathBuf, bias_us: f64) -> PathBuf {
+    video_of(12, path, bias_us)
 }
 
-/// The same, so many.
-fn frames_of(count: u32, folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
-    std::fs::create_dir_all(folder).unwrap();
+/// The same of so many frames.
+fn video_of(count: usize, path: PathBuf, bias_us: f64) -> PathBuf {
     let shape = Shape {
         bias_us,
         row_time_us: 10.2,
         exposure_us: 250.0,
     };
-    for frame in 0..count {
-        let image = image::GrayImage::from_fn(64, 1080, |x, y| {
-            let light = row_light(&TrainGeometry::NFOV, &shape, f64::from(y) - 539.5).value;
-            let lit = if frame < 3 { 0.0 } else { flash * light };
-            // Differs from pixel to pixel, so that rounding averages out.
-            let mixed = (x * 7919 + y * 104_729 + frame * 1_299_709).wrapping_mul(2_654_435_761);
-            let noise = f64::from(mixed >> 16) / 65_536.0 * 4.0;
-            image::Luma([(30.0 + lit + noise) as u8])
-        });
-        // One frame each 33.3 ms, named by its time.
-        let name = format!(
-            "{}.pgm",
-            5_000_000_000_000u64 + u64::from(frame) * 33_333_333
-        );
-        image.save(folder.join(name)).unwrap();
-    }
-    folder.to_owned()
+    let grey = |at: usize| {
+        let (frame, y, x) = (at / 64 / 1080, at / 64 % 1080, at % 64);
+        let light = row_light(&TrainGeometry::NFOV, &shape, y as f64 - 539.5).value;
+        let lit = if frame < 3 { 0.0 } else { 40.0 * light };
+        // Differs from pixel to pixel, so that rounding averages out.
+        let mixed = (x * 7919 + y * 104_729 + frame * 1_299_709) as u32;
+        let noise = f64::from(mixed.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 * 4.0;
+        (30.0 + lit + noise) as u8
+    };
+    let pixels: Vec<u8> = (0..64 * 1080 * count).map(grey).collect();
+    let mut encoder = Command::new("ffmpeg")
+        .args("-v error -f rawvideo -pix_fmt gray -s 64x1080 -r 30 -i - -c:v ffv1".split(' '))
+        .arg(&path)
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    encoder.stdin.take().unwrap().write_all(&pixels).unwrap();
+    assert!(encoder.wait().unwrap().success());
+    path
 }
 
 struct Ran {
@@ -61,14 +64,16 @@ fn run(args: &[&str]) -> Ran {
 }
 
 #[test]
-fn precision_of_image_folders_with_all_outputs() {
+fn precision_with_all_outputs() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
-    let inputs: Vec<String> = [("a", 100.0), ("b", 104.0), ("c", 98.0)]
+    let inputs: Vec<String> = [("a.mkv", 100.0), ("b.mkv", 104.0), ("c.mkv", 98.0)]
         .iter()
         .map(|(name, bias)| {
-            let folder = frames(&dir.path().join(name), *bias, 40.0);
-            folder.to_str().unwrap().to_owned()
+            video(dir.path().join(name), *bias)
+                .to_str()
+                .unwrap()
+                .to_owned()
         })
         .collect();
     let html = path("report.html");
@@ -122,7 +127,7 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
     let read = || -> toml::Table { std::fs::read_to_string(profile).unwrap().parse().unwrap() };
 
     // The train's ends are out of view.
-    let open = frames(&dir.path().join("open"), 12.0, 40.0);
+    let open = video(dir.path().join("open.mkv"), 12.0);
     let open = open.to_str().unwrap();
     let ran = run(&["evaluate", "precision", "--calibrate", profile, open]);
     assert_eq!(ran.code, 3, "{}", ran.err);
@@ -144,7 +149,7 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
     assert!((bias - 19.5).abs() < 0.3, "{bias}");
 
     // With an end in view the frames say it themselves; the profile's bias was applied.
-    let moved = frames(&dir.path().join("moved"), 4012.0, 40.0);
+    let moved = video(dir.path().join("moved.mkv"), 4012.0);
     let ran = run(&[
         "evaluate",
         "precision",
@@ -163,14 +168,14 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
 }
 
 #[test]
-fn drift_of_an_image_folder() {
+fn drift_of_a_video() {
     let dir = tempfile::tempdir().unwrap();
-    let folder = frames(dir.path(), -50.0, 40.0);
+    let few = video(dir.path().join("few.mkv"), -50.0);
     // Nine frames with flashes are too few for a line.
-    let ran = run(&["evaluate", "drift", folder.to_str().unwrap()]);
+    let ran = run(&["evaluate", "drift", few.to_str().unwrap()]);
     assert_eq!(ran.code, 3, "{}", ran.err);
 
-    let more = frames_of(20, &dir.path().join("more"), -50.0, 40.0);
+    let more = video_of(20, dir.path().join("more.mkv"), -50.0);
     let ran = run(&["--json", "evaluate", "drift", more.to_str().unwrap()]);
     assert_eq!(ran.code, 0, "{}", ran.err);
     let json: Value = serde_json::from_str(&ran.out).unwrap();

@@ -68,7 +68,7 @@ const CASES: &str = "\
 13 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | smartdepthsync setup
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
-2 | evaluate drift folder | no images | png
+2 | evaluate drift folder | no video in this folder | help evaluate
 # The board.
 2 | board flash --board nucleo | black-pill | help COMMAND
 # Profiles.

@@ -1,20 +1,19 @@
-//! Sources of frames: videos, folders of images.
+//! Sources of frames.
 
-mod images;
 mod timestamps;
 mod video;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub use timestamps::{FrameTimes, read_timestamps};
+pub(crate) use video::Video;
 
 use super::EvaluateError;
-use super::frame::{GreyView, MAX_SIDE};
+use super::frame::GreyView;
 
 /// Facts of an input before its first frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
-    /// The file or folder.
     pub path: PathBuf,
     /// Pixels in an image row.
     pub width: usize,
@@ -38,33 +37,4 @@ pub trait FrameSource {
 
     /// The next frame, or `None` at the end.
     fn next_frame(&mut self) -> Result<Option<GreyView<'_>>, EvaluateError>;
-}
-
-/// Opens a video, a folder of images or a single image.
-pub(crate) fn open(
-    path: &Path,
-    timestamps: Option<&Path>,
-) -> Result<Box<dyn FrameSource>, EvaluateError> {
-    let metadata = std::fs::metadata(path).map_err(EvaluateError::io(path))?;
-    if metadata.is_dir() || images::is_image(path) {
-        Ok(Box::new(images::ImageFolder::open(path, timestamps)?))
-    } else {
-        Ok(Box::new(video::Video::open(path, timestamps)?))
-    }
-}
-
-fn check_size(path: &Path, width: u64, height: u64) -> Result<(usize, usize), EvaluateError> {
-    let side = |n: u64| {
-        usize::try_from(n)
-            .ok()
-            .filter(|n| (1..=MAX_SIDE).contains(n))
-    };
-    match (side(width), side(height)) {
-        (Some(w), Some(h)) => Ok((w, h)),
-        _ => Err(EvaluateError::Unsupported {
-            path: path.to_owned(),
-            width,
-            height,
-        }),
-    }
 }

@@ -13,7 +13,7 @@ use crate::frame::GreyView;
 /// Rate taken when the file does not say one, frames per second.
 const DEFAULT_RATE: f64 = 30.0;
 
-pub(super) struct Video {
+pub(crate) struct Video {
     info: SourceInfo,
     decoder: video::Video,
     frame: Vec<u8>,
@@ -21,7 +21,7 @@ pub(super) struct Video {
 }
 
 impl Video {
-    pub(super) fn open(path: &Path, timestamps: Option<&Path>) -> Result<Self, EvaluateError> {
+    pub(crate) fn open(path: &Path, timestamps: Option<&Path>) -> Result<Self, EvaluateError> {
         let decoder = video::Video::open(path, Pixels::Luma)
             .map_err(|error| EvaluateError::of_video(path, error))?;
         let stated = decoder.info();
