@@ -77,7 +77,7 @@ pub(crate) struct DepthIndex {
     pub(crate) color: Option<ColorTrack>,
     /// Device times of the colour images.
     pub(crate) color_frames: Vec<DeviceNanos>,
-    /// Who wrote the file anew with coarser times, in words.
+    /// Who rewrote the file with coarser times, in words.
     pub(crate) rewritten: Option<String>,
     /// Whether there are samples of the camera's IMU.
     pub(crate) has_imu: bool,
@@ -235,7 +235,7 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
         rewritten: recording.rewritten().map(|(by, unit)| {
             let by = if by.is_empty() { "another program" } else { by };
             format!(
-                "{by} wrote the file anew and rounded the times of its frames to {} ms (the recorder \
+                "{by} rewrote the file and rounded the times of its frames to {} ms (the recorder \
                  writes them to 0.001 ms): give the recorder's own file with --depth",
                 unit as f64 * 1e-6
             )

@@ -127,7 +127,7 @@ pub enum PhoneError {
     },
     /// The frames may be on either of the phone's clocks.
     #[error(
-        "whether the phone stamps its frames with the clock of its sensors cannot be told: it has \
+        "whether the phone stamps its frames with the clock of its sensors is not known: it has \
          slept for {slept_s:.3} s since it was started, by which the other clock is behind, and \
          both fit"
     )]
@@ -136,7 +136,7 @@ pub enum PhoneError {
         slept_s: f64,
     },
     /// A start failed, and what it may have begun was stopped.
-    #[error("{cause}; the phone was told to stop")]
+    #[error("{cause}; the phone was asked to stop")]
     StartUndone {
         /// Why it failed.
         cause: Box<PhoneError>,

@@ -78,7 +78,7 @@ fn an_answer_before_its_frames_is_not_an_answer() {
             .unwrap_err();
         assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
         let error = client.undo_start(error);
-        assert!(error.to_string().contains("told to stop"), "{error}");
+        assert!(error.to_string().contains("asked to stop"), "{error}");
         assert!(!bench.phone.is_recording());
         // And the next one is one.
         wait_s(&bench, 2.5);
@@ -112,7 +112,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
         c.camera.frame_period_ns = 200e6;
     });
     let output = bench.command(&["start"], folder.path());
-    says(&output, PHONE, &["poll limit", "told to stop", "Camera2"]);
+    says(&output, PHONE, &["poll limit", "asked to stop", "Camera2"]);
     assert_eq!(bench.phone.videos().len(), 1);
     assert!(!bench.phone.is_recording());
 
@@ -126,7 +126,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     }
     session.signal(rustix::process::Signal::INT);
     let said = session.ends_with(130);
-    assert!(said.contains("told to stop"), "{said}");
+    assert!(said.contains("asked to stop"), "{said}");
     assert!(!bench.phone.is_recording());
 
     // The answer is lost on the way.
@@ -146,7 +146,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
             phone.set_fault(None);
         });
         let output = bench.command(&["start"], folder.path());
-        says(&output, PHONE, &["closed the connection", "told to stop"]);
+        says(&output, PHONE, &["closed the connection", "asked to stop"]);
     });
     assert!(!bench.phone.is_recording());
 }

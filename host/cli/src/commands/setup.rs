@@ -44,7 +44,7 @@ pub(crate) struct Args {
     /// filled in. `none` for none; the camera's own if it is installed
     #[arg(long, value_name = "COMMAND")]
     recorder: Option<String>,
-    /// Ask nothing: what is not given has its default
+    /// Ask nothing; use defaults for what is not given
     #[arg(long)]
     yes: bool,
     /// Do not try the trigger (no pulses on the wire)

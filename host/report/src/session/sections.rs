@@ -239,20 +239,20 @@ pub(super) fn auxiliary(page: &mut Page, session: &SessionFile, curves: &Curves)
             let told =
                 jiff::Timestamp::from_second(utc).map_or(utc.to_string(), |time| time.to_string());
             page.text(&format!(
-                "{name} was told {} seconds; the last, {told}, began at {:.9} s of board time.",
+                "{name} received {} seconds; the last, {told}, began at {:.9} s of board time.",
                 gnss.seconds,
                 gnss.last.as_secs_f64()
             ));
             if gnss.changed {
                 page.note(
                     Severity::Check,
-                    "The relation of what was told to board time changed within the recording.",
+                    "The relation of its seconds to board time changed within the recording.",
                 );
             }
         }
         None if profile.lidar.is_some() => page.note(
             Severity::Check,
-            &format!("{name} is in the profile, but no second was told."),
+            &format!("{name} is in the profile, but received no second."),
         ),
         None => {}
     }

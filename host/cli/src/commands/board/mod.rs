@@ -35,7 +35,7 @@ enum Action {
     Info,
     /// Put firmware on the board by USB, without a programmer, and check it
     Flash(flash::Args),
-    /// Measure whether a new board does what it must, with a report to send
+    /// Test a new board, with a report to send
     Test(test::Args),
     /// Run the camera trigger by hand: start, align, period, latency, stop, status
     Trigger(trigger::Args),
