@@ -50,13 +50,16 @@ impl Draw {
     }
 }
 
+/// Paints a frame: when it begins, and its number.
+type Paint<'a> = dyn Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a;
+
 /// A video, in the folder of a session that aligned its trigger with a bias.
 struct Drawn<'a> {
     rate: f64,
     frames: u64,
     applied_us: f64,
     camera: RollingShutter,
-    draw: Box<dyn Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a>,
+    draw: Box<Paint<'a>>,
 }
 
 impl Drawn<'_> {
@@ -192,7 +195,7 @@ fn mains(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
         phase_rad: draw.within(0.0, 6.0),
     };
     let camera = RollingShutter {
-        flicker: (kind % 2 == 0).then_some(flicker),
+        flicker: kind.is_multiple_of(2).then_some(flicker),
         ambient: 110.0,
         texture: draw.within(0.0, 0.2),
         ..draw.camera()
