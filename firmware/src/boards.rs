@@ -2,7 +2,7 @@
 //!
 //! All have the same wiring: the trigger on PA5, data-ready on PA1, the strobe on PA2, the
 //! read-back on PA3 (the channels of TIM2), the IMU's bus on PB6 and PB7 and its clocks on
-//! PA8 and PB0, USB on PA11 and PA12. `CONTRIBUTING.md` says what a further board needs.
+//! PA8 and PB0, USB on PA11 and PA12. `CONTRIBUTING.md` says what another board needs.
 
 mod black_pill;
 mod discovery;
@@ -12,7 +12,7 @@ use protocol::BoardModel;
 /// What one board has that another has otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
-    /// Which one it is; this says too whether it has the further outputs.
+    /// Which one it is; this says too whether it has the auxiliary outputs.
     pub model: BoardModel,
     /// Crystal, in Hz.
     pub crystal_hz: u32,

@@ -137,7 +137,7 @@ pub(crate) const ANSWERS_PER_COMMAND: usize = 3;
 /// Pulses that wait to be sent: two seconds at 30 fps.
 pub(crate) const PULSES: usize = 64;
 
-/// Pulses of the further outputs that wait to be sent, pulses per second with
+/// Pulses of the auxiliary outputs that wait to be sent, pulses per second with
 /// them: half a second of three trains at 30 fps.
 pub(crate) const OUTPUT_PULSES: usize = 64;
 

@@ -2,7 +2,7 @@
 //!
 //! Producers never wait: each stream has a queue of its own, and what finds no
 //! place there is dropped and counted. The sender takes answers first, then
-//! pulses, pulses of the further outputs, captures, IMU samples and status, so that
+//! pulses, pulses of the auxiliary outputs, captures, IMU samples and status, so that
 //! a flood of one stream never delays what matters more.
 //!
 //! While no host is linked everything is dropped and counted, so that a host
@@ -24,7 +24,7 @@ pub struct Outbox {
     waiting: usize,
     answers: Deque<DeviceToHost, { config::ANSWERS }>,
     pulses: Deque<Pulse, { config::PULSES }>,
-    /// Pulses of the further outputs and pulses per second, in their order.
+    /// Pulses of the auxiliary outputs and pulses per second, in their order.
     outputs: Deque<OutputMessage, { config::OUTPUT_PULSES }>,
     captures: Deque<Capture, { config::CAPTURES }>,
     imu: Deque<ImuSample, { config::IMU_SAMPLES }>,
@@ -32,7 +32,7 @@ pub struct Outbox {
     dropped: Dropped,
 }
 
-/// What the further outputs have to say.
+/// What the auxiliary outputs have to say.
 #[derive(Clone, Copy, Debug)]
 enum OutputMessage {
     Pulse(Pulse),
@@ -329,18 +329,18 @@ mod tests {
     }
 
     #[test]
-    fn pulses_of_the_camera_go_before_those_of_the_further_outputs() {
+    fn pulses_of_the_camera_go_before_those_of_the_auxiliary_outputs() {
         let mut outbox = linked();
-        let further = Output::FURTHER.map(|output| Pulse { output, ..pulse(9) });
-        for pulse in further {
+        let auxiliary = Output::AUXILIARY.map(|output| Pulse { output, ..pulse(9) });
+        for pulse in auxiliary {
             outbox.pulse(pulse);
         }
         outbox.pulse(pulse(0));
-        for expected in [pulse(0)].into_iter().chain(further) {
+        for expected in [pulse(0)].into_iter().chain(auxiliary) {
             assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(expected)));
         }
         for _ in 0..1_000 {
-            outbox.pulse(further[0]);
+            outbox.pulse(auxiliary[0]);
         }
         assert_eq!(outbox.dropped().pulses, 0);
         assert!(outbox.dropped().outputs > 0);

@@ -101,7 +101,7 @@ impl Limits {
         min_gap: MIN_PULSE_GAP,
     };
 
-    /// The further outputs.
+    /// The auxiliary outputs.
     pub const OUTPUT: Self = Self {
         min_width: MIN_OUTPUT_WIDTH,
         min_gap: MIN_OUTPUT_GAP,

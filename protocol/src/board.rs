@@ -82,7 +82,7 @@ pub const IMAGE_MARK: &str = "SmartDepthSync image;";
 pub enum BoardModel {
     /// STM32F4DISCOVERY (STM32F407VG).
     Discovery,
-    /// WeAct Black Pill (STM32F411CE): no further outputs, nothing for a lidar.
+    /// WeAct Black Pill (STM32F411CE): no auxiliary outputs, nothing for a lidar.
     BlackPill,
 }
 
@@ -113,7 +113,7 @@ impl BoardModel {
             .find(|board| board.key() == key)
     }
 
-    /// Whether it has the further outputs, 2 to 4, and the pulse per second with its
+    /// Whether it has the auxiliary outputs, 2 to 4, and the pulse per second with its
     /// sentences.
     #[must_use]
     pub const fn has_outputs(self) -> bool {
@@ -198,7 +198,7 @@ pub struct Status {
     pub strobe_floods: u32,
     /// The IMU.
     pub imu: ImuStatus,
-    /// The further trigger outputs, 2 to 4.
+    /// The auxiliary trigger outputs, 2 to 4.
     pub outputs: [OutputStatus; 3],
     /// Longest time from an edge of these outputs or the pulse per second to the
     /// end of its handling since reset, in ticks.
@@ -246,7 +246,7 @@ impl HandlerTime {
 pub struct Handlers {
     /// The camera's trigger and the captures (TIM2, DMA1 stream 5).
     pub trigger: HandlerTime,
-    /// The further outputs and the pulse per second (TIM1, TIM5).
+    /// The auxiliary outputs and the pulse per second (TIM1, TIM5).
     pub outputs: HandlerTime,
     /// What takes their events to the outbox.
     pub handover: HandlerTime,
@@ -277,7 +277,7 @@ pub struct Dropped {
     pub imu: u32,
     /// Status messages.
     pub status: u32,
-    /// Pulses of the further outputs, and pulses per second.
+    /// Pulses of the auxiliary outputs, and pulses per second.
     pub outputs: u32,
 }
 

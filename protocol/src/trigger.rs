@@ -24,13 +24,13 @@ pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 /// pessimistic waits of its buses (`docs/architecture.md`).
 pub const MIN_PULSE_GAP: u32 = 40 * (TICK_HZ / 1_000_000);
 
-/// The shortest pulse of the further outputs, in ticks: 50 µs.
+/// The shortest pulse of the auxiliary outputs, in ticks: 50 µs.
 ///
 /// The handler of the rising edge arms the falling one. It waits for the camera
 /// trigger's, and for the others' at a coincidence (`docs/architecture.md`).
 pub const MIN_OUTPUT_WIDTH: u32 = 50 * (TICK_HZ / 1_000_000);
 
-/// The shortest time from a falling edge of the further outputs to the next rising
+/// The shortest time from a falling edge of the auxiliary outputs to the next rising
 /// edge, in ticks: 100 µs.
 pub const MIN_OUTPUT_GAP: u32 = 100 * (TICK_HZ / 1_000_000);
 
@@ -59,7 +59,7 @@ impl Output {
     pub const ALL: [Self; 4] = [Self::Camera, Self::Two, Self::Three, Self::Four];
 
     /// Those beside the camera's.
-    pub const FURTHER: [Self; 3] = [Self::Two, Self::Three, Self::Four];
+    pub const AUXILIARY: [Self; 3] = [Self::Two, Self::Three, Self::Four];
 
     /// Its number on the board, from 1.
     #[must_use]
@@ -89,7 +89,7 @@ pub struct TriggerStart {
     /// Distance of the pulses, [`Period::MIN`] to [`Period::MAX`].
     pub period: Period,
     /// Length of a pulse in ticks: [`MIN_PULSE_WIDTH`] up to the period less
-    /// [`MIN_PULSE_GAP`]; of the further outputs [`MIN_OUTPUT_WIDTH`] up to the period
+    /// [`MIN_PULSE_GAP`]; of the auxiliary outputs [`MIN_OUTPUT_WIDTH`] up to the period
     /// less [`MIN_OUTPUT_GAP`].
     pub width: u32,
     /// The first rising edge, [`MIN_START_LEAD`] to [`MAX_TIME_AWAY`] from now;
@@ -183,7 +183,7 @@ pub struct Readback {
     pub delay: Option<i32>,
 }
 
-/// How the train of one of the further outputs fares, in short.
+/// How the train of one of the auxiliary outputs fares, in short.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputStatus {
     /// What the train does.
@@ -212,7 +212,7 @@ pub struct Pulse {
     /// The output.
     pub output: Output,
     /// Sequence number: the pulses of the camera's output are one stream, those of the
-    /// three further ones together another.
+    /// three auxiliary ones together another.
     pub seq: u32,
     /// The train it belongs to.
     pub train: u32,

@@ -137,7 +137,7 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     }
 }
 
-/// The priority of an interrupt: the trigger's 0, the further outputs' 1, everything else's 8.
+/// The priority of an interrupt: the trigger's 0, the auxiliary outputs' 1, everything else's 8.
 fn priority_of(interrupt: usize) -> u8 {
     const TIM2: usize = pac::Interrupt::TIM2 as usize;
     const FALLING_EDGES: usize = falling_edges::INTERRUPT as usize;

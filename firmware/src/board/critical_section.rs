@@ -2,7 +2,7 @@
 //!
 //! The usual one for a single core masks all interrupts (PRIMASK). This one
 //! raises BASEPRI, so that interrupts of priority 2 and below wait and those of
-//! TIM2 (priority 0) and of the further outputs (priority 1) do not: writing a
+//! TIM2 (priority 0) and of the auxiliary outputs (priority 1) do not: writing a
 //! packet into USB's FIFO or a line of the log cannot delay an edge of a trigger.
 //! The price is that their handlers must not touch what critical sections protect.
 

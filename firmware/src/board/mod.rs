@@ -6,7 +6,7 @@
 //! | priority | what | why |
 //! |---|---|---|
 //! | 0 | TIM2, DMA1's stream 5 | captures and the trigger; never masked by a critical section |
-//! | 1 | TIM1, TIM5 | the further outputs and their wake-ups; not masked by a critical section either |
+//! | 1 | TIM1, TIM5 | the auxiliary outputs and their wake-ups; not masked by a critical section either |
 //! | 8 | all others | USB, I2C, DMA, UART, time driver, [`handover`] |
 //! | thread | tasks | |
 //!

@@ -2,7 +2,7 @@
 //!
 //! Its one LED shows a fault; the other three are for the owner to wire, each with a resistor
 //! to ground. TIM1's channel 1 is on PA8, where the IMU's clock is, and channel 4 on PA11, where
-//! USB is; there is no UART5. So there are no further outputs and nothing for a lidar.
+//! USB is; there is no UART5. So there are no auxiliary outputs and nothing for a lidar.
 
 use protocol::BoardModel;
 

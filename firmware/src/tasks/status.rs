@@ -69,7 +69,7 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),
-        outputs: Output::FURTHER.map(triggers::summary),
+        outputs: Output::AUXILIARY.map(triggers::summary),
         output_latency,
         gnss: gnss::status(),
     }

@@ -29,7 +29,7 @@ pub struct RunTruth {
     pub phone_clock: Option<Oscillator>,
     /// The phone's videos.
     pub videos: Vec<VideoTruth>,
-    /// Clocks and videos of further phones.
+    /// Clocks and videos of other phones.
     pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// Board time at the end.
     pub end: SimTime,

@@ -1,5 +1,5 @@
 //! The boards of the product: what is soldered to the chip of an STM32F4DISCOVERY or a WeAct
-//! Black Pill, what is wired to their pins (the same, but for LEDs, further outputs and lidar),
+//! Black Pill, what is wired to their pins (the same, but for LEDs, auxiliary outputs and lidar),
 //! and the firmware that they run.
 
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ pub const SDA: Pin = Pin::PB7;
 pub(crate) const NMEA: Pin = Pin::PC12;
 /// Pulse per second for a lidar (TIM1 CH1).
 pub(crate) const PPS: Pin = Pin::PE9;
-/// The further trigger outputs (TIM1 CH2 to CH4).
+/// The auxiliary trigger outputs (TIM1 CH2 to CH4).
 pub const OUTPUTS: [Pin; 3] = [Pin::PE11, Pin::PE13, Pin::PE14];
 /// Voltage that the 74AHCT gates between the board and a 5 V input take as high (data sheet of
 /// the 74AHCT125, at 4.5 to 5.5 V).

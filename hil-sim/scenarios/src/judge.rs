@@ -30,7 +30,7 @@ pub struct Truth {
     pub phone: Oscillator,
     /// The phone's videos.
     pub videos: Vec<VideoTruth>,
-    /// Clocks and videos of further phones.
+    /// Clocks and videos of other phones.
     pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// All frames of the depth camera, in order.
     pub depth: Vec<FrameRecord>,
@@ -83,7 +83,7 @@ pub struct Verdict {
     pub recorded_s: f64,
 }
 
-/// Errors of what a session said of a further phone.
+/// Errors of what a session said of another phone.
 #[derive(Clone, Debug, Serialize)]
 pub struct OtherVerdict {
     /// Its name.
@@ -333,7 +333,7 @@ impl Truth {
         phase_errors(&video.frames, first..count, phone, &self.depth)
     }
 
-    /// Judges what the recording in `folder` says of the further phones.
+    /// Judges what the recording in `folder` says of the other phones.
     ///
     /// # Errors
     ///

@@ -17,7 +17,7 @@ pub enum Stream {
     Imu,
     /// [`DeviceToHost::Filler`].
     Filler,
-    /// [`DeviceToHost::Pulse`] of the further outputs.
+    /// [`DeviceToHost::Pulse`] of the auxiliary outputs.
     Outputs,
     /// [`DeviceToHost::Pps`].
     Pps,
@@ -76,7 +76,7 @@ impl Stream {
 
     /// The board's counter of what it dropped of this stream; none if another
     /// stream's counter holds it too, or if it never drops any. Pulses per second
-    /// are in the queue of the further outputs.
+    /// are in the queue of the auxiliary outputs.
     #[must_use]
     pub const fn dropped(self, dropped: &Dropped) -> Option<u32> {
         // Field by field: a counter that is new has a stream that is.
@@ -107,7 +107,7 @@ impl std::fmt::Display for Stream {
             Self::Captures => "captures",
             Self::Imu => "IMU samples",
             Self::Filler => "filler messages",
-            Self::Outputs => "pulses of further outputs",
+            Self::Outputs => "pulses of auxiliary outputs",
             Self::Pps => "pulses per second",
         })
     }
@@ -139,7 +139,7 @@ pub struct StreamCounts {
     pub imu: StreamCount,
     /// Filler.
     pub filler: StreamCount,
-    /// Pulses of the further outputs.
+    /// Pulses of the auxiliary outputs.
     #[serde(default)]
     pub outputs: StreamCount,
     /// Pulses per second.

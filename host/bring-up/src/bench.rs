@@ -14,7 +14,7 @@ pub(crate) const fn millis(ms: u32) -> TickDelta {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Heard {
     pub(crate) pulses: Vec<Pulse>,
-    /// Pulses of the further outputs.
+    /// Pulses of the auxiliary outputs.
     pub(crate) outputs: Vec<Pulse>,
     pub(crate) strobe: Vec<Capture>,
     pub(crate) pps: Vec<Pps>,

@@ -38,7 +38,7 @@ const FORMAT: u32 = 1;
 pub enum Part {
     /// The trigger's edges, widths and aligns, against read-back and strobe input.
     Trigger,
-    /// The further outputs against the strobe input.
+    /// The auxiliary outputs against the strobe input.
     Outputs,
     /// The pulse per second and its serial line, on the strobe input.
     Lidar,

@@ -99,7 +99,7 @@ impl<'a> Session<'a> {
     pub(crate) fn new(board: &'a mut Board, operator: Operator<'a>) -> Result<Self, BringUpError> {
         let mut running = board.trigger()?.state != TrainState::Stopped;
         if board.hello().board.has_outputs() {
-            for output in Output::FURTHER {
+            for output in Output::AUXILIARY {
                 running |= board.output(output)?.state != TrainState::Stopped;
             }
             running |= board.gnss()?.status.state != TrainState::Stopped;
@@ -233,7 +233,7 @@ impl<'a> Session<'a> {
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
         self.board.stop_trigger(Output::Camera)?;
         if self.board.hello().board.has_outputs() {
-            for output in Output::FURTHER {
+            for output in Output::AUXILIARY {
                 self.board.stop_trigger(output)?;
             }
             self.board.stop_gnss()?;

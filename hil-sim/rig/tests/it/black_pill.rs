@@ -94,7 +94,7 @@ fn each_imu_is_as_exact_on_it_as_on_the_discovery() {
 fn what_it_does_not_have_is_refused() {
     let mut board = Board::boot(black_pill());
     let refused = Refusal::NotOnThisBoard;
-    for output in Output::FURTHER {
+    for output in Output::AUXILIARY {
         assert_eq!(board.ask(QueryTrigger(output)), Err(refused));
         assert_eq!(board.ask(StopTrigger(output)), Err(refused));
         let start = train(Period::from_ticks(TICK_HZ / 30), MIN_OUTPUT_WIDTH);

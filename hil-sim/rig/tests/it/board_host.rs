@@ -19,7 +19,7 @@ pub(crate) struct Board {
     pub(crate) arrived: Vec<Arrived>,
     pub(crate) captures: Vec<Capture>,
     pub(crate) samples: Vec<ImuSample>,
-    /// Pulses of the further outputs.
+    /// Pulses of the auxiliary outputs.
     pub(crate) output_pulses: Vec<Pulse>,
     pub(crate) pps: Vec<Pps>,
     pub(crate) statuses: Vec<Status>,

@@ -167,7 +167,7 @@ fn a_line_without_its_inverting_gate_is_not_understood() {
 fn no_second_is_lost_under_full_load() {
     let mut bench = Bench::new(LidarConfig::default());
     bench.start(GNSS);
-    for output in Output::FURTHER {
+    for output in Output::AUXILIARY {
         let start = train(Period::from_picos(1_500_000_000).unwrap(), MIN_OUTPUT_WIDTH);
         bench.board.ask(StartTrigger { output, start }).unwrap();
     }

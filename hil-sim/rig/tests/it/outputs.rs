@@ -131,7 +131,7 @@ impl Bench {
         };
         let status = self.board.start(start);
         self.trains.push(Train::new(Pin::PA5, &status));
-        for (output, period) in Output::FURTHER.into_iter().zip(periods) {
+        for (output, period) in Output::AUXILIARY.into_iter().zip(periods) {
             let status = self.start(
                 output,
                 TriggerStart {
@@ -260,7 +260,7 @@ fn run_all(seconds: u64) {
         let bytes_per_second = if second % 2 == 0 { u32::MAX } else { 0 };
         bench.board.ask(SendFiller { bytes_per_second }).unwrap();
         for _ in 0..20 {
-            for output in Output::FURTHER {
+            for output in Output::AUXILIARY {
                 bench.board.send(QueryTrigger(output));
             }
             bench.board.run(50);
@@ -318,7 +318,7 @@ fn every_edge_of_all_trains_is_exact_at_full_load() {
 }
 
 /// An input that oscillates at 400 kHz, faster than its handler: the board listens to it
-/// for a few edges at a time, less than the further outputs can wait.
+/// for a few edges at a time, less than the auxiliary outputs can wait.
 #[test]
 fn a_flood_on_the_strobe_input_starves_no_output() {
     // 1.25 µs high, 1.25 µs low, behind every pulse of the trigger.

@@ -53,7 +53,7 @@ struct Load {
     /// Longest time from an edge of the trigger to the end of its handling, as
     /// the firmware measures it since its reset; without edges, none.
     edge_to_end_us: Option<f64>,
-    /// The same of the further outputs.
+    /// The same of the auxiliary outputs.
     output_edge_to_end_us: Option<f64>,
 }
 
@@ -124,7 +124,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     );
     let outputs = figures.loads.iter().filter_map(|l| l.output_edge_to_end_us);
     println!(
-        "further outputs: an edge is handled {:.2} us after it at the latest; a pulse must be {} us \
+        "auxiliary outputs: an edge is handled {:.2} us after it at the latest; a pulse must be {} us \
          long",
         outputs.fold(0.0, f64::max),
         MIN_OUTPUT_WIDTH / (TICK_HZ / 1_000_000),
@@ -211,7 +211,7 @@ impl Figures {
 /// Starts the outputs 2 to 4 at 30, 30 and 5 fps and the pulse per second, as a
 /// lidar wants it.
 fn start_outputs(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
-    for (output, fps) in Output::FURTHER.into_iter().zip([30, 30, 5]) {
+    for (output, fps) in Output::AUXILIARY.into_iter().zip([30, 30, 5]) {
         let start = TriggerStart {
             period: Period::from_ticks(TICK_HZ / fps),
             width: 100 * (TICK_HZ / 1_000_000),

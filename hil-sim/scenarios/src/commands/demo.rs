@@ -77,7 +77,7 @@ fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
     Ok(())
 }
 
-/// Two phones, further cameras and a lidar: each extracted and judged.
+/// Two phones, other cameras and a lidar: each extracted and judged.
 fn run_several(args: &Args) -> Result<()> {
     let programs = args.sessions.programs()?;
     let plan = SeveralPlan {

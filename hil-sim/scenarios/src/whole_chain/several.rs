@@ -1,4 +1,4 @@
-//! A rig of several sensors: two phones, the depth camera, further cameras on the
+//! A rig of several sensors: two phones, the depth camera, other cameras on the
 //! trigger outputs 2 to 4, and a lidar. One session records all, one extraction puts
 //! all into board time, and each is judged against the truth: the phones' frames and
 //! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
@@ -33,7 +33,7 @@ use stm32f4_sim::shared::lock;
 /// Names of the phones; the trigger is aligned to the first.
 pub(crate) const PHONES: [&str; 2] = ["left phone", "right phone"];
 
-/// Names, pins and settings of the cameras on the further outputs: number, pulses of
+/// Names, pins and settings of the cameras on the auxiliary outputs: number, pulses of
 /// the trigger to one, µs later.
 const CAMERAS: [(&str, Pin, u8, u32, f64); 3] = [
     ("slow", wiring::OUTPUTS[0], 2, 6, 0.0),
@@ -77,7 +77,7 @@ pub struct PhoneFigures {
     pub grid_drift_us_per_min: f64,
 }
 
-/// A camera on a further output against the truth.
+/// A camera on a auxiliary output against the truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct OutputFigures {
     /// Its name in the profile.
@@ -114,13 +114,13 @@ pub struct SeveralFigures {
     pub recorded_s: f64,
     /// The phones, the reference first.
     pub phones: Vec<PhoneFigures>,
-    /// The session's statements about the further phones.
+    /// The session's statements about the other phones.
     pub session: Vec<OtherVerdict>,
     /// Frame sync of the reference phone: depth minus phone at the beginning, µs.
     pub phase_us: f64,
     /// Centres of exposure of the depth frames.
     pub depth: Errors,
-    /// The cameras on the further outputs.
+    /// The cameras on the auxiliary outputs.
     pub outputs: Vec<OutputFigures>,
     /// The lidar.
     pub lidar: LidarFigures,

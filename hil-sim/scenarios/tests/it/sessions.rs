@@ -253,7 +253,7 @@ fn a_session_is_aligned_with_an_imu_on_its_own_clock() {
     );
 }
 
-const FURTHER: &str = r#"
+const AUXILIARY: &str = r#"
 [[outputs]]
 output = 2
 name = "left"
@@ -272,7 +272,7 @@ name = "VLP-16"
 #[test]
 fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
     let mut rig = Twisted::new(5);
-    let further = Profile::parse(FURTHER, None).unwrap();
+    let further = Profile::parse(AUXILIARY, None).unwrap();
     rig.bench.profile.outputs = further.outputs;
     rig.bench.profile.lidar = further.lidar;
     rig.record("further", 12);

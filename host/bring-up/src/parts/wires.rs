@@ -35,7 +35,7 @@ impl Session<'_> {
     pub(super) fn lidar(&mut self) -> Result<(), BringUpError> {
         const NAME: &str = "pulse per second";
         const LINE: &str = "serial line";
-        const REASON: &str = "the wire to PA2; or the timer of the further outputs";
+        const REASON: &str = "the wire to PA2; or the timer of the auxiliary outputs";
         const GATE: &str = "a lidar like the VLP-16 wants the line low when idle: put the wire \
                             behind the inverting gate, or look at the gate";
         if !self.board.hello().board.has_outputs() {

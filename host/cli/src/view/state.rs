@@ -113,7 +113,7 @@ impl State {
         let Some(profile) = profile else {
             return state;
         };
-        for (place, output) in state.sensors.iter_mut().zip(Output::FURTHER) {
+        for (place, output) in state.sensors.iter_mut().zip(Output::AUXILIARY) {
             let mut sensors = profile.outputs.iter();
             let sensor = sensors.find(|sensor| sensor.output == output.number());
             place.name = sensor.map(|sensor| sensor.name.clone());
@@ -208,7 +208,7 @@ impl State {
                 self.last_pulse = Some(pulse.at);
             }
             DeviceToHost::Pulse(pulse) => {
-                let place = Output::FURTHER.iter().position(|&of| of == pulse.output);
+                let place = Output::AUXILIARY.iter().position(|&of| of == pulse.output);
                 if let Some(sensor) = place.and_then(|place| self.sensors.get_mut(place)) {
                     sensor.rate.add(pulse.at);
                     sensor.pulse = Some(pulse.number);

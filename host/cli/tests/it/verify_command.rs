@@ -180,7 +180,7 @@ fn what_the_board_dropped_is_told_from_what_the_link_lost() {
 }
 
 #[test]
-fn a_loss_on_the_further_outputs_is_counted() {
+fn a_loss_on_the_auxiliary_outputs_is_counted() {
     let parent = tempfile::tempdir().unwrap();
     let wrong = Wrong {
         outputs_lost: &[2, 3],

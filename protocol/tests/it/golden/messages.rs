@@ -584,7 +584,7 @@ pub(super) fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             payload: (2..10).collect(),
         }),
     );
-    for output in Output::FURTHER {
+    for output in Output::AUXILIARY {
         add(
             format!("pulse-{}", output.number()),
             DeviceToHost::Pulse(Pulse {
