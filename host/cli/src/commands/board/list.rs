@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::advice::Advice;
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::BoardError;
@@ -15,6 +16,10 @@ use board::transport::ports;
 /// The system does not list its ports.
 pub(crate) fn run(context: &Context) -> Result<ExitStatus, Failure> {
     let ports = ports::list().map_err(|error| BoardError::Ports(error.to_string()))?;
+    if ports.iter().all(|port| !port.board) {
+        let (_, step) = BoardError::NoBoard.advice();
+        context.say(format!("{}; {step}", BoardError::NoBoard));
+    }
     context.show(&BTreeMap::from([("ports", ports)]))?;
     Ok(ExitStatus::Good)
 }
