@@ -3,6 +3,8 @@
 cd /dist
 sha256sum --check --strict --quiet SHA256SUMS
 absent() {
+    # The shell remembers where a program was.
+    hash -r
     if command -v "$1"; then exit 1; fi
 }
 absent cargo
