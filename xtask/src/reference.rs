@@ -132,7 +132,11 @@ impl Reference {
         }
         let mut out = String::new();
         for (file, all) in by_file {
-            let name = file.strip_prefix(folder)?.with_extension("");
+            let mut name = file.strip_prefix(folder)?.with_extension("");
+            if name == Path::new("lib") {
+                // Of a crate with one file the crate's name: its folder's.
+                name = folder.iter().rev().nth(1).unwrap_or_default().into();
+            }
             let words: Vec<_> = name.iter().map(|part| part.to_string_lossy()).collect();
             let _ = writeln!(out, "\n## {}\n", words.join(" ").replace('_', " "));
             let mut below = Vec::new();

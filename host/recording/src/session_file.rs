@@ -31,7 +31,7 @@ pub const PHONES_FOLDER: &str = "phones";
 /// The content of `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionFile {
-    /// [`FORMAT`].
+    /// Version of this form, [`FORMAT`].
     pub format: u32,
     /// Version of the program.
     pub program: String,
