@@ -206,10 +206,7 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
     }
     let page = report::board_test::page(&report);
-    assert!(
-        page.contains("checks passed") && page.contains("<svg"),
-        "{page}"
-    );
+    assert!(page.contains("checks passed"), "{page}");
 }
 
 /// The start delay of a board is two ticks off: the test says so, and keeps the right one.

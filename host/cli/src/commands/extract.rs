@@ -173,8 +173,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let folder = recordings::folder_of(&job.recording);
     report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
-    // The recording's leads to it then; it may lie where nothing can be written.
-    if let Err(error) = report::session::write_again(folder) {
+    // That of a recording beside it leads to it then; it may lie where nothing can be written. A
+    // recording elsewhere is only read.
+    if job.out.parent() == folder.parent()
+        && let Err(error) = report::session::write_again(folder)
+    {
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {
