@@ -16,7 +16,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::streams::{Stream, StreamCounts};
+use crate::streams::{Stream, StreamCounts, follow};
 use protocol::{
     Answer, Command, Decoder, DeviceToHost, FrameError, HostToDevice, LinkCounters, MAX_FRAME,
     PROTOCOL_VERSION, Ticks, encode, hello_version,
@@ -366,18 +366,19 @@ impl Conversation {
         let Some(expected) = self.expected.get_mut(stream as usize) else {
             return;
         };
-        // Numbers wrap. More than half of them missing is no gap: a message came twice, or
-        // the board lies.
-        let gap = expected.map_or(0, |expected| seq.wrapping_sub(expected));
-        *expected = Some(seq.wrapping_add(1));
+        let gap = follow(expected, seq);
         let count = self.counts.get_mut(stream);
         count.received += 1;
-        if gap > u32::MAX / 2 {
-            count.disordered += 1;
-            self.events.push_back(Event::Disordered { stream });
-        } else if gap > 0 {
-            count.lost += u64::from(gap);
-            self.events.push_back(Event::Lost { stream, count: gap });
+        match gap {
+            None => {
+                count.disordered += 1;
+                self.events.push_back(Event::Disordered { stream });
+            }
+            Some(0) => {}
+            Some(gap) => {
+                count.lost += u64::from(gap);
+                self.events.push_back(Event::Lost { stream, count: gap });
+            }
         }
     }
 

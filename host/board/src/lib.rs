@@ -22,4 +22,4 @@ pub mod transport;
 pub use calls::{Board, choose_port};
 pub use conversation::{Conversation, Event};
 pub use error::{BoardError, Result, reset_cause};
-pub use streams::{Stream, StreamCount, StreamCounts};
+pub use streams::{Stream, StreamCount, StreamCounts, follow};

@@ -3,6 +3,17 @@
 use protocol::{DeviceToHost, Dropped, Output, Ticks};
 use serde::{Deserialize, Serialize};
 
+/// Follows running numbers, which wrap: how many are missing before `number`. None if more than
+/// half of all are: it came twice or out of order.
+pub const fn follow(expected: &mut Option<u32>, number: u32) -> Option<u32> {
+    let gap = match *expected {
+        Some(expected) => number.wrapping_sub(expected),
+        None => 0,
+    };
+    *expected = Some(number.wrapping_add(1));
+    if gap > u32::MAX / 2 { None } else { Some(gap) }
+}
+
 /// The numbered streams of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

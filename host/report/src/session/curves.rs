@@ -9,7 +9,7 @@ use super::MAX_LISTED;
 use super::measured::{Frames, TwistRates};
 use crate::chart::Envelope;
 use crate::verify::numbers::stream_of;
-use board::Stream;
+use board::{Stream, follow};
 use recording::RecordingError;
 use recording::grid::FollowedGrid;
 use recording::reader::{Entry, Item, Reader};
@@ -99,11 +99,9 @@ impl Curves {
         let Some(expected) = self.expected.get_mut(stream as usize) else {
             return;
         };
-        let number = entry.sequence;
-        let missing = number.wrapping_sub(expected.unwrap_or(number));
-        *expected = Some(number.wrapping_add(1));
-        // More is a number that came twice or out of order.
-        if (1..u32::MAX / 2).contains(&missing) && self.losses.len() < MAX_LOSSES {
+        if let Some(missing @ 1..) = follow(expected, entry.sequence)
+            && self.losses.len() < MAX_LOSSES
+        {
             self.losses.push((at, stream, missing));
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use board::Stream;
+use board::{Stream, follow};
 use protocol::{TICK_HZ, Ticks};
 use recording::Topic;
 use recording::diagnostics::BoardCounters;
@@ -117,15 +117,12 @@ impl Numbers {
         let Some(stream) = self.streams.get_mut(of as usize) else {
             return;
         };
-        let gap = number.wrapping_sub(stream.expected.unwrap_or(number));
-        if gap > u32::MAX / 2 {
-            findings.bad("number_backwards", Some(at), || {
+        match follow(&mut stream.expected, number) {
+            None => findings.bad("number_backwards", Some(at), || {
                 format!("the board's numbers of {of} go back to {number}")
-            });
-        } else {
-            stream.report.missing += u64::from(gap);
+            }),
+            Some(gap) => stream.report.missing += u64::from(gap),
         }
-        stream.expected = Some(number.wrapping_add(1));
         stream.report.received += 1;
     }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use board::follow;
 use mcap::records::MessageHeader;
 use protocol::Ticks;
 use recording::Topic;
@@ -68,19 +69,19 @@ impl Topics {
         // damaged here.
         let after_gap = std::mem::take(&mut state.after_gap);
         let is_lost = topic.and_then(stream_of).is_some() && !after_gap;
-        let expected = state.expected.filter(|_| !is_lost);
-        let missing = number.wrapping_sub(expected.unwrap_or(number));
-        if missing > u32::MAX / 2 {
-            findings.bad("order", Some(at), || {
+        state.expected = state.expected.filter(|_| !is_lost);
+        match follow(&mut state.expected, number) {
+            None => findings.bad("order", Some(at), || {
                 format!("message {number} of {name} comes twice or too late")
-            });
-        } else if missing > 0 {
-            let count = (Some(at), u64::from(missing));
-            findings.add(Severity::Bad, "messages_cut_out", count, || {
-                format!("{missing} messages of {name} are gone from the file")
-            });
+            }),
+            Some(0) => {}
+            Some(missing) => {
+                let count = (Some(at), u64::from(missing));
+                findings.add(Severity::Bad, "messages_cut_out", count, || {
+                    format!("{missing} messages of {name} are gone from the file")
+                });
+            }
         }
-        state.expected = Some(number.wrapping_add(1));
         if !topic.is_some_and(in_order) {
             return;
         }
