@@ -53,6 +53,23 @@ pub fn write_again(folder: &Path) -> Result<Option<PathBuf>, RecordingError> {
     session.map(|session| write(folder, &session)).transpose()
 }
 
+/// Writes it again where it leads to `page`, the new page of a data set or an evaluation. A
+/// recording that does not is only read.
+///
+/// # Errors
+///
+/// As [`write`].
+pub fn lead_to(folder: &Path, page: &Path) -> Result<Option<PathBuf>, RecordingError> {
+    let page = page.canonicalize().ok();
+    let is_it = |(_, address): &(String, String)| {
+        page.is_some() && folder.join(address).canonicalize().ok() == page
+    };
+    match pages_of(folder).iter().any(is_it) {
+        true => write_again(folder),
+        false => Ok(None),
+    }
+}
+
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let mut page = Page::new(&summary(folder, session));

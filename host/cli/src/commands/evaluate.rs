@@ -311,7 +311,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     if let Some(path) = &args.common.out {
         let html = report::evaluation::precision(&result, &shown.shown, &settings, path);
         write_file(path, &html)?;
-        show_in_recordings(&args.inputs);
+        show_in_recordings(&args.inputs, path);
     }
     let calibrated = match &args.calibrate {
         Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
@@ -333,10 +333,10 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     Ok(ExitStatus::of_loss(!result.left_out.is_empty()))
 }
 
-/// Writes the reports of recordings again, which then lead to the evaluation.
-fn show_in_recordings(inputs: &[PathBuf]) {
+/// Lets the reports of recordings lead to an evaluation in their folder.
+fn show_in_recordings(inputs: &[PathBuf], page: &Path) {
     for folder in inputs {
-        if let Err(error) = report::session::write_again(folder) {
+        if let Err(error) = report::session::lead_to(folder, page) {
             tracing::warn!("the report of {} is as it was: {error}", folder.display());
         }
     }
@@ -405,7 +405,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     if let Some(path) = &args.common.out {
         let html = report::evaluation::drift(&evaluated, &settings, path);
         write_file(path, &html)?;
-        show_in_recordings(std::slice::from_ref(&args.input));
+        show_in_recordings(std::slice::from_ref(&args.input), path);
     }
     let output = DriftOutput {
         settings: &settings,

@@ -22,6 +22,7 @@ use phone::video_files::FilesError;
 use recording::SESSION_FILE;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
+use report::REPORT_FILE;
 
 /// The formats on the command line.
 const FORMATS: [(&str, Format); 5] = [
@@ -173,11 +174,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let folder = recordings::folder_of(&job.recording);
     report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
-    // That of a recording beside it leads to it then; it may lie where nothing can be written. A
-    // recording elsewhere is only read.
-    if job.out.parent() == folder.parent()
-        && let Err(error) = report::session::write_again(folder)
-    {
+    // The recording may lie where nothing can be written.
+    if let Err(error) = report::session::lead_to(folder, &job.out.join(REPORT_FILE)) {
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {

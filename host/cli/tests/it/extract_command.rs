@@ -114,7 +114,9 @@ fn a_video_becomes_images_named_by_board_time() {
     let parent = tempfile::tempdir().unwrap();
     let folder = recording(parent.path());
     phone(&folder, 60, 60);
-    let output = extract(&["--json"], &folder, None);
+    // However the folder is named.
+    let named = folder.join("../walk");
+    let output = extract(&["--json"], &named, None);
     // There is neither depth nor a gyroscope of the phone: finished, with loss.
     assert_eq!(output.status.code(), Some(4), "{output:?}");
     let report = json(&output);
@@ -138,6 +140,8 @@ fn a_video_becomes_images_named_by_board_time() {
         assert_eq!((size(16), size(20)), (64, 48));
     }
     assert!(parent.path().join("walk-euroc/report.html").exists());
+    let page = fs::read_to_string(folder.join("report.html")).unwrap();
+    assert!(page.contains("\"../walk-euroc/report.html\""), "{page}");
 
     // Again: the same, at once. In another format into the same folder: refused.
     let again = extract(&["--json"], &folder, None);
