@@ -59,7 +59,7 @@ pub fn page(report: &Report) -> String {
     if !intervals.counts.is_empty() {
         page.section("Data-ready");
         page.histogram(
-            ["interval, ticks of 20.83 ns", "number"],
+            ["interval, ticks of 20.83 ns", "samples"],
             (intervals.first as f64, intervals.bin as f64),
             &intervals.counts,
             "Intervals of the IMU's data-ready.",
