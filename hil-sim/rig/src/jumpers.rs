@@ -11,7 +11,7 @@ use crate::wiring;
 
 /// By how many ticks an edge is late at an input that comes from a pin, of the pulse with this
 /// number, from 1, that goes that way.
-type Late = fn(Pin, Pin, Level, u64) -> u64;
+pub type Late = fn(Pin, Pin, Level, u64) -> u64;
 
 /// Wires that a person has put on the board's pins, and moves.
 #[derive(Clone, Copy, Debug)]

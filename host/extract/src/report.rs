@@ -229,7 +229,7 @@ pub struct PairsReport {
     pub course: Vec<(i64, i64)>,
 }
 
-/// A sensor on a auxiliary output, or a lidar.
+/// A sensor on an auxiliary output, or a lidar.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SensorReport {
     /// Its name.

@@ -77,7 +77,7 @@ pub struct PhoneFigures {
     pub grid_drift_us_per_min: f64,
 }
 
-/// A camera on a auxiliary output against the truth.
+/// A camera on an auxiliary output against the truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct OutputFigures {
     /// Its name in the profile.

@@ -19,9 +19,9 @@ use protocol::{
     QueryImu, Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
 };
 use recording::finding::Severity;
-use rig::jumpers::Jumpers;
+use rig::jumpers::{Jumpers, Late};
 use rig::wiring;
-use stm32f4_sim::pin::{Level, Pin};
+use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 
 use crate::bring_up::{self, Bench, plan};
@@ -582,10 +582,6 @@ const SOAK: &[Row] = &[
     }),
     ("soak", Elsewhere, |m, _| status(m, |s| s.dropped.imu *= 2)),
 ];
-
-/// A wrong board or wire: by how many ticks an edge reaches an input late, from which pin it comes,
-/// and the number of its pulse there.
-type Late = fn(Pin, Pin, Level, u64) -> u64;
 
 /// Parts, edges that are late at the pins, and the checks that fail by it: none of boards at a limit.
 /// Of 24 ticks from an edge to its capture three are the input's.

@@ -9,7 +9,6 @@
 use super::Soc;
 use super::rules::Rule;
 
-/// One transfer that a request asks for: read from, write to, and width.
 /// How a stream must not be enabled (RM0090 10.3.17).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EnabledWrongly {
@@ -19,6 +18,7 @@ pub(crate) enum EnabledWrongly {
     WhileSetUp,
 }
 
+/// One transfer that a request asks for: read from, write to, and width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Transfer {
     /// Address of the peripheral's register.

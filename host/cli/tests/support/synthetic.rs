@@ -35,7 +35,7 @@ pub(crate) struct Wrong {
     pub(crate) silence: bool,
     /// The program is killed.
     pub(crate) killed: bool,
-    /// There is a auxiliary output, and these of its pulses never come.
+    /// There is an auxiliary output, and these of its pulses never come.
     pub(crate) outputs_lost: &'static [u64],
 }
 
