@@ -1,8 +1,8 @@
 """Speed and memory of `extract` on simulated recordings, beside a plain Python reader of the same
 file, as somebody writes it in five minutes. Run by `cargo xtask bench extract`.
 
-usage: extract_bench.py PROGRAMS FOLDER MINUTES
-PROGRAMS is cargo's folder of programs; FOLDER takes the recordings, 1.3 GB for each of the
+usage: extract_bench.py TARGET [MINUTES]
+TARGET is cargo's folder, which takes the recordings for the while, 1.3 GB for each of the
 MINUTES of depth at full size. Memory is measured at two lengths: it must not grow with the
 recording.
 """
@@ -12,6 +12,7 @@ import pathlib
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 
 # "Finished, with loss": parts are missing here on purpose.
@@ -63,7 +64,7 @@ def main(programs, place, minutes):
     extract("board, 6 min", *made("six", 360), "euroc")
     hour, size = made("hour", 3600)
     ours = extract("board, 1 h", hour, size, "euroc")
-    script = [sys.executable, __file__, hour / "recording.mcap", place / "python.csv"]
+    script = [sys.executable, __file__, "--read", hour / "recording.mcap", place / "python.csv"]
     theirs = measure("the same by plain Python", script, size)
     print(f"ratio {theirs / ours:.1f} (aim: 20)")
     for length in sorted({1, minutes}):
@@ -72,7 +73,9 @@ def main(programs, place, minutes):
         shutil.rmtree(depth[0])
 
 
-if len(sys.argv) == 4:
-    main(pathlib.Path(sys.argv[1]).absolute(), pathlib.Path(sys.argv[2]), int(sys.argv[3]))
+if sys.argv[1] == "--read":
+    read(*sys.argv[2:])
 else:
-    read(*sys.argv[1:])
+    target = pathlib.Path(sys.argv[1])
+    with tempfile.TemporaryDirectory(dir=target) as place:
+        main(target / "release", pathlib.Path(place), int((sys.argv[2:] or [10])[0]))

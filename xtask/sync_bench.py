@@ -1,8 +1,9 @@
-"""The published package twistnsync beside smartdepthsync, on the same files.
+"""The clock estimate on all simulated scenarios and on twists over an hour; then the published
+package twistnsync beside it, on the same files, without skew: the package has none.
 
-usage: sync_bench.py FOLDER
-FOLDER holds N_a.csv, N_b.csv (time, x, y, z) and ours.csv, as written by
-the example `sync_bench --export`.
+usage: sync_bench.py TARGET [TRIALS]
+TARGET is cargo's folder; in its `sync-bench` the example `sync_bench --export` leaves N_a.csv,
+N_b.csv (time, x, y, z) and ours.csv. Run by `cargo xtask bench sync`.
 
 Two forms of the package: as published, and with the interval of the spline
 repaired. As published, the index of the correlation's peak has had a (negative)
@@ -15,6 +16,7 @@ around the peak. Both see times from their own first sample, as its examples do.
 import csv
 import math
 import pathlib
+import subprocess
 import sys
 import time
 
@@ -27,6 +29,9 @@ import twist_sync
 
 # As often as the example runs ours; time of the processor, as there.
 RUNS = 5
+
+# Twists that the package is given at most: it is measured, not studied.
+MOST = 100
 
 
 def read(path):
@@ -90,8 +95,7 @@ def rms(values):
     return math.sqrt(sum(v * v for v in values) / len(values))
 
 
-def main():
-    folder = pathlib.Path(sys.argv[1])
+def compare(folder):
     errors = {"as published": [], "index repaired": [], "smartdepthsync": []}
     seconds, ours_ms, wheel_ms = [], [], []
     with open(folder / "ours.csv", newline="") as file:
@@ -130,4 +134,20 @@ def main():
         print(f"\nerror of the repaired package / ours: {factor:.1f}")
 
 
-main()
+def main(target, trials="300"):
+    target = pathlib.Path(target)
+
+    def example(*options):
+        subprocess.run([target / "release/examples/sync_bench", *options], check=True)
+
+    example("--trials", trials)
+    example("--hour", "--trials", trials)
+    for scenario in ("base", "faulty stream b"):
+        print(f"\n{scenario}:", flush=True)
+        folder = target / "sync-bench" / scenario.replace(" ", "-")
+        files = str(min(int(trials), MOST))
+        example("--trials", files, "--scenario", scenario, "--no-skew", "--export", folder)
+        compare(folder)
+
+
+main(*sys.argv[1:])

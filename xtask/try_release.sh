@@ -27,7 +27,8 @@ absent smartdepthsync
 tar --extract --directory /opt --file smartdepthsync-*-linux-"$1".tar.gz
 session "$(echo /opt/smartdepthsync-*/bin)/"
 
-pip install --break-system-packages --no-index --no-deps smartdepthsync_data-*.whl \
+# Isolated: `PIP_...` of the machine outside would come in with its environment.
+pip --isolated install --break-system-packages --no-index --no-deps smartdepthsync_data-*.whl \
     twist_sync-*"$(uname -m)".whl
 twist-sync --example
 python3 -c 'import smartdepthsync_data'

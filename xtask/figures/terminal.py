@@ -1,6 +1,6 @@
 """Draws what a terminal shows (`tmux capture-pane -e`) as SVG.
 
-usage: terminal.py CAPTURE COLUMNS SVG
+usage: terminal.py CAPTURE SVG
 """
 
 import re
@@ -8,7 +8,7 @@ import sys
 from html import escape
 from pathlib import Path
 
-capture, columns, svg = Path(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
+capture, svg = Path(sys.argv[1]), Path(sys.argv[2])
 WIDTH, HEIGHT, INK, PAPER = 7.8, 16, "#d8dee9", "#1d232b"
 COLORS = ["#1d232b", "#e06c75", "#98c379", "#e5c07b", "#61afef", "#c678dd", "#56b6c2", "#d8dee9"]
 BRIGHT = ["#7a8699", *COLORS[1:7], "#ffffff"]
@@ -53,6 +53,7 @@ class Pen:
 
 
 lines = capture.read_text().rstrip("\n").split("\n")
+columns = max(len(re.sub(r"\x1b\[[0-9;]*m", "", line)) for line in lines)
 width, height = columns * WIDTH + 16, len(lines) * HEIGHT + 16
 out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height}" '
        f'font-family="DejaVu Sans Mono, Menlo, Consolas, monospace" font-size="13">',

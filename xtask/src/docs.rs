@@ -85,50 +85,33 @@ struct Page {
     anchors: BTreeSet<String>,
 }
 
-fn check_links(docs: &Path, root: &Path) -> Result<()> {
+/// Checks the pages of `source` as if they were in `docs/`, and the two at the root.
+fn check_links(source: &Path, root: &Path) -> Result<()> {
+    let docs = root.join("docs");
     let mut pages = BTreeMap::new();
-    for path in process::files_below(docs)? {
-        if path.extension().is_none_or(|extension| extension != "md") {
-            continue;
-        }
-        let text =
-            fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        pages.insert(path, parse(&text));
-    }
-    let summary = docs.join("SUMMARY.md");
-    let listed: BTreeSet<PathBuf> = pages
-        .get(&summary)
-        .with_context(|| format!("{} is missing", summary.display()))?
-        .links
-        .iter()
-        .map(|link| docs.join(link))
-        .collect();
-
-    let mut broken = Vec::new();
-    for (path, page) in &pages {
-        if *path != summary && !listed.contains(path) {
-            broken.push(format!("{} is not listed in SUMMARY.md", path.display()));
-        }
-        for link in &page.links {
-            if let Some(reason) = broken_link(path, link, &pages) {
-                broken.push(format!("{}: {link}: {reason}", path.display()));
-            }
-        }
-        for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
-            broken.push(format!("{}: {source}: no such file", path.display()));
+    let read = |path: &Path| {
+        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+    };
+    for path in process::files_below(source)? {
+        if path.extension().is_some_and(|extension| extension == "md") {
+            pages.insert(docs.join(path.strip_prefix(source)?), parse(&read(&path)?));
         }
     }
     for name in ["README.md", "CONTRIBUTING.md"] {
-        let path = root.join(name);
-        let Ok(text) = fs::read_to_string(&path) else {
-            continue;
-        };
-        let page = parse(&text);
+        pages.insert(root.join(name), parse(&read(&root.join(name))?));
+    }
+    let summary = docs.join("SUMMARY.md");
+    let listed = pages.get(&summary).context("SUMMARY.md is missing")?;
+    let listed: BTreeSet<PathBuf> = listed.links.iter().map(|link| docs.join(link)).collect();
+
+    let mut broken = Vec::new();
+    for (path, page) in &pages {
+        let name = path.strip_prefix(root)?.display();
+        if path.starts_with(&docs) && *path != summary && !listed.contains(path) {
+            broken.push(format!("{name} is not listed in SUMMARY.md"));
+        }
         for link in &page.links {
-            let reason = match link.strip_prefix("docs/") {
-                Some(below) => broken_link(&summary, below, &pages),
-                None => broken_link(&path, link, &pages),
-            };
+            let reason = broken_link(path, link, &pages);
             broken.extend(reason.map(|reason| format!("{name}: {link}: {reason}")));
         }
         for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
@@ -251,33 +234,34 @@ mod tests {
     #[test]
     fn a_missing_file_and_a_missing_heading_are_found() {
         let folder = tempfile::tempdir().unwrap();
-        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        let docs = folder.path().join("docs");
+        fs::create_dir(&docs).unwrap();
+        let write = |name: &str, text: &str| fs::write(docs.join(name), text).unwrap();
+        write("../README.md", "[b](docs/b.md#b)");
+        write("../CONTRIBUTING.md", "");
         write("SUMMARY.md", "[A](a.md)\n[B](b.md)");
         write("a.md", "# A\n[b](b.md#b) [web](https://example.org/x)");
         write("b.md", "# B\n[a](a.md)");
-        check_links(folder.path(), folder.path()).unwrap();
+        check_links(&docs, folder.path()).unwrap();
+        write("../README.md", "[b](docs/b.md#c)");
         write("b.md", "# B\n[a](a.md#nowhere) [c](c.md)");
-        let error = check_links(folder.path(), folder.path())
-            .unwrap_err()
-            .to_string();
+        let error = check_links(&docs, folder.path()).unwrap_err().to_string();
         assert!(error.contains("a.md#nowhere: no such heading"), "{error}");
         assert!(error.contains("c.md: no such file"), "{error}");
+        let own = "README.md: docs/b.md#c: no such heading";
+        assert!(error.contains(own), "{error}");
         write(
             "b.md",
             "# B\n`host/src/gone.rs`, but `cargo run --path host/x`",
         );
-        let error = check_links(folder.path(), folder.path())
-            .unwrap_err()
-            .to_string();
+        let error = check_links(&docs, folder.path()).unwrap_err().to_string();
         assert!(
-            error.ends_with("b.md: host/src/gone.rs: no such file"),
+            error.contains("b.md: host/src/gone.rs: no such file"),
             "{error}"
         );
         write("b.md", "# B");
         write("d.md", "# D");
-        let error = check_links(folder.path(), folder.path())
-            .unwrap_err()
-            .to_string();
+        let error = check_links(&docs, folder.path()).unwrap_err().to_string();
         assert!(error.contains("d.md is not listed"), "{error}");
     }
 }

@@ -30,29 +30,9 @@ pub(crate) fn build_rig() -> Result<PathBuf> {
     Ok(elf)
 }
 
-/// A board that the firmware is built for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Board {
-    /// STM32F4DISCOVERY
-    #[default]
-    Discovery,
-    /// WeAct Black Pill (STM32F411CE)
-    BlackPill,
-}
-
 /// Builds the firmware of the STM32F4DISCOVERY in the release profile and returns its ELF.
 pub(crate) fn build() -> Result<PathBuf> {
     built(&["build", "--release"])
-}
-
-/// Builds the firmware in the release profile and gives it to the runner of its target
-/// (`.cargo/config.toml`), which flashes it.
-pub(crate) fn flash(board: Board) -> Result<()> {
-    match board {
-        Board::Discovery => cargo_for_target(FIRMWARE, TARGET, &["run", "--release"]),
-        // An alias of the folder's `.cargo/config.toml`.
-        Board::BlackPill => cargo_for_target(FIRMWARE, TARGET, &["black-pill"]),
-    }
 }
 
 /// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its

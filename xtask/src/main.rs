@@ -13,13 +13,12 @@ mod image;
 mod process;
 mod reference;
 mod release;
-mod sync_bench;
 mod tools;
 mod wheel;
 
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 /// Build, test, demo and bench SmartDepthSync.
@@ -34,12 +33,6 @@ struct Cli {
 enum Command {
     /// Build the firmware for the board, the host tool and the simulator.
     Build,
-    /// Build the firmware, flash the board through probe-rs and show the log.
-    Flash {
-        /// Which board it is.
-        #[arg(long, value_enum, default_value_t)]
-        board: firmware::Board,
-    },
     /// Run every test, on the host and in the simulator.
     Test {
         /// Passed on to cargo test, for example `-p smartdepthsync verify_command`.
@@ -69,10 +62,15 @@ enum Command {
     /// LeRobot; 5.6 GB are downloaded the first time) and ROS 1's own on data sets of the
     /// simulated rig, and the fleet on two nodes.
     Readers,
-    /// Measure a part of the host. Compare figures within one run only. The simulator
-    /// measures itself: `hil-sim bench`.
-    #[command(subcommand)]
-    Bench(Bench),
+    /// Measure a part of the host by its script, `xtask/PART_bench.py`: the clock estimate
+    /// beside the published Python package, or the extraction beside a plain Python reader.
+    /// Compare figures within one run only. The simulator measures itself: `hil-sim bench`.
+    Bench {
+        #[arg(value_parser = ["sync", "extract"])]
+        part: String,
+        /// Twists per scenario (300), or minutes of depth at full size (10; 1.3 GB each).
+        size: Option<u32>,
+    },
     /// Make all that a release holds, for amd64 and arm64, in `target/dist`, and try it where
     /// there is no Rust.
     Release,
@@ -85,34 +83,15 @@ enum Command {
     DocsFigures,
 }
 
-#[derive(Subcommand)]
-enum Bench {
-    /// The clock estimate: error, honesty and time on simulated twists, beside the published
-    /// Python package.
-    Sync {
-        /// Twists per scenario.
-        #[arg(long, default_value_t = 300)]
-        trials: u32,
-    },
-    /// The extraction: speed and memory, beside a plain Python reader.
-    Extract {
-        /// Minutes of depth at full size (1.3 GB each).
-        #[arg(long, default_value_t = 10)]
-        depth_minutes: u32,
-    },
-}
-
 fn run(command: Command) -> Result<()> {
     match command {
         Command::Build => build(),
-        Command::Flash { board } => flash(board),
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Demo { args } => hil_sim(&[&["demo".to_owned()], &args[..]].concat()),
         Command::HilSim { args } => hil_sim(&args),
         Command::Check { no_book } => check(no_book),
         Command::Readers => readers(),
-        Command::Bench(Bench::Sync { trials }) => sync_bench::run(trials),
-        Command::Bench(Bench::Extract { depth_minutes }) => bench_extract(depth_minutes),
+        Command::Bench { part, size } => bench(&part, size),
         Command::Release => release::make(),
         Command::Wheel => wheel::build_and_test(),
         Command::Docs => docs::build_and_check(),
@@ -129,16 +108,6 @@ fn build() -> Result<()> {
     firmware::make_images(&[&elf, &black_pill])?;
     println!("firmware: {}", elf.display());
     Ok(())
-}
-
-fn flash(board: firmware::Board) -> Result<()> {
-    if !process::answers("probe-rs", &["--version"]) {
-        bail!(
-            "there is no probe-rs on the PATH: see https://probe.rs for how to install it, or \
-             docs/install.md for the ways without it"
-        );
-    }
-    firmware::flash(board)
 }
 
 fn test(cargo_args: &[String]) -> Result<()> {
@@ -189,21 +158,17 @@ fn check(no_book: bool) -> Result<()> {
     }
 }
 
-fn bench_extract(depth_minutes: u32) -> Result<()> {
-    let python = tools::ensure_python()?;
-    let build = "build --release --workspace --example synthetic_recording --bin smartdepthsync";
+fn bench(part: &str, size: Option<u32>) -> Result<()> {
+    let python = wheel::installed()?;
+    let examples = "--example synthetic_recording --example sync_bench";
+    let build = format!("build --release --workspace --bin smartdepthsync {examples}");
     process::cargo(build.split(' '))?;
-    let place = process::fresh_folder("extract-bench")?;
-    let measured = process::run(
+    process::run(
         process::command(python)
-            .arg("xtask/extract_bench.py")
-            .arg(process::target_dir().join("release"))
-            .arg(&place)
-            .arg(depth_minutes.to_string()),
-    );
-    // The recordings are large.
-    let _ = std::fs::remove_dir_all(&place);
-    measured
+            .arg(format!("xtask/{part}_bench.py"))
+            .arg(process::target_dir())
+            .args(size.map(|size| size.to_string())),
+    )
 }
 
 fn hil_sim(args: &[String]) -> Result<()> {

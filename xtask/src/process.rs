@@ -172,9 +172,3 @@ pub(crate) fn hil_sim<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
         .env(ELF_VARIABLE, elf)
         .envs(NO_ADB))
 }
-
-/// Runs the example `sync_bench` of the estimator's scenarios.
-pub(crate) fn sync_example(args: &[&str]) -> Result<()> {
-    let run = "run --release -q -p twist-scenarios --example sync_bench --".split(' ');
-    cargo(run.chain(args.iter().copied()))
-}

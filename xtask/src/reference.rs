@@ -11,7 +11,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use syn::{Attribute, Expr, Fields, GenericArgument, Item, Lit, Meta, PathArguments, Type};
+use syn::{
+    Attribute, Expr, Fields, GenericArgument, Item, ItemStruct, Lit, Meta, PathArguments, Type,
+};
 
 use crate::process;
 
@@ -26,12 +28,13 @@ pub(crate) struct Reference {
     types: BTreeMap<String, Vec<Declared>>,
 }
 
-/// A type that was referred to: its name, the file that does it, and as what to write it.
-#[derive(Clone, PartialEq)]
-struct Wanted {
-    name: String,
-    from: PathBuf,
-    is_message: bool,
+/// A page while its questions are answered.
+struct Page<'a> {
+    types: &'a BTreeMap<String, Vec<Declared>>,
+    /// As on the wire: variants have numbers, and numbers their width.
+    is_wire: bool,
+    /// Types that were referred to, and the files that do it.
+    wanted: Vec<(String, PathBuf)>,
 }
 
 impl Reference {
@@ -67,38 +70,30 @@ impl Reference {
     /// A page with all that it asks for. The help of programs is left out unless they are built.
     pub(crate) fn expand(
         &self,
-        page: &str,
+        text: &str,
         root: &Path,
         programs: Option<&Path>,
     ) -> Result<String> {
+        let mut page = Page {
+            types: &self.types,
+            is_wire: text.contains("{{message "),
+            wanted: Vec::new(),
+        };
         let mut out = String::new();
-        let mut wanted = Vec::new();
-        for line in page.lines() {
+        for line in text.lines() {
             let asked = line.strip_prefix("{{").and_then(|it| it.strip_suffix("}}"));
             let words: Vec<&str> = asked.unwrap_or_default().split(' ').collect();
             match words[..] {
-                [kind @ ("object" | "message"), name] => {
-                    let is_message = kind == "message";
-                    let from = PathBuf::new();
-                    let name = name.to_owned();
-                    let asked = Wanted {
-                        name,
-                        from,
-                        is_message,
-                    };
-                    let declared = self
-                        .find(&asked)?
-                        .with_context(|| format!("the sources have no type {}", asked.name))?;
-                    out += &self.table(declared, is_message, &mut wanted)?;
-                    wanted.retain(|it| it.name != asked.name);
+                ["object" | "message", name] => {
+                    let declared = page.find(name, Path::new(""))?;
+                    let declared =
+                        declared.with_context(|| format!("the sources have no type {name}"))?;
+                    out += &page.table(declared)?;
+                    page.wanted.retain(|it| it.0 != name);
                 }
-                ["objects", folder] => {
-                    out += &self.objects(&root.join(folder), &mut wanted)?;
-                }
-                ["commands", file] => {
-                    out += &self.commands(&root.join(file), &mut wanted)?;
-                }
-                ["definitions"] => out += &self.definitions(&mut wanted)?,
+                ["objects", folder] => out += &page.objects(&root.join(folder))?,
+                ["commands", file] => out += &page.commands(&root.join(file))?,
+                ["definitions"] => out += &page.definitions()?,
                 ["table", file, name] => out += &constant(&root.join(file), name)?,
                 ["file", file] => {
                     let text = fs::read_to_string(root.join(file)).context(file.to_owned())?;
@@ -120,14 +115,18 @@ impl Reference {
         }
         Ok(out)
     }
+}
 
+impl<'a> Page<'a> {
     /// The objects that the files of a folder print, under the files' names.
-    fn objects(&self, folder: &Path, wanted: &mut Vec<Wanted>) -> Result<String> {
-        let mut by_file: BTreeMap<&Path, Vec<&Declared>> = BTreeMap::new();
+    fn objects(&mut self, folder: &Path) -> Result<String> {
+        let mut by_file: BTreeMap<&Path, Vec<(&ItemStruct, &Declared)>> = BTreeMap::new();
         for it in self.types.values().flatten() {
-            let is_printed = matches!(it.item, Item::Struct(_)) && serialises(&it.item);
-            if is_printed && it.file.starts_with(folder) {
-                by_file.entry(&it.file).or_default().push(it);
+            if let Item::Struct(item) = &it.item
+                && serialises(&it.item)
+                && it.file.starts_with(folder)
+            {
+                by_file.entry(&it.file).or_default().push((item, it));
             }
         }
         let mut out = String::new();
@@ -139,52 +138,40 @@ impl Reference {
             }
             let words: Vec<_> = name.iter().map(|part| part.to_string_lossy()).collect();
             let _ = writeln!(out, "\n## {}\n", words.join(" ").replace('_', " "));
-            let mut below = Vec::new();
+            let before = std::mem::take(&mut self.wanted);
             let mut tables = Vec::new();
-            for it in all {
-                tables.push((it, self.table(it, false, &mut below)?));
+            for (item, it) in all {
+                tables.push((item, self.table(it)?));
             }
-            for (it, table) in tables {
-                let Item::Struct(item) = &it.item else {
-                    continue;
-                };
-                if !below.iter().any(|wanted| item.ident == wanted.name) {
+            for (item, table) in tables {
+                if !self.wanted.iter().any(|it| item.ident == it.0) {
                     out += &format!("{}\n\n{table}\n", doc(&item.attrs));
                 }
             }
-            below.retain(|asked| !wanted.iter().any(|it| it.name == asked.name));
-            wanted.append(&mut below);
+            let below = std::mem::replace(&mut self.wanted, before);
+            for (name, from) in below {
+                self.want(name, from);
+            }
         }
         Ok(out)
     }
 
     /// The commands of the protocol, with their replies.
-    fn commands(&self, file: &Path, wanted: &mut Vec<Wanted>) -> Result<String> {
+    fn commands(&mut self, file: &Path) -> Result<String> {
         let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
         let list = text
             .split_once("\ncommands! {")
             .and_then(|it| it.1.split_once("\n}"));
-        let list = list
-            .with_context(|| format!("{} has no commands", file.display()))?
-            .0;
+        let list = list.with_context(|| format!("{} has no commands", file.display()))?;
         let mut out = "| number | command | reply | meaning |\n|---|---|---|---|\n".to_owned();
-        for (number, line) in list.lines().filter(|it| it.contains("=>")).enumerate() {
-            let (name, reply) = line.split_once("=>").unwrap_or_default();
+        let lines = list.0.lines().filter_map(|line| line.split_once("=>"));
+        for (number, (name, reply)) in lines.enumerate() {
             let reply = reply.split(',').next().unwrap_or_default();
-            let kind = syn::parse_str(reply.trim())?;
-            let reply = self.type_text(&kind, file, true, wanted);
-            let kind = syn::parse_str(name.trim())?;
-            let command = self.type_text(&kind, file, true, wanted);
-            let meaning = match self.types.get(name.trim()).map(Vec::as_slice) {
-                Some(
-                    [
-                        Declared {
-                            item: Item::Struct(it),
-                            ..
-                        },
-                    ],
-                ) => doc(&it.attrs),
-                _ => String::new(),
+            let reply = self.type_text(&syn::parse_str(reply.trim())?, file);
+            let command = self.type_text(&syn::parse_str(name.trim())?, file);
+            let meaning = match self.find(name.trim(), file)? {
+                Some(it) => doc(attributes(&it.item)),
+                None => String::new(),
             };
             let _ = writeln!(out, "| {number} | {command} | {reply} | {meaning} |");
         }
@@ -192,83 +179,82 @@ impl Reference {
     }
 
     /// Each type that was referred to, and those that it refers to.
-    fn definitions(&self, wanted: &mut Vec<Wanted>) -> Result<String> {
+    fn definitions(&mut self) -> Result<String> {
         let mut out = String::new();
         let mut at = 0;
-        while let Some(asked) = wanted.get(at).cloned() {
+        while let Some((name, from)) = self.wanted.get(at).cloned() {
             at += 1;
-            let Some(declared) = self.find(&asked)? else {
-                continue;
-            };
-            let _ = writeln!(out, "\n### {}\n", asked.name);
-            let (Item::Struct(syn::ItemStruct { attrs, .. })
-            | Item::Enum(syn::ItemEnum { attrs, .. })) = &declared.item
-            else {
-                continue;
-            };
-            let _ = writeln!(out, "{}\n", doc(attrs));
-            out += &self.table(declared, asked.is_message, wanted)?;
+            if let Some(it) = self.find(&name, &from)? {
+                let text = doc(attributes(&it.item));
+                let _ = writeln!(out, "\n### {name}\n\n{text}\n");
+                out += &self.table(it)?;
+            }
         }
-        wanted.clear();
         Ok(out)
     }
 
+    fn want(&mut self, name: String, from: PathBuf) {
+        if !self.wanted.iter().any(|it| it.0 == name) {
+            self.wanted.push((name, from));
+        }
+    }
+
     /// The type that a file means by a name: its own, that of its crate, or the only one.
-    fn find(&self, wanted: &Wanted) -> Result<Option<&Declared>> {
-        let Some(all) = self.types.get(&wanted.name) else {
-            return Ok(None);
+    fn find(&self, name: &str, from: &Path) -> Result<Option<&'a Declared>> {
+        let all = self.types.get(name).map_or(&[][..], Vec::as_slice);
+        let crate_of = |file: &Path| {
+            let folders = file.ancestors();
+            let mut above = folders.skip_while(|it| !it.ends_with("src"));
+            above.next().map(Path::to_owned)
         };
-        let in_crate = |declared: &&Declared| {
-            let depth = |file: &Path| {
-                let parts: Vec<_> = file.components().collect();
-                let src = parts.iter().rposition(|part| part.as_os_str() == "src");
-                parts[..src.unwrap_or(0)].iter().collect::<PathBuf>()
-            };
-            depth(&declared.file) == depth(&wanted.from)
-        };
-        let found = all.iter().find(|it| it.file == wanted.from);
-        let found = found.or_else(|| all.iter().find(in_crate));
-        match (found, &all[..]) {
+        let found = all.iter().find(|it| it.file == from);
+        let found = found.or_else(|| {
+            let mut all = all.iter();
+            all.find(|it| crate_of(&it.file) == crate_of(from))
+        });
+        match (found, all) {
             (Some(found), _) | (None, [found]) => Ok(Some(found)),
             _ => {
-                let serialised = |it: &&Declared| serialises(&it.item);
-                let mut all = all.iter().filter(serialised);
+                let mut all = all.iter().filter(|it| serialises(&it.item));
                 match (all.next(), all.next()) {
                     (found, None) => Ok(found),
-                    _ => bail!("several types are called {}", wanted.name),
+                    _ => bail!("several types are called {name}"),
                 }
             }
         }
     }
 
     /// The fields of a struct, or the variants of an enum, as a table.
-    fn table(&self, it: &Declared, is_message: bool, wanted: &mut Vec<Wanted>) -> Result<String> {
+    fn table(&mut self, it: &Declared) -> Result<String> {
         let mut out = String::new();
         match &it.item {
             Item::Struct(item) => {
                 out += "| field | type | meaning |\n|---|---|---|\n";
-                self.rows(it, &item.fields, is_message, wanted, &mut out)?;
+                self.rows(it, &item.fields, &mut out)?;
             }
             Item::Enum(item) => {
                 let rule = serde(&item.attrs, "rename_all");
-                let head = if is_message { "| number " } else { "" };
-                let line = if is_message { "|---" } else { "" };
+                let (head, line) = if self.is_wire {
+                    ("| number ", "|---")
+                } else {
+                    ("", "")
+                };
                 let _ = writeln!(out, "{head}| word | with | meaning |\n{line}|---|---|---|");
                 for (number, variant) in item.variants.iter().enumerate() {
                     let mut parts = Vec::new();
                     for field in &variant.fields {
-                        let kind = self.type_text(&field.ty, &it.file, is_message, wanted);
+                        let kind = self.type_text(&field.ty, &it.file);
                         parts.push(match &field.ident {
                             Some(name) => format!("`{name}`: {kind}"),
                             None => kind,
                         });
                     }
-                    if is_message {
+                    if self.is_wire {
                         let _ = write!(out, "| {number} ");
                     }
                     let name = variant.ident.to_string();
                     let name = match rule.as_deref() {
-                        _ if is_message => name,
+                        _ if self.is_wire => name,
                         Some("snake_case") => snake(&name),
                         Some("lowercase") => name.to_lowercase(),
                         Some("kebab-case") => snake(&name).replace('_', "-"),
@@ -283,39 +269,30 @@ impl Reference {
         Ok(out)
     }
 
-    fn rows(
-        &self,
-        it: &Declared,
-        fields: &Fields,
-        is_message: bool,
-        wanted: &mut Vec<Wanted>,
-        out: &mut String,
-    ) -> Result<()> {
+    fn rows(&mut self, it: &Declared, fields: &Fields, out: &mut String) -> Result<()> {
         for (number, field) in fields.iter().enumerate() {
-            let is_set = |name| !is_message && serde(&field.attrs, name).is_some();
-            if is_set("skip") {
+            let is_set = |name| serde(&field.attrs, name).is_some();
+            if !self.is_wire && is_set("skip") {
                 continue;
             }
-            if is_set("flatten") {
-                let mut inner = Vec::new();
-                self.type_text(&field.ty, &it.file, is_message, &mut inner);
-                for asked in inner {
-                    if let Some(below) = self.find(&asked)?
+            if !self.is_wire && is_set("flatten") {
+                let before = std::mem::take(&mut self.wanted);
+                self.type_text(&field.ty, &it.file);
+                for (name, from) in std::mem::replace(&mut self.wanted, before) {
+                    if let Some(below) = self.find(&name, &from)?
                         && let Item::Struct(item) = &below.item
                     {
-                        self.rows(below, &item.fields, is_message, wanted, out)?;
+                        self.rows(below, &item.fields, out)?;
                     }
                 }
                 continue;
             }
-            let name = field
-                .ident
-                .as_ref()
-                .map_or(number.to_string(), ToString::to_string);
+            let name = field.ident.as_ref();
+            let name = name.map_or(number.to_string(), ToString::to_string);
             let name = serde(&field.attrs, "rename").unwrap_or(name);
             let name = name.trim_start_matches("r#");
-            let mut kind = self.type_text(&field.ty, &it.file, is_message, wanted);
-            if is_set("skip_serializing_if") {
+            let mut kind = self.type_text(&field.ty, &it.file);
+            if !self.is_wire && is_set("skip_serializing_if") {
                 kind += ", may be missing";
             }
             let _ = writeln!(out, "| `{name}` | {kind} | {} |", doc(&field.attrs));
@@ -324,24 +301,15 @@ impl Reference {
     }
 
     /// A type as readers know it; types of ours are links, and wanted.
-    fn type_text(
-        &self,
-        kind: &Type,
-        from: &Path,
-        is_message: bool,
-        wanted: &mut Vec<Wanted>,
-    ) -> String {
+    fn type_text(&mut self, kind: &Type, from: &Path) -> String {
         let path = match kind {
-            Type::Reference(it) => return self.type_text(&it.elem, from, is_message, wanted),
+            Type::Reference(it) => return self.type_text(&it.elem, from),
             Type::Array(syn::TypeArray { elem, .. }) | Type::Slice(syn::TypeSlice { elem, .. }) => {
-                return format!("list of {}", self.type_text(elem, from, is_message, wanted));
+                return format!("list of {}", self.type_text(elem, from));
             }
+            Type::Tuple(it) if it.elems.is_empty() => return "nothing".to_owned(),
             Type::Tuple(it) => {
-                if it.elems.is_empty() {
-                    return "nothing".to_owned();
-                }
-                let each = it.elems.iter();
-                let each = each.map(|it| self.type_text(it, from, is_message, wanted));
+                let each = it.elems.iter().map(|it| self.type_text(it, from));
                 return format!("({})", each.collect::<Vec<_>>().join(", "));
             }
             Type::Path(it) => &it.path,
@@ -354,13 +322,13 @@ impl Reference {
         if let PathArguments::AngleBracketed(it) = &last.arguments {
             for argument in &it.args {
                 if let GenericArgument::Type(it) = argument {
-                    inner.push(self.type_text(it, from, is_message, wanted));
+                    inner.push(self.type_text(it, from));
                 }
             }
         }
         let name = last.ident.to_string();
         match (name.as_str(), &inner[..]) {
-            ("Option", [it]) if is_message => format!("optional {it}"),
+            ("Option", [it]) if self.is_wire => format!("optional {it}"),
             ("Option", [it]) => format!("{it} or `null`"),
             ("Vec" | "VecDeque" | "BTreeSet", [it, ..]) => format!("list of {it}"),
             ("BTreeMap" | "HashMap", [_, it]) => format!("object of {it}"),
@@ -372,58 +340,50 @@ impl Reference {
                 "u8" | "u16" | "u32" | "u64" | "usize" | "i8" | "i16" | "i32" | "i64" | "f32"
                 | "f64" | "u128" | "i128",
                 _,
-            ) => (if is_message { name.as_str() } else { "number" }).to_owned(),
+            ) => (if self.is_wire { &name } else { "number" }).to_owned(),
             _ => {
-                let from = from.to_owned();
-                let asked = Wanted {
-                    name,
-                    from,
-                    is_message,
-                };
-                let found = self.find(&asked).ok().flatten();
+                let found = self.find(&name, from).ok().flatten();
                 match found.map(|it| (&it.item, &it.file)) {
                     // Of a number in a unit the number is written.
                     Some((Item::Struct(it), file))
                         if matches!(&it.fields, Fields::Unnamed(_)) && it.fields.len() == 1 =>
                     {
                         let number = it.fields.iter().next().map(|it| &it.ty);
-                        let number = number.map(|it| self.type_text(it, file, is_message, wanted));
-                        format!("{} ({})", number.unwrap_or_default(), asked.name)
+                        let number = number.map(|it| self.type_text(it, file));
+                        format!("{} ({name})", number.unwrap_or_default())
                     }
                     Some((item, _)) if serialises(item) => {
-                        let link = format!("[{0}](#{1})", asked.name, asked.name.to_lowercase());
-                        if !wanted.iter().any(|it| it.name == asked.name) {
-                            wanted.push(asked);
-                        }
+                        let link = format!("[{name}](#{})", name.to_lowercase());
+                        self.want(name, from.to_owned());
                         link
                     }
-                    _ => asked.name,
+                    _ => name,
                 }
             }
         }
     }
 }
 
+fn attributes(item: &Item) -> &[Attribute] {
+    match item {
+        Item::Struct(it) => &it.attrs,
+        Item::Enum(it) => &it.attrs,
+        _ => &[],
+    }
+}
+
 fn serialises(item: &Item) -> bool {
-    let (Item::Struct(syn::ItemStruct { attrs, .. }) | Item::Enum(syn::ItemEnum { attrs, .. })) =
-        item
-    else {
-        return false;
-    };
-    attrs.iter().any(|attribute| {
-        let mut found = false;
-        let _ = attribute.path().is_ident("derive").then(|| {
-            attribute.parse_nested_meta(|it| {
-                found |= it
-                    .path
-                    .segments
-                    .last()
-                    .is_some_and(|it| it.ident == "Serialize");
+    let mut found = false;
+    for attribute in attributes(item) {
+        if attribute.path().is_ident("derive") {
+            let _ = attribute.parse_nested_meta(|it| {
+                let last = it.path.segments.last();
+                found |= last.is_some_and(|it| it.ident == "Serialize");
                 Ok(())
-            })
-        });
-        found
-    })
+            });
+        }
+    }
+    found
 }
 
 /// What serde is told of a field or type; empty where it is a word alone.

@@ -10,7 +10,6 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::firmware::Board;
 use crate::image::{dfu_image, raw_image};
 use crate::{dependencies, docs, firmware, process, tools, wheel};
 
@@ -107,11 +106,11 @@ impl Release {
 
     /// ELF, raw image and image for DFU of each board, here and in `folder`.
     fn firmware(&self, revision: &str, folder: &Path) -> Result<()> {
-        for board in [Board::BlackPill, Board::Discovery] {
-            let (elf, key) = match board {
-                Board::BlackPill => (firmware::build_black_pill()?, "black-pill"),
-                Board::Discovery => (firmware::build()?, "discovery"),
-            };
+        let black_pill = firmware::build_black_pill()?;
+        for (elf, key) in [
+            (black_pill, "black-pill"),
+            (firmware::build()?, "discovery"),
+        ] {
             let image = raw_image(&elf)?;
             let mark = format!("{key};{VERSION};{revision};");
             if !image.windows(mark.len()).any(|at| at == mark.as_bytes()) {
@@ -195,13 +194,8 @@ impl Release {
     /// Makes the archive and the Debian package of the tree `usr`.
     fn pack(&self, usr: &Path, architecture: &str) -> Result<()> {
         let tree = usr.parent().context("a tree without a folder")?;
-        let modes = process::command("chmod")
-            .args(["-R", "u=rwX,go=rX"])
-            .arg(tree)
-            .status()?;
-        if !modes.success() {
-            bail!("cannot set the rights of {}", tree.display());
-        }
+        let mut modes = process::command("chmod");
+        process::run(modes.args(["-R", "u=rwX,go=rX"]).arg(tree))?;
         let name = format!("{NAME}-{VERSION}-linux-{architecture}");
         let archive = self.dist.join(format!("{name}.tar.gz"));
         process::run(

@@ -78,8 +78,13 @@ pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
     data(&python)?;
     let twists = process::target_dir().join("wheel-twists");
-    let twists_text = twists.display().to_string();
-    process::sync_example(&["--export", &twists_text, "--trials", TRIALS])?;
+    let export = "run --release -q -p twist-scenarios --example sync_bench -- --trials";
+    process::run(
+        process::command(process::cargo_program())
+            .args(export.split(' '))
+            .args([TRIALS, "--export"])
+            .arg(&twists),
+    )?;
     process::run(
         process::command(&python)
             .args("-m unittest discover -s host/twist-sync-python/tests".split(' '))

@@ -124,7 +124,7 @@ impl Drop for Tmux {
 fn keep(name: &str, screen: &str) {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("live_view");
     fs::create_dir_all(&folder).unwrap();
-    fs::write(folder.join(format!("{name}.txt")), screen).unwrap();
+    fs::write(folder.join(name), screen).unwrap();
 }
 
 fn monitor(rig: &WholeRig) -> Command {
@@ -146,7 +146,7 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
         "q stop",
     ];
     for (width, height) in [(80, 24), (120, 40), (200, 60)] {
-        let name = format!("monitor_{width}x{height}");
+        let name = format!("monitor_{width}x{height}.txt");
         let terminal = Tmux::start(width, height, &monitor(&rig));
         // The IMU gives 500 samples a second.
         terminal.wait_for(&["500.0/s"]);
@@ -182,14 +182,21 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let rig = WholeRig::new(33, 3.0);
     // What is enough is seen for some seconds.
     let profile = rig.profile().replace("twist_s = 6", "twist_s = 20");
+    // As after `evaluate precision --calibrate`: a picture of the book is made of this.
+    let bias = "bias_us = 0.0\nbias_sigma_us = 0.1\nbias_measured = \"2026-01-31\"";
+    let profile = format!("{profile}\n[frame_sync]\n{bias}\n");
     let command = rig.record_with("seen", &profile, &[]);
     let terminal = Tmux::start(80, 24, &command);
     let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
-    keep("record_twist_80x24", &screen);
+    keep("record_twist_80x24.txt", &screen);
     terminal.wait_for(&["RECORDING", "us off grid"]);
     terminal.keys("m");
     let screen = terminal.wait_for(&["marker 1 at", "GB free"]);
-    keep("record_80x24", &screen);
+    keep("record_80x24.txt", &screen);
+    keep(
+        "record_80x24.ansi",
+        &terminal.run(&["capture-pane", "-p", "-e"]),
+    );
     terminal.keys("q");
     assert_eq!(terminal.ended(), 0, "{}", terminal.screen());
     let session = SessionFile::load(&rig.recording("seen")).unwrap();
