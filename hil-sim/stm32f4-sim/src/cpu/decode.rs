@@ -337,6 +337,7 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
         } => Op::Cps { enable },
         Insn::Mrs { rd, sysm: 16 } if rd != 15 => Op::MrsPrimask { rd },
         Insn::Mrs { rd, sysm: 17 | 18 } if rd != 15 => Op::MrsBasepri { rd },
+        Insn::Msr { rn, sysm: 16, .. } if rn != 15 => Op::MsrPrimask { rn },
         Insn::Msr {
             rn,
             sysm: sysm @ (17 | 18),

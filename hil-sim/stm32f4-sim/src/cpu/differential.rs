@@ -8,7 +8,7 @@ use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, xpsr};
 
 use super::code::Code;
-use super::exec::{Stop, run};
+use super::exec::{DWT_CYCCNT, Stop, run};
 use super::state::Fast;
 use crate::bus::Bus;
 use crate::chip::memory::{FLASH_BASE, Memory, SRAM_BASE};
@@ -16,6 +16,9 @@ use crate::random::{Random, Seed};
 
 /// Where the instruction under test lies.
 const AT: u32 = FLASH_BASE + 0x200;
+/// What lets DWT_CYCCNT count (DDI 0403 C1.6.5, C1.8.7).
+const TRCENA: u32 = 1 << 24;
+const CYCCNTENA: u32 = 1;
 
 struct PlainBus {
     mem: Memory,
@@ -96,6 +99,7 @@ impl Pair {
         let arm = ArmV7m::new(Config::CORTEX_M4F.with_priority_bits(4));
         arm.attach_space(Arc::new(space));
         arm.step();
+        arm.with_sys(|s| (s.demcr, s.dwt_ctrl) = (TRCENA, CYCCNTENA));
         Self {
             arm,
             arm_mem,
@@ -127,6 +131,7 @@ impl Pair {
                 7..=9 => value & 0x3f,
                 10 => SRAM_BASE + 0x1_0000 + (value & 0xfff),
                 11 => u32::MAX - (value & 3),
+                12 => DWT_CYCCNT,
                 _ => value,
             };
         }
@@ -142,6 +147,7 @@ impl Pair {
         let mut fast = Fast::new();
         fast.r = r;
         fast.set_xpsr(flags);
+        fast.cycle_counter = Some(self.arm.with_sys(|s| s.dwt_cyccnt));
         self.arm.set_regs(Regs {
             r,
             msp: r[13],
@@ -217,6 +223,24 @@ fn many_32_bit_instructions() {
         pair.compare(&format!("{first:04x} {second:04x}"), 1);
     }
     assert!(pair.compared > 50_000, "{} compared", pair.compared);
+}
+
+/// MRS and MSR of PRIMASK, BASEPRI and BASEPRI_MAX.
+#[test]
+fn masks_of_interrupts() {
+    let mut pair = Pair::new();
+    for sysm in 16..=18 {
+        for n in 0..13 {
+            for halves in [
+                [0xf380 | n, 0x8800 | sysm],
+                [0xf3ef, 0x8000 | n << 8 | sysm],
+            ] {
+                pair.place(&halves);
+                pair.compare(&format!("{halves:04x?}"), 1);
+            }
+        }
+    }
+    assert_eq!(pair.slow, 0);
 }
 
 /// Conditional blocks: the next one to four instructions, 16-bit ones leaving

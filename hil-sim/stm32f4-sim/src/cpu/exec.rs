@@ -2,8 +2,8 @@
 //!
 //! It runs predecoded operations until its cycle limit, or until it meets
 //! something that it leaves to rsemu: then nothing of that instruction has
-//! happened yet. Exceptions, the system block, floating point, the DSP
-//! extension, faults and sleep are all rsemu's. The cycle counts are those of
+//! happened yet. Exceptions, the system block but for the cycle counter, floating
+//! point, the DSP extension, faults and sleep are all rsemu's. The cycle counts are those of
 //! rsemu's timing model (one a instruction, one a data access, two for a taken
 //! branch, two for a division), so both count the same; and the wait states of the
 //! flash and of the buses ([`Bus`]).
@@ -13,9 +13,12 @@ use super::access::{
 };
 use super::alu::{bitfield, data_proc, extend, misc, mul_long, mul_top, shift};
 use super::code::Code;
-use super::op::Op;
+use super::op::{Kind, Op};
 use super::state::Fast;
 use crate::bus::Bus;
+
+/// The cycle counter (DDI 0403 C1.8.8), which the firmware's meters read on each wake-up.
+pub(super) const DWT_CYCCNT: u32 = 0xe000_1004;
 
 /// Why the interpreter stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,7 +77,12 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             ($kind:expr, $addr:expr) => {
                 match load(bus, $kind, $addr, &mut now, &mut limit) {
                     Some(value) => value,
-                    None => slow!(),
+                    None => match st.cycle_counter {
+                        Some(ahead) if $addr == DWT_CYCCNT && $kind == Kind::Word => {
+                            ahead.wrapping_add(now as u32)
+                        }
+                        _ => slow!(),
+                    },
                 }
             };
         }
@@ -86,6 +94,17 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             };
         }
         let mut next = pc.wrapping_add(len);
+        macro_rules! unmask {
+            ($enable:expr) => {{
+                let enable = $enable;
+                st.primask = !enable;
+                now += 1;
+                if enable && st.pending_masked && st.it == 0 {
+                    pc = next;
+                    stop!(Stop::Unmasked, st.it);
+                }
+            }};
+        }
         match *op {
             Op::Unknown | Op::Slow => slow!(),
             Op::Nop => now += 1,
@@ -527,14 +546,8 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rd, bitfield(op, st.reg(rd), st.reg(rn), lsb, width));
                 now += 1;
             }
-            Op::Cps { enable } => {
-                st.primask = !enable;
-                now += 1;
-                if enable && st.pending_masked && st.it == 0 {
-                    pc = next;
-                    stop!(Stop::Unmasked, st.it);
-                }
-            }
+            Op::Cps { enable } => unmask!(enable),
+            Op::MsrPrimask { rn } => unmask!(st.reg(rn) & 1 == 0),
             Op::MrsBasepri { rd } => {
                 st.set(rd, u32::from(st.basepri));
                 now += 1;

@@ -247,6 +247,7 @@ impl Cpu {
     /// A debug probe has gone: probe-rs clears DEMCR when it detaches.
     pub(crate) fn detach_probe(&mut self) {
         self.arm.with_sys(|s| s.demcr = 0);
+        self.fast.cycle_counter = None;
     }
 
     /// R0 to R15 (R15 is the address of the next instruction) and xPSR.
@@ -410,7 +411,10 @@ impl Cpu {
             let instruction = (pc, word, executed);
             Float::before(&self.arm, &mut soc.mem, instruction, self.regs.control)
         };
-        self.cycles += self.arm.step() + self.waits(pc);
+        self.cycles += self.arm.step();
+        let waits = self.waits(pc);
+        self.cycles += waits;
+        self.untold += waits;
         self.stats.slow_steps += 1;
         if executed && word >> 16 == WFI {
             lock(&self.soc).require_safe_sleep(pc);
@@ -461,8 +465,10 @@ impl Cpu {
         }
 
         // Is there anything that rsemu has to look at before the next instruction?
+        let ahead = self.untold.wrapping_sub(self.cycles) as u32;
         let (pending, plain, reset) = self.arm.with_sys(|s| {
             let plain = s.mpu_ctrl & 1 == 0 && s.ccr & sys::ccr::UNALIGN_TRP == 0;
+            self.fast.cycle_counter = s.cyccnt_enabled().then(|| s.dwt_cyccnt.wrapping_add(ahead));
             (s.highest_pending(), plain, s.reset_requested)
         });
         if reset {

@@ -305,6 +305,9 @@ pub(crate) enum Op {
     MrsBasepri {
         rd: u8,
     },
+    MsrPrimask {
+        rn: u8,
+    },
     /// `MSR BASEPRI`, or `BASEPRI_MAX` if it only raises.
     MsrBasepri {
         rn: u8,

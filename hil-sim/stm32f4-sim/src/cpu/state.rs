@@ -25,6 +25,8 @@ pub(crate) struct Fast {
     pub(super) exclusive: Option<u32>,
     /// An enabled interrupt waits for PRIMASK or BASEPRI.
     pub(crate) pending_masked: bool,
+    /// DWT_CYCCNT minus the core's cycle count, while the counter runs.
+    pub(crate) cycle_counter: Option<u32>,
     /// The line of the flash that the last instruction came from: its address over 16.
     pub(crate) line: u32,
 }
@@ -46,6 +48,7 @@ impl Fast {
             basepri: 0,
             exclusive: None,
             pending_masked: false,
+            cycle_counter: None,
             line: u32::MAX,
         }
     }
