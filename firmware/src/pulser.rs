@@ -193,7 +193,7 @@ impl Pulser {
         Ok(())
     }
 
-    /// Puts an align into force. False if it must be planned anew.
+    /// Puts an align into force. False if it must be planned again.
     ///
     /// # Errors
     ///
@@ -432,7 +432,7 @@ impl Pulser {
         }
     }
 
-    /// What the host is told of an output in the status.
+    /// An output as the status reports it.
     #[must_use]
     pub fn summary(&self, now: Ticks) -> OutputStatus {
         OutputStatus {
@@ -449,7 +449,7 @@ impl Pulser {
         train.map_or(Position::default(), |mut train| train.advance().position)
     }
 
-    /// The state of the train and where it goes on, as the host is told.
+    /// The state of the train and where it goes on, as it is reported to the host.
     #[must_use]
     pub fn status(&self, now: Ticks) -> TriggerStatus {
         let next = match self.stage {

@@ -1,6 +1,6 @@
 //! What the board keeps in its flash over power-off: its settings, and panics.
 //!
-//! Entries stand one behind the other in slots of their own, each written once, so nothing is
+//! Entries stand one after the other in slots of their own, each written once, so nothing is
 //! ever erased; the newest of its kind holds. An entry is a frame of the protocol, whose CRC tells
 //! one that power cut short.
 

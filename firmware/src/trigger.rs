@@ -77,7 +77,7 @@ struct Slew {
 /// A plan that [`Train::align`] made and [`crate::pulser::Pulser::adopt`] puts into force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alignment {
-    /// What the host is told.
+    /// What is reported to the host.
     pub plan: AlignPlan,
     period: Period,
     slew: Slew,
@@ -289,7 +289,7 @@ impl Train {
     }
 
     /// Puts a plan into force. False if an edge was armed since it was made: it
-    /// must be made anew.
+    /// must be made again.
     pub(crate) fn adopt(&mut self, alignment: &Alignment) -> bool {
         if alignment.from != self.number {
             return false;

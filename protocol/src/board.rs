@@ -73,7 +73,7 @@ pub const MAX_INPUT_DELAY: u8 = 32;
 pub const MAX_CRYSTAL_PPB: u32 = 1_000_000;
 
 /// Beginning of a text that is somewhere in the image of each firmware. Behind it come the
-/// board's [`BoardModel::key`], version and git revision, each with a semicolon behind it.
+/// board's [`BoardModel::key`], version and git revision, each with a semicolon after it.
 pub const IMAGE_MARK: &str = "SmartDepthSync image;";
 
 /// A board that the firmware is built for.
@@ -96,7 +96,7 @@ impl BoardModel {
         }
     }
 
-    /// What a firmware's image has behind [`IMAGE_MARK`] for its board.
+    /// What a firmware's image has after [`IMAGE_MARK`] for its board.
     #[must_use]
     pub const fn key(self) -> &'static str {
         match self {

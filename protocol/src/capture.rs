@@ -16,7 +16,7 @@ pub struct Capture {
     /// The captured time.
     pub at: Ticks,
     /// An edge before this one was lost (over-capture): the pairing of edges
-    /// starts anew here.
+    /// starts again here.
     pub after_loss: bool,
 }
 

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 /// CRC-32/ISO-HDLC with a 1 KiB table.
 const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Bytes of the CRC behind the message.
+/// Bytes of the CRC after the message.
 const CRC_LEN: usize = 4;
 
 /// By how much COBS makes a message and its CRC longer at most: one byte, and

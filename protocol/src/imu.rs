@@ -254,7 +254,7 @@ impl ImuModel {
 pub struct ImuSensor {
     /// The family.
     pub model: ImuModel,
-    /// Bandwidth of the gyroscope's low-pass as it is set, in 0.1 Hz; 0 if not told.
+    /// Bandwidth of the gyroscope's low-pass as it is set, in 0.1 Hz; 0 if not reported.
     pub gyro_bandwidth_hz_times_10: u16,
     /// Noise density of the gyroscope, in µ°/s/√Hz.
     pub gyro_noise_udps: u16,
@@ -268,7 +268,7 @@ pub struct ImuSensor {
 
 impl ImuSensor {
     /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18), its bandwidth
-    /// not told.
+    /// not reported.
     pub const MPU_9150: Self = Self {
         model: ImuModel::Mpu6050,
         gyro_bandwidth_hz_times_10: 0,

@@ -7,7 +7,7 @@
 //!
 //! - [`units`]: board time ([`Ticks`], [`TickDelta`], [`Period`]).
 //! - [`framing`]: how a message of any type is put on the wire (postcard, CRC-32,
-//!   COBS, a zero byte behind each frame) and taken off again.
+//!   COBS, a zero byte after each frame) and taken off again.
 //! - [`trigger`], [`capture`], [`imu`], [`gnss`]: settings, events and status of the
 //!   trigger outputs, the capture inputs, the IMU and the pulse per second.
 //! - [`board`]: who the board is ([`Hello`]) and how all of it fares ([`Status`]).

@@ -4,7 +4,7 @@
 //! All four outputs are in the one timebase, take the same commands and send the same
 //! messages. A first edge or an anchor has a fraction of a tick, as a period has, so
 //! that a train can be put on an exact multiple of another one and stay on it for ever:
-//! the next edge of any train is told with its fraction
+//! the next edge of any train is given with its fraction
 //! ([`TriggerStatus::next_fraction`]).
 
 use serde::{Deserialize, Serialize};

@@ -54,7 +54,7 @@ pub(crate) fn raw_image(elf: &Path) -> Result<Vec<u8>> {
     Ok(image)
 }
 
-/// The raw image with a DFU suffix behind it.
+/// The raw image with a DFU suffix after it.
 pub(crate) fn dfu_image(elf: &Path) -> Result<Vec<u8>> {
     Ok(with_suffix(raw_image(elf)?))
 }

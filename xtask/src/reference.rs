@@ -386,7 +386,7 @@ fn serialises(item: &Item) -> bool {
     found
 }
 
-/// What serde is told of a field or type; empty where it is a word alone.
+/// The value of a serde attribute; empty where it is a word alone.
 fn serde(attributes: &[Attribute], name: &str) -> Option<String> {
     let mut found = None;
     for attribute in attributes.iter().filter(|it| it.path().is_ident("serde")) {

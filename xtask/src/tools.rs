@@ -89,7 +89,7 @@ pub(crate) fn ensure_readers() -> Result<()> {
 }
 
 /// A Python environment in the target folder, with the packages that a file in `xtask/` names;
-/// made anew when that file changes.
+/// made again when that file changes.
 fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
     let venv = process::target_dir().join(name);
     let python = venv.join("bin/python3");

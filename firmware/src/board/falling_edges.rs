@@ -4,13 +4,13 @@
 //! The channel turns its pin over at each match and asks for a transfer. At the rising
 //! edge the stream loads the compare value of the falling one; the register has no
 //! preload, so that value holds at once (18.4.7, OC1PE = 0). At the falling edge the
-//! stream loads a value that lies behind, only so that no request is left over: one that
+//! stream loads a value that has passed, only so that no request is left over: one that
 //! nobody acknowledged would be served as soon as the stream is enabled again (10.3.2),
 //! before the next pulse. That second transfer ends the stream, which calls the handler.
 //!
 //! The first value waits in the stream's FIFO before it is asked for (10.3.12), so the
 //! load takes one access of APB1. The IMU's streams have the same priority (the HAL's), and of
-//! those the one with the lower number goes first (10.3.6): the load may come behind the core's
+//! those the one with the lower number goes first (10.3.6): the load may come after the core's
 //! access and one of the IMU's, in less than 1 µs. [`protocol::MIN_PULSE_WIDTH`] is ten times
 //! that.
 
@@ -25,7 +25,7 @@ const DMA: pac::dma::Dma = pac::DMA1;
 const STREAM: usize = 5;
 const CHANNEL: u8 = 3;
 
-/// What the stream loads: the falling edge, then a value behind. The stream reads them,
+/// What the stream loads: the falling edge, then a value that has passed. The stream reads them,
 /// so they are where it can: in SRAM.
 static VALUES: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 

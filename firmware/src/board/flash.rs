@@ -1,5 +1,5 @@
 //! The end of the flash, where [`firmware::storage`] is. The core runs from the same flash and
-//! stands still while a word is written, some 16 µs (DS8626 table 40): to be written only while no
+//! pauses while a word is written, some 16 µs (DS8626 table 40): to be written only while no
 //! output runs.
 
 #![allow(unsafe_code, reason = "memory that the linker script names")]
@@ -106,7 +106,7 @@ fn apply(settings: BoardSettings) {
     INPUT_DELAY.store(settings.input_delay.into(), Ordering::Relaxed);
 }
 
-/// Writes the next slot and reads it back. The flash refuses one that lies behind its end.
+/// Writes the next slot and reads it back. The flash refuses one that lies after its end.
 fn append(slot: [u8; SLOT]) -> bool {
     let start = (&raw const _storage_start).addr() - FLASH_BASE;
     STORAGE.lock(|cell| {

@@ -7,7 +7,7 @@
 //! ahead.
 //!
 //! With debug in sleep (DBGMCU_CR) and the flash's prefetch on, the core may run wrong
-//! instructions behind a WFI, depending on its address (ES0182 2.1.3). So
+//! instructions after a WFI, depending on its address (ES0182 2.1.3). So
 //! [`super::clocks::config`] leaves debug in sleep off unless a debugger is there, and the WFI
 //! is an aligned function of its own, whose address the linker checks (memory/checks.x).
 

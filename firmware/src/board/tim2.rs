@@ -374,8 +374,8 @@ impl Shared {
 
     fn strobe(&mut self) {
         let (captured, after_loss, flood) = self.strobe.take(STROBE);
-        // The level that this capture, or the one behind it, led to. An edge shows at
-        // the pin at once and in the flag only behind the filter: both count if they
+        // The level that this capture, or the one after it, led to. An edge shows at
+        // the pin at once and in the flag only after the filter: both count if they
         // stay for as long as that takes. An input that never does is a flood; its
         // captures are marked as incomplete by what they overrun.
         let mut seen = (level_of(STROBE_PIN), TIM.sr().read().ccif(STROBE));
@@ -458,7 +458,7 @@ impl CompareOutput for Channel {
     }
 
     fn arm(&mut self, at: u32, action: Action) {
-        // Low from here on, whatever came before: the old compare value lies behind and
+        // Low from here on, whatever came before: the old compare value has passed and
         // matches nothing. The flag is cleared before the new value is written, so that
         // its match is kept.
         self.force_low();

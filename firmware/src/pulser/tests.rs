@@ -400,7 +400,7 @@ fn a_whole_pulse_keeps_its_width_without_the_handler() {
     rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
     assert_eq!(rig.next_pulse(46_000).at, Ticks(1_000_000));
     assert_eq!(rig.next_pulse(46_000).at, Ticks(1_048_000));
-    // Until after the next edge: that one comes late, at the time that is told.
+    // Until after the next edge: that one comes late, at the time that is reported.
     assert_eq!(rig.next_pulse(60_000).at, Ticks(1_096_000));
     let late = rig.next_pulse(50);
     assert!(late.at.0 > 1_096_576 + 60_000, "{late:?}");
@@ -524,8 +524,8 @@ fn the_status_tells_the_next_edge_exactly() {
             rig.next_pulse(50);
             let status = rig.status();
             let exact = (1_000_000_u128 << 32) + u128::from(k) * u128::from(begin.period.0);
-            let told = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
-            assert_eq!(told, exact);
+            let next = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
+            assert_eq!(next, exact);
         }
     }
 }

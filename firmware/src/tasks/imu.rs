@@ -1,7 +1,7 @@
 //! Samples the IMU: sets it up, reads it on each data-ready, and sets it up
 //! again when it fails.
 //!
-//! A fault of one transfer costs that sample: the bus is freed and opened anew,
+//! A fault of one transfer costs that sample: the bus is freed and opened again,
 //! and the next data-ready tries again. A second fault in a row, or silence,
 //! starts from the sensor's reset. Nothing here holds up anything else.
 
@@ -68,7 +68,7 @@ pub(crate) fn setup() -> ImuSetup {
     imu::describe(MODEL.lock(Cell::get), CONFIG.lock(Cell::get), status())
 }
 
-/// Sets the IMU up anew, unless it is, or is about to be: a command that comes twice
+/// Sets the IMU up again, unless it is, or is about to be: a command that comes twice
 /// changes nothing.
 ///
 /// # Errors

@@ -251,7 +251,7 @@ impl RunningRig {
         }
     }
 
-    /// Switches the rig off and tells the truth.
+    /// Switches the rig off and returns the ground truth.
     ///
     /// # Errors
     ///

@@ -423,7 +423,7 @@ impl BoardTruth {
     }
 }
 
-/// The tick that is captured of an edge at `at`, if tick 0 was at `zero` units: behind the
+/// The tick that is captured of an edge at `at`, if tick 0 was at `zero` units: after the
 /// input's synchroniser. The firmware takes the filter off.
 pub(crate) fn captured(at: SimTime, zero: u64) -> u64 {
     at.units().saturating_sub(zero) / UNITS_PER_TICK + INPUT_SYNCHRONISER

@@ -134,7 +134,7 @@ impl Timebase {
         let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
         let (begin, end) = (near(pulses.first())?, near(pulses.last())?);
         let range = begin.0.saturating_sub(Self::NEAR)..=end.0.saturating_add(Self::NEAR);
-        // Edges before and behind are those of other sessions.
+        // Edges before and after are those of other sessions.
         let edges: Vec<SimTime> = frames
             .iter()
             .filter_map(|f| match f.source {

@@ -20,17 +20,17 @@ enum Command {
     Serve(rig::serve::Args),
     /// Record the depth camera of a running `serve`: the recorder that its profile names.
     RecordDepth(rig::depth_link::Args),
-    /// Run a whole session on the simulated rig and judge it by the truth.
+    /// Run a whole session on the simulated rig and judge it by the ground truth.
     Demo(commands::demo::Args),
     /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
     Study(commands::study::Args),
-    /// Check extraction and evaluation on recordings of the whole rig, by the truth.
+    /// Check extraction and evaluation on recordings of the whole rig, by the ground truth.
     Chain(commands::chain::Args),
     /// Measure the simulator and the firmware in it.
     Bench(commands::bench::Args),
     /// Hours of trigger, IMU and strobe in one run, every edge compared.
     LongRun(commands::long_run::Args),
-    /// Recordings during which things go wrong, judged by the truth.
+    /// Recordings during which things go wrong, judged by the ground truth.
     Faults(commands::faults::Args),
 }
 

@@ -41,7 +41,7 @@ pub(crate) fn unwind(
     let mut context = UnwindContext::new();
     let mut regs = regs;
     while out.len() < MAX_FRAMES {
-        // A return address lies behind the call: look at the call itself.
+        // A return address lies after the call: look at the call itself.
         let at = if out.len() == 1 {
             regs[15]
         } else {

@@ -88,7 +88,7 @@ impl Board {
         };
         let hello = wire.say_hello()?;
         // What came before lay in some buffer and is nobody's business; the gap
-        // behind it may have come together with the answer.
+        // after it may have come together with the answer.
         wire.events.clear();
         while wire.conversation.next_event().is_some() {}
         wire.conversation.start_counting();
@@ -134,7 +134,7 @@ impl Board {
         self.wire.conversation.keep_frames(keep);
     }
 
-    /// Counts the streams anew from their next message on.
+    /// Counts the streams afresh from their next message on.
     pub fn start_counting(&mut self) {
         self.wire.conversation.start_counting();
     }

@@ -61,7 +61,7 @@ pub enum Event {
     /// A frame that could not be taken; what it carried shows as
     /// [`Event::Lost`] once the next message of its stream comes.
     Damaged(FrameError),
-    /// The board has been reset since the last message: its time starts anew.
+    /// The board has been reset since the last message: its time starts again.
     Restarted {
         /// Its last known time before.
         last: Ticks,
@@ -93,7 +93,7 @@ pub struct Conversation {
     expected: [Option<u32>; Stream::ALL.len()],
     counts: StreamCounts,
     epoch: Option<u32>,
-    /// The line was cut, and the run not told since.
+    /// The line was cut, and the run not reported since.
     unsure: bool,
     /// What came meanwhile.
     held: VecDeque<(Vec<u8>, DeviceToHost)>,
@@ -197,7 +197,7 @@ impl Conversation {
         }
     }
 
-    /// Counts the streams anew from their next message on, and damage from
+    /// Counts the streams afresh from their next message on, and damage from
     /// zero.
     pub fn start_counting(&mut self) {
         self.expected = Default::default();

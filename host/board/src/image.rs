@@ -1,4 +1,4 @@
-//! Images of the firmware: the flash's content with a DFU suffix behind it.
+//! Images of the firmware: the flash's content with a DFU suffix after it.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use protocol::{BoardModel, IMAGE_MARK};
 const SUFFIX: usize = 16;
 /// The suffix's CRC is over all before it: Ethernet's without the last complement.
 const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
-/// Largest text behind the mark.
+/// Largest text after the mark.
 const MARK_MOST: usize = 64;
 
 /// Where the flash begins.
@@ -91,7 +91,7 @@ impl Image {
     }
 }
 
-/// Board, version and revision behind the mark.
+/// Board, version and revision after the mark.
 fn marked(flash: &[u8]) -> Option<(BoardModel, String, String)> {
     let mark = IMAGE_MARK.as_bytes();
     let at = flash.windows(mark.len()).position(|bytes| bytes == mark)?;

@@ -220,7 +220,7 @@ pub struct Summary {
     samples: u64,
     late: u64,
     saturated: u64,
-    /// Samples behind a loss on the board's side, or the first after a recovery.
+    /// Samples after a loss on the board's side, or the first after a recovery.
     breaks: u64,
     interval: Spread,
     shortest: Option<u64>,

@@ -21,7 +21,7 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// The text whose first edge is the first one behind the end of a pulse, or of anything else
+    /// The text whose first edge is the first one after the end of a pulse, or of anything else
     /// at this time.
     pub(crate) fn behind(at: Ticks, baud: u32, captures: &[Capture]) -> Option<Self> {
         let bit = i64::from(TICK_HZ / baud.max(1)).max(1);
@@ -43,7 +43,7 @@ impl Line {
             let end = start.at + TickDelta(bit * FRAME - bit / 2);
             let inside = edges.partition_point(|edge| edge.at < end);
             let (inside, after) = edges.split_at_checked(inside)?;
-            // The level behind each edge, as mark or space, from the middle of one bit to the next.
+            // The level after each edge, as mark or space, from the middle of one bit to the next.
             let mut bits = [false; FRAME as usize];
             for edge in inside {
                 let since = (edge.at - start.at).0;

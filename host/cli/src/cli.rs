@@ -44,7 +44,7 @@ pub struct Cli {
 /// The subcommands, in the order of their use.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Make the profile of a rig by questions, check the rig, and name the next command
+    /// Create a rig profile interactively, check the rig, and name the next command
     Setup(commands::setup::Args),
     /// Check that the rig is ready for a recording; each problem is listed with its fix
     Doctor(commands::doctor::Args),

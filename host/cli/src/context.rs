@@ -125,7 +125,7 @@ impl Context {
         Ok(write_stdout(&wrapped(&text(), width.into()), shown)?)
     }
 
-    /// Whether nobody is to be told how it goes.
+    /// Whether to report no progress.
     const fn is_silent(&self) -> bool {
         self.global.json || self.global.quiet
     }

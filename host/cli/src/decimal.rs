@@ -9,7 +9,7 @@ use std::time::Duration;
 use jiff::SignedDuration;
 use protocol::{Period, TICK_HZ};
 
-/// The most digits of a number, before and behind the point together.
+/// The most digits of a number, before and after the point together.
 const MAX_DIGITS: usize = 18;
 
 /// A non-negative decimal number, exact: `digits · 10^-places`.

@@ -37,7 +37,7 @@ impl RecordingArg {
 }
 
 /// Refuses what is there and is no recording of any form; what is not there or damaged is
-/// told where it is read.
+/// reported where it is read.
 fn check(path: &Path) -> Result<(), Failure> {
     if !path.exists() || path.join(SESSION_FILE).exists() {
         return Ok(());
@@ -141,7 +141,7 @@ mod tests {
         std::fs::write(&other, "").unwrap();
         let other = check(&other).unwrap_err();
         assert_eq!(other.status(), ExitStatus::Usage);
-        // Damaged, or not there: told by those who read it.
+        // Damaged, or not there: reported by those who read it.
         std::fs::write(place.join("x.mcap"), "").unwrap();
         assert!(check(&place.join("x.mcap")).is_ok());
         assert!(check(&place.join("nothing")).is_ok());

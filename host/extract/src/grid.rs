@@ -47,7 +47,7 @@ pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<G
     for centre in centres {
         let near = nearest(frames, centre.0, |frame| frame.0);
         let distance = near.map(|place| centre.0.saturating_sub(frames[place].0));
-        // Before the first frame, behind the last, or where frames are missing.
+        // Before the first frame, after the last, or where frames are missing.
         let Some(distance) = distance.filter(|distance| distance.abs() <= period / 2 + period / 8)
         else {
             continue;

@@ -149,7 +149,7 @@ fn write_jpeg(
     let Some(path) = place else {
         return Ok(one);
     };
-    // Start of image, and the end of it somewhere behind: the camera fills up its frames.
+    // Start of image, and the end of it further on: the camera fills up its frames.
     let begins = jpeg.starts_with(&[0xFF, 0xD8]);
     if !begins || !jpeg.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
         one.color_broken.push(index);
@@ -289,7 +289,7 @@ pub(crate) fn write_video(
 }
 
 /// Reads in a thread of its own, and gives what it reads to `each` in batches, whose
-/// size is told by `bytes`. What was read before an error is given too.
+/// size is that of `bytes`. What was read before an error is given too.
 fn in_batches<T: Send>(
     mut source: impl Iterator<Item = Result<T, ImagesError>> + Send,
     bytes: impl Fn(&T) -> usize + Send,

@@ -186,7 +186,7 @@ pub struct DepthReport {
     pub off_pulse: Vec<usize>,
     /// Frames before the first pulse.
     pub before_first_pulse: usize,
-    /// Frames behind the last pulse.
+    /// Frames after the last pulse.
     pub after_last_pulse: usize,
     /// Frames without a whole image.
     pub broken: Vec<usize>,

@@ -109,7 +109,7 @@ struct Taken {
 }
 
 impl Ros2Images {
-    /// The next image; `None` behind the last.
+    /// The next image; `None` after the last.
     pub(crate) fn next_image(&mut self) -> Result<Option<DriverImage>, Ros2Error> {
         loop {
             if let Some(image) = self.taken.waiting.pop_front() {

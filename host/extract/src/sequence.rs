@@ -1,7 +1,7 @@
 //! Sequences: parts of a recording that marks divide it into.
 //!
 //! Without marks the whole recording is one data set in the output folder itself.
-//! With marks, what lies before the first is in `seq_0`, what lies at or behind
+//! With marks, what lies before the first is in `seq_0`, what lies at or after
 //! the n-th in `seq_n`, as the published system's splitter has it.
 
 use std::path::PathBuf;

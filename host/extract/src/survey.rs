@@ -58,7 +58,7 @@ pub struct ImuSpan {
     pub first_ns: i64,
     /// Time of the last, ns.
     pub last_ns: i64,
-    /// Samples whose time does not lie behind the one before.
+    /// Samples whose time is not after the one before.
     pub disordered: u64,
     /// Longest distance of two samples, ns.
     pub longest_gap_ns: i64,

@@ -62,7 +62,7 @@ impl DepthFrame {
     }
 }
 
-/// The phone's frames in board time, each `to_middle` (ns) behind its timestamp. Frames that
+/// The phone's frames in board time, each `to_middle` (ns) after its timestamp. Frames that
 /// the clock does not map are left out (none, with a clock).
 pub(crate) fn color_frames(
     stamps: &[PhoneNanos],
@@ -160,7 +160,7 @@ pub(crate) fn write_camera(
     write_rows(path, header, frames.iter().enumerate().map(row))
 }
 
-/// Writes rows of cells behind a header, which has its line end.
+/// Writes rows of cells after a header, which has its line end.
 ///
 /// # Errors
 ///

@@ -104,7 +104,7 @@ pub(crate) struct PiecewiseMap<F, T> {
 }
 
 impl<F: ClockNanos, T: ClockNanos> PiecewiseMap<F, T> {
-    /// From pairs of the same instant. Pairs that do not lie behind the one before
+    /// From pairs of the same instant. Pairs that do not lie after the one before
     /// on both clocks are left out.
     pub(crate) fn from_knots(pairs: impl IntoIterator<Item = (F, T)>) -> Self {
         let mut knots: Vec<(F, T)> = Vec::new();
@@ -176,7 +176,7 @@ pub(crate) fn in_name(at: BoardNanos) -> String {
     format!("{:019}", at.0)
 }
 
-/// The same in seconds, with `digits` digits behind the point.
+/// The same in seconds, with `digits` digits after the point.
 pub(crate) fn seconds_in_name(at: BoardNanos, digits: u32) -> String {
     padded_seconds(at.0, 10, digits)
 }

@@ -3,7 +3,7 @@
 //! Times and a few rows are spelt out. All that is written is held against
 //! `small_recording.txt`: for each folder and ending the number of files and a checksum
 //! of their names and contents (of images the pixels, of bags the messages). With
-//! SMARTDEPTHSYNC_BLESS in the environment that file is written anew.
+//! SMARTDEPTHSYNC_BLESS in the environment that file is written again.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
@@ -242,7 +242,7 @@ fn times_are_those_of_the_edges() {
     let pixels = image::open(picture).unwrap().into_luma16().into_raw();
     assert_eq!(pixels, Vec::from_iter(1_021..1_045));
 
-    // The phone: half of the profile's exposure and readout behind the timestamp.
+    // The phone: half of the profile's exposure and readout after the timestamp.
     let middle = (10_000_000 + 11_006_000) / 2;
     let frames = lines(&out.join("phone_frames.csv"));
     let row: Vec<&str> = frames[1].split(',').take(4).collect();

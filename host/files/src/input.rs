@@ -165,7 +165,7 @@ impl Seek for Input {
 
 /// A reader that knows its holes.
 pub trait Sparse: Read + Seek {
-    /// The first place at or behind `from` that was ever written; the end if there is none. The
+    /// The first place at or after `from` that was ever written; the end if there is none. The
     /// next read is where it was.
     ///
     /// # Errors

@@ -227,7 +227,7 @@ impl Drop for File {
 /// `stack` is the stack pointer with which the kernel starts a program, and `place` is below
 /// the number that it points to.
 unsafe fn argument(stack: *const usize, place: usize) -> &'static [u8] {
-    // SAFETY: behind argc come so many pointers to strings that stay for ever.
+    // SAFETY: after argc come so many pointers to strings that stay for ever.
     unsafe { CStr::from_ptr(*stack.add(1 + place) as *const _) }.to_bytes()
 }
 

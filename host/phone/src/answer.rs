@@ -3,7 +3,7 @@
 //! Every answer is lines of text: `SUCCESS` or `ERROR`, the server's version,
 //! the body, the line `end`. The number of body lines differs between versions
 //! of the app, so a reader goes on to `end` and never counts. After the `end`
-//! of `get_video` raw bytes follow; [`Lines`] therefore stops exactly behind
+//! of `get_video` raw bytes follow; [`Lines`] therefore stops exactly after
 //! each line and leaves the rest of its input.
 //!
 //! Memory is bounded whatever comes: one line is held at a time, no longer than

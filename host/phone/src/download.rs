@@ -13,7 +13,7 @@ use super::error::PhoneError;
 use super::file_name::safe_file_name;
 use super::requests::VideoHeader;
 
-/// How long bytes behind the announced end of a video are looked out for.
+/// How long bytes after the announced end of a video are looked out for.
 const GRACE: Duration = Duration::from_millis(100);
 
 /// A video that was downloaded whole.

@@ -59,7 +59,7 @@ fn is_device_name(stem: &str) -> bool {
             && base.ends_with(|c: char| c.is_ascii_digit()))
 }
 
-/// A file's name without its extension and without the number that the app puts behind
+/// A file's name without its extension and without the number that the app puts after
 /// a name that is taken: `gyro_1` or, through the storage access framework, `gyro (1)`.
 pub(crate) fn without_number(name: &str) -> &str {
     let open = name.strip_suffix(')');

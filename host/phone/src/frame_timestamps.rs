@@ -3,7 +3,7 @@
 //!
 //! The app writes one integer of nanoseconds a frame and a line, in the order of
 //! the frames: the start of exposure of the first row. Tables that were made of
-//! such a file may have a heading in their first line and further columns behind a
+//! such a file may have a heading in their first line and further columns after a
 //! comma; both are passed over, and so are empty lines. All else is damage: a
 //! fraction, a time not later than the one before, a line that is no text.
 //!
@@ -27,7 +27,7 @@ impl<R: BufRead> Rows<R> {
     ///
     /// # Errors
     ///
-    /// Reading fails, or a row is damaged: the next call gives the row behind it.
+    /// Reading fails, or a row is damaged: the next call gives the row after it.
     pub fn next_timestamp(&mut self) -> Result<Option<PhoneNanos>, RowError> {
         let parse = |line, text: &str| {
             let field = text.split(',').next().unwrap_or_default().trim();

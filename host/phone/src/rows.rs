@@ -4,7 +4,7 @@
 //! timestamps: one integer of nanoseconds a line ([`crate::frame_timestamps`]).
 //! Timestamps are read as integers and nothing else. A row that is damaged, or
 //! whose time is not later than that of the row before, is a [`BadRow`] with its
-//! line number; the rows behind it can still be read. Memory is one line, of
+//! line number; the rows after it can still be read. Memory is one line, of
 //! limited length.
 
 use std::io::{self, BufRead, Read};
@@ -37,7 +37,7 @@ pub enum RowError {
     /// Reading fails.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The row is damaged; reading can go on behind it.
+    /// The row is damaged; reading can go on after it.
     #[error(transparent)]
     Bad(#[from] BadRow),
 }
@@ -66,7 +66,7 @@ impl<R: BufRead> Rows<R> {
     ///
     /// # Errors
     ///
-    /// Reading fails, or a row is damaged: the next call gives the row behind it.
+    /// Reading fails, or a row is damaged: the next call gives the row after it.
     pub fn next_sample(&mut self) -> Result<Option<PhoneSample>, RowError> {
         const EXPECTED: &str = "x,y,z,timestamp with finite numbers and whole nanoseconds";
         self.next_row(

@@ -201,7 +201,7 @@ impl Drop for PhoneTask {
         self.phone.cancel.store(true, Ordering::Relaxed);
         self.requests = None;
         if let Some(thread) = self.thread.take() {
-            // A panic there has been told by its message.
+            // A panic there has printed its message.
             let _ = thread.join();
         }
     }

@@ -28,7 +28,7 @@ const RATIO: u64 = 64;
 /// Opcode and length before the body of a record.
 const HEAD: usize = 9;
 
-/// How much of the name of an unknown compression is told.
+/// How much of the name of an unknown compression is reported.
 const SHOWN_NAME: usize = 16;
 
 /// Why a chunk cannot be used.
@@ -96,14 +96,14 @@ impl Chunk {
         })
     }
 
-    /// Bytes behind the last whole record, which claims more than there are.
+    /// Bytes after the last whole record, which claims more than there are.
     #[must_use]
     pub fn cut_off(&self) -> usize {
         let whole = self.records().map(|(_, body)| HEAD + body.len());
         self.0.len() - whole.sum::<usize>()
     }
 
-    /// The memory, for the next chunk: asking the system for it anew costs as much as
+    /// The memory, for the next chunk: asking the system for it again costs as much as
     /// unpacking.
     #[must_use]
     pub fn into_memory(self) -> Vec<u8> {

@@ -45,7 +45,7 @@ pub enum Damage {
     },
     /// A chunk ends within a record.
     ChunkEnd {
-        /// Bytes behind its last whole record.
+        /// Bytes after its last whole record.
         bytes: usize,
     },
     /// Bytes are no records.

@@ -11,7 +11,7 @@ const TRIES: u32 = 1_000;
 
 /// Makes a new folder in `parent` (which is made too) and returns its path.
 ///
-/// `name` is taken as it is, with `_2`, `_3`, … behind it where it exists
+/// `name` is taken as it is, with `_2`, `_3`, … after it where it exists
 /// already; making the folder is what claims the name, so two programs never get
 /// the same one.
 ///

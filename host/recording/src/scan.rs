@@ -111,7 +111,7 @@ impl Scan {
         self.memory = chunk.into_memory();
     }
 
-    /// The next piece; `None` behind the last.
+    /// The next piece; `None` after the last.
     ///
     /// # Errors
     ///
@@ -175,7 +175,7 @@ impl Scan {
             };
         if !(op::HEADER..=op::DATA_END).contains(&opcode) || !fits {
             // A record that was being written when the writer was killed looks
-            // like this too; only then is nothing behind it.
+            // like this too; only then is nothing after it.
             let plausible = (op::HEADER..=op::DATA_END).contains(&opcode) && length <= MAX_RECORD;
             return match self.search(at, at + 1)? {
                 Piece::Damage(Damage::Bytes { to, .. }) if to == self.report.bytes && plausible => {
@@ -282,7 +282,7 @@ impl Scan {
         Ok(bytes)
     }
 
-    /// Goes from `from` to the first chunk at or behind `first`; to the end if there is
+    /// Goes from `from` to the first chunk at or after `first`; to the end if there is
     /// none.
     fn search(&mut self, from: u64, first: u64) -> io::Result<Piece> {
         let found = self.next_head(first, self.report.bytes)?;

@@ -1,7 +1,7 @@
 //! `session.json`: everything that was decided in a session, with versions and
 //! profile, so that a recording can be judged and evaluated years later.
 //!
-//! It is written anew at every step (to a temporary file that then replaces it),
+//! It is written again at every step (to a temporary file that then replaces it),
 //! so a kill leaves the state of the last step, without an outcome.
 
 use std::path::{Component, Path, PathBuf};
@@ -203,7 +203,7 @@ pub struct Span {
 pub struct TrackInfo {
     /// The phone, as `adb` names it.
     pub device: String,
-    /// How often the trigger's period was set anew.
+    /// How often the trigger's period was set again.
     pub steps: u32,
     /// How often the phone's clock was lost.
     pub lost: u32,
@@ -214,7 +214,7 @@ pub struct TrackInfo {
 pub struct Video {
     /// Timestamp of one frame: start of exposure of its first row.
     pub phase: PhoneNanos,
-    /// Mean distance of frames as the app measured it, ns.
+    /// Mean frame period as the app measured it, ns.
     pub frame_duration_ns: f64,
     /// Exposure as the app reported it, ns.
     pub exposure_ns: Option<u64>,

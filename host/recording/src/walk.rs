@@ -129,7 +129,7 @@ impl Walk {
         })
     }
 
-    /// Gives the next part of the file to `each`, in pieces; false behind the last.
+    /// Gives the next part of the file to `each`, in pieces; false after the last.
     ///
     /// # Errors
     ///

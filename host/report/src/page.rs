@@ -135,7 +135,7 @@ impl Page {
         self.body.push_str("</tr>\n");
         for row in &rows {
             self.body.push_str("<tr>");
-            // On a narrow screen each cell stands in a line behind its heading.
+            // On a narrow screen each cell stands in a line after its heading.
             for ((class, heading), cell) in columns.iter().zip(row) {
                 let cell = escape(cell);
                 let _ = write!(self.body, "<td{class} data-h=\"{heading}\">{cell}</td>");

@@ -156,7 +156,7 @@ impl Steering {
 
     /// The board has this period, and `next` is an edge that it makes by it; its fraction is
     /// in 2⁻³² ticks. Gives the grid from the first edge on that is on the old one too: where
-    /// answers were lost, `next` lies behind that.
+    /// answers were lost, `next` lies after that.
     pub fn follow(&mut self, next: Ticks, fraction: u32, period: Period) -> Grid {
         let next = (u128::from(next.0) << FRACTION_BITS) | u128::from(fraction);
         self.edge = turn(self.edge, self.period, next, period);

@@ -1,6 +1,6 @@
 //! What is watched while recording. Pure: messages in, findings out.
 //!
-//! A state that lasts (pulses stay away, the IMU gives nothing) is told once
+//! A state that lasts (pulses stay away, the IMU gives nothing) is reported once
 //! when it begins and once when it ends.
 
 use protocol::{ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
@@ -73,7 +73,7 @@ pub struct Watch {
     last_imu: Ticks,
     imu_away: bool,
     last_status: Option<Status>,
-    /// Streams whose numbers were told not to follow.
+    /// Streams whose numbers were reported not to follow.
     disordered: Vec<Stream>,
 }
 
@@ -172,7 +172,7 @@ impl Watch {
         findings.push(lost.next_step(next_step));
     }
 
-    /// The number of a message does not follow on the one before; told once a stream.
+    /// The number of a message does not follow on the one before; reported once a stream.
     pub fn disordered(&mut self, stream: Stream, findings: &mut Vec<Finding>) {
         if !self.disordered.contains(&stream) {
             self.disordered.push(stream);

@@ -22,7 +22,7 @@
 //!   the other stream can tell ([`Pattern`]).
 //!   A sawtooth that is known from elsewhere and does not jump here cannot be seen: its drift is
 //!   that of another clock. Mean and spread of all that do not jump are taken ([`UNSEEN_DRIFT`]).
-//! * **A jump** of another kind is left as it is, and told to the comparison with the other
+//! * **A jump** of another kind is left as it is, and passed to the comparison with the other
 //!   stream.
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
@@ -380,7 +380,7 @@ fn with_missed(
     all
 }
 
-/// Removes a sawtooth, or tells a lone jump to the comparison with the other stream.
+/// Removes a sawtooth, or passes a lone jump to the comparison with the other stream.
 fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let step = out.step_s;
     let adjacent = kept

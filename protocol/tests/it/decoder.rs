@@ -102,7 +102,7 @@ proptest! {
     }
 
     /// Garbage of any length, delimiters and all, never stops it: the first
-    /// frame behind the next delimiter is taken.
+    /// frame after the next delimiter is taken.
     #[test]
     fn after_any_garbage_it_is_in_step_at_the_next_delimiter(
         garbage in vec(any::<u8>(), 0..3000),
@@ -186,7 +186,7 @@ fn a_good_checksum_around_no_message_is_another_protocol() {
     let mut frame = encode(&200_u8, &mut buffer).unwrap();
     let mut decoder = Decoder::<DeviceToHost>::new();
     assert_eq!(decoder.next(&mut frame), Some(Err(FrameError::Message)));
-    // A message with something behind it.
+    // A message with something after it.
     let ping = HostToDevice {
         id: 1,
         command: SayHello.into(),

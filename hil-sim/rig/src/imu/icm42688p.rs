@@ -29,7 +29,7 @@ const INT_CONFIG1: Address = (0, 0x64);
 const INT_SOURCE0: Address = (0, 0x65);
 const INTF_CONFIG5: Address = (1, 0x7b);
 
-/// First of the 14 bytes of data, and the one behind the last.
+/// First of the 14 bytes of data, and the one after the last.
 const DATA: core::ops::Range<u8> = 0x1d..0x2b;
 const FIFO_DATA: u8 = 0x30;
 const REG_BANK_SEL: u8 = 0x76;

@@ -4,7 +4,7 @@
 //! not closed is a part of the test: first the segment with unknown size, a void
 //! of 1,024 bytes for the seek head, a void of 256 bytes for the segment
 //! information, tracks, the calibration as an attachment, tags without
-//! `K4A_START_OFFSET_NS` and a void behind them; then clusters of less than 32 ms
+//! `K4A_START_OFFSET_NS` and a void after them; then clusters of less than 32 ms
 //! with a CRC-32; and only at [`K4aMkvWriter::finish`] the information, the start
 //! offset, cues, the seek head and the segment's size. Dropping the writer
 //! without it leaves what a crash leaves.

@@ -79,7 +79,7 @@ fn serve(
         if let Ok(stream) = &stream {
             *lock(open) = stream.try_clone().ok();
         }
-        // Looked at behind that: whoever stops it shuts what is open by then.
+        // Looked at after that: whoever stops it shuts what is open by then.
         if stop.load(Ordering::SeqCst) {
             return;
         }

@@ -103,7 +103,7 @@ impl App {
     }
 
     /// Stops the recording, if any. It ends when the capture session is closed, `close_ms`
-    /// later, and its files are saved behind that.
+    /// later, and its files are saved after that.
     pub(super) fn stop_recording(self: &Arc<Self>, close_ms: f64) {
         let mut state = self.state();
         if state.recorder != Recorder::Runs {

@@ -3,10 +3,10 @@
 //! Lines end as in the app's language: by `\n`, `\r` or `\r\n`. An empty line is
 //! a request like any other, and is answered with an error. The last line of a client
 //! that leaves is one too, even without its end, and so is all that a client has left
-//! behind which nobody served before. (`RemoteRpcServer.java`:153: `readLine` until
+//! after which nobody served before. (`RemoteRpcServer.java`:153: `readLine` until
 //! there is no more; what cannot be sent is dropped in silence by its `PrintStream`.)
 //!
-//! In the background the server ends: within a second, or behind the next line of the
+//! In the background the server ends: within a second, or after the next line of the
 //! client that it serves. Until then it has the port, and a new one does not get it
 //! (lines 134, 137, 153 and 169).
 //!
@@ -15,7 +15,7 @@
 //! The app writes an answer in pieces, the end of its last line apart, on a
 //! socket with Nagle's algorithm. So what is left of an answer when its last
 //! full segment has gone waits for the acknowledgement, and if the next request
-//! is there already (the published client sends an empty line behind each
+//! is there already (the published client sends an empty line after each
 //! `imu?…`), its answer joins it. That client depends on it: it reads in
 //! blocks, takes the stray answer with the end of the one it wants, and throws
 //! it away. With [`gathers`](super::AppConfig::gathers) the same is made certain:
@@ -66,7 +66,7 @@ pub enum LinkFault {
     Silent,
     /// So many bytes are missing at the end of a video, then the connection is closed.
     ShortVideo(u64),
-    /// So many bytes too many come behind a video.
+    /// So many bytes too many come after a video.
     LongVideo(u64),
 }
 
@@ -348,7 +348,7 @@ impl<'a> Client<'a> {
         if !self.app.config.app.gathers {
             return self.send(bytes);
         }
-        // The request behind may be on its way.
+        // The next request may be on its way.
         self.receive(Duration::from_millis(1))?;
         if !self.has_quick_request() {
             return self.send(bytes);

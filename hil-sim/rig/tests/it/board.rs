@@ -471,7 +471,7 @@ fn settings_of_the_board_hold_and_outlive_power_off() {
     assert!(board.rig.failures().is_empty());
 }
 
-/// By the command, and back as behind a download. The ROM's own program is not modelled.
+/// By the command, and back as after a download. The ROM's own program is not modelled.
 #[test]
 fn it_restarts_into_the_rom_and_comes_back() {
     for builder in [

@@ -87,7 +87,7 @@ impl Bench {
         self.board.rig.models_changed();
     }
 
-    /// The tick at which an edge at `at` is captured: behind the synchroniser. The filter
+    /// The tick at which an edge at `at` is captured: after the synchroniser. The filter
     /// is taken off by the firmware.
     fn tick_of(&self, at: SimTime) -> Ticks {
         Ticks((at.units() - self.zero) / UNITS_PER_TICK + INPUT_SYNCHRONISER)

@@ -321,7 +321,7 @@ fn every_edge_of_all_trains_is_exact_at_full_load() {
 /// for a few edges at a time, less than the auxiliary outputs can wait.
 #[test]
 fn a_flood_on_the_strobe_input_starves_no_output() {
-    // 1.25 µs high, 1.25 µs low, behind every pulse of the trigger.
+    // 1.25 µs high, 1.25 µs low, after every pulse of the trigger.
     let strobe = Strobe::of(6_000, SimDuration::from_nanos(1_250));
     let mut bench = Bench::on(wiring::board().model(strobe));
     let second = u64::from(TICK_HZ);

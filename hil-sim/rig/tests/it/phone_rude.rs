@@ -33,7 +33,7 @@ fn a_stop_takes_its_time_and_the_sensors_are_busy_meanwhile() {
     assert_eq!(bench.ask(IMU), BUSY);
     bench.pass(0.2);
     assert_eq!(bench.ask(IMU)[0], "SUCCESS");
-    // Until then a press does nothing, so a start behind a stop fails.
+    // Until then a press does nothing, so a start after a stop fails.
     assert_eq!(bench.ask("video_start")[0], "SUCCESS");
     bench.ask("video_stop");
     assert_eq!(bench.ask("video_start")[0], "ERROR");

@@ -335,7 +335,7 @@ fn flashes_are_captured(ms: u64, synchroniser: u64) {
     assert_eq!(status.dropped.captures, 0);
 }
 
-/// Ringing behind each edge, shorter than the filter's eight samples, is none of them.
+/// Ringing after each edge, shorter than the filter's eight samples, is none of them.
 #[test]
 fn ringing_on_the_strobe_input_makes_no_edges() {
     let mut strobe = Strobe::flashes();

@@ -12,7 +12,7 @@ pub(crate) struct Strobe {
     count: u32,
     high: SimDuration,
     pitch: SimDuration,
-    /// Excursions to the other level behind each edge, and how long each lasts.
+    /// Excursions to the other level after each edge, and how long each lasts.
     pub(crate) ringing: Option<(u32, SimDuration)>,
     coming: VecDeque<(SimTime, Level)>,
     /// The edges that were made.

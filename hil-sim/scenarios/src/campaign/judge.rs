@@ -24,7 +24,7 @@ use crate::virtual_session::POWER_ON_S;
 const KILL_COSTS: SimDuration = SimDuration::from_millis(1_000);
 /// A status comes every second: the last one before the end is no older.
 const STATUS: SimDuration = SimDuration::from_millis(1_500);
-/// Time in which a sensor is to run again behind the end of its fault, and between two samples.
+/// Time in which a sensor is to run again after the end of its fault, and between two samples.
 const RECOVERY_US: u64 = 1_000_000;
 const SAMPLE_US: u64 = 2_000;
 /// Accuracy of a time of day in board time, s: it is recorded once a second.
@@ -292,7 +292,7 @@ fn judge_losses(file: &SessionFile, delivered: &[Delivered<'_>]) -> Result<u64> 
 
 /// An edge of data-ready without a sample is, by the pin, a sample that was lost, and counted. The
 /// edges of a sensor that is being set up again have no number. That it was is said by the first
-/// sample behind it, and where the link lost that one by the status.
+/// sample after it, and where the link lost that one by the status.
 fn judge_samples(
     plan: &Plan,
     file: &SessionFile,

@@ -159,7 +159,7 @@ const QUIET_MS: u64 = 9_000;
 
 impl Plan {
     /// Draws one to four faults. At most one of them resets the board, and
-    /// nothing comes behind it but what had begun.
+    /// nothing comes after it but what had begun.
     #[must_use]
     pub fn draw(seed: Seed) -> Self {
         let mut random = seed.stream(Stream::Test);

@@ -39,13 +39,13 @@ pub(crate) struct Args {
 #[derive(Subcommand)]
 enum What {
     /// Record hand-held motion with a camera that drops frames, extract, and compare every
-    /// timestamp, pair and dropped frame with the truth.
+    /// timestamp, pair and dropped frame with the ground truth.
     Extract {
         /// Seconds of board time to record.
         #[arg(long, value_name = "SECONDS", default_value_t = 600)]
         seconds: u32,
     },
-    /// Record with many seeds, evaluate each video, and compare bias and drift with the truth.
+    /// Record with many seeds, evaluate each video, and compare bias and drift with the ground truth.
     Evaluate {
         /// Seeds.
         #[arg(long, default_value_t = 50)]

@@ -1,4 +1,4 @@
-//! `hil-sim demo`: a whole session on the simulated rig, judged by the truth.
+//! `hil-sim demo`: a whole session on the simulated rig, judged by the ground truth.
 
 use std::path::PathBuf;
 

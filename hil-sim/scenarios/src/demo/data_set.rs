@@ -1,5 +1,5 @@
 //! The data set of the demonstration: extracted by the tool, and every time in it judged by
-//! the truth.
+//! the ground truth.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};

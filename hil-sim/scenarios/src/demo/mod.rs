@@ -1,4 +1,4 @@
-//! The demonstration: whole sessions on the simulated rig, judged by the truth.
+//! The demonstration: whole sessions on the simulated rig, judged by the ground truth.
 //!
 //! The sessions are the program's own, on virtual time ([`crate::virtual_session`]), so that a
 //! seed gives the same figures on any machine. First comes a session with nothing learnt, as on

@@ -30,13 +30,13 @@ const LEARNT_TWISTS: u32 = 4;
 pub struct CalibrationFigures {
     /// The constant that was hidden in the camera, µs.
     pub hidden_us: f64,
-    /// Bias of the recording before, as measured and by the truth, µs.
+    /// Bias of the recording before, as measured and by the ground truth, µs.
     pub before: Measured,
     /// The constant that was written into the profile, with its 1-sigma, µs.
     pub written_us: (f64, f64),
     /// Bias of the next recording, µs.
     pub after: Measured,
-    /// Phase error in the middle of the next recording, by the truth, µs.
+    /// Phase error in the middle of the next recording, by the ground truth, µs.
     pub left_us: f64,
     /// Phase that the first session states at its end, where the bias is measured, and
     /// the next of its own in the middle, together, 1-sigma, µs.
@@ -44,7 +44,7 @@ pub struct CalibrationFigures {
 }
 
 impl CalibrationFigures {
-    /// Tells whether the bias of the next recording is gone, by the truth.
+    /// Tells whether the bias of the next recording is gone, by the ground truth.
     #[must_use]
     pub fn good(&self) -> bool {
         self.left_us.abs() <= LIMIT_SIGMAS * self.sigma_us

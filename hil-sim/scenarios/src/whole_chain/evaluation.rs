@@ -1,5 +1,5 @@
 //! Evaluation: bias and drift that are measured on the phone's videos, against
-//! the phase of the frames by the truth, over many seeds; and whether the stated
+//! the phase of the frames by the ground truth, over many seeds; and whether the stated
 //! uncertainties are honest.
 
 use std::ops::Range;
@@ -20,7 +20,7 @@ const FRAMES: usize = 16;
 /// Share of the seeds that must be right within the stated uncertainty.
 pub(crate) const REQUIRED_SHARE: f64 = 0.95;
 
-/// A measured value against the truth.
+/// A measured value against the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Measured {
     /// As measured.
@@ -153,7 +153,7 @@ pub fn bias(recorded: &Recorded, programs: &Programs) -> Result<Measured> {
     })
 }
 
-/// Mean phase error of the last frames of the video, by the truth, µs.
+/// Mean phase error of the last frames of the video, by the ground truth, µs.
 fn true_bias(recorded: &Recorded) -> Result<f64> {
     let video = recorded.truth.videos.last().context("no video")?;
     let count = video.count.context("the video was not stopped")?;
@@ -164,7 +164,7 @@ fn true_bias(recorded: &Recorded) -> Result<f64> {
     ))
 }
 
-/// Mean phase error of as many frames around a tick, by the truth, µs.
+/// Mean phase error of as many frames around a tick, by the ground truth, µs.
 pub(super) fn phase_at(recorded: &Recorded, at: Ticks) -> Result<f64> {
     let video = recorded.truth.videos.last().context("no video")?;
     let truth = &recorded.truth;

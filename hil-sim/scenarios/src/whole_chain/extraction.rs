@@ -1,4 +1,4 @@
-//! Extraction: every timestamp of the data set against the truth.
+//! Extraction: every timestamp of the data set against the ground truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -164,7 +164,7 @@ pub(super) fn whole(cell: Option<i64>) -> Result<i64> {
     cell.context("an empty cell where a time was expected")
 }
 
-/// Compares a data set with the truth of its recording; `report` is what the extraction
+/// Compares a data set with the ground truth of its recording; `report` is what the extraction
 /// printed.
 ///
 /// # Errors
@@ -332,7 +332,7 @@ fn dropped_frames(
     Ok(expected.len())
 }
 
-/// Number of pairs, if they are the nearest frames by the truth, all of them.
+/// Number of pairs, if they are the nearest frames by the ground truth, all of them.
 fn check_pairs(
     data: &Path,
     middles: &[(i64, i64)],

@@ -1,6 +1,6 @@
 //! Checks of the whole chain: real firmware, phone, depth camera and a session
 //! on virtual time ([`crate::virtual_session`]); then `extract` or `evaluate`
-//! on what it has left, as processes; and every result against the truth.
+//! on what it has left, as processes; and every result against the ground truth.
 //!
 //! Nothing is handed from the simulator to session and programs but what a real rig
 //! gives: the board's link, the phone's answers and files, the depth recorder's

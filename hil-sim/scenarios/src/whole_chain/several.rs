@@ -1,6 +1,6 @@
 //! A rig of several sensors: two phones, the depth camera, other cameras on the
 //! trigger outputs 2 to 4, and a lidar. One session records all, one extraction puts
-//! all into board time, and each is judged against the truth: the phones' frames and
+//! all into board time, and each is judged against the ground truth: the phones' frames and
 //! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
 
 use std::path::{Path, PathBuf};
@@ -58,7 +58,7 @@ pub struct SeveralPlan {
     pub small: bool,
 }
 
-/// A phone against the truth.
+/// A phone against the ground truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhoneFigures {
     /// Its name in the profile.
@@ -77,7 +77,7 @@ pub struct PhoneFigures {
     pub grid_drift_us_per_min: f64,
 }
 
-/// A camera on an auxiliary output against the truth.
+/// A camera on an auxiliary output against the ground truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct OutputFigures {
     /// Its name in the profile.
@@ -90,7 +90,7 @@ pub struct OutputFigures {
     pub missing: usize,
 }
 
-/// The lidar against the truth.
+/// The lidar against the ground truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct LidarFigures {
     /// Seconds in the file.
@@ -360,7 +360,7 @@ impl Judge<'_> {
         Ok(figures)
     }
 
-    /// Depth minus phone at the first pulse of the recorded span, by the truth, µs.
+    /// Depth minus phone at the first pulse of the recorded span, by the ground truth, µs.
     fn true_offset(&self, middles: &[(i64, i64)]) -> Result<f64> {
         let span = self.recorded.session.recorded.context("nothing recorded")?;
         let from = i64::try_from(span.from.as_nanos())?;

@@ -294,7 +294,7 @@ fn test_pictures_are_no_strobes() {
     }
 }
 
-/// With a known row time the rate is told.
+/// With a known row time the rate is reported.
 #[test]
 fn the_rate_of_a_lamp_is_told() {
     let camera = RollingShutter {

@@ -1,4 +1,4 @@
-//! Extraction judged against the truth, on synthetic recordings: ten virtual
+//! Extraction judged against the ground truth, on synthetic recordings: ten virtual
 //! minutes of hand-held motion, clocks that wander, a depth camera 300 ppm off
 //! that drops frames. All figures here are of simulated recordings.
 

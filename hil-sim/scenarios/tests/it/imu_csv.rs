@@ -11,7 +11,7 @@ use crate::whole_rig::run_python;
 /// the rest before the twist.
 const SPEED: &str = "3";
 
-/// Seconds of the CSV: the rest, and 8 s of the twist behind it.
+/// Seconds of the CSV: the rest, and 8 s of the twist after it.
 const DURATION: &str = "18s";
 
 /// `hil-sim serve` with its port; ends with the test.

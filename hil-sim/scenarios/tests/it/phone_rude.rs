@@ -132,7 +132,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     // The answer is lost on the way.
     let bench = Bench::new(76, 5.0, |c| {
         c.video = VideoMode::Never;
-        // The answer comes behind the 60th of them, at most 10 s after it was asked for.
+        // The answer comes after the 60th of them, at most 10 s after it was asked for.
         c.camera.frame_period_ns = 140e6;
     });
     let (bench, phone) = (&bench, &bench.phone);
@@ -198,7 +198,7 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         &["closed the connection", "open the app again"],
     );
     bench.phone.reopen_app().unwrap();
-    // Right behind a stop, and with storage access: it waits until the app is free.
+    // Right after a stop, and with storage access: it waits until the app is free.
     says(&bench.command(&["start"], folder.path()), 0, &[]);
     says(&bench.command(&["stop"], folder.path()), 0, &[]);
     says(&bench.command(&get, folder.path()), 0, &["VID_"]);

@@ -1,5 +1,5 @@
 //! `cargo xtask demo --rig multi`, short: two phones, four cameras and a lidar in one
-//! session, each extracted in board time and judged against the truth. This is the
+//! session, each extracted in board time and judged against the ground truth. This is the
 //! test of `outputs/NAME.csv`, too.
 
 use crate::support;

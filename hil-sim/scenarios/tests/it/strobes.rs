@@ -10,7 +10,7 @@ use evaluate::{EvaluateError, Settings};
 use rig::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
 use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
 
-/// A camera on the re-transmitted light of a depth camera, with the truth.
+/// A camera on the re-transmitted light of a depth camera, with the ground truth.
 #[derive(Debug, Clone)]
 pub(crate) struct Scene {
     pub(crate) camera: RollingShutter,

@@ -1,6 +1,6 @@
 //! Extraction, evaluation and calibration on recordings of the whole chain: the
 //! real firmware, phone, depth camera and a session of the program, then the
-//! program's own answers against the truth. The long versions of the same are
+//! program's own answers against the ground truth. The long versions of the same are
 //! `cargo xtask hil-sim chain`.
 
 use std::time::Duration;

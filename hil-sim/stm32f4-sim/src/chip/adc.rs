@@ -18,7 +18,7 @@ const CR2_SWSTART: u32 = 1 << 30;
 const CCR_ADCPRE: u32 = 3 << 16;
 const CCR_TSVREFE: u32 = 1 << 23;
 
-/// Clocks of a sample by SMPx (13.13.4), and of the 12 bits behind it (13.5).
+/// Clocks of a sample by SMPx (13.13.4), and of the 12 bits after it (13.5).
 const SAMPLE_CLOCKS: [u64; 8] = [3, 15, 28, 56, 84, 112, 144, 480];
 const BIT_CLOCKS: u64 = 12;
 

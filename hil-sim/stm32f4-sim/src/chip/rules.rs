@@ -60,7 +60,7 @@ pub(crate) enum Rule {
     FlashLatency { hz: u64, states: u32 },
     /// Revision A is to prefetch (ES0182).
     Prefetch,
-    /// The core sleeps where the instructions behind may not be what the flash holds
+    /// The core sleeps where the next instructions may not be what the flash holds
     /// (ES0182 2.1.3; where the address matters is from mynewt-core #2057 and "An STM32 WFI
     /// bug", cliffle.com).
     Wfi { address: u32 },

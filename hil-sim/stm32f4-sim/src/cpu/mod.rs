@@ -507,7 +507,7 @@ impl Cpu {
     /// and its return goes on with it (DDI 0403 B1.5.6). This rsemu leaves those
     /// bits out of what it stacks: the rest of the block would run without its
     /// condition. A frame that was not just made for `pc` (tail-chaining makes
-    /// none) is left alone. An SVC that was `called` returns behind itself.
+    /// none) is left alone. An SVC that was `called` returns after itself.
     fn stack_it_block(&self, frame: u32, pc: u32, called: bool) {
         const RETURN_ADDRESS: u32 = 24;
         const XPSR: u32 = 28;

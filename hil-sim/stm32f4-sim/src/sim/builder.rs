@@ -132,7 +132,7 @@ impl SimBuilder {
         self
     }
 
-    /// The ROM's bootloader starts the firmware, as behind a download by DFU.
+    /// The ROM's bootloader starts the firmware, as after a download by DFU.
     #[must_use]
     pub fn started_by_rom(mut self) -> Self {
         self.by_rom = true;

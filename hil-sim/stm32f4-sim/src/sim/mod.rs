@@ -263,7 +263,7 @@ impl Sim {
         self.cpu.is_in_rom()
     }
 
-    /// Has the bootloader start the program, as it does behind a download.
+    /// Has the bootloader start the program, as it does after a download.
     pub fn leave_rom(&mut self) {
         self.cpu.reset();
         self.cpu.start_by_rom();

@@ -343,7 +343,7 @@ impl Session<'_> {
                 self.skip(name, NOT_DONE, REASON);
                 continue;
             }
-            // What a panic has left is kept, and told as the end of a run no more.
+            // What a panic has left is kept, and no longer reported as the end of a run.
             let is_right = |hello: &Hello| {
                 hello.last_panic.is_none()
                     && (hello.panics, &hello.kept_panic) == (before.panics, &before.kept_panic)

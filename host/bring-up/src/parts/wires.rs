@@ -121,7 +121,7 @@ impl Session<'_> {
             right == seconds.len() && right >= 2 && begins.within(first, last)
                 && doubt.within(0, LINE_DOUBT),
             format!(
-                "{right} of {} seconds told by their sentence, which begins {begins} after the pulse; \
+                "{right} of {} seconds given by their sentence, which begins {begins} after the pulse; \
                  edges at most {doubt} from their places",
                 seconds.len()
             ),

@@ -63,7 +63,7 @@ pub(crate) struct Args {
     /// or its .mcap file); else the one in the recording's folder
     #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
-    /// Give depth images from the place of another camera, in the size of its images: the phone's
+    /// Reproject depth into another camera, in the size of its images: the phone's
     /// (the profile must have its intrinsics and where both cameras are), or that of the depth
     /// camera's colour images
     #[arg(long, value_parser = one_of(&VIEWS))]

@@ -129,7 +129,7 @@ fn a_video_becomes_images_named_by_board_time() {
     let list = fs::read_to_string(out.join("data.csv")).unwrap();
     let rows: Vec<&str> = list.lines().skip(1).collect();
     assert_eq!(rows.len(), 60);
-    // Half of the profile's exposure and readout behind the timestamp.
+    // Half of the profile's exposure and readout after the timestamp.
     let middle = (10_000_000 + 11_006_000) / 2;
     for (index, row) in (0..).zip(&rows) {
         let expected = 1_000_000_000 + index * PERIOD_NS + middle;

@@ -76,7 +76,7 @@ fn run(target: &str, body: fn(&[u8]), mut seeds: Vec<Vec<u8>>, rounds: u32) {
     let seconds = std::env::var("SMARTDEPTHSYNC_FUZZ_SECONDS").ok();
     let seconds = seconds.map(|text| Duration::from_secs(text.parse().unwrap()));
     let begun = Instant::now();
-    // Another start for every long run, told so that it can be repeated.
+    // Another start for every long run, printed so that it can be repeated.
     let start = match seconds {
         Some(_) => u64::from(std::process::id()) << 20 ^ 0x5eed,
         None => 0x5eed,

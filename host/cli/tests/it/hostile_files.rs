@@ -233,7 +233,7 @@ fn chunk_head(length: u64, name: &[u8]) -> Vec<u8> {
 fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
     const LENGTH: usize = 64 << 20;
     let parent = tempfile::tempdir().unwrap();
-    // Heads whose record reaches to the end of the file, and heads behind which another
+    // Heads whose record reaches to the end of the file, and heads after which another
     // record does.
     for (kind, name, claim) in [("names", &b"\xff\xfe"[..], true), ("records", b"", false)] {
         let mut bytes = mcap::MAGIC.to_vec();

@@ -19,7 +19,7 @@ pub(crate) enum FrameState {
     Doubled,
     /// It lies in front of the first recorded pulse.
     BeforeFirstPulse,
-    /// It lies behind the last recorded pulse.
+    /// It lies after the last recorded pulse.
     AfterLastPulse,
     /// It lies between pulses, or where a pulse is missing in the recording.
     OffPulse,

@@ -9,7 +9,7 @@
 //!    missing pulse) is looked for in the frames, at every shift by whole
 //!    periods ([`pattern`]). Offset and rate, with the slow wander of the
 //!    camera's clock, are fitted robustly at each ([`fit`]).
-//! 2. A train without any irregularity fits at every shift alike. That is not
+//! 2. A perfectly periodic train fits at every shift alike. That is not
 //!    guessed away: unless something else tells the shifts apart (a [`Hint`], from
 //!    the camera's gyroscope or from the user), the answer is
 //!    [`MatchError::Ambiguous`] with the shifts that remain.
@@ -139,7 +139,7 @@ pub(crate) enum MatchError {
          it did not follow the trigger (check the sync cable and `--external-sync sub`)"
     )]
     OtherRate {
-        /// Median distance of frames, µs of the device.
+        /// Median frame period, µs of the device.
         frame_period_us: f64,
         /// Median distance of pulses, µs.
         pulse_period_us: f64,

@@ -12,7 +12,7 @@
 //! Shifts are compared by χ² over the frames that have a pulse in both, so that
 //! where pulses are regular, all shifts cost the same and none wins by chance. A
 //! frame in front of the first pulse speaks against a shift (the camera waits for
-//! pulses); one behind the last does not (it goes on without them).
+//! pulses); one after the last does not (it goes on without them).
 //!
 //! All this takes for granted that the camera follows each pulse. One that comes later
 //! than expected by more than the camera waits for may find a frame already begun: the
@@ -282,7 +282,7 @@ impl Grid {
     }
 
     /// Index of the pulse nearest to a distance from the first one, and how far
-    /// behind it that is.
+    /// after it that is.
     pub(super) fn nearest_pulse(&self, time: f64) -> (usize, f64) {
         let behind = |index: usize| time - self.pulse_times[index];
         let after = self.pulse_times.partition_point(|&pulse| pulse < time);

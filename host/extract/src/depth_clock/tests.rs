@@ -214,7 +214,7 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
     check(&given, &truth);
 
     // A clock known to 3 ms, with the rate 5 ppm off; the centre of exposure
-    // lies 6.3625 ms behind the pulse.
+    // lies 6.3625 ms after the pulse.
     let center = 6_362_500;
     let map = AffineMap::new(
         stamp(&pulses[1_000]),

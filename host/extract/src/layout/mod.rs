@@ -132,7 +132,7 @@ pub(crate) struct DataSetInfo {
     pub(crate) depth_size: Option<(u32, u32)>,
     /// Width and height of infrared.
     pub(crate) infrared_size: Option<(u32, u32)>,
-    /// Whether depth is given from the place of the images that it is paired with.
+    /// Whether depth is reprojected into the images that it is paired with.
     pub(crate) registered: bool,
     /// How the cameras see and where they are.
     pub(crate) cameras: Cameras,
@@ -290,7 +290,7 @@ fn harmless(name: &str) -> String {
     name.chars().take(120).map(harmless).collect()
 }
 
-/// A number with at most so many digits behind the point, and no trailing zeros.
+/// A number with at most so many digits after the point, and no trailing zeros.
 pub(crate) fn number(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -1,4 +1,4 @@
-//! Board time begins near 0, which ROS takes for no time, and what came before the board
+//! Board time begins near 0, which ROS treats as unset, and what came before the board
 //! has no time there. So what goes into ROS has board time plus [`OFFSET_NS`] exactly.
 
 use std::io;

@@ -92,7 +92,7 @@ struct Camera<'a> {
     form: Form,
     rows: &'a [ImageRow],
     intrinsics: Option<&'a Intrinsics>,
-    /// Number of its first topic; the one behind it has its `CameraInfo`, if that is known.
+    /// Number of its first topic; the one after it has its `CameraInfo`, if that is known.
     topic: usize,
 }
 

@@ -326,7 +326,7 @@ impl Extraction<'_> {
             let count = survey.imu.disordered;
             self.lose(
                 "board",
-                format!("{count} IMU samples do not lie behind the sample before them"),
+                format!("{count} IMU samples are not later than the sample before them"),
             );
         }
     }

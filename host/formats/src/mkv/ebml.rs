@@ -61,7 +61,7 @@ pub(crate) struct Head {
 }
 
 impl Head {
-    /// The first position behind the element; `None` for an unknown size or one
+    /// The first position after the element; `None` for an unknown size or one
     /// that no file can have.
     pub(crate) fn end(&self) -> Option<u64> {
         self.data.checked_add(self.size?)
@@ -159,7 +159,7 @@ impl<R: Sparse> Source<R> {
     ///
     /// # Errors
     ///
-    /// The bytes are no head, or the file ends within it. The position is then behind
+    /// The bytes are no head, or the file ends within it. The position is then after
     /// the first byte.
     pub(crate) fn head(&mut self) -> Result<Option<Head>, EbmlError> {
         let at = self.position;
@@ -197,7 +197,7 @@ impl<R: Sparse> Source<R> {
         }))
     }
 
-    /// Moves on to the next place where the bytes of `id` stand, at or behind
+    /// Moves on to the next place where the bytes of `id` stand, at or after
     /// `from`. False (and at the end of the file) if there is none.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! A forward reader of Matroska segments (RFC 9559) that survives damage.
 //!
 //! [`Mkv::open`] reads everything in front of the first cluster, and looks
-//! behind the clusters for what is missing there. [`Mkv::next_cluster`] then
+//! after the clusters for what is missing there. [`Mkv::next_cluster`] then
 //! gives one cluster after the other. Where the bytes make no sense, it goes on
 //! at the next place that looks like a cluster, and the loss is in
 //! [`Mkv::damage`]. A cluster with a CRC-32 element is checked against it.
@@ -27,7 +27,7 @@ const MAX_FRAMES: usize = 100_000;
 /// Most entries in the list of damage.
 const MAX_DAMAGE: usize = 1000;
 
-/// IDs that stand in a segment: behind one of these, a cluster of unknown size is over.
+/// IDs that stand in a segment: after one of these, a cluster of unknown size is over.
 const TOP_LEVEL: [u32; 8] = [
     id::SEEK_HEAD,
     id::INFO,

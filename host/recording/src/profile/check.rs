@@ -1,6 +1,6 @@
 //! What the values of a profile may be.
 //!
-//! The first that is wrong is told, in the order of the checks here.
+//! The first that is wrong is reported, in the order of the checks here.
 
 use std::ops::RangeInclusive;
 

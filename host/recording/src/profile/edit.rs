@@ -49,7 +49,7 @@ pub fn phone_table<'a>(
     }
 }
 
-/// Sets a key of a table; the comments before and behind its old value stay.
+/// Sets a key of a table; the comments before and after its old value stay.
 pub fn set(table: &mut Table, key: &str, mut new: Item) {
     let Some(old) = table.get_mut(key) else {
         table.insert(key, new);

@@ -343,7 +343,7 @@ mod tests {
             name,
             severity,
             String::from("as found"),
-            vec![String::from("as told")],
+            vec![String::from("as advised")],
         )
     }
 
@@ -398,7 +398,7 @@ mod tests {
         let unproved = verdict(&session);
         assert_eq!(unproved.severity, Severity::Check);
         assert!(unproved.text.contains("trigger read-back: as found"));
-        assert_eq!(unproved.next_step.as_deref(), Some("as told"));
+        assert_eq!(unproved.next_step.as_deref(), Some("as advised"));
     }
 
     #[test]

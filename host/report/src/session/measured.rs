@@ -114,7 +114,7 @@ pub(super) struct Frames {
     next: usize,
     /// From a pulse to the middle of the depth exposure, s.
     center_s: f64,
-    /// Half the distance of frames, s: what is further off has no frame.
+    /// Half a frame period, s: what is further off has no frame.
     half_s: f64,
 }
 

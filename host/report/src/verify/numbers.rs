@@ -54,7 +54,7 @@ pub(super) struct Numbers {
     epoch: Option<u32>,
     /// The first and the last status.
     statuses: Option<(BoardCounters, BoardCounters)>,
-    /// At the first and the last status that came behind a sample.
+    /// At the first and the last status that came after a sample.
     samples: Option<(Samples, Samples)>,
     damaged_frames: u64,
 }

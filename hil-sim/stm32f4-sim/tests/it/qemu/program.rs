@@ -284,7 +284,7 @@ impl Maker<'_> {
         unit
     }
 
-    /// TBB or TBH by a table of two entries behind it.
+    /// TBB or TBH by a table of two entries after it.
     fn table_branch(&mut self) -> Code {
         let register = self.register(3, None);
         let choice = below(self.random, 2) as u16;

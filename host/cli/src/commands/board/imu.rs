@@ -57,7 +57,7 @@ struct PrintedImu {
 /// The board cannot be reached, its IMU gives nothing, or the file cannot be
 /// written.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
-    // What is in the way is told before the board is asked for anything.
+    // What is in the way is reported before the board is asked for anything.
     if let Some(path) = &args.out {
         refuse_to_overwrite(path, args.overwrite)?;
     }

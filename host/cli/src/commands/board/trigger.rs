@@ -102,7 +102,7 @@ impl PeriodArg {
 ///
 /// The board cannot be reached or refuses.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
-    // Wrong options are told before the port is opened.
+    // Wrong options are reported before the port is opened.
     if let Action::Period { period } = &args.action
         && period.given().is_none()
     {
