@@ -40,7 +40,7 @@ pub(crate) fn make() -> Result<()> {
     draw("shrink.py", &shot, "report.png")?;
 
     // A recording's live view, as its test leaves it.
-    let test = "test --release -p hil-sim --test it -- live_view::a_recording_is_led";
+    let test = "test --release --workspace --test it -- live_view::a_recording_is_led";
     process::cargo_with_elf(&test.split(' ').collect::<Vec<_>>(), &elf)?;
     let screen = process::target_dir().join("tmp/live_view/record_80x24.ansi");
     draw("terminal.py", &screen, "live-view.svg")
