@@ -12,6 +12,7 @@
 
 use core::future::{Future as _, poll_fn};
 use core::pin::pin;
+use core::sync::atomic::{AtomicBool, Ordering};
 
 use embassy_stm32::pac;
 use embassy_stm32::peripherals::USB_OTG_FS;
@@ -33,6 +34,9 @@ const MOST_READS: u32 = 1_000;
 /// How long the pull-up is off, so that the host sees the device leave: 2.5 µs are enough
 /// (USB 2.0 7.1.7.3), hubs report every 255 ms at most.
 const DISCONNECT_MS: u64 = 300;
+
+/// Whether a packet was taken back that the host had not acknowledged.
+pub(crate) static TAKEN_BACK: AtomicBool = AtomicBool::new(false);
 
 /// The driver.
 pub(crate) struct OtgDriver(pub(crate) Hal);
@@ -130,6 +134,7 @@ fn stop_transmit(endpoint: usize) {
     if !control.read().epena() {
         return;
     }
+    TAKEN_BACK.store(true, Ordering::Relaxed);
     control.modify(|w| w.set_snak(true));
     until(|| control.read().naksts());
     control.modify(|w| w.set_epdis(true));

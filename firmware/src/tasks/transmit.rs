@@ -17,7 +17,7 @@ use firmware::outbox::{Counter, counter_of};
 use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
-use crate::board::tim2;
+use crate::board::{otg, tim2};
 use crate::state::{ALIVE, CONNECTS, FILLER_RATE, LINK_CHANGED, ROOM, TO_SEND, with_outbox};
 use crate::tasks::usb::{self, UsbDriver};
 
@@ -29,6 +29,7 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
         buffer: [0; TRANSMIT_BUFFER],
         len: 0,
         ends: Vec::new(),
+        in_core: Vec::new(),
         filler: Pacer::new(),
         filler_seq: 0,
         connect: 0,
@@ -50,6 +51,9 @@ struct Transmit {
     len: usize,
     /// Where the frames of numbered messages end, and where each counts if it is lost.
     ends: Vec<(usize, Counter), MOST_FRAMES>,
+    /// The same of the messages that end in the packet that the core was given last: a frame takes
+    /// 14 bytes at least.
+    in_core: Vec<Counter, { USB_PACKET / 14 + 1 }>,
     filler: Pacer,
     filler_seq: u32,
     /// The connection that the buffer belongs to.
@@ -72,6 +76,14 @@ impl Transmit {
             self.buffer[0] = 0;
             self.len = 1;
             self.filler = Pacer::new();
+            if otg::TAKEN_BACK.swap(false, Ordering::Relaxed) {
+                with_outbox(|outbox| {
+                    self.in_core
+                        .iter()
+                        .for_each(|counter| outbox.lose(*counter))
+                });
+                self.in_core.clear();
+            }
         }
         let mut taken = false;
         while self.has_room() {
@@ -131,22 +143,35 @@ impl Transmit {
 
     /// Writes the buffer. A host that does not read is waited for, one that
     /// goes away is not.
-    async fn write(&self, sender: &mut Sender<'static, UsbDriver>) {
+    async fn write(&mut self, sender: &mut Sender<'static, UsbDriver>) {
         let frames = self.buffer.get(..self.len).unwrap_or_default();
+        let mut begun = 0;
         let mut written = 0;
         for packet in frames.chunks(USB_PACKET) {
             if !self.write_packet(sender, packet).await {
-                let unsent = self.ends.iter().filter(|(end, _)| *end > written);
-                with_outbox(|outbox| unsent.for_each(|(_, counter)| outbox.lose(*counter)));
-                return;
+                break;
             }
+            begun = written;
             written += packet.len();
+        }
+        if written > 0 {
+            self.in_core.clear();
+        }
+        for (end, counter) in self.ends.iter().rev().take_while(|(end, _)| *end > begun) {
+            if *end > written {
+                with_outbox(|outbox| outbox.lose(*counter));
+            } else {
+                let _ = self.in_core.push(*counter);
+            }
         }
         // A transfer ends with a short packet, without which the host's
         // driver waits for more.
-        let nothing_more = with_outbox(|outbox| outbox.is_empty());
-        if self.len.is_multiple_of(USB_PACKET) && nothing_more {
-            self.write_packet(sender, &[]).await;
+        let ends_full = written == self.len && written.is_multiple_of(USB_PACKET);
+        if ends_full
+            && with_outbox(|outbox| outbox.is_empty())
+            && self.write_packet(sender, &[]).await
+        {
+            self.in_core.clear();
         }
     }
 
