@@ -42,14 +42,6 @@ pub(crate) fn build_black_pill() -> Result<PathBuf> {
     keep(&elf, "-black-pill")
 }
 
-/// Builds the firmware with a wrong PLL factor, beside the right one: the name
-/// of its ELF ends in `-wrong-pll`. A test of the simulator runs it. To be
-/// called before [`build`], which leaves the right one under its own name.
-pub(crate) fn build_with_wrong_pll() -> Result<()> {
-    let elf = built(&["build", "--release", "--features", "wrong-pll"])?;
-    keep(&elf, "-wrong-pll").map(drop)
-}
-
 /// Puts the images of these ELFs beside the host tool, where `board flash` looks for them.
 pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
     for elf in elves {

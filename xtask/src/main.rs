@@ -100,7 +100,6 @@ fn run(command: Command) -> Result<()> {
 }
 
 fn build() -> Result<()> {
-    firmware::build_with_wrong_pll()?;
     let black_pill = firmware::build_black_pill()?;
     let elf = firmware::build()?;
     firmware::build_agent()?;
@@ -115,7 +114,6 @@ fn test(cargo_args: &[String]) -> Result<()> {
     let elf = std::thread::scope(|scope| {
         // Each build of the firmware ends on one core: the packages come on another.
         let python = scope.spawn(tools::ensure_python);
-        firmware::build_with_wrong_pll()?;
         firmware::build_black_pill()?;
         let elf = firmware::build()?;
         firmware::build_foreign()?;

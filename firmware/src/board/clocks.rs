@@ -36,11 +36,7 @@ pub(crate) fn config() -> Config {
     config.rcc.pll = Some(Pll {
         prediv: PllPreDiv::from_bits(BOARD.pll_divider),
         mul: PllMul::from_bits(BOARD.pll_factor),
-        divp: Some(if cfg!(feature = "wrong-pll") {
-            PllPDiv::DIV4
-        } else {
-            PllPDiv::DIV2
-        }),
+        divp: Some(PllPDiv::DIV2),
         divq: Some(PllQDiv::DIV4),
         divr: None,
     });

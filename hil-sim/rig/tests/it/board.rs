@@ -718,25 +718,19 @@ fn handlers_are_measured_after_a_probe_has_gone() {
     assert!(usb.calls > 0 && usb.mean() > 20, "{usb:?}");
 }
 
-/// A clock tree that is not what the firmware assumes shows as wrong time.
+/// A clock that is not what the firmware assumes shows as wrong time.
 #[test]
-fn a_wrong_pll_factor_is_found_out() {
-    let mut elf = wiring::default_elf().into_os_string();
-    elf.push("-wrong-pll");
-    if !std::path::Path::new(&elf).is_file() {
-        panic!("no firmware with a wrong PLL factor at {elf:?}: run `cargo xtask build`");
-    }
-    let mut board = Board::boot(wiring::board().elf(elf));
+fn a_wrong_crystal_is_found_out() {
+    let wrong = wiring::board().crystal(stm32f4_sim::clock::Rate::hz(8_016_000));
+    let mut board = Board::boot(wrong);
     let (sim_before, before) = (board.rig.now(), board.now());
-    board.run(2_000);
-    let (sim_after, after) = (board.rig.now(), board.now());
-    let counted = (after - before).as_secs_f64();
-    let elapsed = (sim_after - sim_before).as_secs_f64();
-    // What this check would say of the right firmware, see
-    // `ten_minutes_of_status_in_one_continuous_time`: equal to a millisecond.
+    board.run(20_000);
+    let elapsed = (board.rig.now() - sim_before).as_secs_f64();
+    let counted = (board.now() - before).as_secs_f64();
+    // 40 ms in 20 s; of the right crystal it would be 5 ms at most.
     assert!(
-        (counted - elapsed / 2.0).abs() < 0.01,
-        "half the core clock must show as half the time: {counted} s of {elapsed} s"
+        (counted - elapsed * 1.002).abs() < 0.005,
+        "{counted} s of {elapsed} s"
     );
 }
 
