@@ -74,27 +74,6 @@ mod tests {
         }
     }
 
-    /// A probe that caught resets and faults would end the board's own recovery.
-    #[test]
-    fn runners_let_the_firmware_reset_and_fault() {
-        for config in [
-            include_str!("../../.cargo/config.toml"),
-            include_str!("../.cargo/config.toml"),
-        ] {
-            let runs: Vec<_> = config
-                .lines()
-                .filter(|l| l.contains("probe-rs run"))
-                .collect();
-            assert!(!runs.is_empty());
-            for run in runs {
-                assert!(
-                    run.contains(" --no-catch-reset --no-catch-hardfault "),
-                    "{run}"
-                );
-            }
-        }
-    }
-
     #[test]
     fn no_led_is_on_a_pin_of_a_signal() {
         // Pins of ports A and B, as in the module's header, and PA0, where both have a key.

@@ -159,3 +159,47 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     }
     process::run(cargo.args(after))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    /// What cargo makes of the runners in its configuration, with a program for the chip that is
+    /// built at once and a `probe-rs` that says how it was called. Without these flags `probe-rs
+    /// run` halts the core at each reset and fault (its `cmd/run.rs`: `VectorCatchConfig`).
+    #[test]
+    fn the_runners_of_both_boards_catch_neither_reset_nor_fault() -> Result<()> {
+        let folder = tempfile::tempdir()?;
+        let file = |name: &str| folder.path().join(name);
+        let manifest = "[package]\nname = 'nothing'\nedition = '2024'\n[workspace]\n[features]\nblack-pill = []\n";
+        fs::write(file("Cargo.toml"), manifest)?;
+        let program = "#![no_std]\n#![no_main]\n#[panic_handler]\nfn halt(_: &core::panic::PanicInfo<'_>) -> ! {\n    loop {}\n}\n";
+        fs::create_dir(file("src"))?;
+        fs::write(file("src/main.rs"), program)?;
+        fs::write(file("probe-rs"), "#!/bin/sh\necho \"$@\"\n")?;
+        fs::set_permissions(file("probe-rs"), Permissions::from_mode(0o755))?;
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        let path = std::iter::once(folder.path().into()).chain(std::env::split_paths(&path));
+        let path = std::env::join_paths(path)?;
+        for (commands, chip) in [
+            (&["run", "--release"][..], "STM32F407VGTx"),
+            (&["black-pill"], "STM32F411CEUx"),
+        ] {
+            let called = process::text(
+                process::command(process::cargo_program())
+                    .current_dir(process::root().join(FIRMWARE))
+                    .args(commands)
+                    .arg("--manifest-path")
+                    .arg(file("Cargo.toml"))
+                    .env("CARGO_TARGET_DIR", file("target"))
+                    .env("PATH", &path),
+            )?;
+            let expected = format!("run --no-catch-reset --no-catch-hardfault --chip {chip} ");
+            assert!(called.starts_with(&expected), "{called}");
+        }
+        Ok(())
+    }
+}
