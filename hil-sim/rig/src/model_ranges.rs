@@ -331,20 +331,6 @@ impl ModelValues {
         self
     }
 
-    /// The same where no clock warms up by more than `most_ppm` in ten minutes: the
-    /// logarithm of each warming is pressed into the smaller range.
-    #[must_use]
-    pub fn with_warming_at_most(mut self, most_ppm: f64) -> Self {
-        for (range, value) in MODEL_RANGES.iter().zip(&mut self.0) {
-            if range.draw == Draw::EitherSign && *value != 0.0 {
-                let (least, most) = range.range;
-                let share = (value.abs() / least).ln() / (most / least).ln();
-                *value = value.signum() * least * (most_ppm / least).powf(share);
-            }
-        }
-        self
-    }
-
     /// The same where the exposure and the rate of the frames are locked.
     #[must_use]
     pub fn with_exposure_locked(mut self) -> Self {
@@ -445,29 +431,6 @@ mod tests {
             };
             assert!(share(low) < 0.05 && share(high) > 0.95, "{}", range.name);
         }
-    }
-
-    #[test]
-    fn warming_can_be_limited() {
-        let mut most = 0.0_f64;
-        for seed in 0..200 {
-            let drawn = ModelValues::drawn(Seed(seed));
-            let limited = drawn.with_warming_at_most(1.0);
-            for (place, range) in MODEL_RANGES.iter().enumerate() {
-                let (was, is) = (drawn.value(place).unwrap(), limited.value(place).unwrap());
-                if range.draw == Draw::EitherSign {
-                    assert!((0.1..=1.0 + 1e-9).contains(&is.abs()) && is.signum() == was.signum());
-                    most = most.max(is.abs());
-                } else {
-                    assert_eq!(is, was);
-                }
-            }
-        }
-        assert!(most > 0.95);
-        assert_eq!(
-            ModelValues::default().with_warming_at_most(1.0),
-            ModelValues::default()
-        );
     }
 
     #[test]

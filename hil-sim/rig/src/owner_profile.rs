@@ -60,10 +60,11 @@ fn constants(phone: &Handset<'_>) -> String {
     let name = phone.name.map(|name| format!("name = \"{name}\"\n"));
     format!(
         "{name}address = \"{address}\"\nrows = {rows}\nreadout_us = {readout:.4}\n\
-         readout_sigma_us = 0.0\ngyro_delay_us = {delay}\ngyro_delay_sigma_us = 0.0\n",
+         exposure_locked = {locked}\nreadout_sigma_us = 0.0\ngyro_delay_us = {delay}\ngyro_delay_sigma_us = 0.0\n",
         name = name.unwrap_or_default(),
         address = phone.address,
         rows = camera.rows,
+        locked = camera.is_exposure_locked(),
         readout = camera.readout_ns() * 1e-3,
         delay = config.gyroscope.low_pass.delay_s * 1e6,
     )

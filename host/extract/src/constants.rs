@@ -118,14 +118,15 @@ impl Constants {
             .and_then(|said| said.video?.exposure_ns)
             .filter(|&exposure| exposure > 0)
             .and_then(|exposure| i64::try_from(exposure).ok());
-        let sigma_us = profile.other_constant_sigma_us(phone);
+        let exposure = reported.or_else(|| nanos(phone.exposure_us));
+        let exposure_us = exposure.unwrap_or_default() as f64 * 1e-3;
+        let sigma_us = profile.other_constant_sigma_us(phone, exposure_us);
         let constants = Self {
             phone_imu_delay_ns: nanos(phone.gyro_delay_us).unwrap_or(0),
             prior: said.and_then(|said| said.clock).map(prior),
             constant_sigma_us: self.constant_sigma_us.map(|_| sigma_us),
             ..self
         };
-        let exposure = reported.or_else(|| nanos(phone.exposure_us));
         constants.with_middle(exposure, nanos(phone.middle_row_us()))
     }
 
@@ -152,8 +153,9 @@ impl Constants {
         if self.center_source == CenterSource::Given {
             return self;
         }
-        self.constant_sigma_us = Some(profile.constant_sigma_us());
-        self.constant_part = profile.constant_part();
+        let exposure_us = alignment.map_or(profile.phone.exposure_us, |a| a.exposure_us);
+        self.constant_sigma_us = Some(profile.constant_sigma_us(exposure_us));
+        self.constant_part = profile.constant_part(exposure_us);
         let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
         // A measured bias says that the depth image is exposed later than its nominal centre,
         // against the phone's middle row.

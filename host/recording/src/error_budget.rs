@@ -19,6 +19,8 @@ pub enum ErrorPart {
     GyroDelay,
     /// The assumed readout time of the phone.
     Readout,
+    /// The phone's exposure, which may change.
+    Exposure,
     /// The relation of the clocks, and the phone's frame period.
     Clocks,
 }
@@ -32,6 +34,7 @@ impl ErrorPart {
             Self::DepthCenter => "the assumed centre of the depth exposure",
             Self::GyroDelay => "the assumed delay of the phone's gyroscope",
             Self::Readout => "the assumed readout of the phone",
+            Self::Exposure => "an exposure of the phone that is not known to be locked",
             Self::Clocks => "clocks and frame period",
         }
     }

@@ -28,6 +28,9 @@ pub const DEFAULT: &str = include_str!("profile_default.toml");
 /// The longest profile that is read, bytes: a thousand times the commented default.
 pub const MAX_LENGTH: u64 = 8 << 20;
 
+/// 1-sigma of how an exposure that is not locked changes within a recording, as a part of it. A guess.
+const EXPOSURE_CHANGES: f64 = 1.0 / 3.0;
+
 /// A rig profile.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -137,6 +140,9 @@ pub struct Phone {
     pub address: String,
     /// Exposure of a row, µs, where the app does not report it.
     pub exposure_us: f64,
+    /// Exposure and frame rate are locked in the app.
+    #[serde(default)]
+    pub exposure_locked: bool,
     /// From the start of exposure of the first row to that of the last, µs.
     pub readout_us: f64,
     /// 1-sigma of it, µs.
@@ -182,6 +188,15 @@ impl Phone {
     fn middle_row_part(&self) -> f64 {
         let last = f64::from(self.rows.saturating_sub(1).max(1));
         self.middle_row.map_or(0.5, |middle| middle / last)
+    }
+
+    /// 1-sigma of what the middle of its exposure, now of so many µs, moves within a recording, µs.
+    #[must_use]
+    pub fn exposure_sigma_us(&self, exposure_us: f64) -> f64 {
+        match self.exposure_locked {
+            true => 0.0,
+            false => EXPOSURE_CHANGES * exposure_us / 2.0,
+        }
     }
 
     /// 1-sigma of what its own constants put into the phase, µs: the delay of its gyroscope
@@ -429,49 +444,58 @@ impl Profile {
         self.lidar.as_ref().map_or("gnss", |lidar| &lidar.name)
     }
 
-    /// 1-sigma of the constant between the middles of the two exposures, µs: of the bias,
-    /// once that is measured; until then from the trigger's edge to the middle of the depth
-    /// exposure, and of the phone's own constants.
+    /// 1-sigma of the constant between the middles of the two exposures, µs, where the phone's is
+    /// of so many µs: of the bias, once that is measured; until then from the trigger's edge to
+    /// the middle of the depth exposure, and of the phone's own constants; and of an exposure
+    /// that may change.
     #[must_use]
-    pub fn constant_sigma_us(&self) -> f64 {
-        match self.frame_sync.bias_measured {
-            Some(_) => self.frame_sync.bias_sigma_us,
-            None => self.other_constant_sigma_us(&self.phone),
-        }
+    pub fn constant_sigma_us(&self, exposure_us: f64) -> f64 {
+        let parts = self.constant_parts(exposure_us);
+        parts.iter().fold(0.0, |sum, part| sum.hypot(part.1))
     }
 
-    /// 1-sigma of each constant between the two exposures while the bias is not measured, µs.
+    /// 1-sigma of each part of [`Profile::constant_sigma_us`], µs.
     #[must_use]
-    pub fn constant_parts(&self) -> [(ErrorPart, f64); 3] {
+    pub fn constant_parts(&self, exposure_us: f64) -> Vec<(ErrorPart, f64)> {
         let phone = &self.phone;
-        let readout = phone.readout_sigma_us * phone.middle_row_part();
-        [
-            (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
-            (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
-            (ErrorPart::Readout, readout),
-        ]
-    }
-
-    /// The largest part of [`Profile::constant_sigma_us`].
-    #[must_use]
-    pub fn constant_part(&self) -> ErrorPart {
-        let parts = self.constant_parts().into_iter();
-        let largest = parts.max_by(|a, b| a.1.total_cmp(&b.1));
-        match (self.frame_sync.bias_measured, largest) {
-            (None, Some((part, _))) => part,
-            _ => ErrorPart::Bias,
+        let mut parts = match self.frame_sync.bias_measured {
+            Some(_) => vec![(ErrorPart::Bias, self.frame_sync.bias_sigma_us)],
+            None => vec![
+                (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
+                (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
+                (
+                    ErrorPart::Readout,
+                    phone.readout_sigma_us * phone.middle_row_part(),
+                ),
+            ],
+        };
+        if !phone.exposure_locked {
+            let sigma_us = phone.exposure_sigma_us(exposure_us);
+            parts.push((ErrorPart::Exposure, sigma_us));
         }
+        parts
     }
 
-    /// The same for another phone, µs. The bias was measured with the first phone, and has
+    /// The largest of them.
+    #[must_use]
+    pub fn constant_part(&self, exposure_us: f64) -> ErrorPart {
+        let parts = self.constant_parts(exposure_us).into_iter();
+        let largest = parts.max_by(|a, b| a.1.total_cmp(&b.1));
+        largest.map_or(ErrorPart::Bias, |part| part.0)
+    }
+
+    /// The same for another phone, whose exposure is of so many µs, µs. The bias was measured with the first phone, and has
     /// the errors of that one's constants in it.
     #[must_use]
-    pub fn other_constant_sigma_us(&self, phone: &Phone) -> f64 {
+    pub fn other_constant_sigma_us(&self, phone: &Phone, exposure_us: f64) -> f64 {
         let common = match self.frame_sync.bias_measured {
             Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.constant_sigma_us()),
             None => self.depth.center_offset_sigma_us,
         };
-        common.hypot(phone.constant_sigma_us())
+        let own = phone.constant_sigma_us();
+        common
+            .hypot(own)
+            .hypot(phone.exposure_sigma_us(exposure_us))
     }
 
     /// Length of the trigger pulse, ticks.

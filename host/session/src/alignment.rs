@@ -196,7 +196,14 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
     let middle_row_us = profile.phone.middle_row_us();
     let center_offset_us = profile.depth.center_offset_us;
     let (bias_us, shift_us) = (profile.frame_sync.bias_us, profile.frame_sync.shift_us);
-    let constant_sigma_us = profile.constant_sigma_us();
+    let constant_sigma_us = profile.constant_sigma_us(exposure_us);
+    if !profile.phone.exposure_locked {
+        remarks.push(String::from(
+            "the exposure is not known to be locked: a frame rate that follows the light loses the \
+             phase, which shows only when the video's timestamps are fetched; lock exposure and ISO \
+             in the app's settings, then set exposure_locked = true in the profile",
+        ));
+    }
 
     let middle = middle(clock, video, exposure_us, middle_row_us);
     let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us + shift_us) * 1e-6);
@@ -225,7 +232,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             bias_us,
             shift_us,
             constant_sigma_us: Some(constant_sigma_us),
-            constant_part: Some(profile.constant_part()),
+            constant_part: Some(profile.constant_part(exposure_us)),
             bias_is_measured: profile.frame_sync.bias_measured.is_some(),
             frame_period_ns,
             frame_period_sigma_ns: Some(frame_period_sigma_ns),
@@ -440,7 +447,7 @@ pub fn placement(
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
         offset_sigma_us: phase_sigma_us(course, middle, frames.jitter_ns)
-            .hypot(profile.other_constant_sigma_us(phone)),
+            .hypot(profile.other_constant_sigma_us(phone, exposure_us)),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
         drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
     }

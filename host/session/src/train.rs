@@ -12,6 +12,10 @@ use twist_sync::robust::Line;
 /// The least number of frames.
 const MIN_FRAMES: usize = 300;
 
+/// Timestamps that scatter by more than this part of the period about a straight line are those
+/// of frames whose distance changes.
+const MOST_JITTER: f64 = 0.01;
+
 /// Why timestamps have no frame period.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrainError {
@@ -81,7 +85,10 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
         let step = (pair[1] - pair[0]) / rough;
         let whole = step.round().max(1.0);
         if (step - whole).abs() > 0.3 {
-            return Err(odd("a distance is no multiple of the frame period"));
+            return Err(odd(
+                "a distance is no multiple of the frame period (where the frame rate follows \
+                 the light: lock the exposure in the app's settings)",
+            ));
         }
         number += whole;
         points.push((number, pair[1]));
@@ -103,6 +110,12 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
         }
         points = kept;
         (line, jitter_ns) = fit(&points);
+    }
+    if jitter_ns > MOST_JITTER * line.slope {
+        return Err(odd(
+            "their distance changes within the recording (a frame rate that follows the light: \
+             lock the exposure in the app's settings)",
+        ));
     }
     Ok(FramePeriod {
         period_ns: line.slope,
@@ -187,6 +200,25 @@ mod tests {
             frame_period(&shifted),
             Err(TrainError::NoTrain { .. })
         ));
+    }
+
+    #[test]
+    fn frames_that_get_longer_in_the_dark_have_no_period() {
+        // Two seconds in each half minute, as an automatic rate does; by a quarter, and by a
+        // hundredth, which no single distance shows.
+        for longer_ns in [8_300_000, 333_000] {
+            let mut times = frames(9_000);
+            let mut later = 0;
+            for (n, time) in times.iter_mut().enumerate() {
+                later += if n % 900 >= 840 { longer_ns } else { 0 };
+                time.0 += later;
+            }
+            let found = frame_period(&times);
+            assert!(
+                matches!(&found, Err(TrainError::NoTrain { reason }) if reason.contains("lock")),
+                "{found:?}"
+            );
+        }
     }
 
     #[test]

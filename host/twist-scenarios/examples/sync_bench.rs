@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_scenarios::{ClockPath, Scenario, Twist, TwistSpec};
+use twist_scenarios::{ClockPath, Scenario, Twist, TwistSpec, options};
 use twist_sync::robust;
 use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_offset};
 
@@ -38,14 +38,6 @@ struct Args {
     /// scenarios to folders in it
     #[arg(long)]
     export: Option<PathBuf>,
-}
-
-fn options(scenario: &Scenario) -> Options {
-    Options {
-        a_delay_s: twist_scenarios::filter_delay_s(&scenario.spec.a),
-        b_delay_s: twist_scenarios::filter_delay_s(&scenario.spec.b),
-        ..Options::default()
-    }
 }
 
 fn csv(track: &GyroTrack) -> String {
@@ -122,7 +114,7 @@ fn twist(args: &Args, scenario: &Scenario, trial: u64) -> Twist {
 }
 
 fn row(args: &Args, scenario: &Scenario) {
-    let options = options(scenario);
+    let options = options(&scenario.spec);
     // One that is accepted wrongly weighs more than one that is refused.
     let count = match scenario.rmse_us {
         Some(_) => args.trials,
@@ -175,7 +167,7 @@ fn fastest_ms(a: &GyroTrack, b: &GyroTrack, options: &Options) -> f64 {
 
 /// Its median over the twists of a row.
 fn median_ms(args: &Args, scenario: &Scenario) -> f64 {
-    let options = options(scenario);
+    let options = options(&scenario.spec);
     let each: Vec<f64> = (0..TIMED.min(args.trials))
         .map(|trial| twist(args, scenario, trial))
         .map(|twist| fastest_ms(&twist.a, &twist.b, &options))
@@ -313,7 +305,7 @@ fn about_a_line(clocks: &[ClockRelation]) -> f64 {
 /// Recordings and a table of the ground truth, our results (all digits) and settings, and the time.
 fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
     std::fs::create_dir_all(folder).unwrap();
-    let options = options(scenario);
+    let options = options(&scenario.spec);
     let mut table =
         String::from("trial,reference_s,true_offset_s,offset_s,sigma_s,a_delay_s,b_delay_s,ms\n");
     for trial in 0..args.trials {

@@ -13,8 +13,8 @@ use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
-use twist_sync::GyroTrack;
 use twist_sync::interpolant::{Uneven, Uniform, Vec3};
+use twist_sync::{GyroTrack, Options};
 
 use grip::{Held, rise};
 
@@ -158,9 +158,21 @@ impl Default for TwistSpec {
     }
 }
 
-/// Delay of the two-pole filter at low frequency, seconds.
+/// What is known of the two sensors: their filters, and of a sawtooth of long periods, which may not
+/// jump in a single twist, its jump.
 #[must_use]
-pub fn filter_delay_s(sensor: &Sensor) -> f64 {
+pub fn options(spec: &TwistSpec) -> Options {
+    let is_long = |sawtooth: &(f64, f64)| sawtooth.1 > 3.0;
+    Options {
+        a_delay_s: filter_delay_s(&spec.a),
+        b_delay_s: filter_delay_s(&spec.b),
+        b_jump_s: spec.b.sawtooth_s.filter(is_long).map_or(0.0, |s| s.0),
+        ..Options::default()
+    }
+}
+
+/// Delay of the two-pole filter at low frequency, seconds.
+fn filter_delay_s(sensor: &Sensor) -> f64 {
     let delay = |hz| 2.0 * sensor.filter_damping / natural_frequency(hz, sensor.filter_damping);
     sensor.filter_hz.map_or(0.0, delay)
 }

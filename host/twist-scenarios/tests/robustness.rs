@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 use twist_scenarios::{Motion, SENSOR_A, SENSOR_B, Sensor, Twist, TwistSpec, displace};
-use twist_sync::{Options, estimate_offset};
+use twist_sync::estimate_offset;
 
 /// Twists per case.
 const TRIALS: u64 = 5;
@@ -374,11 +374,7 @@ fn motions() -> Vec<Case> {
 
 /// Runs a case; what is wrong with its results.
 fn judge(case: &Case) -> Vec<String> {
-    let options = Options {
-        a_delay_s: twist_scenarios::filter_delay_s(&case.spec.a),
-        b_delay_s: twist_scenarios::filter_delay_s(&case.spec.b),
-        ..Options::default()
-    };
+    let options = twist_scenarios::options(&case.spec);
     let mut wrong = Vec::new();
     let (mut accepted, mut squares, mut largest) = (0, 0.0, 0.0_f64);
     for seed in 0..TRIALS {

@@ -4,7 +4,7 @@
 //! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench sync`.
 
 use rayon::prelude::*;
-use twist_scenarios::{Scenario, Twist, TwistSpec};
+use twist_scenarios::{Scenario, Twist, TwistSpec, options};
 use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
 fn trials() -> u64 {
@@ -12,16 +12,6 @@ fn trials() -> u64 {
         .ok()
         .and_then(|s| s.parse().ok())
         .unwrap_or(40)
-}
-
-fn options(spec: &TwistSpec) -> Options {
-    Options {
-        a_delay_s: twist_scenarios::filter_delay_s(&spec.a),
-        b_delay_s: twist_scenarios::filter_delay_s(&spec.b),
-        // Of long periods it is known: in a single twist it may not jump.
-        b_jump_s: spec.b.sawtooth_s.filter(|s| s.1 > 3.0).map_or(0.0, |s| s.0),
-        ..Options::default()
-    }
 }
 
 fn error_s(estimate: &Estimate, twist: &Twist) -> f64 {

@@ -345,6 +345,13 @@ impl CameraConfig {
         0.5 * (self.rows as f64 - 1.0) * self.row_time_ns + 0.5 * self.exposure_ns as f64
     }
 
+    /// The exposure is the same in all recordings and frames, and so is the rate of the frames.
+    #[must_use]
+    pub fn is_exposure_locked(&self) -> bool {
+        let is_constant = self.longest_exposure_ns <= self.exposure_ns;
+        is_constant && self.exposure_swing == 0.0 && self.dark_period_ns == 0.0
+    }
+
     /// From the start of exposure of the first row to that of the last.
     #[must_use]
     pub fn readout_ns(&self) -> f64 {

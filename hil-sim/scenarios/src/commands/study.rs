@@ -32,13 +32,14 @@ pub(crate) struct Args {
 enum What {
     /// Twists, learning and alignment on the models alone, without board, link and app.
     Models {
-        /// No drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
-        #[arg(long, value_name = "PPM", value_parser = warming)]
-        most_warming: Option<f64>,
         /// The exposure of drawn rigs is the same in each recording and each frame, as with the
         /// app's exposure locked
         #[arg(long)]
         exposure_locked: bool,
+        /// Find of each worst rig the value without which it is best, which takes longer than the
+        /// rest
+        #[arg(long)]
+        causes: bool,
     },
     /// The phase over an hour while the phone's clock is followed, or is not: clocks and links
     /// alone.
@@ -62,12 +63,6 @@ enum What {
     },
 }
 
-/// ppm in ten minutes, within the range that is drawn from.
-fn warming(text: &str) -> Result<f64, String> {
-    let ppm = text.parse().ok().filter(|ppm| (0.1..=5.0).contains(ppm));
-    ppm.ok_or_else(|| "expected 0.1 to 5 (ppm in ten minutes)".to_owned())
-}
-
 pub(crate) fn run(args: &Args) -> Result<()> {
     let options = StudyOptions {
         first_seed: args.first_seed,
@@ -81,10 +76,11 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     };
     let study = match &args.what {
         What::Models {
-            most_warming,
             exposure_locked,
+            causes,
         } => {
-            let rigs = Rigs::of_models(*most_warming, *exposure_locked);
+            let rigs = Rigs::of_models(*exposure_locked);
+            let rigs = if *causes { rigs } else { rigs.without_causes() };
             let sessions = |rig: &Specimen| Ok(models::sessions(rig.seed, &rig.values)?.figures());
             study::run(&options, &rigs, sessions, show_failed)
         }
@@ -104,7 +100,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 Ok(figures)
             };
             // Each is minutes.
-            let rigs = Rigs::of_models(None, false).without_causes();
+            let rigs = Rigs::of_models(false).without_causes();
             study::run(&options, &rigs, sessions, |rig| println!("{rig}"))
         }
     };

@@ -20,7 +20,7 @@ use rig::random::{Seed, Stream};
 use rig::rig_config::{RigConfig, RigParts};
 use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
-use session::alignment::{phase_sigma_us_at, plan, skew_prior};
+use session::alignment::{plan, skew_prior, stated_sigma_us_at};
 use session::learn::{Frames, Origin, learnt};
 use session::rates::Course;
 use session::train::frame_period;
@@ -165,21 +165,23 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     let joined = twists[0].joined(&last);
     let sigma = joined.covariance[1][1].max(0.0).sqrt();
     let now = Timestamp::UNIX_EPOCH;
-    let frames = rig.learnt_frames(begun)?;
     let origin = Origin {
         board_id: None,
         time: now,
         board_temperature_c: None,
     };
-    let taught = learnt(&frames, Some((joined.skew, sigma)), &origin);
+    // Of frames without a period nothing is learnt, and the sessions go on with what there is.
+    let frames = rig.learnt_frames(begun).ok();
+    let taught = frames.map(|frames| learnt(&frames, Some((joined.skew, sigma)), &origin));
     let mut profile = fresh_profile;
-    profile.phone.learnt = Some(taught.clone());
+    profile.phone.learnt = taught;
 
     let (clock, end) = rig.twist(end + 20.0)?;
     let later = now + jiff::SignedDuration::from_secs(360);
-    let known = skew_prior(&profile.phone, "", later, None).context("no skew was learnt")?;
+    let known = skew_prior(&profile.phone, "", later, None);
     let alone = Twists::of(clock);
-    let course = alone.with_known(&known).unwrap_or(alone).course();
+    let both = known.and_then(|known| alone.with_known(&known));
+    let course = both.unwrap_or(alone).course();
     let learnt = rig.record(&profile, &course, 1, end + TO_VIDEO_S)?;
 
     // On a cold rig the frame period of another day, and no skew.
@@ -231,6 +233,10 @@ impl Rig {
         profile.phone.rows = u32::try_from(phone.camera.rows)?;
         profile.phone.readout_us = phone.camera.readout_ns() * 1e-3;
         profile.phone.gyro_delay_us = phone.gyroscope.low_pass.delay_s * 1e6;
+        profile.phone.exposure_locked = phone.camera.is_exposure_locked();
+        profile.phone.readout_sigma_us = 0.0;
+        profile.phone.gyro_delay_sigma_us = 0.0;
+        profile.depth.center_offset_sigma_us = 0.0;
         let center = parts.config.center_offset_us();
         profile.depth.center_offset_us = center.context("the rig has no depth camera")?;
         Ok(Self {
@@ -387,7 +393,7 @@ impl Rig {
         let relation = alignment.clock;
         Ok(Judged {
             phase_us: start,
-            phase_sigma_us: phase_sigma_us_at(&alignment, at),
+            phase_sigma_us: stated_sigma_us_at(&alignment, at),
             drift_us_per_min: (five - start) / 5.0,
             drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
             offset_us: (stated.value - offset) * 1e6,

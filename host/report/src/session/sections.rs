@@ -184,13 +184,12 @@ fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
     let constant = alignment.constant_sigma_us.unwrap_or_default();
     let clocks = (total * total - constant * constant).max(0.0).sqrt();
     let mut parts = vec![(ErrorPart::Clocks.text(), clocks)];
-    match alignment.bias_is_measured {
-        true => parts.push((ErrorPart::Bias.text(), constant)),
-        false => {
-            let constants = session.profile.constant_parts();
-            parts.extend(constants.map(|(part, sigma_us)| (part.text(), sigma_us)));
-        }
-    }
+    let constants = session.profile.constant_parts(alignment.exposure_us);
+    parts.extend(
+        constants
+            .iter()
+            .map(|(part, sigma_us)| (part.text(), *sigma_us)),
+    );
     parts.push(("all together", total));
     page.figure(
         &chart::bars(&parts, micros_text),

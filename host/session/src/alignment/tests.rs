@@ -11,6 +11,7 @@ fn profile() -> Profile {
     profile.depth.center_offset_sigma_us = 0.0;
     profile.phone.gyro_delay_sigma_us = 0.0;
     profile.phone.readout_sigma_us = 0.0;
+    profile.phone.exposure_locked = true;
     profile
 }
 
@@ -379,6 +380,21 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
             .promise()
             .ends_with("± 10.6 µs (1-sigma), most of it from clocks and frame period")
     );
+    // 4 ms of exposure that may change by a third, of which the middle moves by half.
+    changed.phone.exposure_locked = false;
+    let moves_us = 4_000.0_f64 / 6.0;
+    with(
+        (moves_us.hypot(0.4), moves_us.hypot(1_060.660_247)),
+        &changed,
+    );
+    let stated = of(&changed).promise();
+    assert!(
+        stated.ends_with("that is not known to be locked"),
+        "{stated}"
+    );
+    let planned = plan(&changed, &course(), &video()).unwrap();
+    let is_told = |remark: &String| remark.contains("set exposure_locked = true");
+    assert!(planned.remarks.iter().any(is_told));
 }
 
 #[test]
