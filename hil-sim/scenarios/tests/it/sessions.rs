@@ -98,35 +98,6 @@ fn a_weak_twist_is_tried_again_where_nobody_is_asked() {
     assert_eq!(weak.len(), 3, "{weak:?}");
 }
 
-/// With a bias the twist's peaks, of up to 4 rad/s, are beyond a range of 250 °/s.
-#[test]
-fn samples_at_the_end_of_the_range_are_left_out_of_the_twist_and_told() {
-    let mut rig = Twisted::with(4, |rig, _| {
-        rig.imu.as_mut().unwrap().gyro.bias = [60.0_f64.to_radians(); 3];
-    });
-    rig.bench.profile.imu.gyro_range_dps = 250;
-    let run = rig.bench.run(&rig.options("clipped", 3));
-    let told = run.time_of(|event| match event {
-        SessionEvent::TwistRemark { remark, .. } => remark.contains("at the end of its range"),
-        _ => false,
-    });
-    assert!(told.is_some());
-    let folder = run.ended().unwrap().folder;
-    let truth = rig.bench.stop().unwrap();
-    let clipped = truth.imu.iter().filter(|record| {
-        let ends = [i16::MIN, i16::MAX];
-        record.values.gyro.iter().any(|raw| ends.contains(raw))
-    });
-    assert!(clipped.count() > 20);
-    let start = Truth::of(truth)
-        .unwrap()
-        .judge(&folder)
-        .unwrap()
-        .offset_start;
-    assert!(start.error_us.abs() < 4.0 * start.sigma_us, "{start:?}");
-    assert!(start.error_us.abs() < 25.0, "{start:?}");
-}
-
 /// Compares the file with the sensor's registers, bit for bit, in
 /// this program's reader and in public ones.
 fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
