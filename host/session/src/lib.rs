@@ -52,7 +52,6 @@ pub mod steps;
 mod tracking;
 pub mod train;
 pub mod twist;
-pub mod twist_report;
 pub mod twists;
 mod videos;
 pub mod watch;

@@ -7,8 +7,11 @@ use phone::PhoneSample;
 use protocol::{TICK_HZ, Ticks};
 use recording::error_budget::micros_text;
 use recording::session_file::{Span, Twist};
+use serde_json::{Value, json};
 use timebase::{ClockModel, board_track, phone_track};
-use twist_sync::{GyroTrack, Options as EstimateOptions, estimate_offset};
+use twist_sync::{
+    GyroTrack, LeftOut, Options as EstimateOptions, Report, Stream, Warning, estimate_offset,
+};
 
 use crate::alignment::skew_prior;
 use crate::devices::Choice;
@@ -20,7 +23,6 @@ use crate::options::Options;
 use crate::phones::{Phones, REFERENCE};
 use crate::rates::Course;
 use crate::session::Session;
-use crate::twist_report::{TwistReport, report_of};
 use crate::twists::{KnownSkew, Twists};
 
 /// How often a twist is tried when nobody is there to decide.
@@ -302,7 +304,10 @@ fn relate(
         ..EstimateOptions::default()
     };
     let result = estimate_offset(board.track, &phone_track, &options);
-    let report = TwistReport::from(report_of(&result));
+    let report = match &result {
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
+    };
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),
@@ -312,18 +317,18 @@ fn relate(
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         board_temperature_c: board.temperature_c,
-        report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
+        report: found(report),
     };
     log.phone_mut(place).twists.push(twist);
     log.file.files.push(name);
     // First what the hands did: that is what a further twist can change.
-    let left_out = report.left_out.iter().map(|stretch| stretch.text.clone());
-    let mut remarks: Vec<_> = report.together_text().into_iter().chain(left_out).collect();
+    let mut remarks: Vec<_> = together(report).into_iter().collect();
+    remarks.extend(report.left_out.iter().map(LeftOut::to_string));
+    if result.is_ok() {
+        remarks.extend(report.warnings.iter().map(of_rig));
+    }
     let result = match result {
-        Ok(estimate) => {
-            remarks.extend(report.warnings);
-            Ok(ClockModel::from(estimate.clock))
-        }
+        Ok(estimate) => Ok(ClockModel::from(estimate.clock)),
         Err(refusal) => Err(refusal.to_string()),
     };
     for remark in remarks {
@@ -352,6 +357,50 @@ fn relate(
             Ok(None)
         }
     }
+}
+
+/// What the estimator found on the way, for the session file.
+fn found(report: &Report) -> Value {
+    let faults = report.faults.iter().map(|fault| {
+        json!({
+            "stream": match fault.stream {
+                Stream::A => "board",
+                Stream::B => "phone",
+            },
+            "kind": fault.kind,
+            "count": fault.count,
+            "period": fault.period,
+            "displacement_s": fault.displacement_s,
+            "action": fault.action,
+        })
+    });
+    let warnings = report.warnings.iter().map(of_rig);
+    json!({
+        "residual_rms": report.residual_rms,
+        "motion_rms": report.motion_rms,
+        "overlap_s": report.overlap_s,
+        "faults": faults.collect::<Vec<_>>(),
+        "together": report.together,
+        "left_out": report.left_out,
+        "gates": report.gates,
+        "warnings": warnings.collect::<Vec<_>>(),
+    })
+}
+
+/// A warning about the two streams, in the words of a rig.
+fn of_rig(warning: &Warning) -> String {
+    let text = warning
+        .to_string()
+        .replace("stream a", "the board's stream");
+    text.replace("stream b", "the phone's stream")
+}
+
+/// When the two moved as one body, in words; `None` where no part of them did.
+fn together(report: &Report) -> Option<String> {
+    let stretches = report.together.iter();
+    let stretches = stretches.map(|(from, to)| format!("from {from:.1} s to {to:.1} s"));
+    let stretches = stretches.collect::<Vec<_>>().join(", ");
+    (!stretches.is_empty()).then(|| format!("board and phone moved as one body {stretches}"))
 }
 
 /// Jump of the sawtooth of the phone's stamps, s, by the last twist that showed one; 0: none has.
