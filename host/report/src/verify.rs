@@ -2,8 +2,8 @@
 //!
 //! - [`recording::walk`]: bytes. Checksums of every chunk, of the data and of the index;
 //!   where the file breaks and where it can be taken up again.
-//! - `content`: messages. The numbers that the board gave are followed and held against the
-//!   board's own counters; pulses must be on their grid, times must go on.
+//! - `content`: messages. The numbers that the board gave are followed, and what is missing is
+//!   shared out by the board's own counters; pulses must be on their grid, times must go on.
 //!
 //! Bad is a contradiction or damage; check is something that is missing and known to be;
 //! good is worth knowing. The verdict is that of the worst.
@@ -14,7 +14,6 @@
 mod content;
 pub(crate) mod numbers;
 mod pulses;
-mod topics;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -173,12 +172,12 @@ pub fn verify(recording: &Path) -> Result<Report, RecordingError> {
     })? {}
     let file = walk.report().clone();
     if let Some(session) = &session {
-        check_session(session, &path, &file, &mut findings);
+        check_session(session, &path, &mut findings);
     }
     Ok(content.finish(recording, file, session.as_ref(), findings))
 }
 
-fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {
+fn check_session(session: &SessionFile, path: &Path, findings: &mut Findings) {
     match session.outcome {
         None => findings.check("not_finished", None, || {
             String::from("the program was ended before it could close the session")
@@ -211,12 +210,6 @@ fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings
                 format!("{name}, which the session names, is not in its folder")
             });
         }
-    }
-    if file.closed && session.outcome.is_none() {
-        // The other way round is a kill between the two; this is not.
-        findings.note("closed_without_outcome", || {
-            String::from("the recording is closed, but the session file has no outcome")
-        });
     }
 }
 

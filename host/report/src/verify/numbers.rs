@@ -12,10 +12,6 @@ use recording::walk::Message;
 
 use super::{Findings, StreamReport};
 
-/// How many messages may be under way between a status and the streams that it
-/// counts: the queues of the board hold at most a few.
-const UNDER_WAY: u32 = 8;
-
 /// The stream whose numbers the messages of a topic have.
 pub(crate) const fn stream_of(topic: Topic) -> Option<Stream> {
     Some(match topic {
@@ -35,13 +31,6 @@ struct Numbered {
     report: StreamReport,
 }
 
-/// Samples as the board counts and as it numbers them.
-#[derive(Clone, Copy)]
-struct Samples {
-    read: u32,
-    next: u32,
-}
-
 /// The checks while they run.
 #[derive(Default)]
 pub(super) struct Numbers {
@@ -54,8 +43,6 @@ pub(super) struct Numbers {
     epoch: Option<u32>,
     /// The first and the last status.
     statuses: Option<(BoardCounters, BoardCounters)>,
-    /// At the first and the last status that came after a sample.
-    samples: Option<(Samples, Samples)>,
     damaged_frames: u64,
 }
 
@@ -70,12 +57,6 @@ impl Numbers {
     /// Takes the counters of a status.
     pub(super) fn status(&mut self, status: BoardCounters, at: Ticks, findings: &mut Findings) {
         self.life(status.epoch, at, findings);
-        let imu = self.streams.get(Stream::Imu as usize);
-        if let Some(next) = imu.and_then(|imu| imu.expected) {
-            let read = status.imu_samples;
-            let now = Samples { read, next };
-            self.samples = Some((self.samples.map_or(now, |(first, _)| first), now));
-        }
         let first = self.statuses.map_or(status, |(first, _)| first);
         self.statuses = Some((first, status));
     }
@@ -91,7 +72,6 @@ impl Numbers {
     /// Something is missing in the file here.
     pub(super) fn forget(&mut self) {
         self.last_imu = None;
-        self.samples = None;
     }
 
     /// The board has this epoch. A recording is of one life of the board.
@@ -165,30 +145,11 @@ impl Numbers {
         self.damaged_frames
     }
 
-    /// Messages that are missing in all streams.
-    pub(super) fn missing(&self) -> u64 {
-        let streams = self.streams.iter();
-        streams.map(|stream| stream.report.missing).sum()
-    }
-
     /// What came of it, by the streams' names.
     pub(super) fn finish(
         mut self,
-        has_gaps: bool,
         findings: &mut Findings,
     ) -> BTreeMap<&'static str, StreamReport> {
-        if let Some((first, last)) = self.samples.filter(|_| !has_gaps) {
-            let read = last.read.wrapping_sub(first.read);
-            let numbered = last.next.wrapping_sub(first.next);
-            if read.abs_diff(numbered) > UNDER_WAY {
-                findings.bad("imu_count", None, || {
-                    format!(
-                        "the board read {read} IMU samples between its first and last status, but \
-                         their numbers grew by {numbered}"
-                    )
-                });
-            }
-        }
         self.share_drops();
         for (stream, of) in self.streams.iter().zip(Stream::ALL) {
             let StreamReport {
@@ -233,38 +194,5 @@ impl Numbers {
                 left_of_outputs = dropped - report.dropped_by_board;
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A board that counted 1,385 samples before a host came.
-    #[test]
-    fn a_status_before_the_first_sample_counts_no_samples() {
-        let findings = |last_number| {
-            let mut findings = Findings::default();
-            let mut numbers = Numbers::default();
-            let mut hear = |samples, next| {
-                if let (Some(next), Some(imu)) =
-                    (next, numbers.streams.get_mut(Stream::Imu as usize))
-                {
-                    imu.expected = Some(next);
-                }
-                let status = BoardCounters {
-                    imu_samples: samples,
-                    ..BoardCounters::default()
-                };
-                numbers.status(status, Ticks::ZERO, &mut Findings::default());
-            };
-            hear(1_385, None);
-            hear(1_885, Some(1_885));
-            hear(8_385, Some(last_number));
-            numbers.finish(false, &mut findings);
-            findings.0.len()
-        };
-        assert_eq!(findings(8_385), 0);
-        assert_eq!(findings(8_400), 1);
     }
 }
