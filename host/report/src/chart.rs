@@ -1,13 +1,11 @@
 //! Drawings for reports, as SVG text.
 //!
-//! A [`Chart`] has one pair of axes; [`stack`] draws several one below the other. Title
-//! and legend stand above the axes, where they hide nothing, in type that can be read
+//! The legend stands above the axes, where it hides nothing, in type that can be read
 //! when a page is shrunk to a phone's width. Time series of any length are drawn as an
 //! envelope of a bounded number of columns, so a page stays small after hours of
 //! recording.
 
 mod envelope;
-mod head;
 
 use std::ops::Range;
 
@@ -16,18 +14,17 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 pub use envelope::{Column, Envelope};
-use head::{Head, USUAL_LINES, head};
 
-/// Size of a drawing of one chart, pixels.
+/// Size of a drawing, pixels; each further line of the legend makes it higher.
 const SIZE: (u32, u32) = (800, 340);
 
 /// Size of all type, pixels.
 const LABEL: i32 = 27;
-/// Height of a line of title or legend, pixels.
+/// Height of a line of the legend, pixels.
 const LINE: i32 = 35;
 /// Width of a letter on average, pixels.
 const LETTER: i32 = 13;
-/// Left end of title and legend, pixels.
+/// Left end of the legend, pixels.
 const LEFT: i32 = 70;
 
 /// The largest number that is drawn: above any time in seconds and any count of this
@@ -38,53 +35,12 @@ const MOST: f64 = 1e12;
 const NARROWEST: f64 = 1e-9;
 
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
-const COLOURS: [Ink; 4] = [
-    Ink::rgb(0, 114, 178),
-    Ink::rgb(213, 94, 0),
-    Ink::rgb(0, 158, 115),
-    Ink::rgb(204, 121, 167),
+const COLOURS: [RGBColor; 4] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
 ];
-
-/// Colour and width of what is drawn.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ink {
-    colour: RGBAColor,
-    width: u32,
-}
-
-impl Ink {
-    /// An opaque colour, and lines of 2 pixels.
-    #[must_use]
-    pub const fn rgb(red: u8, green: u8, blue: u8) -> Self {
-        Self {
-            colour: RGBAColor(red, green, blue, 1.0),
-            width: 2,
-        }
-    }
-
-    /// Lines of this width, pixels.
-    #[must_use]
-    pub const fn wide(self, width: u32) -> Self {
-        Self { width, ..self }
-    }
-
-    /// Transparent to this share, 0 to 1.
-    #[must_use]
-    pub fn pale(self, share: f64) -> Self {
-        Self {
-            colour: self.colour.mix(1.0 - share),
-            ..self
-        }
-    }
-
-    fn line(self) -> ShapeStyle {
-        self.colour.stroke_width(self.width)
-    }
-
-    fn fill(self) -> ShapeStyle {
-        self.colour.filled()
-    }
-}
 
 /// What is drawn.
 #[derive(Clone, Debug)]
@@ -97,19 +53,8 @@ pub enum Data {
     Range(Vec<Column>, f64),
     /// Points with an error bar.
     Bars(Vec<(f64, f64, f64)>),
-    /// Counts in bins of equal width.
-    Bins {
-        /// Left end of the first bin.
-        first: f64,
-        /// Width of a bin.
-        width: f64,
-        /// Counts, one a bin.
-        counts: Vec<u64>,
-    },
-    /// Lines from bottom to top at these places.
-    Upright(Vec<f64>),
-    /// Words at the upper edge, with an arrow at their places.
-    Marks(Vec<(f64, String)>),
+    /// A band about a line, of so much to each side.
+    Band(Vec<(f64, f64, f64)>),
 }
 
 type Bounds = (Range<f64>, Range<f64>);
@@ -136,45 +81,29 @@ impl Data {
                     [c.x, c.low, c.high, width].into_iter().all(is_drawn)
                 })
             }
-            Self::Bars(points) => retain(points, |&(x, y, e)| [x, y, e].into_iter().all(is_drawn)),
-            Self::Bins {
-                first,
-                width,
-                counts,
-            } => {
-                let end = *first + *width * counts.len() as f64;
-                if is_drawn(*first) && is_drawn(end) {
-                    return retain(counts, |&count| is_drawn(count as f64));
-                }
-                (*first, *width) = (0.0, 1.0);
-                retain(counts, |_| false)
+            Self::Bars(points) | Self::Band(points) => {
+                retain(points, |&(x, y, e)| [x, y, e].into_iter().all(is_drawn))
             }
-            Self::Upright(places) => retain(places, |&x| is_drawn(x)),
-            Self::Marks(marks) => retain(marks, |&(x, _)| is_drawn(x)),
         }
     }
 
     fn bounds(&self) -> Option<Bounds> {
-        let points: Vec<(f64, f64, f64)> = match self {
+        let points: Vec<(f64, f64, f64, f64)> = match self {
             Self::Line(points) | Self::Points(points) => {
-                points.iter().map(|&(x, y)| (x, y, y)).collect()
+                points.iter().map(|&(x, y)| (x, 0.0, y, y)).collect()
             }
-            Self::Range(columns, _) => columns.iter().map(|c| (c.x, c.low, c.high)).collect(),
-            Self::Bars(points) => points.iter().map(|&(x, y, e)| (x, y - e, y + e)).collect(),
-            Self::Bins {
-                first,
-                width,
-                counts,
-            } => {
-                let highest = counts.iter().copied().max().unwrap_or(0) as f64;
-                let end = first + width * counts.len() as f64;
-                vec![(*first, 0.0, highest), (end, 0.0, highest)]
+            Self::Range(columns, width) => {
+                let columns = columns.iter();
+                columns.map(|c| (c.x, width / 2.0, c.low, c.high)).collect()
             }
-            Self::Upright(_) | Self::Marks(_) => Vec::new(),
+            Self::Bars(points) | Self::Band(points) => {
+                let points = points.iter();
+                points.map(|&(x, y, e)| (x, 0.0, y - e, y + e)).collect()
+            }
         };
         points
             .into_iter()
-            .map(|(x, low, high)| (x..x, low..high))
+            .map(|(x, side, low, high)| (x - side..x + side, low..high))
             .reduce(both)
     }
 }
@@ -186,130 +115,87 @@ fn both((xs, ys): Bounds, (a, b): Bounds) -> Bounds {
     )
 }
 
-/// Series over one pair of axes, with title and legend above.
-#[derive(Clone, Debug, Default)]
-pub struct Chart {
-    title: String,
-    labels: [String; 2],
-    xs: Option<Range<f64>>,
-    least: Option<Range<f64>>,
-    /// Names in the legend, where one without a name is not, and what is drawn.
-    series: Vec<(String, Data, Ink)>,
-    /// Values that cannot be drawn.
-    left_out: usize,
+/// Named series over one pair of axes.
+struct Chart<'a> {
+    labels: [&'a str; 2],
+    series: Vec<(String, Data)>,
+    xs: Range<f64>,
+    ys: Range<f64>,
+    /// True if values are whole numbers.
+    counts: bool,
 }
 
-impl Chart {
-    /// A chart with the labels of its axes.
-    #[must_use]
-    pub fn new(x_label: &str, y_label: &str) -> Self {
-        Self {
-            labels: [x_label.to_owned(), y_label.to_owned()],
-            ..Self::default()
-        }
-    }
-
-    /// What it is, above it. Long titles are wrapped, so that a chart without series
-    /// can hold an explanation in its place.
-    #[must_use]
-    pub fn title(mut self, title: &str) -> Self {
-        title.clone_into(&mut self.title);
-        self
-    }
-
-    /// Shows just this part of the x-axis, and axes if there is nothing to be drawn.
-    /// Several charts of one range have one scale.
-    #[must_use]
-    pub fn xs(mut self, xs: Range<f64>) -> Self {
-        self.xs = Some(xs).filter(|xs| is_drawn(xs.start) && is_drawn(xs.end));
-        self
-    }
-
-    /// Shows at least this range of values, so that noise of a tick does not fill the
-    /// picture.
-    #[must_use]
-    pub fn least(mut self, ys: Range<f64>) -> Self {
-        self.least = Some(ys);
-        self
-    }
-
-    /// Adds a series with its name in the legend, over those before.
-    #[must_use]
-    pub fn add(mut self, name: &str, mut data: Data, ink: Ink) -> Self {
-        self.left_out += data.leave_out_wild();
-        self.series.push((name.to_owned(), data, ink));
-        self
-    }
-
-    /// Whether it has data of this kind.
-    fn has(&self, kind: impl Fn(&Data) -> bool) -> bool {
-        self.series.iter().any(|(_, data, _)| kind(data))
-    }
-
-    /// What stands above it: the title, and how much could not be drawn.
-    fn heading(&self) -> String {
-        let note = match self.left_out {
-            0 => return self.title.clone(),
-            1 => String::from("1 value is too large to be drawn and left out."),
-            many => format!("{many} values are too large to be drawn and left out."),
-        };
-        format!("{} {note}", self.title).trim_start().to_owned()
-    }
-
-    /// What the axes show; `None` if there is nothing.
-    fn ranges(&self) -> Option<Bounds> {
-        let bounds = self.series.iter().filter_map(|(_, data, _)| data.bounds());
-        let shown = self.xs.clone().map(|xs| (xs, 0.0..1.0));
-        let (mut xs, mut ys) = bounds.reduce(both).or(shown)?;
-        if let Some(least) = &self.least {
-            ys = ys.start.min(least.start)..ys.end.max(least.end);
-        }
-        let height = (ys.end - ys.start).max(1e-6 * (1.0 + ys.end.abs()));
-        // Bins stand on the axis; marks need room.
-        let bins = self.has(|data| matches!(data, Data::Bins { .. }));
-        let marks = self.has(|data| matches!(data, Data::Marks(_)));
-        ys.start -= if bins { 0.0 } else { 0.06 * height };
-        ys.end += if marks { 0.4 } else { 0.06 } * height;
-        if let Some(shown) = &self.xs {
-            xs = shown.clone();
-        } else if xs.end - xs.start <= NARROWEST * xs.end.abs() {
-            let side = 0.5 + NARROWEST * xs.end.abs();
-            xs = xs.start - side..xs.end + side;
-        } else if self.has(|data| matches!(data, Data::Points(_) | Data::Bars(_))) {
-            // Points on the edge would be cut in half.
-            let side = 0.02 * (xs.end - xs.start);
-            xs = xs.start - side..xs.end + side;
-        }
-        Some((xs, ys))
-    }
-}
+/// Shows no more values than there are.
+pub const AS_IT_IS: Range<f64> = f64::NAN..f64::NAN;
 
 /// A drawing of named series over one pair of axes. `least` is the smallest range of values
-/// that is shown; if a drawing has nothing to show it is empty.
+/// that is shown, so that noise of a tick does not fill the picture; if a drawing has nothing
+/// to show it is empty.
 #[must_use]
 pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: Vec<(&str, Data)>) -> String {
-    let has_legend = all.len() > 1;
-    let mut chart = Chart::new(x_label, y_label).least(least);
-    for ((name, data), ink) in all.into_iter().zip(COLOURS.into_iter().cycle()) {
-        chart = chart.add(if has_legend { name } else { "" }, data, ink);
-    }
-    if chart.ranges().is_none() && chart.left_out == 0 {
-        return String::new();
-    }
-    stack(SIZE, &[chart])
+    chart([x_label, y_label], least, all, false)
 }
 
 /// A drawing of bars over bins of equal width: `first` is the left end of the first.
 #[must_use]
 pub fn histogram(labels: [&str; 2], (first, bin): (f64, f64), counts: &[u64]) -> String {
-    let data = Data::Bins {
-        first,
-        width: bin,
-        counts: counts.to_vec(),
+    let counts = counts.iter().enumerate();
+    let columns = counts.map(|(place, &count)| Column {
+        x: first + (place as f64 + 0.5) * bin,
+        low: 0.0,
+        high: count as f64,
+    });
+    let data = Data::Range(columns.collect(), 0.92 * bin);
+    chart(labels, 0.0..1.0, vec![("", data)], true)
+}
+
+fn chart(labels: [&str; 2], least: Range<f64>, all: Vec<(&str, Data)>, counts: bool) -> String {
+    let has_legend = all.len() > 1;
+    let series = all.into_iter().map(|(name, mut data)| {
+        let name = match (data.leave_out_wild(), has_legend) {
+            (0, true) => name.to_owned(),
+            (0, false) => String::new(),
+            (wild, _) => format!("{name} ({wild} too large to be drawn)"),
+        };
+        (name, data)
+    });
+    let series: Vec<_> = series.collect();
+    let bounds = series.iter().filter_map(|(_, data)| data.bounds());
+    let is_wild = series.iter().any(|(name, _)| name.ends_with("drawn)"));
+    let nothing = is_wild.then_some((0.0..0.0, 0.0..0.0));
+    let Some((mut xs, ys)) = bounds.reduce(both).or(nothing) else {
+        return String::new();
     };
-    let [x, y] = labels;
-    let chart = Chart::new(x, y).add("", data, COLOURS[0].pale(0.25));
-    stack(SIZE, &[chart.least(0.0..1.0)])
+    let mut ys = ys.start.min(least.start)..ys.end.max(least.end);
+    let height = (ys.end - ys.start).max(1e-6 * (1.0 + ys.end.abs()));
+    // What begins at nothing stands on the axis.
+    if ys.start != 0.0 {
+        ys.start -= 0.06 * height;
+    }
+    ys.end += 0.06 * height;
+    let has_dots = |(_, data): &(String, Data)| matches!(data, Data::Points(_) | Data::Bars(_));
+    if xs.end - xs.start <= NARROWEST * xs.end.abs() {
+        let side = 0.5 + NARROWEST * xs.end.abs();
+        xs = xs.start - side..xs.end + side;
+    } else if series.iter().any(has_dots) {
+        // Points on the edge would be cut in half.
+        let side = 0.02 * (xs.end - xs.start);
+        xs = xs.start - side..xs.end + side;
+    }
+    let chart = Chart {
+        labels,
+        series,
+        xs,
+        ys,
+        counts,
+    };
+    // The backend writes into text and cannot fail.
+    let mut svg = String::new();
+    if let Err(error) = chart.draw(&mut svg) {
+        tracing::warn!("a drawing is left out: {error}");
+        svg.clear();
+    }
+    svg
 }
 
 /// Named values as bars beside each other's length, each with its value in words.
@@ -326,7 +212,7 @@ pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
         "<svg viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"{LABEL}\" \
          xmlns=\"http://www.w3.org/2000/svg\">"
     );
-    let RGBAColor(red, green, blue, _) = COLOURS[0].colour;
+    let RGBColor(red, green, blue) = COLOURS[0];
     for (row, (name, value)) in (0..).zip(drawn) {
         let length = match most > 0.0 {
             true => f64::from(width) * value.abs() / most,
@@ -344,44 +230,6 @@ pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
     svg + "</svg>"
 }
 
-/// Draws charts one below the other, each of `size` pixels; one with axes and more than two
-/// lines of title and legend is so much higher.
-///
-/// The backend writes into text and cannot fail; if it does, the drawing is empty.
-#[must_use]
-pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
-    let mut svg = String::new();
-    let mut below = 0;
-    let ends: Vec<i32> = charts
-        .iter()
-        .map(|chart| {
-            let more = if chart.ranges().is_some() {
-                (Head::of(chart, size.0 as i32).lines() - USUAL_LINES).max(0) * LINE
-            } else {
-                0
-            };
-            below += size.1 as i32 + more;
-            below
-        })
-        .collect();
-    let draw = |svg: &mut String| -> Drawn<()> {
-        let root = SVGBackend::with_string(svg, (size.0, below as u32)).into_drawing_area();
-        root.fill(&WHITE)?;
-        let areas = root.split_by_breakpoints([0; 0], &ends[..ends.len().saturating_sub(1)]);
-        for (area, chart) in areas.iter().zip(charts) {
-            draw(chart, area)?;
-        }
-        root.present()?;
-        Ok(())
-    };
-    if let Err(error) = draw(&mut svg) {
-        tracing::warn!("a drawing is left out: {error}");
-        svg.clear();
-    }
-    svg
-}
-
-/// An area of the backend that writes into text.
 type Area<'svg> = DrawingArea<SVGBackend<'svg>, Shift>;
 type Axes<'area, 'svg> =
     ChartContext<'area, SVGBackend<'svg>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
@@ -389,38 +237,91 @@ type Axes<'area, 'svg> =
 /// The backend's own error type is not worth naming: it cannot fail.
 type Drawn<T> = Result<T, Box<dyn std::error::Error>>;
 
-fn draw(chart: &Chart, area: &Area<'_>) -> Drawn<()> {
-    let rest = head(chart, area)?;
-    let Some((xs, ys)) = chart.ranges() else {
-        return Ok(());
-    };
-    // Counts are whole numbers.
-    let whole = chart.has(|data| matches!(data, Data::Bins { .. }));
-    let x_text = |v: &f64| tick(*v, &xs);
-    let y_text = |v: &f64| match whole {
-        false => tick(*v, &ys),
-        true if (v - v.round()).abs() < 1e-6 => format!("{v:.0}"),
-        true => String::new(),
-    };
-    let mut axes = ChartBuilder::on(&rest)
-        .margin(10)
-        .margin_right(24)
-        .x_label_area_size(70)
-        .y_label_area_size(114)
-        .build_cartesian_2d(xs.clone(), ys.clone())?;
-    axes.configure_mesh()
-        .x_labels(8)
-        .y_labels(6)
-        .x_desc(&chart.labels[0])
-        .y_desc(&chart.labels[1])
-        .x_label_formatter(&x_text)
-        .y_label_formatter(&y_text)
-        .label_style(("sans-serif", LABEL))
-        .axis_desc_style(("sans-serif", LABEL))
-        .light_line_style(WHITE)
-        .draw()?;
-    for (_, data, ink) in &chart.series {
-        paint(&mut axes, data, *ink, &ys)?;
+impl Chart<'_> {
+    /// Left end and line of each name in the legend, and how many lines it has.
+    fn legend(&self) -> (Vec<(i32, i32)>, i32) {
+        let (mut x, mut line) = (LEFT, 0);
+        let places = self.series.iter().map(|(name, _)| {
+            let long = 48 + LETTER * name.chars().count() as i32;
+            if x > LEFT && x + long > SIZE.0 as i32 {
+                (x, line) = (LEFT, line + 1);
+            }
+            x += long;
+            (x - long, line)
+        });
+        let places = places.collect();
+        let has_names = self.series.iter().any(|(name, _)| !name.is_empty());
+        (places, if has_names { line + 1 } else { 0 })
+    }
+
+    fn draw(&self, svg: &mut String) -> Drawn<()> {
+        let (places, lines) = self.legend();
+        let more = (lines - 2).max(0) * LINE;
+        let size = (SIZE.0, SIZE.1 + more as u32);
+        let area = SVGBackend::with_string(svg, size).into_drawing_area();
+        area.fill(&WHITE)?;
+        let all = self.series.iter().zip(places);
+        for (((name, data), (x, line)), colour) in all.zip(COLOURS.into_iter().cycle()) {
+            if name.is_empty() {
+                continue;
+            }
+            let top = 10 + line * LINE;
+            swatch(&area, data, colour, (x, top + LABEL / 2))?;
+            let style = ("sans-serif", LABEL).into_font();
+            area.draw(&Text::new(name.clone(), (x + 24, top), style))?;
+        }
+        let head = (10 + lines * LINE).max(LINE / 2);
+        self.draw_axes(&area.split_vertically(head).1)?;
+        area.present()?;
+        Ok(())
+    }
+
+    fn draw_axes(&self, area: &Area<'_>) -> Drawn<()> {
+        let (xs, ys) = (&self.xs, &self.ys);
+        let x_text = |v: &f64| tick(*v, xs);
+        let y_text = |v: &f64| match self.counts {
+            false => tick(*v, ys),
+            true if (v - v.round()).abs() < 1e-6 => format!("{v:.0}"),
+            true => String::new(),
+        };
+        let mut axes = ChartBuilder::on(area)
+            .margin(10)
+            .margin_right(24)
+            .x_label_area_size(70)
+            .y_label_area_size(114)
+            .build_cartesian_2d(xs.clone(), ys.clone())?;
+        axes.configure_mesh()
+            .x_labels(8)
+            .y_labels(6)
+            .x_desc(self.labels[0])
+            .y_desc(self.labels[1])
+            .x_label_formatter(&x_text)
+            .y_label_formatter(&y_text)
+            .label_style(("sans-serif", LABEL))
+            .axis_desc_style(("sans-serif", LABEL))
+            .light_line_style(WHITE)
+            .draw()?;
+        for ((_, data), colour) in self.series.iter().zip(COLOURS.into_iter().cycle()) {
+            paint(&mut axes, data, colour)?;
+        }
+        Ok(())
+    }
+}
+
+/// A sample of a series beside its name in the legend.
+fn swatch(area: &Area<'_>, data: &Data, colour: RGBColor, (x, middle): (i32, i32)) -> Drawn<()> {
+    match data {
+        Data::Line(_) => {
+            let ends = [(x, middle), (x + 18, middle)];
+            area.draw(&PathElement::new(ends, colour.stroke_width(2)))?;
+        }
+        Data::Points(_) | Data::Bars(_) => {
+            area.draw(&Circle::new((x + 9, middle), 3, colour.filled()))?;
+        }
+        Data::Range(..) | Data::Band(_) => {
+            let corners = [(x, middle - 5), (x + 18, middle + 5)];
+            area.draw(&Rectangle::new(corners, colour.filled()))?;
+        }
     }
     Ok(())
 }
@@ -439,59 +340,41 @@ fn tick(value: f64, shown: &Range<f64>) -> String {
     text
 }
 
-fn paint(axes: &mut Axes<'_, '_>, data: &Data, ink: Ink, ys: &Range<f64>) -> Drawn<()> {
+fn paint(axes: &mut Axes<'_, '_>, data: &Data, colour: RGBColor) -> Drawn<()> {
     match data {
         Data::Line(points) => {
-            axes.draw_series(LineSeries::new(points.iter().copied(), ink.line()))?;
+            let line = colour.stroke_width(2);
+            axes.draw_series(LineSeries::new(points.iter().copied(), line))?;
         }
         Data::Points(points) => {
             let dots = points.iter();
-            axes.draw_series(dots.map(|&point| Circle::new(point, 2, ink.fill())))?;
+            axes.draw_series(dots.map(|&point| Circle::new(point, 2, colour.filled())))?;
         }
         Data::Range(columns, width) => {
             let half = width / 2.0;
             axes.draw_series(columns.iter().map(|c| {
                 let corners = [(c.x - half, c.low), (c.x + half, c.high)];
-                Rectangle::new(corners, ink.pale(0.2).fill())
+                Rectangle::new(corners, colour.mix(0.8).filled())
             }))?;
             // A flat stretch has no height: a line keeps it visible.
             axes.draw_series(columns.iter().map(|c| {
-                PathElement::new([(c.x - half, c.high), (c.x + half, c.high)], ink.line())
+                let ends = [(c.x - half, c.high), (c.x + half, c.high)];
+                PathElement::new(ends, colour.stroke_width(2))
             }))?;
+        }
+        Data::Band(points) => {
+            let above = points.iter().map(|&(x, y, sigma)| (x, y + sigma));
+            let below = points.iter().rev().map(|&(x, y, sigma)| (x, y - sigma));
+            let edge: Vec<_> = above.chain(below).collect();
+            axes.draw_series([Polygon::new(edge, colour.mix(0.25).filled())])?;
         }
         Data::Bars(points) => {
             axes.draw_series(points.iter().map(|&(x, y, sigma)| {
                 let ends = [(x, y - sigma), (x, y + sigma)];
-                PathElement::new(ends, ink.pale(0.5).wide(1).line())
+                PathElement::new(ends, colour.mix(0.5).stroke_width(1))
             }))?;
             let dots = points.iter();
-            axes.draw_series(dots.map(|&(x, y, _)| Circle::new((x, y), 3, ink.fill())))?;
-        }
-        Data::Bins {
-            first,
-            width,
-            counts,
-        } => {
-            axes.draw_series(counts.iter().enumerate().map(|(bin, &count)| {
-                let edge = |place: f64| first + (bin as f64 + place) * width;
-                let corners = [(edge(0.04), 0.0), (edge(0.96), count as f64)];
-                Rectangle::new(corners, ink.fill())
-            }))?;
-        }
-        Data::Upright(places) => {
-            axes.draw_series(
-                places
-                    .iter()
-                    .map(|&x| PathElement::new([(x, ys.start), (x, ys.end)], ink.line())),
-            )?;
-        }
-        Data::Marks(marks) => {
-            let top = ys.end - 0.02 * (ys.end - ys.start);
-            axes.draw_series(marks.iter().map(|(x, words)| {
-                EmptyElement::at((*x, top))
-                    + TriangleMarker::new((0, 22), 5, ink.fill())
-                    + Text::new(words.clone(), (-4, 0), ("sans-serif", LABEL))
-            }))?;
+            axes.draw_series(dots.map(|&(x, y, _)| Circle::new((x, y), 3, colour.filled())))?;
         }
     }
     Ok(())
@@ -507,45 +390,10 @@ mod tests {
         let line = Data::Line(vec![(1.0, 2.0)]);
         let svg = series("x", "y", 0.0..1.0, vec![("<a>", line)]);
         assert!(svg.starts_with("<svg"), "{svg}");
-    }
-
-    #[test]
-    fn a_stack_has_every_kind_of_data_and_its_legend() {
-        let ink = Ink::rgb(1, 2, 3);
-        let bins = Data::Bins {
-            first: -1.0,
-            width: 0.5,
-            counts: vec![1, 0, 3],
-        };
-        let svg = stack(
-            (900, 380),
-            &[
-                Chart::new("x", "y")
-                    .title("both")
-                    .xs(0.0..10.0)
-                    .add(
-                        "line",
-                        Data::Line(vec![(0.0, 1.0), (9.0, 2.0)]),
-                        ink.wide(5),
-                    )
-                    .add("points", Data::Points(vec![(3.0, 1.5)]), ink.pale(0.5))
-                    .add("here", Data::Marks(vec![(4.0, "7".into())]), ink)
-                    .add("", Data::Bars(vec![(5.0, 1.0, 0.5)]), ink),
-                Chart::new("x", "y").add("bins", bins, ink).add(
-                    "median",
-                    Data::Upright(vec![0.0]),
-                    ink,
-                ),
-                Chart::default().title(&"word ".repeat(60)),
-                Chart::new("x", "y").xs(0.0..10.0).title("nothing"),
-            ],
-        );
-        assert!(svg.starts_with("<svg") && svg.contains("height=\"1520\""));
-        for name in [
-            "both", "line", "points", "here", "bins", "median", "nothing",
-        ] {
-            assert!(svg.contains(&format!("\n{name}\n")), "{name}");
-        }
+        // What cannot be drawn is said.
+        let wild = Data::Points(vec![(1.0, f64::NAN)]);
+        let svg = series("x", "y", 0.0..1.0, vec![("", wild)]);
+        assert!(svg.contains("1 too large to be drawn"), "{svg}");
     }
 
     #[test]

@@ -29,10 +29,11 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &P
     let recordings = result.recordings.iter();
     let links = recordings.filter_map(|recording| recording_link(&recording.path, out));
     page.links(&links.collect::<Vec<_>>());
-    let drawing = plot::precision(result, shown);
-    let caption = "Brightness of the sensor's rows with the fitted train of flashes; with two or \
-                   more recordings, their biases.";
-    pictures(&mut page, shown, &drawing, caption);
+    pictures(&mut page, shown);
+    if result.recordings.len() > 1 {
+        let svg = plot::launches(&result.recordings);
+        page.figure(&svg, "The bias of each recording, with its 1-sigma.");
+    }
     page.settings("Settings", &json!(settings));
     page.html()
 }
@@ -42,9 +43,11 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &P
 pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String {
     let mut page = Page::new(&drift_summary(&drift.result));
     page.links(recording_link(&drift.result.path, out).as_slice());
-    let caption = "Brightness of the sensor's rows with the fitted train of flashes; and the \
-                   train's place against time with the fitted line.";
-    pictures(&mut page, &drift.shown, &plot::drift(drift), caption);
+    pictures(&mut page, &drift.shown);
+    page.figure(
+        &plot::course(drift),
+        "The train's place against time, as a time from the middle row, with the fitted line.",
+    );
     page.settings("Settings", &json!(settings));
     page.html()
 }
@@ -56,7 +59,7 @@ fn recording_link(video: &Path, out: &Path) -> Option<(String, String)> {
 }
 
 /// The frame with lines where the flashes were found, and a drawing of the fit.
-fn pictures(page: &mut Page, shown: &Shown, drawing: &str, caption: &str) {
+fn pictures(page: &mut Page, shown: &Shown) {
     page.section("Frame with the rows found");
     let index = shown.picture.index;
     match picture::svg(shown) {
@@ -70,7 +73,8 @@ fn pictures(page: &mut Page, shown: &Shown, drawing: &str, caption: &str) {
         ),
     }
     page.section("Row profile and fit");
-    page.figure(drawing, caption);
+    let caption = "Mean brightness of the sensor's rows with the fitted train of flashes.";
+    page.figure(&plot::profile(shown), caption);
 }
 
 /// Bias, spread and row time over all recordings, and each recording.

@@ -120,28 +120,20 @@ fn pairs_svg(course: &[(i64, i64)], session: Option<&SessionFile>) -> String {
         .iter()
         .map(|&(at, difference)| (at as f64 * 1e-9, difference as f64 / 1000.0));
     let points = Data::Points(points.collect());
-    let mut all = vec![("pairs", points)];
-    all.extend(session.and_then(predicted).into_iter().flatten());
+    let mut all: Vec<_> = session.and_then(predicted).into_iter().collect();
+    all.push(("pairs", points));
     chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all)
 }
 
 /// Windows against the course, with the course's own band.
 fn course_svg(course: &[WindowResult]) -> String {
-    let band = |sign: f64| {
-        let course = course.iter();
-        Data::Line(
-            course
-                .map(|w| (w.board_s, sign * w.course_sigma_s * 1e6))
-                .collect(),
-        )
-    };
-    let windows = course
-        .iter()
-        .map(|w| (w.board_s, w.residual_s * 1e6, w.sigma_s * 1e6));
+    let band = course.iter();
+    let band = band.map(|w| (w.board_s, 0.0, w.course_sigma_s * 1e6));
+    let windows = course.iter();
+    let windows = windows.map(|w| (w.board_s, w.residual_s * 1e6, w.sigma_s * 1e6));
     let all = vec![
+        ("course, 1-sigma", Data::Band(band.collect())),
         ("windows", Data::Bars(windows.collect())),
-        ("+1-sigma of the course", band(1.0)),
-        ("−1-sigma", band(-1.0)),
     ];
     chart::series("board time, s", "window − course, µs", -1.0..1.0, all)
 }

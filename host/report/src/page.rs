@@ -38,17 +38,17 @@ table{border-collapse:collapse;margin:.5rem 0;min-width:50%}\
 td,th{padding:.3rem .8rem .3rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
 th{font-weight:600}td.n,th.n{text-align:right}\
 .facts th{width:13rem;font-weight:400;color:#555}.facts td{overflow-wrap:anywhere}\
-figure{margin:1rem 0}figure .wide>svg{display:block;width:100%;min-width:30rem;height:auto}\
+figure{margin:1rem 0}figure .wide>svg{display:block;width:100%;max-width:40rem;height:auto}\
 figure.picture svg{max-width:100%;height:auto;max-height:40rem}\
 figcaption{color:#555;font-size:.9rem;margin-top:.3rem}\
-details summary{cursor:pointer}\
+details{margin:1rem 0}summary{cursor:pointer}pre{white-space:pre-wrap;font-size:.85rem}\
 footer{margin-top:2rem;color:#555;font-size:.85rem}\
-@media(max-width:40rem){body{padding:.75rem}figure .wide>svg{min-width:0}\
+@media(max-width:40rem){body{padding:.75rem}\
 .list,.list tbody,.list tr{display:block;width:auto}.list tr:first-child{display:none}.list tr{border-bottom:1px solid #ddd;padding:.3rem 0}\
 .list td{display:grid;grid-template-columns:9rem 1fr;border:0;padding:.1rem 0;text-align:left;overflow-wrap:anywhere}.list td::before{content:attr(data-h);color:#555}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
 @page{size:A4;margin:15mm}\
 @media print{body{font-size:10pt;max-width:none;padding:0}figure,table,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
-figure .wide>svg{min-width:0}.wide{overflow:visible}}";
+.wide{overflow:visible}}";
 
 /// A page that is being filled, from top to bottom.
 #[derive(Clone, Debug)]
@@ -211,22 +211,13 @@ impl Page {
         }
     }
 
-    /// Settings that went into the result, from their JSON form; folded on a
-    /// screen, one line a value.
+    /// Settings that went into the result, as JSON; folded away.
     pub fn settings(&mut self, heading: &str, value: &Value) {
-        let mut rows = Vec::new();
-        flatten(value, &mut String::new(), &mut rows);
-        if rows.is_empty() {
-            return;
-        }
+        let (heading, text) = (escape(heading), escape(&format!("{value:#}")));
         let _ = writeln!(
             self.body,
-            "<h2>{}</h2>\n<details open><summary>{} values</summary>",
-            escape(heading),
-            rows.len()
+            "<details><summary>{heading}</summary><pre>{text}</pre></details>"
         );
-        self.facts(&rows);
-        self.body.push_str("</details>\n");
     }
 
     /// The page.
@@ -242,44 +233,6 @@ impl Page {
             self.body,
             env!("CARGO_PKG_VERSION")
         )
-    }
-}
-
-/// Every value of a JSON document with the path to it.
-fn flatten(value: &Value, path: &mut String, rows: &mut Vec<(String, String)>) {
-    let mut below = |name: &str, value: &Value, path: &mut String| {
-        let length = path.len();
-        if !path.is_empty() {
-            path.push('.');
-        }
-        path.push_str(name);
-        flatten(value, path, rows);
-        path.truncate(length);
-    };
-    match value {
-        Value::Object(map) => {
-            for (name, value) in map {
-                below(name, value, path);
-            }
-        }
-        Value::Array(list) if list.iter().any(|item| item.is_object() || item.is_array()) => {
-            for (index, value) in list.iter().enumerate() {
-                below(&index.to_string(), value, path);
-            }
-        }
-        Value::Array(list) => {
-            let list: Vec<String> = list.iter().map(plain).collect();
-            rows.push((path.clone(), list.join(", ")));
-        }
-        Value::Null => rows.push((path.clone(), String::from("not set"))),
-        other => rows.push((path.clone(), plain(other))),
-    }
-}
-
-fn plain(value: &Value) -> String {
-    match value {
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
     }
 }
 
@@ -376,18 +329,5 @@ mod tests {
             ),
             "{html}"
         );
-    }
-
-    #[test]
-    fn settings_are_listed_with_their_paths() {
-        let mut page = page("t");
-        page.settings(
-            "Settings",
-            &json!({"depth": {"fps": 30, "command": ["a", "b"], "none": null}, "l": [{"x": 1}]}),
-        );
-        let html = page.html();
-        for line in ["depth.fps", "a, b", "not set", "l.0.x", "4 values"] {
-            assert!(html.contains(line), "{line}: {html}");
-        }
     }
 }

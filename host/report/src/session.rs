@@ -19,8 +19,9 @@ use crate::REPORT_FILE;
 use crate::page::Page;
 use crate::summary::Facts;
 use board::StreamCount;
+use judgement::findings;
 pub(crate) use judgement::sentence;
-pub use judgement::{files_to_fetch, findings, has_recorded, summary};
+pub use judgement::{files_to_fetch, has_recorded, summary};
 use recording::RecordingError;
 use recording::finding::{Finding, Severity};
 use recording::session_file::{PhoneRecord, SessionFile, Span};
@@ -169,10 +170,7 @@ fn findings_of(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
 
 /// What matters most of a session, in figures.
 fn facts(session: &SessionFile) -> Facts {
-    let mut facts = vec![
-        ("name", session.name.clone()),
-        ("begun", session.started.clone()),
-    ];
+    let mut facts = vec![("begun", session.started.clone())];
     if let Some(Span { from, to }) = session.recorded {
         let length = format!("{:.3} s of board time", seconds(from, to));
         facts.push(("length", length));
@@ -268,12 +266,32 @@ fn seconds(from: Ticks, to: Ticks) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::title;
+    use super::*;
 
     #[test]
     fn a_title_says_recording_once() {
         assert_eq!(title("walk"), "Recording walk");
         assert_eq!(title("Recording-3"), "Recording-3");
         assert_eq!(title("recording"), "recording");
+    }
+
+    #[test]
+    fn a_recording_its_data_sets_and_its_evaluations_lead_to_each_other() {
+        let parent = tempfile::tempdir().unwrap();
+        let [walk, data] = ["walk", "walk-euroc"].map(|name| parent.path().join(name));
+        for folder in [&walk, &data] {
+            std::fs::create_dir(folder).unwrap();
+            std::fs::write(folder.join(REPORT_FILE), "").unwrap();
+        }
+        std::fs::write(walk.join("drift.html"), "").unwrap();
+        let link = |text: &str, address: &str| (text.to_owned(), address.to_owned());
+        let there = [
+            link("Data set walk-euroc", "../walk-euroc/report.html"),
+            link("Evaluation drift.html", "drift.html"),
+        ];
+        assert_eq!(pages_of(&walk), there);
+        let back = |address| Some(link("Recording walk", address));
+        assert_eq!(link_to(&walk, &data), back("../walk/report.html"));
+        assert_eq!(link_to(&walk, &walk), back("report.html"));
     }
 }

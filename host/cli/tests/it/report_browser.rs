@@ -91,7 +91,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
             "Measured is each pulse",
             "no message of any stream is missing",
             "a door that has a very long name",
-            "frame_sync.bias_us",
+            "bias_us",
         ],
     );
 }

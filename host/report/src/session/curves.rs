@@ -6,7 +6,7 @@ use std::path::Path;
 use protocol::Ticks;
 
 use super::MAX_LISTED;
-use super::measured::{Frames, TwistRates};
+use super::measured::{Frames, TwistRates, norm};
 use crate::chart::Envelope;
 use crate::verify::numbers::stream_of;
 use board::{Stream, follow};
@@ -24,14 +24,14 @@ const MAX_LOSSES: usize = 3_600;
 /// What the plots need of the recording.
 #[derive(Debug, Default)]
 pub(super) struct Curves {
-    pub(super) gyro: [Envelope; 3],
+    /// Rate of rotation, rad/s.
+    pub(super) gyro: Envelope,
     pub(super) off_grid: Envelope,
     pub(super) readback: Envelope,
-    pub(super) load: Envelope,
     pub(super) temperature: Envelope,
     /// From sample to sample of the IMU, µs.
     pub(super) imu_intervals: Envelope,
-    /// From pulse to pulse of the camera, µs.
+    /// From pulse to pulse of the camera while it was recorded, µs.
     pub(super) pulse_intervals: Envelope,
     last_imu: Option<f64>,
     last_pulse: Option<f64>,
@@ -116,10 +116,7 @@ impl Curves {
                 for twist in &mut self.twists {
                     twist.take(at, imu);
                 }
-                let rates = imu.angular_velocity;
-                for (envelope, rate) in self.gyro.iter_mut().zip(rates) {
-                    envelope.add(x, rate);
-                }
+                self.gyro.add(x, norm(imu.angular_velocity));
             }
             Item::Period(period) => {
                 if let Some(grid) = &mut self.grid {
@@ -128,9 +125,6 @@ impl Curves {
             }
             Item::Temperature(value) => self.temperature.add(x, value.temperature),
             Item::Pulse(pulse) => {
-                if let Some(last) = self.last_pulse.replace(x) {
-                    self.pulse_intervals.add(x, (x - last) * 1e6);
-                }
                 if pulse.readback {
                     self.readback.add(x, f64::from(pulse.readback_ticks));
                 }
@@ -138,6 +132,9 @@ impl Curves {
                     && (span.from..=span.to).contains(&at)
                 {
                     self.off_grid.add(x, grid.off(at).0 as f64);
+                    if let Some(last) = self.last_pulse.replace(x) {
+                        self.pulse_intervals.add(x, (x - last) * 1e6);
+                    }
                     let frames = self.frames.as_mut();
                     if let Some(difference) = frames.and_then(|it| it.difference_us(at)) {
                         self.phase.add(x, difference);
@@ -165,13 +162,6 @@ impl Curves {
                     utc_ns,
                     changed,
                 });
-            }
-            Item::Status(status) => {
-                let mut values = status.status.iter().flat_map(|part| &part.values);
-                let load = values.find(|value| value.key == "cpu_permille");
-                if let Some(Ok(load)) = load.map(|load| load.value.parse::<f64>()) {
-                    self.load.add(x, load / 10.0);
-                }
             }
             _ => {}
         }

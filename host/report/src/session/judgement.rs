@@ -67,10 +67,14 @@ pub(crate) fn sentence(words: &str) -> String {
     first.chain(letters).chain(['.']).collect()
 }
 
-/// The checks before the recording that were not good.
-pub fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> {
+/// The checks before the recording that were not good, but for those that are a part of the
+/// summary.
+pub(super) fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> {
     let checks = session.preflight.iter();
-    checks.filter(|check| check.severity != Severity::Good)
+    checks.filter(|check| {
+        let is_said = [CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK].contains(&check.kind.as_str());
+        check.severity != Severity::Good && !(is_said && has_recorded(session))
+    })
 }
 
 /// Whether there is anything between begin and end of the recording.

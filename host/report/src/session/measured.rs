@@ -86,7 +86,7 @@ impl TwistRates {
     }
 }
 
-fn norm(rates: [f64; 3]) -> f64 {
+pub(super) fn norm(rates: [f64; 3]) -> f64 {
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 

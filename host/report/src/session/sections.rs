@@ -46,8 +46,8 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
         rows,
     );
     if let (Some(clock), Some(span)) = (phone.clock, session.recorded) {
-        let sigma_us = |at| clock.offset_at(at).sigma * 1e6;
-        let all = vec![("offset", curve(span, sigma_us))];
+        let sigmas = times(span).map(|at| (at.0, clock.offset_at(at).sigma * 1e6));
+        let all = vec![("offset", Data::Line(sigmas.collect()))];
         let unit = "1-sigma of the offset, µs";
         let svg = chart::series("board time, s", unit, 0.0..1.0, all);
         if !svg.is_empty() {
@@ -142,18 +142,20 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
         ),
     ]);
     budget(page, session, &alignment);
-    let mut all: Vec<_> = range("measured", &curves.phase).into_iter().collect();
-    let measured = match all.is_empty() {
-        false => {
+    let mut all: Vec<_> = predicted(session).into_iter().collect();
+    let measured = range("measured", &curves.phase);
+    let has_measured = measured.is_some();
+    all.extend(measured);
+    let measured = match has_measured {
+        true => {
             "Measured is each pulse against the phone's nearest frame, by the app's file of frame \
              timestamps and the last clock relation: an error of that relation moves both and does \
              not show. An extraction and the command evaluate see it."
         }
-        true => {
+        false => {
             "Nothing is measured yet: the phone's file of frame timestamps is not in the folder."
         }
     };
-    all.extend(predicted(session).into_iter().flatten());
     let svg = chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all);
     if !svg.is_empty() {
         page.figure(
@@ -167,15 +169,12 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
 }
 
 /// The distance of the exposures' middles that was predicted, depth less phone, µs, over the
-/// recording: the curves of its 1-sigma.
-pub(crate) fn predicted(session: &SessionFile) -> Option<[(&'static str, Data); 2]> {
+/// recording, with its 1-sigma.
+pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
     let (span, alignment) = (session.recorded?, session.alignment?);
-    let band = |sign: f64| {
-        curve(span, |at| {
-            sign * phase_sigma_us_at(&alignment, at) - alignment.shift_us
-        })
-    };
-    Some([("predicted: +1-sigma", band(1.0)), ("−1-sigma", band(-1.0))])
+    let sigma_us = |at| phase_sigma_us_at(&alignment, at);
+    let band = times(span).map(|at| (at.0, -alignment.shift_us, sigma_us(at)));
+    Some(("predicted, 1-sigma", Data::Band(band.collect())))
 }
 
 /// The parts of the total uncertainty as bars, and what comes of them.
@@ -294,20 +293,14 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
 }
 
 pub(super) fn motion(page: &mut Page, curves: &Curves) {
-    let gyro: Vec<(&str, Data)> = ["x", "y", "z"]
-        .into_iter()
-        .zip(&curves.gyro)
-        .filter_map(|(name, envelope)| range(name, envelope))
-        .collect();
-    if gyro.is_empty() {
+    let Some(gyro) = range("", &curves.gyro) else {
         return;
-    }
+    };
     page.section("Motion and board");
-    let svg = chart::series("board time, s", "rad/s", -0.1..0.1, gyro);
+    let svg = chart::series("board time, s", "rad/s", 0.0..0.1, vec![gyro]);
     page.figure(
         &svg,
-        "Gyroscope of the board: smallest and largest value in each stretch of time. The twist \
-         stands out at the beginning.",
+        "How fast the rig turned, whatever the axis: smallest and largest in each stretch of time.",
     );
     for (name, what) in [
         (
@@ -318,7 +311,6 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
             "time from pulse to pulse",
             ("µs", &curves.pulse_intervals, 0.1),
         ),
-        ("load of the processor", ("%", &curves.load, 1.0)),
         ("temperature of the IMU", ("°C", &curves.temperature, 1.0)),
     ] {
         course(page, name, what);
@@ -392,12 +384,8 @@ fn range<'a>(name: &'a str, envelope: &Envelope) -> Option<(&'a str, Data)> {
     (!columns.is_empty()).then(|| (name, Data::Range(columns, envelope.width())))
 }
 
-/// A curve over a span, of a hundred points.
-fn curve(span: Span, value: impl Fn(BoardSeconds) -> f64) -> Data {
+/// A hundred steps over a span.
+fn times(span: Span) -> impl Iterator<Item = BoardSeconds> {
     let (from, to) = (span.from.as_secs_f64(), span.to.as_secs_f64());
-    let points = (0..=100).map(|step| {
-        let at = from + (to - from) * f64::from(step) / 100.0;
-        (at, value(BoardSeconds(at)))
-    });
-    Data::Line(points.collect())
+    (0..=100).map(move |step| BoardSeconds(from + (to - from) * f64::from(step) / 100.0))
 }
