@@ -166,6 +166,7 @@ const fn fault_status(fault: Fault) -> ExitStatus {
     match fault {
         Fault::Rig => ExitStatus::Refused,
         Fault::Recorder => ExitStatus::DepthRecorder,
+        Fault::Disk => ExitStatus::Storage,
     }
 }
 
@@ -174,7 +175,7 @@ pub(crate) fn remedy(event: &SessionEvent) -> &str {
     use SessionEvent as E;
     match event {
         E::Found { finding } => finding.next_step.as_deref().unwrap_or(REPORT),
-        E::LinkLost { .. } => "check the USB cable; it is taken up again by itself",
+        E::LinkLost { .. } => "plug the USB cable in: the recording goes on by itself",
         E::BoardReset { .. } => "check the board's supply and cable, then record again",
         E::BoardQuiet { .. } => "check the USB cable",
         E::RecorderGone { .. } | E::RecorderFailed { .. } | E::RecorderKilled { .. } => {

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
 use session::checks::{Checks, Fault};
-use session::housekeeping::free_space;
+use session::housekeeping::{DISK_FULL, free_space};
 
 use crate::new_profile::summary;
 use crate::rig_profile::Place;
@@ -27,7 +27,9 @@ pub(crate) fn host(profile: &Profile, place: &Place, out: &Path) -> Checks {
     let mut checks = Checks::default();
     check_profile(&mut checks, profile, place);
     check_camera(&mut checks, profile);
-    check_disk(&mut checks, out);
+    // The folder may not be there yet: the nearest one above it is.
+    let place = out.ancestors().find(|folder| folder.exists());
+    check_disk(&mut checks, free_space(place.unwrap_or(Path::new("."))));
     check_ffmpeg(&mut checks);
     check_recorder(&mut checks, profile);
     checks
@@ -100,18 +102,17 @@ fn check_camera(checks: &mut Checks, profile: &Profile) {
     }
 }
 
-fn check_disk(checks: &mut Checks, out: &Path) {
-    // The folder may not be there yet: the nearest one above it is.
-    let place = out
-        .ancestors()
-        .find(|folder| folder.exists())
-        .unwrap_or_else(|| Path::new("."));
-    match free_space(place) {
-        Some(free) if free < DISK_LOW => checks.warn(
-            "disk",
-            format!("{} MB are free", free / 1_000_000),
-            "free some space: an hour takes about 150 MB, videos several GB",
-        ),
+fn check_disk(checks: &mut Checks, free: Option<u64>) {
+    const STEP: &str = "free some space: an hour takes about 150 MB, videos several GB";
+    match free {
+        Some(free) if free < DISK_LOW => {
+            let found = format!("{} MB are free", free / 1_000_000);
+            match free < DISK_FULL {
+                // The session would end within a second.
+                true => checks.bad(Fault::Disk, "disk", found, STEP),
+                false => checks.warn("disk", found, STEP),
+            }
+        }
         Some(free) => checks.good("disk", format!("{} GB are free", free / 1_000_000_000)),
         None => checks.warn(
             "disk",
@@ -153,5 +154,25 @@ fn check_recorder(checks: &mut Checks, profile: &Profile) {
             format!("the program `{program}` is not found"),
             "install it, or change `command` in `[depth.recorder]`",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::outcome::{ExitStatus, Failure};
+
+    #[test]
+    fn a_disk_that_is_full_is_no_mere_warning() {
+        let looked = |free: u64| {
+            let mut checks = Checks::default();
+            check_disk(&mut checks, Some(free));
+            checks
+                .result()
+                .err()
+                .map(|error| Failure::from(error).status())
+        };
+        assert_eq!(looked(12_000_000), Some(ExitStatus::Storage));
+        assert_eq!(looked(500_000_000), None);
     }
 }

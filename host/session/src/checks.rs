@@ -56,6 +56,8 @@ pub enum Fault {
     Rig,
     /// The program that records the depth camera.
     Recorder,
+    /// The disk.
+    Disk,
 }
 
 /// Checks, in the order in which they were made.

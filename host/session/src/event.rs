@@ -494,6 +494,8 @@ pub enum SessionEvent {
     LinkLost {
         /// How.
         reason: String,
+        /// How long it is waited for, s; as long as the user wants if there is none.
+        patience_s: Option<u64>,
     },
     /// The link to the board is there again.
     LinkBack {

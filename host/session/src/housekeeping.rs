@@ -19,7 +19,7 @@ const DISK_LOW: u64 = 1_000_000_000;
 
 /// Below this much free space the session is stopped while it still can be
 /// closed well, bytes.
-const DISK_FULL: u64 = 20_000_000;
+pub const DISK_FULL: u64 = 20_000_000;
 
 /// The depth recorder, and when both were looked at.
 pub(crate) struct Housekeeping<'a> {

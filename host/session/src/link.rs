@@ -132,16 +132,20 @@ impl<'a> BoardLink<'a> {
         self.scale.apply(raw)
     }
 
-    /// Opens the link again, which was lost by `error`. `most` bounds the patience.
+    /// How long a lost link is waited for, while it is not closed.
+    pub(crate) const fn patience(&self) -> Duration {
+        self.patience
+    }
+
+    /// Opens the link again, which was lost by `error`, within `patience`.
     pub(crate) fn reopen(
         &mut self,
         error: &LinkError,
-        most: Duration,
+        patience: Duration,
         clock: &dyn Clock,
         is_interrupted: &dyn Fn() -> bool,
         log: &mut Log<'_>,
     ) -> Result<(), Stop> {
-        let patience = self.patience.min(most);
         let lost = clock.now();
         // A port that fell silent but is still there is opened exclusively: by us.
         self.board.hang_up();

@@ -346,19 +346,20 @@ impl<'a> Session<'a> {
     /// Waits for a lost link and goes on with it, if the board lives.
     fn take_up_link(&mut self, error: &LinkError) -> Result<(), Stop> {
         let lost_at = self.now();
+        let patience = match self.closing {
+            true => self.link.patience().min(PATIENCE_CLOSING),
+            false => self.link.patience(),
+        };
         self.log.report(SessionEvent::LinkLost {
             reason: error.to_string(),
+            patience_s: Some(patience.as_secs()),
         })?;
         // Nothing will fill the chunk for a while.
         self.log.write(|writer, _| writer.flush())?;
         // While closing, interrupts are no reason to stop.
-        let most = match self.closing {
-            true => PATIENCE_CLOSING,
-            false => Duration::MAX,
-        };
         let is_interrupted = || self.operator.interrupted() && !self.closing;
         self.link
-            .reopen(error, most, self.clock, &is_interrupted, &mut self.log)?;
+            .reopen(error, patience, self.clock, &is_interrupted, &mut self.log)?;
         self.log.file.reconnects += 1;
         if self.link.is_other_run() {
             // What came of the former run is taken first, up to the reset.

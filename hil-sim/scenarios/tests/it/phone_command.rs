@@ -39,6 +39,7 @@ fn imu_start_stop_and_get_video() {
         );
         assert!(folder.path().join("gyro.csv").exists());
 
+        assert_eq!(json(&run(&["stop", "--json"]))["stopped"], false);
         let start = json(&run(&["start", "--json"]));
         let video = bench.phone.videos()[0].clone();
         let phase = start["phase_ns"].as_i64().unwrap();

@@ -196,7 +196,8 @@ impl Monitor<'_> {
     fn relink(&self, board: &mut Board, error: &LinkError) {
         let at = lock(&self.state).now;
         let reason = error.to_string();
-        self.tell(at, SessionEvent::LinkLost { reason });
+        let patience_s = None;
+        self.tell(at, SessionEvent::LinkLost { reason, patience_s });
         let mut connector = self.connector.clone();
         while !self.context.interrupt.requested() {
             let link = connector.connect(Some(&self.id));

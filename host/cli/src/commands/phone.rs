@@ -239,8 +239,19 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
 }
 
 fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
+    // The app answers a stop with success even if no video runs. Where it does not say whether
+    // one does, it is stopped all the same.
+    let recorded = client.is_recording();
+    if recorded.is_err() {
+        client.reconnect()?;
+    }
     client.stop_video()?;
-    context.show(&json!({ "stopped": true }))
+    match &recorded {
+        Ok(false) => context.say("no video was running"),
+        Ok(true) => {}
+        Err(error) => context.say(format!("whether a video was running is not known: {error}")),
+    }
+    context.show(&json!({ "stopped": recorded.ok() }))
 }
 
 fn get_video(

@@ -8,6 +8,7 @@ mod shown;
 pub(super) mod tests;
 
 use std::collections::VecDeque;
+use std::time::Instant;
 
 use board::imu::Sample;
 use protocol::{DeviceToHost, ImuState, Output, Status, TICK_HZ, Ticks, TrainState};
@@ -59,7 +60,8 @@ pub(crate) struct State {
     pub(crate) imu_runs: Option<bool>,
     /// The part of a session that runs; none where the board is only monitored.
     phase: Option<Phase>,
-    is_link_lost: bool,
+    /// When the link was lost, and how long it is waited for, s.
+    link_lost: Option<(Instant, Option<u64>)>,
     /// Bytes of a download that are there, and in all.
     download: Option<(u64, u64)>,
     /// Length of the recording, s; until stopped if there is none.
@@ -165,11 +167,11 @@ impl State {
             SessionEvent::Disk { free, recorded } => self.disk(*free, *recorded),
             SessionEvent::Lost { count, .. } => self.losses.messages += u64::from(*count),
             SessionEvent::Damaged { .. } => self.losses.damaged += 1,
-            SessionEvent::LinkLost { .. } => {
-                self.is_link_lost = true;
+            SessionEvent::LinkLost { patience_s, .. } => {
+                self.link_lost = Some((Instant::now(), *patience_s));
                 self.losses.reconnects += 1;
             }
-            SessionEvent::LinkBack { .. } => self.is_link_lost = false,
+            SessionEvent::LinkBack { .. } => self.link_lost = None,
             SessionEvent::Downloading { done, whole, .. } => {
                 self.download = Some((*done, *whole));
             }

@@ -227,8 +227,8 @@ fn draw_twist(frame: &mut Frame<'_>, twist: &Twist, area: Rect) {
         1.0 - (sigma / twist.enough_us).max(1e-9).log10() / 2.0
     });
     let label = match twist.sigma_us {
-        Some(sigma) if enough => format!("{sigma:.1} us: ENOUGH (needed {:.0})", twist.enough_us),
-        Some(sigma) => format!("{sigma:.1} us, needed {:.0}", twist.enough_us),
+        Some(sigma) if enough => format!("{sigma:.1} µs: ENOUGH (needed {:.0})", twist.enough_us),
+        Some(sigma) => format!("{sigma:.1} µs, needed {:.0}", twist.enough_us),
         None => String::from("no motion yet"),
     };
     let colour = if enough { Color::Green } else { Color::Yellow };
@@ -418,12 +418,12 @@ fn sensor_lines(state: &State) -> Vec<Line<'static>> {
     });
     let phones = state.phones.iter().skip(1).map(|phone| {
         let mut text = match state.clock_now(phone) {
-            Some(known) => format!("clocks +-{:.1} us now", known.sigma_us),
+            Some(known) => format!("clocks ± {:.1} µs now", known.sigma_us),
             None => String::from("no twist yet"),
         };
         if let Some(placed) = &phone.placement {
             let (offset, sigma) = (placed.offset_us, placed.offset_sigma_us);
-            text.push_str(&format!(", frames {offset:+.0} +-{sigma:.0} us off grid"));
+            text.push_str(&format!(", frames {offset:+.0} ± {sigma:.0} µs off grid"));
         }
         row(&phone.name, text, Style::new())
     });
@@ -453,9 +453,8 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
     let (phase, phase_style) = phase_text(state);
     let known = state.phase_now().map(|now| {
         let style = if now.is_sure { GOOD } else { WARN };
-        // Terminals need not have the sign.
-        let sigma = micros_text(now.sigma_us).replace('µ', "u");
-        let text = format!("cameras expose together to +-{sigma}");
+        let sigma = micros_text(now.sigma_us);
+        let text = format!("cameras expose together to ± {sigma}");
         Line::styled(text, style.add_modifier(Modifier::BOLD))
     });
     let mut lines: Vec<Line<'_>> = known.into_iter().collect();
@@ -470,7 +469,7 @@ fn trigger_lines(state: &State) -> Vec<Line<'static>> {
             let age = clock(known.age_s);
             lines.push(fact(
                 "clocks",
-                format!("+-{:.1} us now, {age} old", known.sigma_us),
+                format!("± {:.1} µs now, {age} old", known.sigma_us),
                 if known.sigma_us < 100.0 { GOOD } else { WARN },
             ));
             let relation = format!("{:.6} s, {:+.3} ppm", known.offset_s, known.skew_ppm);
@@ -490,11 +489,11 @@ fn phase_text(state: &State) -> (String, Style) {
     match now.tracked {
         _ if now.is_twist_due => (String::from("time for a TWIST"), WARN),
         Some(tracked) => (
-            format!("{phase:+.1} us, {}", lock(&tracked)),
+            format!("{phase:+.1} µs, {}", lock(&tracked)),
             if tracked.holds { GOOD } else { WARN },
         ),
         None => (
-            format!("{phase:+.2} us off grid"),
+            format!("{phase:+.2} µs off grid"),
             if phase == 0.0 { GOOD } else { BAD },
         ),
     }
@@ -608,10 +607,10 @@ mod tests {
             "1:01 of 5:00",
             "30.0024 fps",
             "3456",
-            "cameras expose together to +-90.8 us",
-            "+0.00 us off grid",
+            "cameras expose together to ± 90.8 µs",
+            "+0.00 µs off grid",
             "seen, 83 ns",
-            "+-4.8 us now, 1:40 old",
+            "± 4.8 µs now, 1:40 old",
             "0 messages",
             "40.0 GB free, for 1000:00:00",
             "door at 90.0 s",
@@ -620,7 +619,7 @@ mod tests {
             "mark: door",
             "side             output 3, 5.00/s, running, pulse 77",
             "VLP-16           gnss, 1.00/s, at 2026-11-21 04:16:07 UTC",
-            "frames +1234 +-5 us off grid",
+            "frames +1234 ± 5 µs off grid",
             "m mark",
             "gyroscope",
             "now",
@@ -713,14 +712,14 @@ mod tests {
                 "twist now, about all axes",
                 "expected 1-sigma",
                 "rad/s rms",
-                "cameras expose together to +-",
+                "cameras expose together to ± ",
                 "q stop",
             ] {
                 assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");
             }
             assert!(text.matches('┌').count() >= 2, "{text}");
             let text = screen(width, height, &busy(), false);
-            for word in ["cameras expose together to +-", "off grid", "m mark"] {
+            for word in ["cameras expose together to ± ", "off grid", "m mark"] {
                 assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");
             }
         }
@@ -738,7 +737,7 @@ mod tests {
         let text = shown(80, TWIST_ROWS, |frame| {
             draw_twist(frame, &twist, frame.area());
         });
-        assert!(text.contains("4.2 us: ENOUGH"), "{text}");
+        assert!(text.contains("4.2 µs: ENOUGH"), "{text}");
         assert!(text.contains("enough: hold still"), "{text}");
     }
 }

@@ -200,7 +200,7 @@ impl Extraction<'_> {
             self.remarks.push(String::from(
                 "the depth camera recorded colour too: it exposes depth later by half of what the colour \
                  exposure is longer than the train of infrared pulses (12.725 ms; WFOV_UNBINNED 20.245 ms). \
-                 The file does not say that exposure: set color_exposure_us in the rig profile if it may be longer, and give it with --profile",
+                 The file does not say that exposure: set color_exposure_us in the rig profile if it may be longer, then extract with `--profile rig.toml`",
             ));
             return;
         };
@@ -236,7 +236,7 @@ impl Extraction<'_> {
                 micros(change)
             ),
             None => String::from(
-                "the time from pulse to centre of exposure is the profile's; set its center_offset_us, and give it with --profile",
+                "the time from pulse to centre of exposure is the profile's; set its center_offset_us, then extract with `--profile rig.toml`",
             ),
         };
         constants.delay_depth(change.unwrap_or(0));
@@ -263,7 +263,7 @@ impl Extraction<'_> {
                 let mode = mode.unwrap_or_default();
                 self.remarks.push(format!(
                     "from pulse to centre of exposure: {:.1} µs, half of the infrared train of mode {mode}; \
-                     measure it, set center_offset_us in the rig profile, and give it with --profile",
+                     measure it, set center_offset_us in the rig profile, then extract with `--profile rig.toml`",
                     center as f64 / 1000.0
                 ));
             }
@@ -274,7 +274,7 @@ impl Extraction<'_> {
                 };
                 self.remarks.push(format!(
                     "the time from pulse to centre of exposure is not known ({mode}): depth timestamps \
-                     are the pulses; set center_offset_us in the rig profile, and give it with --profile"
+                     are the pulses; set center_offset_us in the rig profile, then extract with `--profile rig.toml`"
                 ));
             }
         }

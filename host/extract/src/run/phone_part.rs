@@ -97,7 +97,7 @@ impl Extraction<'_> {
         if !constants.is_middle_known && !stamps.is_empty() {
             self.remarks.push(input.about(
                 "exposure or readout of the phone is not known: its images' times are earlier than the \
-                 middle of exposure by half of what is missing; set exposure_us and readout_us in the rig profile, and give it with --profile",
+                 middle of exposure by half of what is missing; set exposure_us and readout_us in the rig profile, then extract with `--profile rig.toml`",
             ));
         }
         let alignment = self.align_video(input, &files, &rows_of_frames);

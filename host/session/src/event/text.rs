@@ -59,7 +59,12 @@ impl Display for SessionEvent {
                 reset_cause(*cause),
                 last.as_secs_f64()
             ),
-            Self::LinkLost { reason } => f.write_str(reason),
+            Self::LinkLost { reason, patience_s } => {
+                f.write_str(reason)?;
+                patience_s.map_or(Ok(()), |wait| {
+                    write!(f, "; waiting for it, {wait} s at most")
+                })
+            }
             Self::LinkBack { away_s } => {
                 write!(f, "the link is back after {away_s:.3} s of board time")
             }

@@ -113,11 +113,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
     };
     let report = bring_up::run(&mut board, operator, plan)?;
     let json = serde_json::to_string_pretty(&report)?;
-    // A test of some parts leaves the report of the whole.
-    let mut name = String::from("board-test");
-    for (word, _) in PARTS.iter().filter(|(_, part)| args.parts.contains(part)) {
-        name += &format!("-{word}");
-    }
+    let name = name_of(&args.parts);
     let page = args.out.join(format!("{name}.html"));
     write_file(&args.out.join(format!("{name}.json")), &json)?;
     write_file(&page, &report::board_test::page(&report))?;
@@ -129,4 +125,22 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         0 => ExitStatus::Good,
         _ => ExitStatus::Refused,
     })
+}
+
+/// Name of the files of a report: a test of some parts leaves the report of the whole.
+fn name_of(parts: &[Part]) -> String {
+    let words = PARTS.iter().filter(|(_, part)| parts.contains(part));
+    let words = words.map(|(word, _)| format!("-{word}"));
+    format!("board-test{}", words.collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_test_of_some_parts_does_not_overwrite_that_of_all() {
+        assert_eq!(name_of(&[]), "board-test");
+        assert_eq!(name_of(&[Part::Link, Part::Imu]), "board-test-imu-link");
+    }
 }

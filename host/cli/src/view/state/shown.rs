@@ -181,8 +181,10 @@ pub(crate) enum Keys {
 impl State {
     /// Names what is done, in a word or two.
     pub(crate) fn doing(&self) -> String {
-        if self.is_link_lost {
-            return String::from("link lost");
+        if let Some((since, patience_s)) = self.link_lost {
+            let left = patience_s.map(|whole| whole.saturating_sub(since.elapsed().as_secs()));
+            let left = left.map_or(String::new(), |left| format!(", {left} s left"));
+            return format!("link lost{left}");
         }
         let word = match (self.phase, self.download) {
             (_, Some((done, whole))) => {

@@ -256,8 +256,17 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
     assert_eq!(state.losses.messages, 2);
     assert_eq!(state.recorded_s(), Some((2.0, Some(60.0))));
     let reason = String::from("unplugged");
-    state.take(&at(23.0, SessionEvent::LinkLost { reason }));
-    assert_eq!(state.doing(), "link lost");
+    let lost = SessionEvent::LinkLost {
+        reason,
+        patience_s: Some(600),
+    };
+    assert!(lost.to_string().contains("600 s"), "{lost}");
+    state.take(&at(23.0, lost));
+    // It counts down; a machine may stall here for a while.
+    let doing = state.doing();
+    let left = doing.strip_prefix("link lost, ").unwrap();
+    let left = left.strip_suffix(" s left").unwrap();
+    assert!((500..=600).contains(&left.parse().unwrap()), "{doing}");
     assert!(
         state.warnings[0]
             .next_step
