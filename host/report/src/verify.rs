@@ -267,8 +267,8 @@ impl Report {
             facts.push(("grid", text));
         }
         if self.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
-            let next = "`smartdepthsync extract` reads what is there; `mcap recover` makes a whole \
-                        file of it for other programs";
+            let next = "`smartdepthsync extract` reads what is there, after the damage too; for other \
+                        programs `mcap recover` makes a whole file of what is before it";
             facts.push(("next", next.to_owned()));
         }
         Summary {
