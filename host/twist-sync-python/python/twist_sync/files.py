@@ -12,7 +12,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +25,6 @@ LIMIT_S = 600
 LIMIT_BYTES = 8 << 30
 #: Text up to this size is read in this process, bytes.
 SMALL_TEXT = 256 << 20
-#: Bytes of a file that may never have been written; of more, half must be there.
-HOLES = 64 << 20
-#: The time after which it is said on a terminal what is being read, s.
-QUIET_S = 2.0
 
 _CHILD = """import sys
 sys.path[:] = filter(None, sys.path)
@@ -65,7 +60,7 @@ def _only(folder: Path) -> Path:
 
 
 def kind(path: Path) -> str:
-    """Which reader takes a file: text, npz, zip, mcap, bag, matroska or video."""
+    """Which reader takes a file: text, npz, mcap, bag, matroska or video."""
     if path.is_dir():
         return "bag"
     with path.open("rb") as file:
@@ -77,7 +72,7 @@ def kind(path: Path) -> str:
     if first.startswith(b"\x1a\x45\xdf\xa3"):
         return "matroska"
     if first.startswith(b"PK\x03\x04"):
-        return "zip"
+        return "npz"
     logs = (b"\x06\x0e\x2b\x34", b"GYROFLOW IMU LOG", b"H Product:Blackb")
     if first[4:8] in (b"ftyp", b"wide", b"mdat", b"moov", b"RED1", b"RED2") or first.startswith(
         logs
@@ -121,7 +116,6 @@ def read(
         if file.is_dir() and not (file / "metadata.yaml").is_file():
             file = _only(file)
         how = kind(file)
-        _check_written(file)
         if how == "text" and file.stat().st_size <= SMALL_TEXT:
             found = text.read(file, topic, columns, unit, time_unit)
         else:
@@ -139,35 +133,7 @@ def read(
     return found
 
 
-def _check_written(path: Path) -> None:
-    """Refuses a file that is mostly holes: its reader would search them to their end."""
-    if path.is_dir() or not hasattr(os, "SEEK_DATA"):
-        return
-    with open(path, "rb") as file:
-        length = file.seek(0, os.SEEK_END)
-        at, written, least = 0, 0, length - max(HOLES, length // 2)
-        while at < length and written < least:
-            try:
-                data = os.lseek(file.fileno(), at, os.SEEK_DATA)
-            except OSError:
-                break
-            at = os.lseek(file.fileno(), data, os.SEEK_HOLE)
-            written += at - data
-    if written < least:
-        raise Unreadable(f"only {written} of its {length} bytes were ever written; copy it again")
-
-
 def _in_process(path: Path, how: str, more: list[Any]) -> Recording:
-    told = threading.Timer(QUIET_S, lambda: print(f"reading {path} ...", file=sys.stderr))
-    if sys.stderr.isatty():
-        told.start()
-    try:
-        return _read_beside(path, how, more)
-    finally:
-        told.cancel()
-
-
-def _read_beside(path: Path, how: str, more: list[Any]) -> Recording:
     arguments = json.dumps([os.fspath(path.absolute()), how, more, LIMIT_S, LIMIT_BYTES])
     done = subprocess.run(
         [sys.executable, "-c", _CHILD, arguments],
@@ -258,35 +224,15 @@ def _read_here(
         from . import video
 
         return video.read(path)
-    if how == "zip":
-        return _zip(path, topic, (columns, unit, time_unit))
+    if how == "npz":
+        return _npz(path)
     return text.read(path, topic, columns, unit, time_unit)
-
-
-def _zip(path: Path, topic: str | None, more: tuple[Any, ...]) -> Recording:
-    """Arrays of numpy, or what a phone's app exports."""
-    import tempfile
-    import zipfile
-
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-        if names and all(name.endswith(".npy") for name in names):
-            return _npz(path)
-        tables = [n for n in names if n.lower().endswith(".csv") and "/meta/" not in f"/{n}"]
-        gyros = [n for n in tables if "gyro" in n.lower()] or tables
-        exact = [n for n in gyros if n.lower().rpartition("/")[2].startswith("gyroscope.csv")]
-        if len(exact or gyros) != 1:
-            raise Unreadable(f"a zip archive with {', '.join(names)[:300]}: unpack it and name one")
-        name = (exact or gyros)[0]
-        with tempfile.TemporaryDirectory() as folder:
-            found = text.read(Path(archive.extract(name, folder)), topic, *more)
-    found.path, found.layout = path, None
-    found.form = f"{name} in a zip archive: {found.form}"
-    return found
 
 
 def _npz(path: Path) -> Recording:
     with np.load(path, allow_pickle=False) as file:
+        if not all(name.endswith(".npy") for name in file.zip.namelist()):
+            raise Unreadable("an archive: unpack it and name its file or folder")
         arrays = {name: file[name] for name in file.files}
     tables = {
         k: a for k, a in arrays.items() if a.ndim == 2 and a.shape[1] == 3 and a.dtype.kind in "fiu"

@@ -35,15 +35,6 @@ def twist(
     )
 
 
-def course(found: Course) -> Figure:
-    """The estimates of the windows and the smoothed course, less a straight line."""
-    import matplotlib.pyplot as plt
-
-    figure, panel = plt.subplots(figsize=(9, 4), layout="constrained")
-    _offset(panel, found, found.span, found.span[0])
-    return figure
-
-
 def save(path: Path, solved: Synchronized) -> None:
     """Draws each pair that is related, side by side.
 

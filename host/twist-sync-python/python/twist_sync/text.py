@@ -265,27 +265,20 @@ def _by_name(names: list[str], topic: str | None) -> list[int]:
 
 
 def _by_values(rows: list[str], layout: Layout) -> list[int]:
-    """Columns of a file without names: `t x y z`, `x y z t`, or with an accelerometer behind."""
+    """Columns of a file without names: `t x y z` or `x y z t`."""
     fields = [split(row, layout.delimiter) for row in rows]
     if _is_iso(fields[0][0]):
         fields = [[str(k), *row[1:]] for k, row in enumerate(fields)]
     table = np.array([[_number(_dot(f, layout)) for f in row] for row in fields], dtype=float)
-    rising = [k for k in (0, 3) if k < table.shape[1] and np.all(np.diff(table[:, k]) >= 0)]
+    width = table.shape[1]
+    rising = [k for k in (0, 3) if width == 4 and np.all(np.diff(table[:, k]) >= 0)]
     rising = [k for k in rising if np.ptp(table[:, k]) and np.all(table[:, k] >= 0)]
-    if len(rows) == 1:
-        rising = [int(np.argmax(np.abs(table[0, :4])))]
+    if len(rows) == 1 and width == 4:
+        rising = [int(np.argmax(np.abs(table[0])))]
     # Of a slow motion the rates may rise too, but not by even steps.
     ends = sorted(rising, key=lambda k: np.std(np.diff(table[:, k])) / np.ptp(table[:, k]))[:1]
-    width = table.shape[1]
-    if len(ends) == 1 and (width == 4 or (width == 7 and ends == [0])):
-        rest = [k for k in range(4) if k != ends[0]]
-        if width == 7:
-            norms = [np.median(np.linalg.norm(table[:, k : k + 3], axis=1)) for k in (1, 4)]
-            heavy = [7 < n < 13 for n in norms]
-            if sum(heavy) != 1:
-                raise Unreadable("7 columns without names: say which with --columns TIME,X,Y,Z")
-            rest = [4, 5, 6] if heavy[0] else [1, 2, 3]
-        return [ends[0], *rest]
+    if ends:
+        return [ends[0], *(k for k in range(4) if k != ends[0])]
     raise Unreadable(
         f"{width} columns without names: say with --columns TIME,X,Y,Z (numbers from 1) which is which"
     )
@@ -409,10 +402,7 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]
 
 def open_text(path: Path) -> IO[str]:
     """A text file, whatever its bytes are."""
-    with path.open("rb") as file:
-        start = file.read(2)
-    encoding = "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    return path.open(encoding=encoding, errors="surrogateescape", newline="")
+    return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
 
 
 def plausible_time(times: np.ndarray) -> str:

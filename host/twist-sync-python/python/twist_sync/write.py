@@ -58,7 +58,7 @@ def _again(recording: Recording, clock: DeviceClock, out: Path) -> str:
     how = files.kind(recording.path)
     if how in ("bag", "mcap"):
         return f"{out}: {_bag(recording, clock, out, how)}"
-    if how == "zip" and recording.topic:
+    if how == "npz":
         with np.load(recording.path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         unit = text.TIME_UNITS["ns"] if arrays[recording.topic].dtype.kind == "M" else 1
