@@ -147,6 +147,17 @@ fn cases() -> Vec<Case> {
             },
             raised(125.0, 500.0, |a, _, _| a),
         ),
+        case(
+            "values of 50 Hz held four times",
+            (60.0, 1.5, 1.5),
+            |e| {
+                warned(
+                    e,
+                    |w| matches!(w, Warning::Held { rate_hz, .. } if (rate_hz - 50.0).abs() < 3.0),
+                )
+            },
+            raised(50.0, 200.0, |a, _, _| a),
+        ),
         // Each 16th distance is three quarters of the others, and so the samples are.
         case(
             "a true pattern of sampling",

@@ -69,12 +69,6 @@ pub struct ClockRelation {
 }
 
 impl ClockRelation {
-    /// The same relation where all times of clock a are later by `seconds`.
-    #[must_use]
-    pub fn with_a_later(self, seconds: f64) -> Self {
-        self.moved(seconds, -seconds)
-    }
-
     /// The same relation where all times of clock a are later by `a_s` and offsets larger
     /// by `between_s`.
     pub(crate) fn moved(self, a_s: f64, between_s: f64) -> Self {

@@ -205,7 +205,7 @@ impl Segment {
 impl ClockCourse {
     /// Joins estimates of one pair of clocks (windows, or a few twists).
     ///
-    /// `None` if there are none, or if as many contradict as agree.
+    /// `None` if there are none, or if half as many contradict as agree.
     #[must_use]
     pub fn from_estimates(estimates: &[ClockRelation], wander: Wander) -> Option<Self> {
         let mut sorted = estimates.to_vec();
@@ -220,7 +220,7 @@ impl ClockCourse {
         let segments: Vec<Segment> = parts.iter().filter_map(segment).collect();
         let used = segments.iter().map(|segment| segment.filtered.len()).sum();
         let contradicting = sorted.len() - used;
-        if contradicting >= used {
+        if 2 * contradicting >= used {
             return None;
         }
         let step = |pair: &[Segment]| {
@@ -457,6 +457,8 @@ mod tests {
         // No two agree.
         assert!(ClockCourse::from_estimates(&windows(&[0.0, 1e-3]), wander).is_none());
         assert!(ClockCourse::from_estimates(&windows(&[0.0, 1e-3, -4e-3]), wander).is_none());
+        let many = [5e-3, 0.0, 0.0, -2e-3, 0.0, 0.0, 40e-3];
+        assert!(ClockCourse::from_estimates(&windows(&many), wander).is_none());
     }
 
     #[test]

@@ -66,7 +66,7 @@ pub(crate) fn outliers(
     let contrasts = difference.map(|axis| robust::without_local_median(&axis));
     // The noise of the other, which is smooth, hardly shows in the median of the contrasts.
     let scale_of = |part: &[f64]| {
-        let own = robust::mad_sigma_about_zero(part.to_vec()).unwrap_or(0.0);
+        let own = robust::mad_sigma_about_zero(part.iter().copied()).unwrap_or(0.0);
         own.hypot(noise_of_other).max(LEAST_NOISE)
     };
     let overall = contrasts.each_ref().map(|contrast| scale_of(contrast));

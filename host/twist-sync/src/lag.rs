@@ -57,7 +57,7 @@ pub(crate) fn chosen(
     report: &mut Report,
 ) -> Option<(Link, Vec<Stretch>)> {
     // Over minutes every bin is more than the choice needs.
-    let mut data = signals.data.sampled(NODE_S);
+    let (model, mut data) = (&signals.model.signal, signals.data.signal.sampled(NODE_S));
     let every = data.len().div_ceil(MOST_NODES).max(1);
     let node_s = NODE_S * every as f64;
     if every > 1 {
@@ -79,12 +79,12 @@ pub(crate) fn chosen(
             rate: 1.0,
         };
         let even = Some(Matrix3::identity());
-        Tried::new(fit::fit(&signals.model, data, start, even, &quick)?)
+        Tried::new(fit::fit(model, data, start, even, &quick)?)
     };
     let tried = distinct(&candidates(pair, options), |lag_s| at(&data, lag_s));
     let nodes = tried.first().map_or_else(
         // Nothing fits at any lag, which says nothing about the time in common.
-        || data.len().min(signals.model.sampled(node_s).len()),
+        || data.len().min(model.sampled(node_s).len()),
         |best| best.fit.nodes.len(),
     );
     let overlap_s = nodes as f64 * node_s;
@@ -105,9 +105,7 @@ pub(crate) fn chosen(
     };
     let part = parts_of
         .iter()
-        .filter_map(|tried| {
-            rigid::part(&signals.model, &data, &tried.fit, &lags, quick, noise_span)
-        })
+        .filter_map(|tried| rigid::part(model, &data, &tried.fit, &lags, quick, noise_span))
         .min_by(|x, y| x.evidence().total_cmp(&y.evidence()));
     let Some(part) = part else {
         report.judge(Gate::explained(best.unexplained.sqrt()))?;

@@ -53,21 +53,23 @@ impl Samples<'_> {
         out
     }
 
-    /// Predicts the first sample of each pair without the help of the second.
+    /// Predicts the first sample of each pair without the help of the second, and the second
+    /// without that of the first.
     pub(crate) fn predictions_without(
         self,
         usable: &[bool],
         pairs: &[(usize, usize)],
-    ) -> Vec<Against> {
+    ) -> [Vec<Against>; 2] {
         let kept = kept(usable);
         let slopes: Vec<Vec3> = self.slow_slopes(&kept).collect();
-        pairs
-            .iter()
-            .filter_map(|&(first, second)| {
-                let at = kept.binary_search(&first).ok()?;
-                self.predicted(&kept, at, Some(second), slopes[at])
-            })
-            .collect()
+        let predicted = |k: usize, partner: usize| {
+            let at = kept.binary_search(&k).ok()?;
+            self.predicted(&kept, at, Some(partner), slopes[at])
+        };
+        [
+            pairs.iter().filter_map(|&(a, b)| predicted(a, b)).collect(),
+            pairs.iter().filter_map(|&(a, b)| predicted(b, a)).collect(),
+        ]
     }
 
     fn predicted(
@@ -216,8 +218,7 @@ fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usiz
 /// White noise of one sample, per axis.
 pub(crate) fn noise_of(against: &[Against]) -> Vec3 {
     std::array::from_fn(|axis| {
-        let errors: Vec<f64> = against.iter().map(|a| a.error[axis]).collect();
-        robust::mad_sigma_about_zero(errors)
+        robust::mad_sigma_about_zero(against.iter().map(|a| a.error[axis]))
             .filter(|sigma| sigma.is_finite())
             .unwrap_or(0.0)
     })

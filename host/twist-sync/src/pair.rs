@@ -14,7 +14,7 @@ use crate::faults::{Action, Fault, FaultKind, LeftOut, Why};
 use crate::fit::{self, Fit, FitOptions, Link};
 use crate::neighbours;
 use crate::rigid;
-use crate::signal::{Resampled, Signal, kernel_length_s, kernel_sigma_s};
+use crate::signal::{Smooth, kernel_length_s, kernel_sigma_s};
 use crate::stream::CheckedStream;
 
 /// Left out on either side of a displaced stretch: its ends are known to a block.
@@ -38,9 +38,8 @@ pub(crate) struct Pair<'a> {
 
 /// Both streams low-passed and continuous.
 pub(crate) struct Signals {
-    pub(crate) model: Signal,
-    pub(crate) data: Signal,
-    resampled: [Resampled; 2],
+    pub(crate) model: Smooth,
+    pub(crate) data: Smooth,
 }
 
 /// The settings of the fit, for the noise of a pair.
@@ -70,9 +69,9 @@ impl Settings {
         }
     }
 
-    pub(crate) fn fitted(&self, signals: &Signals, start: Link) -> Option<Fit> {
-        let data = signals.data.sampled(self.step_s);
-        fit::fit(&signals.model, &data, start, None, &self.fit)
+    /// Low-pass for the search of single samples, Hz.
+    fn wide_hz(&self) -> f64 {
+        self.low_pass_hz.max(OUTLIER_LOW_PASS_HZ)
     }
 }
 
@@ -155,16 +154,33 @@ impl<'a> Pair<'a> {
         [&a[..], b].concat()
     }
 
-    pub(crate) fn signals(&self, low_pass_hz: f64) -> Signals {
-        let resampled = [&self.model, &self.data].map(|stream| stream.resampled(low_pass_hz));
-        let [model, data] = resampled
-            .each_ref()
-            .map(|stream| stream.smoothed(low_pass_hz));
+    pub(crate) fn signals(&mut self, low_pass_hz: f64) -> Signals {
         Signals {
-            model,
-            data,
-            resampled,
+            model: self.model.smooth(low_pass_hz),
+            data: self.data.smooth(low_pass_hz),
         }
+    }
+
+    /// True if a stream is no longer the one that was smoothed.
+    pub(crate) fn is_changed(&self) -> bool {
+        self.model.is_changed || self.data.is_changed
+    }
+
+    /// The full fit, to the streams as they are now.
+    pub(crate) fn fitted(
+        &mut self,
+        signals: &mut Signals,
+        start: Link,
+        settings: &Settings,
+    ) -> Option<Fit> {
+        if self.model.is_changed {
+            signals.model = self.model.smooth(settings.low_pass_hz);
+        }
+        if self.data.is_changed {
+            signals.data = self.data.smooth(settings.low_pass_hz);
+        }
+        let data = signals.data.signal.sampled(settings.step_s);
+        fit::fit(&signals.model.signal, &data, start, None, &settings.fit)
     }
 
     /// Leaves out samples that do not fit the other stream and fits again, until none
@@ -173,40 +189,38 @@ impl<'a> Pair<'a> {
     pub(crate) fn without_faults(
         &mut self,
         mut fit: Fit,
-        mut signals: Signals,
+        signals: &mut Signals,
         settings: &Settings,
-    ) -> Option<(Fit, Signals, f64)> {
+    ) -> Option<(Fit, f64)> {
         let mut kept_share = 1.0;
         for _ in 0..4 {
-            let outliers = self.leave_out_outliers(&fit, &signals, settings);
+            let outliers = self.leave_out_outliers(&fit, signals, settings);
             if outliers {
-                signals = self.signals(settings.low_pass_hz);
-                fit = settings.fitted(&signals, fit.link)?;
+                fit = self.fitted(signals, fit.link, settings)?;
             }
             let stretches = crosscheck::stretches(&fit, STRETCH_BLOCK_S);
             let jumps = stretches.len() > 1;
             if jumps {
                 kept_share *= self.leave_out_stretches(&fit.link, &stretches);
-                signals = self.signals(settings.low_pass_hz);
-                fit = settings.fitted(&signals, fit.link)?;
+                fit = self.fitted(signals, fit.link, settings)?;
             }
             if !outliers && !jumps {
                 break;
             }
         }
-        Some((fit, signals, kept_share))
+        Some((fit, kept_share))
     }
 
     /// Looks at the faults that each stream shows alone with the eyes of the other, and takes
-    /// back those that the content does not bear out. Gives whether there were any, and the
-    /// covariance of (shift, rate) that stays open.
+    /// back those that the content does not bear out. Gives the covariance of (shift, rate) that
+    /// stays open.
     pub(crate) fn review(
         &mut self,
         fit: &Fit,
         signals: &Signals,
         settings: &Settings,
-    ) -> (bool, Matrix2<f64>) {
-        let (mut changed, mut open) = (false, Matrix2::zeros());
+    ) -> Matrix2<f64> {
+        let mut open = Matrix2::zeros();
         for of_data in [false, true] {
             let pattern = self.stream(of_data).pattern.as_ref();
             if let Some(pattern) = pattern.filter(|p| p.sawtooth.is_some()) {
@@ -218,7 +232,6 @@ impl<'a> Pair<'a> {
                     let stream = self.stream_mut(of_data);
                     let part = stream.correct_sawtooth(|prior| found.probability(prior));
                     open += found.open(part * (1.0 - part));
-                    changed |= part > 0.0;
                 }
             }
             let stream = self.stream(of_data);
@@ -245,14 +258,14 @@ impl<'a> Pair<'a> {
             for class in denied {
                 if class.action == Action::LeftOut {
                     class.samples.iter().for_each(|&k| stream.usable[k] = true);
-                    changed = true;
+                    stream.is_changed = true;
                 } else {
                     stream.unresolved_s = 0.0;
                 }
                 stream.faults.retain(|fault| *fault != class);
             }
         }
-        (changed, open)
+        open
     }
 
     /// Covariance of (shift, rate) by lone jumps of the stamps that are in what is used: if the
@@ -303,15 +316,19 @@ impl<'a> Pair<'a> {
         signals: &Signals,
         settings: &Settings,
     ) -> impl Fn(&[bool], &dyn Fn(usize) -> f64) -> Option<Evidence> {
-        let wide_hz = settings.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
-        let other = signals.resampled[usize::from(!of_data)].smoothed(wide_hz);
+        let other = if of_data {
+            &signals.model
+        } else {
+            &signals.data
+        };
+        let other = other.wide(settings.wide_hz());
         let (link, reference, calibration) = if of_data {
             (fit.link, fit.link.at_data, fit.calibration)
         } else {
             (fit.link, fit.link.at_model, self.backwards(fit, settings))
         };
         let stream = self.stream(of_data);
-        let (t, w) = (stream.t.clone(), stream.w.to_vec());
+        let (t, w) = (&stream.t, &stream.w);
         move |usable, later_s| {
             let time = |t: f64| {
                 if of_data {
@@ -321,8 +338,8 @@ impl<'a> Pair<'a> {
                 }
             };
             crosscheck::evidence(
-                (&t, &w, usable),
-                &other,
+                (t, w, usable),
+                other,
                 time,
                 &calibration,
                 reference,
@@ -339,19 +356,18 @@ impl<'a> Pair<'a> {
 
     /// Leaves out single samples of either stream; whether there were any.
     fn leave_out_outliers(&mut self, fit: &Fit, signals: &Signals, settings: &Settings) -> bool {
-        let wide_hz = settings.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
-        let [wide_model, wide_data] = signals.resampled.each_ref().map(|r| r.smoothed(wide_hz));
+        let wide_hz = settings.wide_hz();
         let (model, data, link) = (&self.model, &self.data, fit.link);
         let of_data = crosscheck::outliers(
             (&data.t, &data.w, &data.usable),
-            &wide_model,
+            signals.model.wide(wide_hz),
             model.smooth_noise(wide_hz),
             |t| link.model_time(t),
             &fit.calibration,
         );
         let of_model = crosscheck::outliers(
             (&model.t, &model.w, &model.usable),
-            &wide_data,
+            signals.data.wide(wide_hz),
             data.smooth_noise(wide_hz),
             |t| link.data_time(t),
             &self.backwards(fit, settings),

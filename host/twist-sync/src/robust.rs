@@ -76,14 +76,13 @@ pub(crate) fn higher(a: f64, b: f64) -> f64 {
 #[must_use]
 pub fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
     let centre = median_in_place(&mut values)?;
-    values.iter_mut().for_each(|value| *value -= centre);
-    mad_sigma_about_zero(values)
+    mad_sigma_about_zero(values.into_iter().map(|value| value - centre))
 }
 
 /// The same of values about zero.
-pub(crate) fn mad_sigma_about_zero(values: Vec<f64>) -> Option<f64> {
+pub(crate) fn mad_sigma_about_zero(values: impl Iterator<Item = f64>) -> Option<f64> {
     // Of numbers that are not negative, the bits are in the same order, and compared faster.
-    let mut bits: Vec<u64> = values.into_iter().map(|v| v.abs().to_bits()).collect();
+    let mut bits: Vec<u64> = values.map(|v| v.abs().to_bits()).collect();
     let middle = bits.len() / 2;
     let median = (!bits.is_empty()).then(|| *bits.select_nth_unstable(middle).1)?;
     Some(1.482_602_218_505_602 * f64::from_bits(median))

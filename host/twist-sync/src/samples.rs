@@ -35,6 +35,10 @@ const SPIKE_SIGMAS: f64 = 15.0;
 /// sigmas of its noise.
 const CLIPPED_STEPS: f64 = 6.0;
 const CLIPPED_SIGMAS: f64 = 4.0;
+/// Straight lines between samples are looked for in stretches of so many samples, and in about
+/// so many in all.
+const LOOKED_AT: usize = 64;
+const LOOKED_AT_IN_ALL: usize = 1024;
 
 /// Samples that were not taken one by one, and the rate of those that were, Hz.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -160,11 +164,12 @@ fn spikes(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
     let kept = kept(usable);
     let mut hit = vec![false; w.len()];
     for axis in 0..3 {
-        let values: Vec<f64> = kept.iter().map(|&k| w[k][axis]).collect();
+        let is_small = |p: &[usize]| (w[p[1]][axis] - w[p[0]][axis]).abs() < SPIKE / 4.0;
         // Far from the median of four on either side is far from one of them.
-        if values.windows(2).all(|p| (p[1] - p[0]).abs() < SPIKE / 4.0) {
+        if kept.windows(2).all(is_small) {
             continue;
         }
+        let values: Vec<f64> = kept.iter().map(|&k| w[k][axis]).collect();
         let off = robust::without_local_median(&values);
         for at in (0..off.len()).filter(|&at| off[at].abs() > SPIKE) {
             let around = at.saturating_sub(4)..(at + 5).min(values.len());
@@ -224,22 +229,29 @@ fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
         let line = |axis: usize| w[k + 1][axis] + (w[k - 1][axis] - w[k + 1][axis]) * part;
         std::array::from_fn(|axis| (w[k][axis] - line(axis)).abs())
     };
-    let bends: Vec<Vec3> = (1..w.len().saturating_sub(1)).map(bend).collect();
     let (mut triples, mut straight, mut single) = (0.0, 0.0, [0.0; 3]);
-    for k in (3..w.len().saturating_sub(3)).filter(|&k| is_near(k)) {
-        if (0..3).any(|axis| w[k][axis] == w[k - 1][axis] || w[k][axis] == w[k + 1][axis]) {
-            continue;
-        }
-        triples += 1.0;
-        let on_line = |axis: usize| {
-            let around = [k - 3, k - 2, k, k + 1].map(|near| bends[near][axis]);
-            bends[k - 1][axis] < 1e-3 * around.into_iter().fold(0.0, robust::higher)
-        };
-        let each: [bool; 3] = std::array::from_fn(on_line);
-        if each == [true; 3] {
-            straight += 1.0;
-        } else {
-            (0..3).for_each(|axis| single[axis] += f64::from(u8::from(each[axis])));
+    let end = w.len().saturating_sub(3);
+    // A part of the stream shows it.
+    let apart = LOOKED_AT * (w.len() / LOOKED_AT_IN_ALL).max(1);
+    for from in (3..end).step_by(apart) {
+        let to = (from + LOOKED_AT).min(end);
+        let bends: Vec<Vec3> = (from - 2..to + 2).map(bend).collect();
+        for k in (from..to).filter(|&k| is_near(k)) {
+            if (0..3).any(|axis| w[k][axis] == w[k - 1][axis] || w[k][axis] == w[k + 1][axis]) {
+                continue;
+            }
+            triples += 1.0;
+            let near = &bends[k - from..k - from + 5];
+            let on_line = |axis: usize| {
+                let around = [0, 1, 3, 4].map(|at| near[at][axis]);
+                near[2][axis] < 1e-3 * around.into_iter().fold(0.0, robust::higher)
+            };
+            let each: [bool; 3] = std::array::from_fn(on_line);
+            if each == [true; 3] {
+                straight += 1.0;
+            } else {
+                (0..3).for_each(|axis| single[axis] += f64::from(u8::from(each[axis])));
+            }
         }
     }
     let others = f64::max(triples - straight, 1.0);
@@ -304,9 +316,8 @@ fn stale_copies(
     pairs: &[(usize, usize)],
     noise: &Vec3,
 ) -> (Vec<usize>, Option<f64>) {
-    let displacement = |pairs: &[(usize, usize)]| {
+    let displacement = |against: Vec<Against>| {
         let (mut top, mut bottom) = (0.0, 0.0);
-        let against = samples.predictions_without(usable, pairs);
         for (a, variance) in against.iter().zip(local_variances(&against, noise)) {
             let (score, information) = a.score(&variance);
             top += score;
@@ -314,9 +325,8 @@ fn stale_copies(
         }
         (top / bottom, 1.0 / f64::sqrt(bottom))
     };
-    let reversed: Vec<(usize, usize)> = pairs.iter().map(|&(a, b)| (b, a)).collect();
-    let (first, first_sigma) = displacement(pairs);
-    let (second, second_sigma) = displacement(&reversed);
+    let each = samples.predictions_without(usable, pairs);
+    let [(first, first_sigma), (second, second_sigma)] = each.map(displacement);
     let known = first_sigma.max(second_sigma) < 0.1 * samples.step_s;
     let is_displaced = |d: f64| d.abs() > 0.5 * samples.step_s;
     // Runs of equal samples: the sensor is slower than the stream, and only the

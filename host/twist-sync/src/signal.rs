@@ -14,6 +14,8 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
+use std::cell::OnceCell;
+
 use crate::interpolant::{Uneven, Uniform, Vec3};
 use crate::neighbours;
 
@@ -94,7 +96,7 @@ impl Resampled {
     ///
     /// The kernel may be narrower than that of `low_pass_hz`: at 1.4 steps of the grid, that of
     /// 45 Hz, its samples still are a Gaussian to 10⁻¹⁷.
-    pub(crate) fn smoothed(&self, low_pass_hz: f64) -> Signal {
+    fn smoothed(&self, low_pass_hz: f64) -> Signal {
         let sigma = kernel_sigma_s(low_pass_hz) / self.grid;
         let kernel = gaussian_kernel(sigma, (KERNEL_REACH * sigma).ceil() as usize);
         let keep_every = ((sigma / NODES) as usize).max(1);
@@ -109,6 +111,29 @@ impl Resampled {
         };
         let pieces = self.pieces.iter().filter_map(smooth).collect();
         Signal { pieces }
+    }
+}
+
+/// A stream low-passed and continuous.
+pub(crate) struct Smooth {
+    pub(crate) signal: Signal,
+    resampled: Resampled,
+    wide: OnceCell<Signal>,
+}
+
+impl Smooth {
+    pub(crate) fn new(resampled: Resampled, low_pass_hz: f64) -> Self {
+        Self {
+            signal: resampled.smoothed(low_pass_hz),
+            resampled,
+            wide: OnceCell::new(),
+        }
+    }
+
+    /// With another low-pass, which is the same at each call.
+    pub(crate) fn wide(&self, low_pass_hz: f64) -> &Signal {
+        self.wide
+            .get_or_init(|| self.resampled.smoothed(low_pass_hz))
     }
 }
 

@@ -7,7 +7,7 @@ use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::{Uneven, Vec3};
 use crate::neighbours::{self, Samples};
 use crate::samples::{self, Made};
-use crate::signal::{self, Resampled};
+use crate::signal::{self, Resampled, Smooth};
 use crate::timestamps::{self, Pattern};
 
 /// Rates above this are no rates, rad/s.
@@ -34,6 +34,8 @@ pub(crate) struct CheckedStream<'a> {
     /// Rate of the samples from which the stream was made, Hz, and how.
     pub(crate) made: Option<Made>,
     pub(crate) faults: Vec<Fault>,
+    /// Times, rates or what is usable changed since the stream was smoothed.
+    pub(crate) is_changed: bool,
 }
 
 impl<'a> CheckedStream<'a> {
@@ -67,6 +69,7 @@ impl<'a> CheckedStream<'a> {
             pattern: checked.pattern,
             made: None,
             faults: checked.faults,
+            is_changed: true,
         };
         if handle_faults {
             // Jumps of the stamps are no displaced samples; those of the samples are not theirs.
@@ -82,6 +85,9 @@ impl<'a> CheckedStream<'a> {
             };
             let own = samples::check(stream, samples, out.resolution_s, &mut out.usable);
             out.made = own.made;
+            if let Some(Made::Held(rate_hz)) = own.made {
+                out.step_s = 1.0 / rate_hz;
+            }
             out.noise = own.noise;
             out.unresolved_s = out.unresolved_s.hypot(own.unresolved_s);
             out.faults.extend(own.faults);
@@ -110,6 +116,7 @@ impl<'a> CheckedStream<'a> {
         if part < 1e-3 {
             return 0.0;
         }
+        self.is_changed = true;
         self.t
             .iter_mut()
             .zip(&later_s)
@@ -131,6 +138,7 @@ impl<'a> CheckedStream<'a> {
             return;
         };
         let last = recorded.domain().1;
+        self.is_changed = true;
         let w = self.w.to_mut();
         for k in kept {
             // Beyond the end nothing is known.
@@ -143,8 +151,11 @@ impl<'a> CheckedStream<'a> {
         }
     }
 
-    pub(crate) fn resampled(&self, low_pass_hz: f64) -> Resampled {
-        Resampled::new(&self.t, &self.w, &self.usable, self.step_s, low_pass_hz)
+    pub(crate) fn smooth(&mut self, low_pass_hz: f64) -> Smooth {
+        self.is_changed = false;
+        let (w, usable) = (&self.w, &self.usable);
+        let resampled = Resampled::new(&self.t, w, usable, self.step_s, low_pass_hz);
+        Smooth::new(resampled, low_pass_hz)
     }
 
     pub(crate) fn usable_count(&self) -> usize {
@@ -204,6 +215,7 @@ impl<'a> CheckedStream<'a> {
             return;
         }
         neighbours::leave_out(&mut self.usable, &samples);
+        self.is_changed = true;
         let mut fault = Fault {
             displacement_s,
             ..Fault::new(self.stream, kind, samples, Action::LeftOut)
