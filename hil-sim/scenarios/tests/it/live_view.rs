@@ -189,7 +189,7 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let terminal = Tmux::start(80, 24, &command);
     let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
     keep("record_twist_80x24.txt", &screen);
-    terminal.wait_for(&["RECORDING", "us off grid"]);
+    terminal.wait_for(&["RECORDING", "µs off grid"]);
     terminal.keys("m");
     let screen = terminal.wait_for(&["marker 1 at", "GB free"]);
     keep("record_80x24.txt", &screen);
