@@ -75,7 +75,7 @@ fn page(
              frames.",
         );
         if let Some(samples) = samples {
-            page.figure(samples, SAMPLES);
+            page.picture(samples, SAMPLES);
         }
     }
     let course = |clock: &Option<ClockReport>| {
