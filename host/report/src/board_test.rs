@@ -19,7 +19,10 @@ pub fn summary(report: &Report) -> Summary {
             Severity::Check,
             format!("{passed} checks passed; {skipped} could not be made."),
         ),
-        _ => (Severity::Bad, format!("{failed} of {all} checks failed.")),
+        _ => (
+            Severity::Bad,
+            format!("{failed} of {all} checks failed, {skipped} could not be made."),
+        ),
     };
     let parts = report.checks.iter().map(|check| {
         let finding = &check.finding;
@@ -38,7 +41,7 @@ pub fn summary(report: &Report) -> Summary {
     });
     let board = &report.board;
     Summary {
-        title: String::from("Bring-up of a board"),
+        title: String::from("Board test"),
         severity,
         text,
         parts: parts.collect(),

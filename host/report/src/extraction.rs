@@ -245,7 +245,7 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
         count => (
             Severity::Check,
             format!(
-                "{count} things are missing or damaged. What is there has its time in board \
+                "Missing or damaged: {count}, listed below. What is there has its time in board \
                  time.{pairs}"
             ),
         ),

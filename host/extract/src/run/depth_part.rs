@@ -341,15 +341,27 @@ impl Extraction<'_> {
                 }
             }
         };
+        // As the trigger starts, a camera takes up its phase in frames without depth.
+        let recorded = self.inputs.recorded;
+        let is_outside = |&&index: &&usize| {
+            let at = frames.get(index).and_then(|frame| frame.at);
+            let both = recorded.zip(at);
+            both.is_some_and(|((from, to), at)| !(from..=to).contains(&at.0))
+        };
+        let (outside, empty): (Vec<usize>, Vec<usize>) = outcome.empty.iter().partition(is_outside);
+        if !outside.is_empty() {
+            self.remarks.push(format!(
+                "depth frames without depth from before the trigger was aligned or after the \
+                 recording: {}",
+                outside.len()
+            ));
+        }
         let counts = [
             (
                 &outcome.damaged,
                 "depth frames lie in a part of the file whose checksum is wrong",
             ),
-            (
-                &outcome.empty,
-                "depth frames are black: no pixel has a depth",
-            ),
+            (&empty, "depth frames are black: no pixel has a depth"),
             (
                 &outcome.color_broken,
                 "colour images of the depth camera are no whole JPEG files",
