@@ -126,7 +126,7 @@ impl Context {
     }
 
     /// Whether to report no progress.
-    const fn is_silent(&self) -> bool {
+    pub(crate) const fn is_silent(&self) -> bool {
         self.global.json || self.global.quiet
     }
 

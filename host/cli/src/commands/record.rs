@@ -54,7 +54,7 @@ pub(crate) struct Args {
     /// Name of the recording's folder, if not date and time
     #[arg(long, value_parser = check_name)]
     name: Option<String>,
-    /// Never prompt; stop at the first failure
+    /// Never prompt; stop at the first failure (so do -q and --json)
     #[arg(long)]
     yes: bool,
     /// Record for 90 s between two twists, and write what that teaches about the phone's
@@ -246,9 +246,10 @@ fn record(
         })?;
         phones.push(Box::new(task));
     }
-    let asks = !args.yes && !context.global.json;
+    let is_silent = context.is_silent();
+    let asks = !args.yes && !is_silent;
     let more = &args.more;
-    let wants_screen = !(more.plain || more.events || context.global.json);
+    let wants_screen = !(more.plain || more.events || is_silent);
     let state = State::of_session(profile, asks);
     let mut view = View::open(context, state, wants_screen, more.events);
     let mut operator = AtTerminal::new(view.take_keys(), asks, &context.interrupt);
