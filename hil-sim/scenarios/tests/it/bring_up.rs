@@ -21,6 +21,7 @@ use rig::virtual_rig::VirtualRig;
 use rig::wiring;
 use scenarios::virtual_session::SharedRig;
 use stm32f4_sim::shared::lock;
+use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::SimDuration;
 
 /// A link in place of another.
@@ -56,10 +57,20 @@ impl Bench {
         jumpers: Jumpers,
         through: impl Fn(Box<dyn Link>) -> Box<dyn Link> + 'static,
     ) -> Self {
+        Self::of(wiring::board(), seed, jumpers, through)
+    }
+
+    /// Of a board whose chip is another.
+    fn of(
+        board: SimBuilder,
+        seed: u64,
+        jumpers: Jumpers,
+        through: impl Fn(Box<dyn Link>) -> Box<dyn Link> + 'static,
+    ) -> Self {
         let mut config = RigConfig::published(Seed(seed));
         config.depth_camera = None;
         let jumpers = Arc::new(Mutex::new(jumpers));
-        let board = wiring::board().model(Arc::clone(&jumpers));
+        let board = board.model(Arc::clone(&jumpers));
         let rig = VirtualRig::new(config, board.tolerate_failures(), Vec::new()).unwrap();
         let mut rig = SharedRig::boot(rig).unwrap();
         let link = rig.connect(None).unwrap();
@@ -423,6 +434,16 @@ fn a_slow_handler_fails() {
             ("throughput", Severity::Good),
         ],
     );
+}
+
+/// From the chip's own measurement of its reference: 2.7 V is the least for the whole core.
+#[test]
+fn a_supply_that_is_too_low_fails() {
+    let board = wiring::board().chip(|chip| chip.die.supply = 2.6);
+    let mut bench = Bench::of(board, 36, Jumpers::default(), |link| link);
+    let report = bench.measure(&[Part::Clock]).unwrap();
+    let expected = [("supply", Severity::Bad), ("crystal", Severity::Good)];
+    assert_severities(&report, &expected);
 }
 
 /// The limit is 100 ppm; a look at the port every millisecond adds some 20 over a minute.

@@ -209,7 +209,7 @@ impl Session<'_> {
                     f64::from(*SUPPLY_MV.start()) / 1e3,
                     f64::from(*SUPPLY_MV.end()) / 1e3
                 ),
-                "the chip's supply (VDD) is low: measure the 3V pin, and look for a short",
+                "the chip's supply (VDD) is out of its range: measure the 3V pin, and look for a short",
             );
         }
         let half = best.len() / 2;
