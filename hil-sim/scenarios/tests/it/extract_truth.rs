@@ -209,7 +209,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
         &[
             "Extraction of recording",
             &pairs,
-            "missing or damaged",
+            "Missing or damaged: ",
             "Time difference of the pairs",
             "depth − phone, µs",
             "The same over time, as measured",
