@@ -214,7 +214,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
             "depth − phone, µs",
             "The same over time, as measured",
             "Clock of the phone",
-            "1-sigma of the course",
+            "course, 1-sigma",
             "Settings: constants",
         ],
     );

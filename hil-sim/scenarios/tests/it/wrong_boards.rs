@@ -480,11 +480,11 @@ const REPLUG: &[Row] = &[
         Elsewhere,
         |m, _| status(m, |s| s.dropped.imu /= 2),
     ),
-    // Some 2,800 samples are lost while it sleeps: 51 of them uncounted, or 62. 57 is the limit.
+    // Some 2,500 samples are lost while it sleeps: 50 of them uncounted, or 63. 57 is the limit.
     (
         "sleep of the computer",
-        By(|m, _| status(m, |s| s.dropped.imu -= s.dropped.imu / 55)),
-        |m, _| status(m, |s| s.dropped.imu -= s.dropped.imu / 45),
+        By(|m, _| status(m, |s| s.dropped.imu -= s.dropped.imu / 50)),
+        |m, _| status(m, |s| s.dropped.imu -= s.dropped.imu / 40),
     ),
 ];
 
