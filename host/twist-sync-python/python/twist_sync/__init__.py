@@ -278,6 +278,36 @@ class Estimate(_Value):
     report: Report
 
     @property
+    def offset(self) -> float:
+        """Clock b minus clock a at the reference, s."""
+        return self.clock.offset
+
+    @property
+    def skew(self) -> float:
+        """Rate of clock b relative to clock a, minus one."""
+        return self.clock.skew
+
+    @property
+    def covariance(self) -> Floats:
+        """Of (offset, skew): s², s; s, 1."""
+        return self.clock.covariance
+
+    @property
+    def reference(self) -> float:
+        """Time of clock a at which the offset holds, s."""
+        return self.clock.reference
+
+    @property
+    def faults(self) -> list[Fault]:
+        """Of both streams."""
+        return self.report.faults
+
+    @property
+    def gates(self) -> list[Gate]:
+        """All of them; each is passed."""
+        return self.report.gates
+
+    @property
     def rotation(self) -> Floats:
         """The rotation from the axes of a to those of b that is nearest to the calibration."""
         return _rotation(self.calibration)
