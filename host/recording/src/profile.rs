@@ -469,10 +469,8 @@ impl Profile {
                 ),
             ],
         };
-        if !phone.exposure_locked {
-            let sigma_us = phone.exposure_sigma_us(exposure_us);
-            parts.push((ErrorPart::Exposure, sigma_us));
-        }
+        let exposure = (ErrorPart::Exposure, phone.exposure_sigma_us(exposure_us));
+        parts.extend((exposure.1 > 0.0).then_some(exposure));
         parts
     }
 
@@ -484,8 +482,8 @@ impl Profile {
         largest.map_or(ErrorPart::Bias, |part| part.0)
     }
 
-    /// The same for another phone, whose exposure is of so many µs, µs. The bias was measured with the first phone, and has
-    /// the errors of that one's constants in it.
+    /// [`Profile::constant_sigma_us`] of another phone and its exposure, µs. The bias was measured
+    /// with the first phone, and has the errors of that one's constants in it.
     #[must_use]
     pub fn other_constant_sigma_us(&self, phone: &Phone, exposure_us: f64) -> f64 {
         let common = match self.frame_sync.bias_measured {
@@ -493,9 +491,8 @@ impl Profile {
             None => self.depth.center_offset_sigma_us,
         };
         let own = phone.constant_sigma_us();
-        common
-            .hypot(own)
-            .hypot(phone.exposure_sigma_us(exposure_us))
+        let exposure = phone.exposure_sigma_us(exposure_us);
+        common.hypot(own).hypot(exposure)
     }
 
     /// Length of the trigger pulse, ticks.

@@ -60,7 +60,8 @@ pub(crate) struct State {
     pub(crate) imu_runs: Option<bool>,
     /// The part of a session that runs; none where the board is only monitored.
     phase: Option<Phase>,
-    /// When the link was lost, and how long it is waited for, s.
+    /// When the link was lost, and how long it is waited for, s. The board's time stands still
+    /// meanwhile.
     link_lost: Option<(Instant, Option<u64>)>,
     /// Bytes of a download that are there, and in all.
     download: Option<(u64, u64)>,
