@@ -87,6 +87,15 @@ impl Data {
         }
     }
 
+    /// How much its areas hide of what is below, 0 to 1.
+    const fn opacity(&self) -> f64 {
+        match self {
+            Self::Range(..) => 0.8,
+            Self::Band(_) => 0.25,
+            Self::Line(_) | Self::Points(_) | Self::Bars(_) => 1.0,
+        }
+    }
+
     fn bounds(&self) -> Option<Bounds> {
         let points: Vec<(f64, f64, f64, f64)> = match self {
             Self::Line(points) | Self::Points(points) => {
@@ -151,18 +160,20 @@ pub fn histogram(labels: [&str; 2], (first, bin): (f64, f64), counts: &[u64]) ->
 
 fn chart(labels: [&str; 2], least: Range<f64>, all: Vec<(&str, Data)>, counts: bool) -> String {
     let has_legend = all.len() > 1;
+    let mut all_wild = 0;
     let series = all.into_iter().map(|(name, mut data)| {
-        let name = match (data.leave_out_wild(), has_legend) {
+        let wild = data.leave_out_wild();
+        all_wild += wild;
+        let name = match (wild, has_legend) {
             (0, true) => name.to_owned(),
             (0, false) => String::new(),
-            (wild, _) => format!("{name} ({wild} too large to be drawn)"),
+            _ => format!("{name} ({wild} too large to be drawn)"),
         };
         (name, data)
     });
     let series: Vec<_> = series.collect();
     let bounds = series.iter().filter_map(|(_, data)| data.bounds());
-    let is_wild = series.iter().any(|(name, _)| name.ends_with("drawn)"));
-    let nothing = is_wild.then_some((0.0..0.0, 0.0..0.0));
+    let nothing = (all_wild > 0).then_some((0.0..0.0, 0.0..0.0));
     let Some((mut xs, ys)) = bounds.reduce(both).or(nothing) else {
         return String::new();
     };
@@ -320,7 +331,10 @@ fn swatch(area: &Area<'_>, data: &Data, colour: RGBColor, (x, middle): (i32, i32
         }
         Data::Range(..) | Data::Band(_) => {
             let corners = [(x, middle - 5), (x + 18, middle + 5)];
-            area.draw(&Rectangle::new(corners, colour.filled()))?;
+            area.draw(&Rectangle::new(
+                corners,
+                colour.mix(data.opacity()).filled(),
+            ))?;
         }
     }
     Ok(())
@@ -354,7 +368,7 @@ fn paint(axes: &mut Axes<'_, '_>, data: &Data, colour: RGBColor) -> Drawn<()> {
             let half = width / 2.0;
             axes.draw_series(columns.iter().map(|c| {
                 let corners = [(c.x - half, c.low), (c.x + half, c.high)];
-                Rectangle::new(corners, colour.mix(0.8).filled())
+                Rectangle::new(corners, colour.mix(data.opacity()).filled())
             }))?;
             // A flat stretch has no height: a line keeps it visible.
             axes.draw_series(columns.iter().map(|c| {
@@ -366,7 +380,7 @@ fn paint(axes: &mut Axes<'_, '_>, data: &Data, colour: RGBColor) -> Drawn<()> {
             let above = points.iter().map(|&(x, y, sigma)| (x, y + sigma));
             let below = points.iter().rev().map(|&(x, y, sigma)| (x, y - sigma));
             let edge: Vec<_> = above.chain(below).collect();
-            axes.draw_series([Polygon::new(edge, colour.mix(0.25).filled())])?;
+            axes.draw_series([Polygon::new(edge, colour.mix(data.opacity()).filled())])?;
         }
         Data::Bars(points) => {
             axes.draw_series(points.iter().map(|&(x, y, sigma)| {
