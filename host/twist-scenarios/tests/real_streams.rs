@@ -38,8 +38,17 @@ fn case(
     }
 }
 
-fn warned(estimate: &Estimate, is: fn(&Warning) -> bool) -> bool {
+fn warned(estimate: &Estimate, is: impl Fn(&Warning) -> bool) -> bool {
     estimate.report.warnings.iter().any(is)
+}
+
+/// Values that are held are recognised, with the rate at which they change to a twentieth.
+fn is_held(estimate: &Estimate, hz: f64) -> bool {
+    let is_near = |rate_hz: f64| (rate_hz - hz).abs() < 0.048 * hz;
+    warned(
+        estimate,
+        |w| matches!(w, Warning::Held { rate_hz, .. } if is_near(*rate_hz)),
+    )
 }
 
 fn has_no(estimate: &Estimate, kind: FaultKind) -> bool {
@@ -139,23 +148,13 @@ fn cases() -> Vec<Case> {
         case(
             "values held four times",
             (40.0, 1.5, 1.5),
-            |e| {
-                warned(
-                    e,
-                    |w| matches!(w, Warning::Held { rate_hz, .. } if (rate_hz - 125.0).abs() < 6.0),
-                )
-            },
+            |e| is_held(e, 125.0),
             raised(125.0, 500.0, |a, _, _| a),
         ),
         case(
             "values of 50 Hz held four times",
             (60.0, 1.5, 1.5),
-            |e| {
-                warned(
-                    e,
-                    |w| matches!(w, Warning::Held { rate_hz, .. } if (rate_hz - 50.0).abs() < 3.0),
-                )
-            },
+            |e| is_held(e, 50.0),
             raised(50.0, 200.0, |a, _, _| a),
         ),
         // Each 16th distance is three quarters of the others, and so the samples are.
