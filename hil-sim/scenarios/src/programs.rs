@@ -49,7 +49,11 @@ pub(crate) fn said(output: &Output) -> String {
 
 /// Runs `smartdepthsync` with `--json` and gives what it prints. Exit code 4,
 /// finished with loss, is an answer too.
-pub(crate) fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
+///
+/// # Errors
+///
+/// It ends with another exit code, or prints no JSON.
+pub fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
     let mut command = programs.tool();
     let output = programs.output(command.arg("--json").args(arguments).args(paths))?;
     if !matches!(output.status.code(), Some(0 | 4)) {

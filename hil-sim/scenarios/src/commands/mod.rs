@@ -2,7 +2,6 @@
 
 pub(crate) mod bench;
 mod board_link;
-pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod long_run;

@@ -1,27 +1,22 @@
 //! Evaluation: bias and drift that are measured on the phone's videos, against
-//! the phase of the frames by the ground truth, over many seeds; and whether the stated
-//! uncertainties are honest.
+//! the phase of the frames by the ground truth.
 
 use std::ops::Range;
-use std::path::Path;
 
 use anyhow::{Context, Result};
 use protocol::Ticks;
 use rig::phone::VideoTruth;
-use serde::Serialize;
 use serde_json::Value;
 
-use super::{Plan, Recorded, number, record};
+use super::{Recorded, number};
 use crate::frame_phase::{phase_errors, summarise};
 use crate::programs::{Programs, ask};
 
 /// Frames that `evaluate precision` uses, the last ones.
 const FRAMES: usize = 16;
-/// Share of the seeds that must be right within the stated uncertainty.
-pub(crate) const REQUIRED_SHARE: f64 = 0.95;
 
 /// A measured value against the ground truth.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// As measured.
     pub value: f64,
@@ -39,92 +34,24 @@ impl Measured {
     pub fn error(&self) -> f64 {
         self.value - self.truth
     }
-
-    /// Tells whether the truth is within the stated uncertainty (99 %).
-    #[must_use]
-    pub fn within(&self) -> bool {
-        self.error().abs() <= self.uncertainty_99
-    }
 }
 
-/// One recording.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct SeedFigures {
-    /// Its seed.
-    pub seed: u64,
+/// What `evaluate` measures on a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EvaluationFigures {
     /// Bias of the last frames, µs.
     pub bias: Measured,
     /// Drift over the recorded span, µs/min.
     pub drift: Measured,
 }
 
-/// All recordings.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct EvaluationFigures {
-    /// Each.
-    pub seeds: Vec<SeedFigures>,
-}
-
-/// Share within the stated uncertainty, and root mean squares of the error and of
-/// error over sigma.
-fn summary(all: &[Measured]) -> (f64, f64, f64) {
-    let n = all.len().max(1) as f64;
-    let rms =
-        |f: &dyn Fn(&Measured) -> f64| (all.iter().map(|m| f(m).powi(2)).sum::<f64>() / n).sqrt();
-    (
-        all.iter().filter(|m| m.within()).count() as f64 / n,
-        rms(&|m| m.error()),
-        rms(&|m| m.error() / m.sigma),
-    )
-}
-
-impl EvaluationFigures {
-    fn columns(&self) -> [(&'static str, &'static str, Vec<Measured>); 2] {
-        let column = |f: fn(&SeedFigures) -> Measured| self.seeds.iter().map(f).collect();
-        [
-            ("bias", "µs", column(|s| s.bias)),
-            ("drift", "µs/min", column(|s| s.drift)),
-        ]
-    }
-
-    /// Tells whether enough seeds are right within the stated uncertainty.
-    #[must_use]
-    pub fn good(&self) -> bool {
-        self.columns()
-            .iter()
-            .all(|(_, _, all)| summary(all).0 >= REQUIRED_SHARE)
-    }
-
-    /// As text.
-    #[must_use]
-    pub fn table(&self) -> String {
-        let mut text = format!("Simulated, whole chain, {} seeds\n", self.seeds.len());
-        for (name, unit, all) in self.columns() {
-            let (share, error, sigmas) = summary(&all);
-            text += &format!(
-                "{name:<6} within the stated uncertainty (99 %): {:.0} % of the seeds \
-                 (required {:.0} %); error {error:.3} {unit} rms, error over sigma {sigmas:.2} rms\n",
-                100.0 * share,
-                100.0 * REQUIRED_SHARE,
-            );
-        }
-        text
-    }
-}
-
-/// Makes a recording, evaluates its video, and compares.
+/// Evaluates the video of a recording, and compares.
 ///
 /// # Errors
 ///
 /// A step fails.
-pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<SeedFigures> {
-    measured(plan.seed, &record(plan, programs, out)?, programs)
-}
-
-/// Evaluates the video of a recording, and compares.
-pub(super) fn measured(seed: u64, recorded: &Recorded, programs: &Programs) -> Result<SeedFigures> {
-    Ok(SeedFigures {
-        seed,
+pub fn evaluated(recorded: &Recorded, programs: &Programs) -> Result<EvaluationFigures> {
+    Ok(EvaluationFigures {
         bias: bias(recorded, programs)?,
         drift: drift(recorded, programs)?,
     })
@@ -165,7 +92,11 @@ fn true_bias(recorded: &Recorded) -> Result<f64> {
 }
 
 /// Mean phase error of as many frames around a tick, by the ground truth, µs.
-pub(super) fn phase_at(recorded: &Recorded, at: Ticks) -> Result<f64> {
+///
+/// # Errors
+///
+/// The phone has recorded no video.
+pub fn phase_at(recorded: &Recorded, at: Ticks) -> Result<f64> {
     let video = recorded.truth.videos.last().context("no video")?;
     let truth = &recorded.truth;
     let at = truth.board.true_at(recorded.base.time(at));
@@ -220,32 +151,4 @@ fn drift(recorded: &Recorded, programs: &Programs) -> Result<Measured> {
         uncertainty_99: number(&json, "drift_uncertainty_99_us_per_min")?,
         truth: truth.drift_us_per_min,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_error_outside_the_uncertainty_counts_against_it() {
-        let measured = |value| Measured {
-            value,
-            sigma: 1.0,
-            uncertainty_99: 2.6,
-            truth: 10.0,
-        };
-        let seed = |seed, bias| SeedFigures {
-            seed,
-            bias: measured(bias),
-            drift: measured(10.0),
-        };
-        let mut figures = EvaluationFigures {
-            seeds: (0..20).map(|s| seed(s, 11.0)).collect(),
-        };
-        assert!(figures.good());
-        figures.seeds[0].bias.value = 13.0;
-        assert!(figures.good(), "19 of 20 are 95 %");
-        figures.seeds[1].bias.value = 7.0;
-        assert!(!figures.good());
-    }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 
-use super::{Plan, Recorded, record};
+use super::Recorded;
 use crate::programs::{Programs, ask};
 use recording::session_file::Span;
 use rig::depth_camera::{FrameRecord, Source};
@@ -118,21 +118,12 @@ impl ExtractionFigures {
     }
 }
 
-/// Makes a recording, extracts it, and compares.
-///
-/// # Errors
-///
-/// A step fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
-/// is not named or one is named that was not dropped.
-pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionFigures> {
-    extracted(&record(plan, programs, out)?, programs)
-}
-
 /// Extracts a recording, and compares.
 ///
 /// # Errors
 ///
-/// As [`check`], but for what makes the recording.
+/// The program fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
+/// is not named or one is named that was not dropped.
 pub fn extracted(recorded: &Recorded, programs: &Programs) -> Result<ExtractionFigures> {
     let data = recorded.folder.with_file_name("data");
     let phone = recorded.phone.to_string_lossy().into_owned();
@@ -169,7 +160,7 @@ pub(super) fn whole(cell: Option<i64>) -> Result<i64> {
 ///
 /// # Errors
 ///
-/// As [`check`], but for what makes the recording.
+/// As [`extracted`].
 pub(crate) fn judge(
     recorded: &Recorded,
     data: &Path,

@@ -10,7 +10,6 @@
 //!
 //! All figures that come out of here are of simulated recordings.
 
-pub mod calibration;
 mod cameras;
 pub mod evaluation;
 pub mod extraction;

@@ -78,7 +78,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
         ),
     ];
     // A video that cannot be evaluated says so, and the session's figures stay.
-    match evaluation::measured(plan.seed, &recorded, programs) {
+    match evaluation::evaluated(&recorded, programs) {
         Ok(found) => figures.extend([
             figure(
                 "bias as measured (µs)",

@@ -7,6 +7,7 @@
 mod adb_phone;
 mod bench;
 mod bring_up;
+mod calibration;
 mod default_profile;
 mod doctor;
 mod documented_commands;

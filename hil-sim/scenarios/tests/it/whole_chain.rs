@@ -1,7 +1,6 @@
-//! Extraction, evaluation and calibration on recordings of the whole chain: the
-//! real firmware, phone, depth camera and a session of the program, then the
-//! program's own answers against the ground truth. The long versions of the same are
-//! `cargo xtask hil-sim chain`.
+//! Extraction and evaluation on recordings of the whole chain: the real firmware, phone, depth
+//! camera and a session of the program, then the program's own answers against the ground
+//! truth. Over many rigs, that is `cargo xtask hil-sim study chain`.
 
 use std::time::Duration;
 
@@ -23,9 +22,8 @@ use rig::wiring::{self, BoardKind};
 use scenarios::programs::Programs;
 use scenarios::study::{Kind, Specimen};
 use scenarios::virtual_session::SharedRig;
-use scenarios::whole_chain::{self, Plan, calibration, evaluation, extraction, ranges};
+use scenarios::whole_chain::{self, Plan, evaluation, extraction, ranges};
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
-use stm32f4_sim::time::SimDuration;
 
 pub(crate) fn programs() -> Programs {
     Programs {
@@ -41,7 +39,8 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
         drop_probability: 0.02,
         ..Plan::new(3, 40)
     };
-    let figures = extraction::check(&plan, &programs(), out.path()).unwrap();
+    let recorded = whole_chain::record(&plan, &programs(), out.path()).unwrap();
+    let figures = extraction::extracted(&recorded, &programs()).unwrap();
     println!("{}", figures.table());
     assert!(figures.depth.largest_us <= extraction::DEPTH_LIMIT_US);
     assert!(figures.pairs > 1100 && figures.dropped > 5, "{figures:?}");
@@ -135,7 +134,8 @@ fn what_is_stated_holds_on_a_rig_drawn_from_the_ranges() {
 fn bias_and_drift_are_as_the_truth_says() {
     let out = tempfile::tempdir().unwrap();
     for seed in [101, 102] {
-        let found = evaluation::check(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
+        let recorded = whole_chain::record(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
+        let found = evaluation::evaluated(&recorded, &programs()).unwrap();
         println!("{found:?}");
         // One seed in 50 may be outside the 99 % interval; none far outside.
         for measured in [found.bias, found.drift] {
@@ -147,21 +147,6 @@ fn bias_and_drift_are_as_the_truth_says() {
         assert!(found.bias.uncertainty_99 < 1.0, "{found:?}");
         assert!(found.drift.uncertainty_99 < 5.0, "{found:?}");
     }
-}
-
-#[test]
-fn a_hidden_constant_is_gone_after_calibration() {
-    let out = tempfile::tempdir().unwrap();
-    let plan = Plan::new(5, 8);
-    let hidden = SimDuration::from_millis(3);
-    let figures = calibration::check(&plan, hidden, &programs(), out.path()).unwrap();
-    println!("{}", figures.table());
-    assert!((figures.before.truth - 3000.0).abs() < 50.0, "{figures:?}");
-    assert!(figures.good(), "{figures:?}");
-    // Whatever the sessions state of themselves.
-    let written = figures.written_us.0.abs();
-    assert!((written - 3000.0).abs() < 60.0, "{figures:?}");
-    assert!(figures.left_us.abs() < 60.0, "{figures:?}");
 }
 
 #[test]
