@@ -10,12 +10,12 @@ use scenarios::whole_chain::{self, Plan, Recorded, evaluation};
 use session::alignment::phase_sigma_us_at;
 use stm32f4_sim::time::SimDuration;
 
-/// Twists before the recording that is measured, and before the next one.
-const TWISTS: u32 = 3;
+/// Twists before the recording that is measured, and before the next one, whose skew is learnt.
+const TWISTS: u32 = 1;
 
 /// Seconds of the recording from which the frame period is learnt, and the twists before it,
 /// more than a minute from the first to the last, from which the skew is.
-const LEARNT_S: u32 = 60;
+const LEARNT_S: u32 = 30;
 const LEARNT_TWISTS: u32 = 4;
 
 /// 1-sigma of the phase at a tick, as the recording's session states it, µs.
