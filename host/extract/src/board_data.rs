@@ -38,8 +38,7 @@ const WAITING: usize = 64;
 const MAX_FAULTS: usize = 50;
 
 /// Topics whose messages become nothing, and so are not even decoded.
-const PASSED_OVER: [Topic; 7] = [
-    Topic::ImuFlags,
+const PASSED_OVER: [Topic; 6] = [
     Topic::Capture,
     Topic::Status,
     Topic::Link,
@@ -119,6 +118,8 @@ pub(crate) struct TimePair {
 pub(crate) enum BoardEvent {
     /// A sample of the IMU.
     Imu(ImuRow),
+    /// The sample of this time, which follows, is marked as late or at the end of its range.
+    Marked(BoardNanos),
     /// A trigger pulse.
     Pulse(PulseTime),
     /// The beginning of a sequence.
@@ -265,6 +266,10 @@ impl Sorter {
                 let relation = relation(&model);
                 let name = Some(model.header.frame_id);
                 self.events.push_back(BoardEvent::Clock(name, relation));
+            }
+            Item::ImuFlags(flags) if flags.late || flags.saturated => {
+                let at = stamp(&flags.header);
+                self.events.push_back(BoardEvent::Marked(at));
             }
             Item::ImuFlags(_)
             | Item::Capture(_)

@@ -1,5 +1,6 @@
 //! Gyroscopes of all devices as streams that can be opened again.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -80,7 +81,8 @@ pub(crate) fn each_event(
     Ok(stream.damage())
 }
 
-/// The board's gyroscope within a span.
+/// The board's gyroscope within a span, without samples that it has marked: the rates of a late one
+/// are another's.
 ///
 /// # Errors
 ///
@@ -88,11 +90,14 @@ pub(crate) fn each_event(
 fn board<'a>(board: &Path, span: Span) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let mut stream = BoardStream::open(board)?;
     let mut last = span.from.0.saturating_sub(1);
+    let mut marked = BTreeSet::new();
     Ok(Box::new(std::iter::from_fn(move || {
         loop {
             match stream.next_event() {
                 Err(error) => return Some(Err(error.into())),
                 Ok(None) => return None,
+                Ok(Some(BoardEvent::Marked(at))) => _ = marked.insert(at),
+                Ok(Some(BoardEvent::Imu(row))) if marked.remove(&row.at) => {}
                 Ok(Some(BoardEvent::Imu(row))) if row.at > span.to => return None,
                 // Windows are cut in order of time.
                 Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
@@ -174,4 +179,47 @@ pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, Stre
 /// The file cannot be opened.
 pub(crate) fn camera<'a>(input: &DepthInput) -> Result<GyroStream<'a, StreamError>, StreamError> {
     Ok(Box::new(input.gyro()?.map(|sample| Ok(sample?))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+    use crate::survey::survey;
+    use board::imu::Sample;
+    use protocol::{ImuFlags, Ticks};
+
+    #[test]
+    fn samples_that_the_board_has_marked_relate_no_clocks() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = recording::writer::Writer::create(folder.path()).unwrap();
+        let flags = [
+            ImuFlags(0),
+            ImuFlags::LATE,
+            ImuFlags::FIRST,
+            ImuFlags::SATURATED,
+        ];
+        for (number, flags) in (0..).zip(flags) {
+            let sample = Sample {
+                at: Ticks(48_000_000 + u64::from(number) * 96_000),
+                flags,
+                gyro: [f64::from(number), 0.0, 0.0],
+                accel: [0.0; 3],
+                temperature: 30.0,
+            };
+            writer.imu(&sample, number).unwrap();
+        }
+        writer.finish().unwrap();
+        let path = folder.path().join(recording::MCAP_FILE);
+        let span = Span {
+            from: BoardNanos(0),
+            to: BoardNanos(i64::MAX),
+        };
+        let kept = board(&path, span)
+            .unwrap()
+            .map(|sample| sample.unwrap().rate[0]);
+        assert_eq!(kept.collect::<Vec<_>>(), [0.0, 2.0]);
+        let imu = survey(&path, &Silent).unwrap().imu;
+        assert_eq!((imu.samples, imu.marked), (4, 2));
+    }
 }

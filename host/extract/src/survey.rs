@@ -60,8 +60,8 @@ pub struct ImuSpan {
     pub last_ns: i64,
     /// Samples whose time is not after the one before.
     pub disordered: u64,
-    /// Longest distance of two samples, ns.
-    pub longest_gap_ns: i64,
+    /// Samples that the board has marked as late or at the end of their range.
+    pub marked: u64,
 }
 
 impl ImuSpan {
@@ -73,7 +73,6 @@ impl ImuSpan {
         } else if at <= self.last_ns {
             self.disordered += 1;
         } else {
-            self.longest_gap_ns = self.longest_gap_ns.max(at.saturating_sub(self.last_ns));
             self.last_ns = at;
         }
         self.samples += 1;
@@ -138,6 +137,7 @@ impl Keeper {
         let out = &mut self.out;
         match event {
             BoardEvent::Imu(row) => out.imu.add(row.at.0),
+            BoardEvent::Marked(_) => out.imu.marked += 1,
             BoardEvent::Published => out.published = true,
             BoardEvent::Pulse(_) | BoardEvent::Times(_) | BoardEvent::Exchange(..)
                 if self.room == 0 =>

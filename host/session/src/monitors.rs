@@ -44,8 +44,8 @@ pub(crate) struct BoardGyro {
 }
 
 impl BoardGyro {
-    fn take(&mut self, raw: &ImuSample, sample: &Sample) {
-        match raw.flags.has(ImuFlags::LATE) || raw.flags.has(ImuFlags::SATURATED) {
+    fn take(&mut self, sample: &Sample) {
+        match sample.flags.has(ImuFlags::LATE) || sample.flags.has(ImuFlags::SATURATED) {
             true => self.marked += 1,
             false => self.samples.push((sample.at, sample.gyro)),
         }
@@ -98,7 +98,7 @@ impl Monitors {
             look.add(sample);
         }
         if let Some(gyro) = &mut self.gyro {
-            gyro.take(raw, sample);
+            gyro.take(sample);
         }
         if let Some(watch) = &mut self.watch {
             watch.imu(raw, &mut self.findings);
@@ -201,4 +201,33 @@ pub(crate) fn take_message(
         DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
     };
     log.advance(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_that_the_board_has_marked_are_not_in_the_twist() {
+        let mut gyro = BoardGyro::default();
+        let marks = [
+            0,
+            ImuFlags::LATE.0,
+            ImuFlags::FIRST.0,
+            ImuFlags::SATURATED.0,
+        ];
+        for (at, mark) in (0..).map(Ticks).zip(marks) {
+            let flags = ImuFlags(mark);
+            let sample = Sample {
+                at,
+                flags,
+                gyro: [0.1; 3],
+                accel: [0.0; 3],
+                temperature: 30.0,
+            };
+            gyro.take(&sample);
+        }
+        let times: Vec<Ticks> = gyro.samples.iter().map(|(at, _)| *at).collect();
+        assert_eq!((times, gyro.marked), (vec![Ticks(0), Ticks(2)], 2));
+    }
 }

@@ -329,6 +329,13 @@ impl Extraction<'_> {
                 format!("{count} IMU samples are not later than the sample before them"),
             );
         }
+        if survey.imu.marked > 0 {
+            self.remarks.push(format!(
+                "{} IMU samples are marked as late or at the end of their range: they are in the \
+                 tables, and left out where clocks are related",
+                survey.imu.marked
+            ));
+        }
     }
 
     /// Measures a phone's frames against the trigger's grid, over the recorded span.
