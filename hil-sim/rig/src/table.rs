@@ -1,7 +1,6 @@
 //! Programs beside a simulated rig, so that a session finds what it finds beside a real one:
 //! a recorder of the depth camera, and `adb` with the phone's files.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -77,17 +76,6 @@ impl Table {
     #[must_use]
     pub fn recorder(&self) -> String {
         format!("\n[depth.recorder]\ncommand = {}\n", self.recorder)
-    }
-
-    /// The search path with the programs that lie here before all others.
-    #[must_use]
-    pub fn search_path(&self) -> OsString {
-        let mut path = OsString::from(&self.programs);
-        if let Some(others) = std::env::var_os("PATH") {
-            path.push(":");
-            path.push(others);
-        }
-        path
     }
 
     /// The first commands, to be pasted.

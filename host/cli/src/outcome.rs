@@ -162,12 +162,6 @@ impl Failure {
         Self::new(ExitStatus::Storage, message).next_step(file_step(error.kind()))
     }
 
-    /// Whether it says what to do.
-    #[must_use]
-    pub const fn has_next_step(&self) -> bool {
-        self.next_step.is_some()
-    }
-
     /// The same, with what the user can do about it.
     #[must_use]
     pub fn next_step(mut self, step: impl Into<String>) -> Self {

@@ -258,7 +258,6 @@ pub(crate) fn mark_flicker(
     frames: &[StoredFrame],
     seen: &mut [Seen],
     shape: &Shape,
-    keep: bool,
 ) -> Option<Flicker> {
     let forms = smooth_forms(model, plain, frames, seen, shape);
     // What to compare with: frames without flashes, if there are any.
@@ -296,24 +295,17 @@ pub(crate) fn mark_flicker(
         let height = curve.max() - curve.min();
         if height > allowed && s.class == FrameClass::Used {
             worst.push(height);
-            if !keep {
-                s.class = FrameClass::Flicker;
-            }
+            s.class = FrameClass::Flicker;
         }
     }
     if worst.is_empty() {
         return None;
     }
     let peak_to_peak = median(&worst);
-    let done = if keep {
-        "used all the same"
-    } else {
-        "left out"
-    };
     Some(Flicker {
         peak_to_peak,
         note: format!(
-            "{} frames with flashes {done}: their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)",
+            "{} frames with flashes left out: their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)",
             worst.len()
         ),
     })

@@ -121,7 +121,7 @@ pub enum EvaluateError {
     },
     /// Flashes, but no clean frames.
     #[error(
-        "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone, or give --keep-flicker to use these frames all the same"
+        "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone"
     )]
     OnlyFlicker {
         path: PathBuf,

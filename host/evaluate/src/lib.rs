@@ -93,8 +93,6 @@ pub struct Settings {
     pub near_us: f64,
     /// Delay of the light path from strobe to LED, µs; subtracted.
     pub path_delay_us: f64,
-    /// Use frames whose room light changes all the same.
-    pub keep_flicker: bool,
     /// First second of the recording to use.
     pub from_s: Option<f64>,
     /// Second of the recording to stop at.

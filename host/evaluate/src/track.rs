@@ -140,7 +140,6 @@ pub(crate) fn track(
         &footage.frames,
         &mut sighting.seen,
         &sighting.shape,
-        settings.keep_flicker,
     );
     let evidence = evidence::find(
         footage,

@@ -62,9 +62,6 @@ struct CommonArgs {
     #[arg(long, value_name = "TIME", value_parser = parse_micros, default_value = "0us",
           allow_hyphen_values = true)]
     path_delay: f64,
-    /// Use frames even if the room light changes
-    #[arg(long)]
-    keep_flicker: bool,
     /// Start at this time of the recording, such as 10s
     #[arg(long, value_name = "TIME", value_parser = parse_seconds)]
     from: Option<f64>,
@@ -136,7 +133,6 @@ impl CommonArgs {
             exposure_hint_us: None,
             near_us: self.near.unwrap_or(0.0),
             path_delay_us: self.path_delay,
-            keep_flicker: self.keep_flicker,
             from_s: self.from,
             to_s: self.to,
             timestamps,
