@@ -107,7 +107,7 @@ fn a_warming_clock_is_followed() {
         world.run(40.0 + 10.0 * f64::from(look));
         let (error, sigma) = world.error_us();
         squares += (error / sigma).powi(2) / f64::from(looks);
-        assert!(error.abs() < 30.0 && sigma < 30.0, "{error} ± {sigma}");
+        assert!(error.abs() < 10.0 && sigma < 10.0, "{error} ± {sigma}");
     }
     // The twist's own error, one sigma, is in all of them.
     assert!((0.3..1.5).contains(&squares.sqrt()), "{squares}");
@@ -137,12 +137,12 @@ fn a_time_server_may_steer_the_computers_clock() {
     let mut world = World::new();
     world.run(60.0);
     world.twist(35.0);
-    world.computer = (15e-6, world.at, world.host(world.at) - 500.0 - world.at);
+    world.computer = (40e-6, world.at, world.host(world.at) - 500.0 - world.at);
     for until in [62.0, 66.0, 90.0] {
         world.run(until);
         let (error, sigma) = world.error_us();
         assert!(
-            error.abs() < 3.0 * sigma && error.abs() < 30.0,
+            error.abs() < 3.0 * sigma && error.abs() < 10.0,
             "{error} ± {sigma}"
         );
     }
