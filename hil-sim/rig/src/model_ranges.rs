@@ -66,7 +66,7 @@ pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
 pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
 /// All ranges.
-pub const MODEL_RANGES: [ModelRange; 37] = [
+pub const MODEL_RANGES: [ModelRange; 39] = [
     ModelRange::of("warming of the board's crystal", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, rig, _| rig.board_clock.warming.ppm = ppm),
@@ -191,6 +191,12 @@ pub const MODEL_RANGES: [ModelRange; 37] = [
     ModelRange::of("photodiode: delay when light goes", Draw::Even)
         .within(0.0, (0.0, 20.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.1 = micros(us))),
+    ModelRange::of("time of that step", Draw::Even)
+        .within(150.0, (0.0, 600.0), "s")
+        .sets(|s, _, phone| phone.clock.warming.step_at_s = s),
+    ModelRange::of("time in which the clock follows it", Draw::Log)
+        .within(30.0, (10.0, 300.0), "s")
+        .sets(|s, _, phone| phone.clock.warming.step_time_s = s),
 ];
 
 fn micros(us: f64) -> SimDuration {
@@ -331,6 +337,15 @@ impl ModelValues {
         self
     }
 
+    /// The nominal values, with twists as strong as the one of a person's hand that is published.
+    #[must_use]
+    pub fn nominal_by_hand() -> Self {
+        let place = MODEL_RANGES
+            .iter()
+            .position(|range| range.name == "kind of twist");
+        Self::default().with(place.unwrap_or(MODEL_RANGES.len()), 1.0)
+    }
+
     /// The same where the exposure and the rate of the frames are locked.
     #[must_use]
     pub fn with_exposure_locked(mut self) -> Self {
@@ -355,8 +370,8 @@ impl ModelValues {
     }
 
     /// The value in the range at a place of [`MODEL_RANGES`].
-    #[must_use]
-    pub fn value(&self, place: usize) -> Option<f64> {
+    #[cfg(test)]
+    fn value(&self, place: usize) -> Option<f64> {
         self.0.get(place).copied()
     }
 

@@ -99,23 +99,22 @@ pub struct Warming {
     pub ppm: f64,
     /// Time constant, in seconds.
     pub time_s: f64,
-    /// Change by a step of the temperature [`Warming::STEP_S`] after power-on, in parts per
-    /// million.
+    /// Change by a step of the temperature, in parts per million.
     pub step_ppm: f64,
+    /// When the temperature steps, in seconds after power-on.
+    pub step_at_s: f64,
+    /// Time constant with which the crystal follows, in seconds.
+    pub step_time_s: f64,
 }
 
 impl Warming {
     /// The time in which the frequency changes by [`Warming::ppm`], in seconds.
     pub const SPAN_S: f64 = 600.0;
 
-    /// When the temperature steps, and the time constant with which a crystal follows, seconds.
-    pub const STEP_S: f64 = 150.0;
-    const STEP_TIME_S: f64 = 30.0;
-
     /// Fractional frequency so many seconds after power-on, less that at power-on.
     fn fraction(&self, since_s: f64) -> f64 {
         let share = |time_s: f64| -libm::expm1(-time_s / self.time_s);
-        let step = -libm::expm1(-(since_s - Self::STEP_S).max(0.0) / Self::STEP_TIME_S);
+        let step = -libm::expm1(-(since_s - self.step_at_s).max(0.0) / self.step_time_s);
         let fraction = self.ppm * 1e-6 * share(since_s) / share(Self::SPAN_S);
         let fraction = fraction + self.step_ppm * 1e-6 * step;
         if fraction.is_finite() { fraction } else { 0.0 }
@@ -129,6 +128,8 @@ impl Default for Warming {
             ppm: 0.0,
             time_s: Self::SPAN_S,
             step_ppm: 0.0,
+            step_at_s: 150.0,
+            step_time_s: 30.0,
         }
     }
 }
@@ -442,7 +443,7 @@ mod tests {
                 warming: Warming {
                     ppm,
                     time_s,
-                    step_ppm: 0.0,
+                    ..Warming::default()
                 },
                 ..OscillatorConfig::default()
             };
@@ -467,15 +468,15 @@ mod tests {
         let none = Warming {
             ppm: 1.0,
             time_s: 0.0,
-            step_ppm: 0.0,
+            ..Warming::default()
         };
         assert!(none.fraction(0.0) == 0.0 && Warming::default().fraction(9.0) == 0.0);
         let step = Warming {
             step_ppm: 2.0,
             ..Warming::default()
         };
-        assert_eq!(step.fraction(Warming::STEP_S), 0.0);
-        assert!((step.fraction(Warming::STEP_S + 30.0) * 1e6 - 1.264).abs() < 0.001);
+        assert_eq!(step.fraction(150.0), 0.0);
+        assert!((step.fraction(180.0) * 1e6 - 1.264).abs() < 0.001);
     }
 
     #[test]

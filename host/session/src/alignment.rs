@@ -30,9 +30,11 @@ use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
 use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 
-/// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught
-/// it. Nobody documents it.
-const FRAME_JITTER_NS: f64 = 2_000.0;
+/// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught it.
+/// Qualcomm's older drivers read the clock in an interrupt handler (`msm_isp_get_timestamp`), the
+/// newer ones latch it in hardware to 52 ns (`cam_ife_csid`), and the answer does not tell which. A
+/// handler of Linux on ARM runs some 10 µs after its edge; that is taken to scatter by half of itself.
+const FRAME_JITTER_NS: f64 = 5_000.0;
 
 /// Intervals whose mean `video_start` reports.
 const INTERVALS: f64 = 59.0;
@@ -163,17 +165,6 @@ pub fn phase_sigma_us_now(
     let warmer = temperature_c.zip(alignment.board_temperature_c);
     let since = now.0 - alignment.clock.reference.0;
     phase_sigma_us_at(alignment, now).hypot(moved(warmer) * since / 2.0 * 1e6)
-}
-
-/// Takes a skew known from before into a relation of the clocks.
-///
-/// The offset moves with it as their covariance says. `None` if the two contradict each
-/// other.
-#[must_use]
-pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<ClockModel> {
-    let known = Rate { skew, sigma };
-    let (course, fit) = Course::of_twist(*clock, 0.0).with_known_skew(known)?;
-    fit.is_consistent().then_some(course.clock)
 }
 
 /// Plans the alignment.
@@ -377,7 +368,7 @@ fn frame_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Fram
     };
     let Some(learnt) = learnt else {
         remarks.push(String::from(
-            "no frame period learnt yet: the phase may drift by tens of µs a minute \
+            "no frame period learnt yet: the phase may drift by hundreds of µs a minute \
              (`smartdepthsync profile learn`)",
         ));
         return as_reported;

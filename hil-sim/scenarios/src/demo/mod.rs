@@ -82,7 +82,7 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
     let begun = Instant::now();
     let (out, programs) = (&options.out, &options.programs);
     let seed = Seed(options.seed);
-    let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
+    let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::WeakTwist));
     let mut phone = PhoneConfig::draw(seed);
     // A phone knows nothing of the rigs before it, whose dates were the same.
     let storage = folder::create(out, "phone")?;

@@ -55,7 +55,7 @@ impl Rigs<ModelValues> {
             false => ModelValues::drawn(seed),
         };
         Self {
-            nominal: ModelValues::default(),
+            nominal: ModelValues::nominal_by_hand(),
             drawn: Box::new(drawn),
             without: Box::new(ModelValues::each_without_one),
         }

@@ -181,7 +181,7 @@ fn clock(
         warming: Warming {
             ppm: sign * log_uniform(random, warming_ppm),
             time_s: log_uniform(random, WARMING_S),
-            step_ppm: 0.0,
+            ..Warming::default()
         },
     };
     Oscillator::new(config, seed.stream(stream))

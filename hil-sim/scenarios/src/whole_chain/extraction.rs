@@ -13,8 +13,8 @@ use rig::depth_camera::{FrameRecord, Source};
 use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;
 
-/// Largest error of a phone frame's time, µs.
-pub(crate) const PHONE_LIMIT_US: f64 = 10.0;
+/// Largest error of a phone frame's time, µs: four stated sigmas of what a hand's twist gives.
+const PHONE_LIMIT_US: f64 = 25.0;
 /// Largest error of a depth frame's time, µs; its clock ticks at 11.1 µs.
 pub const DEPTH_LIMIT_US: f64 = 6.0;
 /// Two frames further apart than this are no pair, ns: half a frame.

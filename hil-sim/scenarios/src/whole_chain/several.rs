@@ -13,7 +13,7 @@ use recording::profile::Profile;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
+use super::extraction::{DEPTH_LIMIT_US, Errors, depth_frames, phone_frames};
 use super::extraction::{table, whole};
 use super::{Recorded, new_folder, session};
 use crate::judge::{OtherVerdict, Verdict};
@@ -29,6 +29,9 @@ use rig::rig_config::RigConfig;
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
+
+/// Largest error of a phone frame's time after a strong twist, µs.
+const PHONE_LIMIT_US: f64 = 10.0;
 
 /// Names of the phones; the trigger is aligned to the first.
 pub(crate) const PHONES: [&str; 2] = ["left phone", "right phone"];
