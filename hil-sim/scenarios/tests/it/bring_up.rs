@@ -357,8 +357,8 @@ pub(crate) fn a_divider_that_is_loaded_too_much_fails() {
         };
         let report = Bench::new(40, jumpers).measure(&[Part::Buffer]).unwrap();
         let expected = [
-            ("read-back behind the buffer", read_back),
-            ("pulse behind the buffer", pulse),
+            ("read-back after the buffer", read_back),
+            ("pulse after the buffer", pulse),
         ];
         assert_severities(&report, &expected);
     }

@@ -191,7 +191,7 @@ fn the_files_own_tags_decide_the_times() {
     let report = case.extract(Some(&delayed), "delayed", Options::default());
     let depth = case.depth_times("delayed");
     later(&depth, &base, 340_000);
-    said(&report, "500 µs behind the trigger");
+    said(&report, "500 µs after the trigger");
     said(&report, "color_exposure_us");
     let found = report.depth.as_ref().unwrap();
     assert_eq!(found.color, base.len() as u64);

@@ -722,11 +722,11 @@ const TESTS: &[(&str, fn())] = &[
         edges_that_are_late_at_the_pins_fail,
     ),
     (
-        "read-back behind the buffer",
+        "read-back after the buffer",
         bring_up::a_divider_that_is_loaded_too_much_fails,
     ),
     (
-        "pulse behind the buffer",
+        "pulse after the buffer",
         bring_up::a_divider_that_is_loaded_too_much_fails,
     ),
     (

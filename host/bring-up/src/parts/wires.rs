@@ -130,10 +130,10 @@ impl Session<'_> {
         );
     }
 
-    /// The trigger as the camera gets it: behind the buffer, at the divider's tap. Both inputs
+    /// The trigger as the camera gets it: after the buffer, at the divider's tap. Both inputs
     /// are on it.
     pub(super) fn buffer(&mut self) -> Result<(), BringUpError> {
-        const NAME: &str = "read-back behind the buffer";
+        const NAME: &str = "read-back after the buffer";
         const REASON: &str =
             "the buffer's supply and its input; the divider, or a cable that loads it";
         self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
@@ -153,7 +153,7 @@ impl Session<'_> {
         );
         let asked = i64::from(MIN_PULSE_WIDTH);
         self.check(
-            "pulse behind the buffer",
+            "pulse after the buffer",
             trains.captured == trains.pulses
                 && trains.width_error.within(SHORTEST - asked, MAX_DELAY),
             format!(

@@ -179,7 +179,7 @@ impl Extraction<'_> {
             constants.delay_depth(delay);
             self.remarks.push(format!(
                 "the depth camera's file has delays that the profile does not know: \
-                 {} µs behind the trigger (K4A_SUBORDINATE_DELAY_NS) and {} µs of depth behind colour \
+                 {} µs after the trigger (K4A_SUBORDINATE_DELAY_NS) and {} µs of depth after colour \
                  (K4A_DEPTH_DELAY_NS); depth is timed {} µs later by that",
                 micros(index.subordinate_delay),
                 micros(behind_color),

@@ -280,13 +280,13 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
     match readback {
         Some(_) => course(
             page,
-            "time from the trigger's edge to the same edge behind the buffer",
+            "time from the trigger's edge to the same edge after the buffer",
             ("ticks", &curves.readback, 1.5),
         ),
         None if session.counts.pulses.received > 0 => page.note(
             Severity::Check,
             "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
-             PA3 behind the buffer.",
+             PA3 after the buffer.",
         ),
         None => {}
     }
