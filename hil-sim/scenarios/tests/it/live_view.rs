@@ -179,7 +179,7 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 
 #[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
-    let rig = WholeRig::new(33, 3.0);
+    let rig = WholeRig::with_readback(33, 3.0);
     // What is enough is seen for some seconds.
     let profile = rig.profile().replace("twist_s = 6", "twist_s = 20");
     // As after `evaluate precision --calibrate`: a picture of the book is made of this.
@@ -189,7 +189,8 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let terminal = Tmux::start(80, 24, &command);
     let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
     keep("record_twist_80x24.txt", &screen);
-    terminal.wait_for(&["RECORDING", "µs off grid"]);
+    terminal.wait_for(&["RECORDING", "µs off grid", "ns after the edge"]);
+    rig.wait_ms(3_000);
     terminal.keys("m");
     let screen = terminal.wait_for(&["marker 1 at", "GB free"]);
     keep("record_80x24.txt", &screen);

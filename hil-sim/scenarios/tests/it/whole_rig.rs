@@ -8,6 +8,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::support;
+use rig::jumpers::Jumpers;
 use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
@@ -15,6 +16,7 @@ use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::SimDuration;
 use test_support::python;
 
@@ -41,6 +43,25 @@ impl WholeRig {
         speed: f64,
         edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
     ) -> Self {
+        Self::wired(seed, speed, edit, |board| board)
+    }
+
+    /// With the read-back wired, which the published rig has not.
+    pub(crate) fn with_readback(seed: u64, speed: f64) -> Self {
+        let wires = Jumpers {
+            strobe: None,
+            ..Jumpers::default()
+        };
+        let wire = |board: SimBuilder| board.model(Arc::new(Mutex::new(wires)));
+        Self::wired(seed, speed, |_, _| {}, wire)
+    }
+
+    fn wired(
+        seed: u64,
+        speed: f64,
+        edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
+        wire: impl FnOnce(SimBuilder) -> SimBuilder,
+    ) -> Self {
         let folder = support::folder_in_memory();
         let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
         let mut phone = PhoneConfig::draw(Seed(seed));
@@ -53,7 +74,7 @@ impl WholeRig {
             wait_for_host: false,
         };
         let board = wiring::board_of(config.board, None).tolerate_failures();
-        let rig = RunningRig::start(config, board, Some((phone, 0)), pace).unwrap();
+        let rig = RunningRig::start(config, wire(board), Some((phone, 0)), pace).unwrap();
         Self { rig, folder }
     }
 
