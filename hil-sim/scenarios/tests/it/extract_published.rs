@@ -130,20 +130,6 @@ fn whole_twist() -> f64 {
 }
 
 #[test]
-fn a_bag_cut_off_is_read() {
-    let folder = tempfile::tempdir().unwrap();
-    make_bag(folder.path(), "none");
-    // The last third of the bag is lost.
-    let bag = folder.path().join("published-mcap/published-mcap.mcap");
-    let bytes = std::fs::read(&bag).unwrap();
-    std::fs::write(&bag, &bytes[..bytes.len() * 2 / 3]).unwrap();
-    let (report, _) = extract(folder.path(), Format::Euroc);
-    assert!(report.losses.iter().any(|loss| loss.part == "board"));
-    assert!(report.board.imu.samples > 2000, "{:?}", report.board.imu);
-    assert!(report.board.imu.samples < 4883);
-}
-
-#[test]
 fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "none");

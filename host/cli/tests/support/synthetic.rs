@@ -12,7 +12,7 @@ use protocol::{
     Period, Pulse, Readback, Status, TICK_HZ, Ticks, TrainState, TriggerStatus, UsbCounters,
 };
 use recording::profile::Profile;
-use recording::session_file::{SessionFile, Span};
+use recording::session_file::SessionFile;
 use recording::writer::Writer;
 
 use super::session;
@@ -31,10 +31,6 @@ pub(crate) struct Wrong {
     pub(crate) board_knows: bool,
     /// This pulse comes this much late.
     pub(crate) pulse_late: Option<(u64, u64)>,
-    /// The IMU is silent here although no number is missing.
-    pub(crate) silence: bool,
-    /// The program is killed.
-    pub(crate) killed: bool,
     /// There is an auxiliary output, and these of its pulses never come.
     pub(crate) outputs_lost: &'static [u64],
 }
@@ -135,16 +131,9 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
         match kind {
             0 => {
                 samples += 1;
-                if wrong.sample_lost == Some(number)
-                    || (wrong.silence && (1_000..1_020).contains(&number))
-                {
+                if wrong.sample_lost == Some(number) {
                     continue;
                 }
-                let gone = if wrong.silence && number >= 1_020 {
-                    20
-                } else {
-                    0
-                };
                 let sample = Sample {
                     at,
                     flags: ImuFlags(0),
@@ -152,7 +141,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     accel: [0.0, 0.0, 9.8],
                     temperature: 31.0,
                 };
-                writer.imu(&sample, (number - gone) as u32).unwrap();
+                writer.imu(&sample, number as u32).unwrap();
             }
             1 => {
                 pulses += 1;
@@ -171,13 +160,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                 let lost = wrong
                     .sample_lost
                     .is_some_and(|lost| wrong.board_knows && u64::from(samples) > lost);
-                let made = samples
-                    - if wrong.silence && samples > 1_020 {
-                        20
-                    } else {
-                        0
-                    };
-                let status = status(number as u32, at, made, pulses, lost.into());
+                let status = status(number as u32, at, samples, pulses, lost.into());
                 writer.status(&status, "AB", Duration::ZERO).unwrap();
             }
             4 if wrong.outputs_lost.contains(&number) => {}
@@ -206,20 +189,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
         }
     }
     let mut session = session();
-    if wrong.silence {
-        session.imu = None;
-    }
-    if wrong.killed {
-        session.outcome = None;
-        session.recorded = Some(Span {
-            from: ANCHOR,
-            to: ANCHOR,
-        });
-        writer.flush().unwrap();
-        std::mem::forget(writer);
-    } else {
-        writer.finish().unwrap();
-    }
+    writer.finish().unwrap();
     fs::write(folder.join("twist_1_phone_gyro.csv"), "0,0,0,1\n").unwrap();
     session.files.push(String::from("twist_1_phone_gyro.csv"));
     session.save(&folder).unwrap();
