@@ -305,7 +305,7 @@ pub(crate) fn mark_flicker(
     Some(Flicker {
         peak_to_peak,
         note: format!(
-            "{} frames with flashes left out: their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)",
+            "frames with flashes left out: {}; their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)",
             worst.len()
         ),
     })

@@ -75,12 +75,6 @@ pub fn bytes_of(path: &Path) -> io::Result<u64> {
     lengths.sum()
 }
 
-/// The name for now: local date and time, `2026-01-31_14-03-27`.
-#[must_use]
-pub fn name_for_now() -> String {
-    jiff::Zoned::now().strftime("%Y-%m-%d_%H-%M-%S").to_string()
-}
-
 /// A name that a user gave, as a single path component.
 ///
 /// # Errors
@@ -114,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_is_a_file_is_told() {
+    fn a_place_that_is_a_file_is_named() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let error = create(file.path(), "walk").unwrap_err();
         assert!(error.to_string().contains("make the folder"), "{error}");
@@ -129,6 +123,5 @@ mod tests {
             check_name("Stairs, 2nd floor"),
             Ok(String::from("Stairs, 2nd floor"))
         );
-        assert_eq!(name_for_now().len(), 19);
     }
 }
