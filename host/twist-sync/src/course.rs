@@ -266,7 +266,8 @@ impl ClockCourse {
             Unsupported {
                 from_s: own.reference - before.unwrap_or(to),
                 to_s: own.reference + to,
-                sigma_s: (own.offset - self.at(own.reference).offset).abs(),
+                // A step amid a window moves its estimate by about half of itself.
+                sigma_s: 2.0 * (own.offset - self.at(own.reference).offset).abs(),
             }
         };
         others.map(stretch).collect()
@@ -314,6 +315,13 @@ impl ClockCourse {
         let inside = |own: &&Unsupported| own.from_s < at && at < own.to_s;
         for own in self.unsupported.iter().filter(inside) {
             relation.covariance[0][0] += own.sigma_s * own.sigma_s;
+        }
+        // A step may as well be on the other side of `at`: it is between two estimates, or amid
+        // one of them, which reach half as far as they are apart.
+        for step in &self.steps {
+            let part = 0.25 + 0.5 * (at - step.from_s) / (step.to_s - step.from_s);
+            let wrong = part.min(1.0 - part).max(0.0);
+            relation.covariance[0][0] += wrong * step.by.value * step.by.value;
         }
         relation
     }

@@ -19,8 +19,6 @@ use crate::signal::Signal;
 
 /// A sample is an outlier beyond this many sigmas (length of the whitened vector).
 const OUTLIER_SIGMA: f64 = 6.0;
-/// The same once more than half a percent of the samples are outliers.
-const SUSPICIOUS_SIGMA: f64 = 3.8;
 /// Least scatter that is assumed, rad/s: below any real gyroscope's noise, above
 /// what the filter leaves of fast motion in a noiseless simulation.
 const LEAST_NOISE: f64 = 1e-4;
@@ -92,23 +90,9 @@ pub(crate) fn outliers(
             }
         }
     }
-    let misfits = index.into_iter().zip(&squares);
-    let misfits: Vec<Misfit> = misfits
-        .map(|(index, square)| Misfit {
-            index,
-            sigmas: square.sqrt(),
-        })
-        .collect();
-    let clear = misfits.iter().filter(|m| m.sigmas > OUTLIER_SIGMA).count();
-    // Where there are many, there are more that hide in slow motion.
-    let threshold = if clear * 200 > misfits.len() {
-        SUSPICIOUS_SIGMA
-    } else {
-        OUTLIER_SIGMA
-    };
-    misfits
-        .into_iter()
-        .filter(|m| m.sigmas > threshold)
+    let each = index.into_iter().zip(squares.into_iter().map(f64::sqrt));
+    each.map(|(index, sigmas)| Misfit { index, sigmas })
+        .filter(|m| m.sigmas > OUTLIER_SIGMA)
         .collect()
 }
 

@@ -18,12 +18,14 @@ use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::error::Error;
 use std::iter::{Fuse, Peekable};
+use std::mem::discriminant;
 use std::num::NonZero;
 use std::{panic, thread};
 
 use crate::clock::ClockRelation;
 use crate::course::{ClockCourse, Unsupported};
 use crate::estimate::{Estimate, Options, Refusal, Warning, estimate_offset};
+use crate::faults::Why;
 use crate::gates::Gate;
 use crate::search;
 use crate::track::{GyroSample, GyroStream, GyroTrack};
@@ -262,13 +264,15 @@ struct Found {
     refused: Vec<RefusedWindows>,
     /// Stretches of a with motion that nothing could relate.
     unrelated: Vec<(f64, f64)>,
+    /// Parts of windows that were left out because the relation is another one there.
+    stepped: Vec<Unsupported>,
     warnings: Vec<(Warning, usize)>,
 }
 
 impl Found {
     fn take(&mut self, window: Window, result: Result<Estimate, Refusal>, options: &Options) {
         match result {
-            Ok(estimate) => self.accept(&estimate),
+            Ok(estimate) => self.accept(&window, &estimate),
             Err(refusal) => {
                 self.waiting.push((window, refusal));
                 self.join(false, options);
@@ -276,16 +280,21 @@ impl Found {
         }
     }
 
-    fn accept(&mut self, estimate: &Estimate) {
+    fn accept(&mut self, window: &Window, estimate: &Estimate) {
+        for left_out in &estimate.report.left_out {
+            if let Why::TimeStep(by_s) = left_out.why {
+                self.stepped.push(Unsupported {
+                    from_s: window.a.epoch_s + left_out.from_s,
+                    to_s: window.a.epoch_s + left_out.to_s,
+                    sigma_s: by_s.abs(),
+                });
+            }
+        }
         let common_s = estimate.report.common_s;
         self.estimates.push((estimate.clock, common_s));
         for warning in &estimate.report.warnings {
-            let kind = std::mem::discriminant(warning);
-            let known = self.warnings.iter_mut();
-            match known
-                .into_iter()
-                .find(|own| std::mem::discriminant(&own.0) == kind)
-            {
+            let mut known = self.warnings.iter_mut();
+            match known.find(|own| discriminant(&own.0) == discriminant(warning)) {
                 Some(own) => own.1 += 1,
                 None => self.warnings.push((*warning, 1)),
             }
@@ -308,7 +317,7 @@ impl Found {
             let last = self.waiting.pop();
             let first = self.waiting.pop();
             match both.estimated(options) {
-                Ok(estimate) => self.accept(&estimate),
+                Ok(estimate) => self.accept(&both, &estimate),
                 // Of two refusals the one of more data says more.
                 Err(refusal) => {
                     drop((first, last));
@@ -333,11 +342,8 @@ impl Found {
         if refusal.is_of_lag() {
             self.unrelated.push(window.span());
         }
-        match self
-            .refused
-            .iter_mut()
-            .find(|own| own.gate.name == gate.name)
-        {
+        let mut known = self.refused.iter_mut();
+        match known.find(|own| own.gate.name == gate.name) {
             Some(own) => own.count += window.count,
             None => self.refused.push(RefusedWindows {
                 gate: gate.clone(),
@@ -372,6 +378,7 @@ impl Found {
         course
             .unsupported
             .extend(unsupported(self.unrelated, &estimates));
+        course.unsupported.append(&mut self.stepped);
         Ok(RecordingClock {
             course,
             windows,

@@ -442,8 +442,8 @@ class Course(_Relation):
         contradicting: Windows that were left out as contradicting the rest.
         refusals: Gates that refused windows, with the figures of the first, and how many windows.
         steps: Steps of one clock against the other.
-        unsupported: Stretches of clock a, s, with motion that could not be related; the sigma
-            grows within them.
+        unsupported: Stretches of clock a, s, whose motion could not be related, or by another
+            relation; the sigma grows within them.
         warnings: Of the windows, and of how many.
         span: First and last time of clock a with data, s.
     """

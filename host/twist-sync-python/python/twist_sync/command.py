@@ -335,7 +335,7 @@ def _text(solved: Synchronized, found: dict[str, Any]) -> str:
                 f"      {one['windows']} of them: {one['text']}" for one in pair["refused_windows"]
             ]
             lines += [
-                f"   {start:.1f} to {end:.1f} s: not supported, nothing could be related there"
+                f"   {start:.1f} to {end:.1f} s: nothing supports the relation there; its sigma is larger"
                 for start, end in pair["unsupported"]
             ]
         lines += [
