@@ -8,6 +8,7 @@ use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rustix::process::Signal;
+use serde_json::Value;
 
 /// Sessions that follow a clock pass as fast as the computer's.
 const SPEED: f64 = 1.0;
@@ -52,8 +53,14 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     assert_eq!(recorded.outcome, Some(SessionOutcome::Interrupted));
     let tracking = recorded.tracking.unwrap();
     assert_eq!(tracking.device, phone.serial());
-    // A computer that pauses for seconds loses it once more.
-    assert!(tracking.lost >= 1, "{said}");
+    // A computer that pauses for seconds loses it once more, and says so.
+    let events = said
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let lost = events
+        .filter(|event| event["event"] == "track_lost")
+        .count();
+    assert_eq!(usize::try_from(tracking.lost).unwrap(), lost, "{said}");
     // What the session notes by itself does not divide the data set.
     assert!(recorded.markers.is_empty(), "{:?}", recorded.markers);
     let items = Reader::open(&folder)
