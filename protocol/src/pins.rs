@@ -1,7 +1,6 @@
-//! Which signal is on which pin: the one table, for board test, simulated board, drawings and
-//! the book. The firmware's pins are types; it runs on the simulated board, which this wires.
-
-use crate::trigger::Output;
+//! Which signal is on which pin: the one table, for the board test and the book. Tests hold the
+//! drawings and the simulated board's wires against it; the firmware, whose pins are types, runs
+//! on that board.
 
 /// The table, a line a pin. A number of a header is a place on P1 or P2 of an STM32F4DISCOVERY
 /// (UM1472, table of the extension connectors).
@@ -9,7 +8,7 @@ pub const PINS: &str = "\
 | pin | header | Black Pill | direction | signal | wired |
 |---|---|---|---|---|---|
 | PA5 | P1-15 | the same | out | trigger 1, of the depth camera | through a buffer; 10 kΩ to ground |
-| PA3 | P1-13 | the same | in | read-back of the trigger | behind the buffer; from 5 V through 10 kΩ and 20 kΩ |
+| PA3 | P1-13 | the same | in | read-back of the trigger | after the buffer; from 5 V through 10 kΩ and 20 kΩ |
 | PA2 | P1-14 | the same | in | strobe: comparator of a photodiode, or any event | 3.3 V; from 5 V through 1.8 kΩ and 3.3 kΩ |
 | PA1 | P1-11 | the same | in | data-ready of the IMU (INT, INT1) | direct |
 | PB6 | P2-23 | the same | bus | SCL of the IMU | 2.2 to 10 kΩ to 3V |
@@ -38,15 +37,9 @@ pub fn pins() -> impl Iterator<Item = (&'static str, &'static str, &'static str)
     })
 }
 
-/// The pin of a trigger output.
+/// The pin of the signal that begins so.
 #[must_use]
-pub fn trigger_pin(output: Output) -> &'static str {
-    let signal = match output {
-        Output::Camera => "trigger 1",
-        Output::Two => "trigger 2",
-        Output::Three => "trigger 3",
-        Output::Four => "trigger 4",
-    };
+pub fn pin_of(signal: &str) -> &'static str {
     let found = pins().find(|(_, _, name)| name.starts_with(signal));
     found.map_or("?", |(pin, _, _)| pin)
 }

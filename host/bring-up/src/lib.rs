@@ -53,7 +53,7 @@ pub enum Part {
     Replug,
     /// The board after each failure and each reset.
     Resets,
-    /// The trigger behind its buffer and divider.
+    /// The trigger after its buffer and divider.
     Buffer,
     /// Hours of trigger and IMU with a computer that sleeps.
     Soak,
@@ -109,7 +109,7 @@ impl fmt::Display for Prompt {
             Self::Measures(Part::Clock) => "crystal ...",
             Self::Measures(Part::Replug) => "USB: leaving the bus and coming back ...",
             Self::Measures(Part::Resets) => "panic, fault, hang, resets ...",
-            Self::Measures(Part::Buffer) => "trigger behind buffer and divider ...",
+            Self::Measures(Part::Buffer) => "trigger after buffer and divider ...",
             Self::Measures(Part::Soak) => "soak ...",
             Self::MoveStrobeWire(pin) => return write!(f, "-> move the wire at PA2 to {pin}"),
             Self::UnplugClock => "-> unplug the IMU's clock (CLKIN)",

@@ -6,7 +6,7 @@ mod resets;
 mod wires;
 
 use board::{Board, BoardError, Event, Stream};
-use protocol::pins::trigger_pin;
+use protocol::pins::pin_of;
 use protocol::{
     BoardSettings, CORE_HZ, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, QueryBoard,
     SendFiller, SetBoard, TICK_HZ, TickDelta, TrainState, TriggerAlign, TriggerStart,
@@ -435,7 +435,8 @@ impl<'a> Session<'a> {
             return Ok(());
         }
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
-        let seen = self.wire_moved(trigger_pin(output), |heard| 2 * heard.outputs.len())?;
+        let pin = pin_of(&format!("trigger {}", output.number()));
+        let seen = self.wire_moved(pin, |heard| 2 * heard.outputs.len())?;
         if let Err(why) = seen {
             self.stop(output)?;
             match why {

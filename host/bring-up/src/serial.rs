@@ -23,7 +23,7 @@ pub(crate) struct Line {
 impl Line {
     /// The text whose first edge is the first one after the end of a pulse, or of anything else
     /// at this time.
-    pub(crate) fn behind(at: Ticks, baud: u32, captures: &[Capture]) -> Option<Self> {
+    pub(crate) fn after(at: Ticks, baud: u32, captures: &[Capture]) -> Option<Self> {
         let bit = i64::from(TICK_HZ / baud.max(1)).max(1);
         let from = captures.partition_point(|capture| capture.at < at);
         let mut rest = captures.get(from..)?;
@@ -103,17 +103,17 @@ mod tests {
     fn every_byte_is_read_on_either_polarity_and_a_wrong_rate_is_seen() {
         for idle_low in [false, true] {
             for bytes in (0..=u8::MAX).collect::<Vec<_>>().chunks(BYTES) {
-                let line = Line::behind(Ticks(10), 9_600, &edges(bytes, 5_000, idle_low)).unwrap();
+                let line = Line::after(Ticks(10), 9_600, &edges(bytes, 5_000, idle_low)).unwrap();
                 assert_eq!((&*line.text, line.idle_low), (bytes, idle_low));
                 assert_eq!((line.begins, line.doubt), (Ticks(1_000), 0));
             }
         }
-        let slow = Line::behind(Ticks(0), 9_600, &edges(b"$GPRMC", 5_050, false)).unwrap();
+        let slow = Line::after(Ticks(0), 9_600, &edges(b"$GPRMC", 5_050, false)).unwrap();
         assert_eq!(slow.text, b"$GPRMC");
         assert_eq!(slow.doubt, 450);
-        assert!(Line::behind(Ticks(0), 9_600, &[]).is_none());
+        assert!(Line::after(Ticks(0), 9_600, &[]).is_none());
         let mut lost = edges(b"$GPRMC", 5_000, false);
         lost[9].after_loss = true;
-        assert!(Line::behind(Ticks(0), 9_600, &lost).unwrap().text.len() < 3);
+        assert!(Line::after(Ticks(0), 9_600, &lost).unwrap().text.len() < 3);
     }
 }

@@ -114,8 +114,8 @@ impl Bench {
             _ if other(rig, prompt) => {}
             Prompt::MoveStrobeWire(pin) => {
                 let mut jumpers = lock(jumpers);
-                jumpers.inverted = pin.contains("inverting");
-                jumpers.strobe = Some(pin.split(',').next().unwrap().parse().unwrap());
+                jumpers.inverted = pin == "PC12";
+                jumpers.strobe = Some(pin.parse().unwrap());
             }
             Prompt::UnplugClock => sensor(rig, Fault::ClockCut(true)),
             Prompt::PlugClockIn => sensor(rig, Fault::ClockCut(false)),
@@ -315,13 +315,13 @@ pub(crate) fn a_sensor_goes_on_without_its_clock_and_not_without_data_ready() {
     }
 }
 
-/// Behind a gate that does not invert, a lidar like the VLP-16 would read nothing.
+/// After a gate that does not invert, a lidar like the VLP-16 would read nothing.
 #[test]
 pub(crate) fn a_line_that_is_high_when_idle_is_said() {
     let mut bench = Bench::new(39, Jumpers::default());
     let jumpers = Arc::clone(&bench.jumpers);
     let plugs = |_: &SharedRig, prompt| {
-        let is_line = matches!(prompt, Prompt::MoveStrobeWire(pin) if pin.contains("inverting"));
+        let is_line = prompt == Prompt::MoveStrobeWire("PC12");
         if is_line {
             lock(&jumpers).strobe = Some("PC12".parse().unwrap());
         }

@@ -1,6 +1,7 @@
 //! What leaves the board for others: the pulse per second with its serial line, and the trigger
-//! behind its buffer and divider. All of it on the strobe input.
+//! after its buffer and divider. All of it on the strobe input.
 
+use protocol::pins::pin_of;
 use protocol::{
     Baud, GnssSettings, MIN_PULSE_WIDTH, NMEA_SLACK_MS, Output, Pps, Sentences, StartGnss, TICK_HZ,
     TickDelta, TrainState,
@@ -37,13 +38,13 @@ impl Session<'_> {
         const LINE: &str = "serial line";
         const REASON: &str = "the wire to PA2; or the timer of the auxiliary outputs";
         const GATE: &str = "a lidar like the VLP-16 wants the line low when idle: put the wire \
-                            behind the inverting gate, or look at the gate";
+                            after the inverting gate, or look at the gate";
         if !self.board.hello().board.has_outputs() {
             self.skip(NAME, "this board has no such output", REASON);
             return Ok(());
         }
         self.board.call(StartGnss(SETTINGS))?;
-        let seen = self.wire_moved("PE9", |heard| 2 * heard.pps.len())?;
+        let seen = self.wire_moved(pin_of("pulse per second"), |heard| 2 * heard.pps.len())?;
         match seen {
             Ok(()) => {
                 let heard = self.hear(millis(4_200))?;
@@ -66,7 +67,7 @@ impl Session<'_> {
         }
         // A second's sentence has some 300 edges, more than the strobe input takes at once; how
         // many come tells that the wire is there.
-        let moved = self.wire_moved("PC12, or behind its inverting gate", |heard| {
+        let moved = self.wire_moved(pin_of("sentences"), |heard| {
             let edges = heard.strobe.len();
             if edges > 40 { edges } else { usize::MAX }
         })?;
@@ -74,7 +75,7 @@ impl Session<'_> {
             Ok(()) => {
                 let heard = self.hear(millis(4_200))?;
                 let lines: Vec<(&Pps, Option<Line>)> = (heard.pps.iter())
-                    .map(|pps| (pps, Line::behind(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
+                    .map(|pps| (pps, Line::after(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
                     .collect();
                 // Of the last second not everything may have come.
                 let whole = lines
