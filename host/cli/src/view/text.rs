@@ -607,7 +607,7 @@ mod tests {
             "1:01 of 5:00",
             "30.0024 fps",
             "3456",
-            "cameras expose together to ± 90.8 µs",
+            "cameras expose together to ± 226.6 µs",
             "+0.00 µs off grid",
             "seen, 83 ns",
             "± 4.8 µs now, 1:40 old",
