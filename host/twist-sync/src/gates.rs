@@ -168,7 +168,7 @@ impl Gate {
     pub(crate) fn usable(part: f64) -> Self {
         Self::part_at_least("usable", part, LEAST_USABLE, "% of a stream is left").or(
             "too many samples had to be left out",
-            "the list of faults says why; close other apps on the phone, and twist again",
+            "the list of faults says why; close other apps on its device, and twist again",
         )
     }
 
