@@ -308,4 +308,27 @@ mod tests {
         assert!((-60e-6..-15e-6).contains(&middle), "{middle}");
         assert!(bend(&course(0.0), 150.0).abs() < 1e-12);
     }
+
+    #[test]
+    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_contradicts() {
+        let wide = ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 36_000.0,
+            skew: 20e-6,
+            covariance: [[9e-12, 1e-12], [1e-12, 1e-12]],
+            wander: Wander::default(),
+        };
+        let twist = Course::of_twist(wide, 0.0);
+        let known = |skew| Rate { skew, sigma: 2e-8 };
+        let (course, fit) = twist.with_known_skew(known(2.05e-5)).unwrap();
+        assert!(fit.is_consistent());
+        let sharp = course.clock;
+        assert!((sharp.skew - 2.05e-5).abs() < 1e-9);
+        assert!(sharp.covariance[1][1].sqrt() < 2.1e-8);
+        // Correlation 1/3: the offset moves by cov/var of the skew's change.
+        assert!((sharp.offset - wide.offset - 0.5e-6).abs() < 1e-8);
+        assert!(sharp.covariance[0][0] < wide.covariance[0][0]);
+        let (_, fit) = twist.with_known_skew(known(3e-5)).unwrap();
+        assert!(!fit.is_consistent());
+    }
 }

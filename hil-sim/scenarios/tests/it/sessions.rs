@@ -219,7 +219,6 @@ fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
             "{offset:?}"
         );
     }
-    println!("{other:?}");
     // Where its frames were said to lie, and how they move, within what was said.
     assert!(
         other.placement.error_us.abs() < 5.0 * other.placement.sigma_us.hypot(1.5),
