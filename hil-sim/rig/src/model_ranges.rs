@@ -191,10 +191,10 @@ pub const MODEL_RANGES: [ModelRange; 39] = [
     ModelRange::of("photodiode: delay when light goes", Draw::Even)
         .within(0.0, (0.0, 20.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.1 = micros(us))),
-    ModelRange::of("time of that step", Draw::Even)
+    ModelRange::of("time of the temperature's step", Draw::Even)
         .within(150.0, (0.0, 600.0), "s")
         .sets(|s, _, phone| phone.clock.warming.step_at_s = s),
-    ModelRange::of("time in which the clock follows it", Draw::Log)
+    ModelRange::of("time in which the clock follows the temperature", Draw::Log)
         .within(30.0, (10.0, 300.0), "s")
         .sets(|s, _, phone| phone.clock.warming.step_time_s = s),
 ];
@@ -417,6 +417,13 @@ mod tests {
             }
             assert!(seen.len() > 1, "{} has no range", range.name);
         }
+    }
+
+    #[test]
+    fn the_nominal_rig_in_a_hand_differs_in_its_twists_alone() {
+        let (mut rig, phone) = nominal();
+        rig.motion = MotionSpec::always(Gesture::WeakTwist);
+        assert_eq!(made(&ModelValues::nominal_by_hand()), (rig, phone));
     }
 
     #[test]
