@@ -16,6 +16,10 @@ fn is_io(addr: u32) -> bool {
     addr >> 28 == 5 || addr >> 25 == 0x4000_0000 >> 25
 }
 
+/// A peripheral's answer: the value, and the cycles that the bus waited.
+type Answered<T> = Option<(T, u64)>;
+
+/// A load at cycle `now`, which it moves on by the waits. After a peripheral the limit is another.
 #[inline(always)]
 pub(super) fn load<B: Bus>(
     bus: &mut B,
@@ -30,36 +34,31 @@ pub(super) fn load<B: Bus>(
         Kind::Half | Kind::SignedHalf => mem.read16(addr),
         Kind::Byte | Kind::SignedByte => mem.read8(addr),
     };
-    match raw {
-        Some(raw) => {
-            if is_flash(addr) {
-                *now += bus.flash_waits();
-            }
-            Some(extend_load(kind, raw))
+    if let Some(raw) = raw {
+        if is_flash(addr) {
+            *now += bus.flash_waits();
         }
-        None => load_io(bus, kind, addr, now, limit),
+        return Some(extend_load(kind, raw));
     }
+    let (raw, waits) = load_io(bus, kind, addr, *now)?;
+    *now += waits;
+    *limit = bus.limit();
+    Some(raw)
 }
 
+// By value, as in `store_io`: a reference would keep the caller's counter out of a register.
 #[inline(never)]
-fn load_io<B: Bus>(
-    bus: &mut B,
-    kind: Kind,
-    addr: u32,
-    now: &mut u64,
-    limit: &mut u64,
-) -> Option<u32> {
+fn load_io<B: Bus>(bus: &mut B, kind: Kind, addr: u32, now: u64) -> Answered<u32> {
     let bytes = bytes_of(kind);
     if !is_io(addr) || !addr.is_multiple_of(bytes) {
         return None;
     }
     let waits = bus.io_waits(addr);
-    let raw = bus.io_read(addr, bytes, *now + ACCESS + waits)?;
-    *now += waits;
-    *limit = bus.limit();
-    Some(extend_load(kind, raw))
+    let raw = bus.io_read(addr, bytes, now + ACCESS + waits)?;
+    Some((extend_load(kind, raw), waits))
 }
 
+/// A store, as [`load`].
 #[inline(always)]
 pub(super) fn store<B: Bus>(
     bus: &mut B,
@@ -75,21 +74,23 @@ pub(super) fn store<B: Bus>(
         Kind::Half | Kind::SignedHalf => mem.write16(addr, value),
         Kind::Byte | Kind::SignedByte => mem.write8(addr, value),
     };
-    done || store_io(bus, kind, addr, value, now, limit)
+    if done {
+        return true;
+    }
+    let answered = store_io(bus, kind, addr, value, *now);
+    *limit = bus.limit();
+    let Some(((), waits)) = answered else {
+        return false;
+    };
+    *now += waits;
+    true
 }
 
 #[inline(never)]
-fn store_io<B: Bus>(
-    bus: &mut B,
-    kind: Kind,
-    addr: u32,
-    value: u32,
-    now: &mut u64,
-    limit: &mut u64,
-) -> bool {
+fn store_io<B: Bus>(bus: &mut B, kind: Kind, addr: u32, value: u32, now: u64) -> Answered<()> {
     let bytes = bytes_of(kind);
     if !is_io(addr) || !addr.is_multiple_of(bytes) {
-        return false;
+        return None;
     }
     let value = match bytes {
         1 => value & 0xff,
@@ -97,12 +98,8 @@ fn store_io<B: Bus>(
         _ => value,
     };
     let waits = bus.io_waits(addr);
-    let done = bus.io_write(addr, bytes, value, *now + ACCESS + waits);
-    if done {
-        *now += waits;
-    }
-    *limit = bus.limit();
-    done
+    bus.io_write(addr, bytes, value, now + ACCESS + waits)
+        .then_some(((), waits))
 }
 
 pub(super) fn bytes_of(kind: Kind) -> u32 {
