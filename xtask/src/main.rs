@@ -64,7 +64,7 @@ enum Command {
     Readers,
     /// Measure a part of the host by its script, `xtask/PART_bench.py`: the clock estimate
     /// beside the published Python package, or the extraction beside a plain Python reader.
-    /// Compare figures within one run only. The simulator measures itself: `hil-sim bench`.
+    /// Compare figures within one run only.
     Bench {
         #[arg(value_parser = ["sync", "extract"])]
         part: String,

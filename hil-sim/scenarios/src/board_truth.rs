@@ -10,19 +10,16 @@
 //! them: all edges must be on the arithmetic of one train whose period changes, at any edges,
 //! to some of those that were asked for, in that order.
 //!
-//! When tick 0 of the board was is read off the timer's register once, when the board says
-//! hello ([`BoardTruth::begin`]), and holds for all edges on all pins.
+//! When tick 0 of the board was holds for all edges on all pins.
 
 use std::collections::VecDeque;
 
-use protocol::{
-    Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks, TriggerStart,
-};
+use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, Ticks};
 
 use rig::imu::SampleRecord;
 use rig::wiring::{self, UNITS_PER_TICK};
 use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
+use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// Longest time from its data-ready edge until a sample is read.
@@ -42,29 +39,7 @@ pub(crate) struct Train {
     pub width: u32,
 }
 
-/// A train as sessions start it, at once: pulses of 12 µs, and the period that a phone reports
-/// for 30 frames a second, which is no whole number of ticks.
-pub(crate) const TRAIN: TriggerStart = TriggerStart {
-    period: match Period::from_picos(33_330_652_540) {
-        Some(period) => period,
-        None => Period::MAX,
-    },
-    width: 12 * (TICK_HZ / 1_000_000),
-    first_edge: None,
-    first_fraction: 0,
-};
-
 impl Train {
-    /// A train that was started, and its first edge.
-    pub(crate) fn of(start: &TriggerStart, first: Ticks) -> Self {
-        Self {
-            first_q32: i128::from(first.0) << 32,
-            number: 0,
-            period: start.period,
-            width: start.width,
-        }
-    }
-
     fn exact_q32(&self, number: u64) -> i128 {
         let from_first = i128::from(number) - i128::from(self.number);
         self.first_q32 + from_first * i128::from(self.period.0)
@@ -124,7 +99,7 @@ pub(crate) struct Compared {
 #[derive(Debug, Default)]
 pub(crate) struct BoardTruth {
     /// Units of virtual time at tick 0 of this run of the board.
-    zero: Option<u64>,
+    zero: u64,
     /// The courses of the train that explain all its edges so far.
     courses: Vec<Course>,
     /// Number of the first pulse that is compared.
@@ -143,16 +118,10 @@ pub(crate) struct BoardTruth {
 }
 
 impl BoardTruth {
-    /// Before the board is powered on.
-    #[must_use]
-    pub(crate) fn new() -> Self {
-        Self::default()
-    }
-
-    /// The same where tick 0 is known.
+    /// Where tick 0 was at `zero`.
     pub(crate) fn at_zero(zero: SimTime) -> Self {
         Self {
-            zero: Some(zero.units()),
+            zero: zero.units(),
             ..Self::default()
         }
     }
@@ -183,17 +152,6 @@ impl BoardTruth {
     #[must_use]
     pub(crate) fn compared(&self) -> Compared {
         self.compared
-    }
-
-    /// The board has said hello, at its time `now`. To be called within 80 s
-    /// of that.
-    pub(crate) fn begin(&mut self, rig: &Sim, now: Ticks) {
-        if self.zero.is_some() {
-            return;
-        }
-        let (at, count) = rig.timer(wiring::TIMEBASE);
-        let ticks = now.0 + u64::from(count.wrapping_sub(now.0 as u32));
-        self.zero = at.units().checked_sub(ticks * UNITS_PER_TICK);
     }
 
     /// Something happened to the I2C bus or the sensor at `at`: the transfer of a
@@ -228,9 +186,10 @@ impl BoardTruth {
     }
 
     fn rise(&mut self, at: SimTime) -> Result<(), String> {
-        let (Some(zero), Some(course)) = (self.zero, self.courses.first()) else {
+        let Some(course) = self.courses.first() else {
             return Err(format!("a pulse at {at} that nobody started"));
         };
+        let zero = self.zero;
         let number = self.next;
         let due = zero + course.train.edge(number).0 * UNITS_PER_TICK;
         let ticks = at.units().saturating_sub(zero) / UNITS_PER_TICK;
@@ -358,14 +317,11 @@ impl BoardTruth {
     }
 
     fn sample(&mut self, sample: &ImuSample) -> Result<(), String> {
-        let Some(zero) = self.zero else {
-            return Err(format!("before any hello: {sample:?}"));
-        };
         loop {
             let Some(record) = self.ready.pop_front() else {
                 return Err(format!("{sample:?} has no data-ready edge"));
             };
-            let at = captured(record.at, zero);
+            let at = captured(record.at, self.zero);
             if at != sample.at.0 {
                 if at > sample.at.0 {
                     return Err(format!(
@@ -396,14 +352,11 @@ impl BoardTruth {
     }
 
     fn capture(&mut self, capture: &Capture) -> Result<(), String> {
-        let Some(zero) = self.zero else {
-            return Err(format!("before any hello: {capture:?}"));
-        };
         loop {
             let Some((at, level)) = self.strobe.pop_front() else {
                 return Err(format!("{capture:?} has no edge at the pin"));
             };
-            let at = captured(at, zero);
+            let at = captured(at, self.zero);
             if at != capture.at.0 {
                 if at > capture.at.0 {
                     return Err(format!(

@@ -1,12 +1,11 @@
 //! Sessions on the simulated rig, judged by the ground truth: the demo, the fault
-//! campaign, the long run and the whole chain. Test code, not a part of the simulator.
+//! campaign and the whole chain. Test code, not a part of the simulator.
 
 pub(crate) mod board_truth;
 pub mod campaign;
 pub mod demo;
 pub(crate) mod frame_phase;
 pub mod judge;
-pub mod long_run;
 pub mod programs;
 pub mod study;
 pub mod virtual_session;

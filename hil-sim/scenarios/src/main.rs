@@ -24,10 +24,6 @@ enum Command {
     Demo(commands::demo::Args),
     /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
     Study(commands::study::Args),
-    /// Measure the simulator and the firmware in it.
-    Bench(commands::bench::Args),
-    /// Hours of trigger, IMU and strobe in one run, every edge compared.
-    LongRun(commands::long_run::Args),
     /// Recordings during which things go wrong, judged by the ground truth.
     Faults(commands::faults::Args),
 }
@@ -38,8 +34,6 @@ fn main() -> ExitCode {
         Command::RecordDepth(args) => rig::depth_link::record(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Study(args) => commands::study::run(&args),
-        Command::Bench(args) => commands::bench::run(&args),
-        Command::LongRun(args) => commands::long_run::run(&args),
         Command::Faults(args) => commands::faults::run(&args),
     };
     match result {

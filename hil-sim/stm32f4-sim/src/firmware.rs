@@ -111,26 +111,13 @@ impl Firmware {
     }
 
     /// Bytes of flash that the firmware takes.
-    #[must_use]
-    pub fn flash_size(&self) -> usize {
+    pub(crate) fn flash_size(&self) -> usize {
         self.segments
             .iter()
             .filter(|(at, _)| at >> 24 == 0x08)
             .map(|(at, data)| (*at - 0x0800_0000) as usize + data.len())
             .max()
             .unwrap_or(0)
-    }
-
-    /// Bytes of RAM that statics take (.data, .bss and .uninit).
-    #[must_use]
-    pub fn ram_size(&self) -> usize {
-        let Ok(file) = object::File::parse(&*self.bytes) else {
-            return 0;
-        };
-        file.sections()
-            .filter(|s| s.address() >> 24 == 0x20)
-            .map(|s| s.size() as usize)
-            .sum()
     }
 
     /// A symbol by its exact (mangled) name.

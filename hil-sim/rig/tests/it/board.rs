@@ -321,7 +321,6 @@ fn ten_megabytes_of_random_bytes_change_nothing() {
     while board.rig.usb_unsent() > 0 {
         board.run(10);
     }
-    assert!(board.rig.usb_traffic().bytes_out as usize >= sent);
     // A delimiter ends what is left of the noise.
     board.rig.usb_write(&[0]);
     for n in 0..20 {

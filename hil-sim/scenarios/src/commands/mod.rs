@@ -1,10 +1,7 @@
 //! The commands of `hil-sim`.
 
-pub(crate) mod bench;
-mod board_link;
 pub(crate) mod demo;
 pub(crate) mod faults;
-pub(crate) mod long_run;
 pub(crate) mod study;
 
 use std::path::{Path, PathBuf};

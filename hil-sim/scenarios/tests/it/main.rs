@@ -25,7 +25,6 @@ mod frame_clock;
 mod imu_csv;
 mod json_objects;
 mod live_view;
-mod long_run;
 mod phone_bench;
 mod phone_command;
 mod phone_rude;

@@ -165,7 +165,6 @@ pub(crate) struct Soc {
     pub(crate) irq: u128,
     /// A request came that the core has not seen.
     pub(crate) attention: bool,
-    request_cycle: [u64; 128],
     /// Core cycle at which the present slice ends.
     slice_end: u64,
     event_cycle: u64,
@@ -232,7 +231,6 @@ impl Soc {
             edge_counts: [0; Pin::PORTS * 16],
             irq: 0,
             attention: false,
-            request_cycle: [0; 128],
             slice_end: 0,
             event_cycle: u64::MAX,
             cycle: 0,
@@ -382,17 +380,10 @@ impl Soc {
             if self.irq & bit == 0 {
                 self.irq |= bit;
                 self.attention = true;
-                self.request_cycle[n] = self.cycle_at(self.now);
             }
         } else {
             self.irq &= !bit;
         }
-    }
-
-    /// Core cycle of the request of interrupt `n` that has not been taken yet.
-    pub(crate) fn take_request_cycle(&mut self, n: usize) -> Option<u64> {
-        let since = self.request_cycle.get_mut(n)?;
-        (*since != 0).then(|| std::mem::take(since))
     }
 
     // ---- after something changed ----------------------------------------------

@@ -482,6 +482,4 @@ impl Tim {
 }
 
 #[cfg(test)]
-mod against_rsemu;
-#[cfg(test)]
 mod tests;

@@ -26,7 +26,7 @@ mod op;
 mod state;
 
 #[cfg(test)]
-mod differential;
+mod tests;
 
 use std::sync::{Arc, Mutex};
 
@@ -73,32 +73,13 @@ pub(crate) enum Event {
     Rom,
 }
 
-/// Waits of interrupts for their handler, and the cost of handlers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct IrqStats {
-    /// Times the handler was entered.
-    pub entries: u64,
-    /// Longest wait from the request to the handler's first instruction, in core cycles.
-    pub max_latency: u64,
-    /// Sum of the waits, in core cycles.
-    pub sum_latency: u64,
-    /// Core cycles spent in the handler, without those of handlers that interrupted it.
-    pub cycles: u64,
-    /// Most core cycles of one run of the handler, counted the same way.
-    pub max_cycles: u64,
-}
-
 /// Use that the core made of its time.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct CpuStats {
     /// Core cycles awake.
     pub awake: u64,
     /// Core cycles asleep.
     pub asleep: u64,
-    /// Instructions left to rsemu.
-    pub slow_steps: u64,
-    /// By exception number (16 is interrupt 0); 0 is thread mode.
-    pub exceptions: Vec<IrqStats>,
 }
 
 /// The address space that rsemu's core sees: everything is the [`Soc`]'s.
@@ -147,12 +128,8 @@ pub(crate) struct Cpu {
     by_rom: bool,
     /// A fault halts the core while DEMCR says so.
     catches_faults: bool,
-    stats: CpuStats,
-    /// Where cycles are being counted to, and since when.
-    running: usize,
-    running_since: u64,
-    /// Cycles of the handlers' present runs, by exception.
-    run_cycles: Vec<u64>,
+    /// Core cycles of sleep.
+    slept: u64,
 }
 
 impl core::fmt::Debug for Cpu {
@@ -195,13 +172,7 @@ impl Cpu {
             passing: None,
             by_rom: false,
             catches_faults: false,
-            stats: CpuStats {
-                exceptions: vec![IrqStats::default(); 112],
-                ..CpuStats::default()
-            },
-            running: 0,
-            running_since: 0,
-            run_cycles: vec![0; 112],
+            slept: 0,
         })
     }
 
@@ -219,7 +190,6 @@ impl Cpu {
         self.locked_up = false;
         self.known_irq = 0;
         self.passing = None;
-        self.account(0);
     }
 
     /// Stops before the instruction at `addr` is executed.
@@ -266,37 +236,18 @@ impl Cpu {
     }
 
     /// Statistics up to now.
-    pub(crate) fn stats(&mut self) -> CpuStats {
-        let n = self.running;
-        self.account(n);
-        self.stats.awake = self.cycles - self.stats.asleep;
-        self.stats.clone()
-    }
-
-    /// Counts the cycles since the last call to what ran, and lets `next` run.
-    fn account(&mut self, next: usize) {
-        let used = self.cycles - self.running_since;
-        self.running_since = self.cycles;
-        let n = self.running;
-        if let Some(e) = self.stats.exceptions.get_mut(n) {
-            e.cycles += used;
-            if let Some(run) = self.run_cycles.get_mut(n) {
-                *run += used;
-                e.max_cycles = e.max_cycles.max(*run);
-            }
+    pub(crate) const fn stats(&self) -> CpuStats {
+        CpuStats {
+            awake: self.cycles - self.slept,
+            asleep: self.slept,
         }
-        self.running = next;
     }
 
     /// Sleeps until `cycle`.
     pub(crate) fn sleep_until(&mut self, cycle: u64) {
         let idle = cycle.saturating_sub(self.cycles);
-        if idle > 0 {
-            self.account(self.running);
-            self.cycles += idle;
-            self.running_since = self.cycles;
-            self.stats.asleep += idle;
-        }
+        self.cycles += idle;
+        self.slept += idle;
     }
 
     /// Runs until the chip's cycle limit or until something out of the
@@ -415,7 +366,6 @@ impl Cpu {
         let waits = self.waits(pc);
         self.cycles += waits;
         self.untold += waits;
-        self.stats.slow_steps += 1;
         if executed && word >> 16 == WFI {
             lock(&self.soc).require_safe_sleep(pc);
         }
@@ -443,21 +393,15 @@ impl Cpu {
         self.fast.clear_exclusive();
 
         let mut event = Event::None;
-        if running != before {
-            self.account(running);
-            // Entered, not returned to: the handler is at its first instruction.
-            if running != 0 && self.is_entry(running) {
-                self.entered(running);
-                if matches!(running, HARD_FAULT | BUS_FAULT) {
-                    self.locked_up =
-                        self.catches_faults && self.arm.with_sys(|s| s.demcr & VC_HARDERR != 0);
-                    event = if self.locked_up {
-                        Event::LockUp
-                    } else {
-                        Event::HardFault
-                    };
-                }
-            }
+        // Entered, not returned to: the handler is at its first instruction.
+        if running != before && taken && matches!(running, HARD_FAULT | BUS_FAULT) {
+            self.locked_up =
+                self.catches_faults && self.arm.with_sys(|s| s.demcr & VC_HARDERR != 0);
+            event = if self.locked_up {
+                Event::LockUp
+            } else {
+                Event::HardFault
+            };
         }
         if self.regs.r[15] == 0xffff_fffe && pc != 0xffff_fffe && self.arm.is_locked_up() {
             self.locked_up = true;
@@ -536,23 +480,5 @@ impl Cpu {
         let vector = self.arm.vtor().wrapping_add(exception as u32 * 4);
         let handler = lock(&self.soc).mem.read32(vector).unwrap_or(0) & !1;
         handler == self.fast.r[15]
-    }
-
-    fn entered(&mut self, exception: usize) {
-        if let Some(run) = self.run_cycles.get_mut(exception) {
-            *run = 0;
-        }
-        let Some(e) = self.stats.exceptions.get_mut(exception) else {
-            return;
-        };
-        e.entries += 1;
-        if exception >= 16 {
-            let mut soc = lock(&self.soc);
-            if let Some(since) = soc.take_request_cycle(exception - 16) {
-                let latency = self.cycles.saturating_sub(since);
-                e.max_latency = e.max_latency.max(latency);
-                e.sum_latency += latency;
-            }
-        }
     }
 }

@@ -310,7 +310,7 @@ impl Sim {
     // ---- the core ------------------------------------------------------------------------
 
     /// Use that the core made of its time.
-    pub fn cpu_stats(&mut self) -> CpuStats {
+    pub const fn cpu_stats(&self) -> CpuStats {
         self.cpu.stats()
     }
 

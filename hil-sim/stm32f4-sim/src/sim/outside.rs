@@ -7,7 +7,7 @@ use crate::chip::Soc;
 use crate::clock::Rate;
 use crate::pin::{Drive, Level, Pin};
 use crate::time::{SimDuration, SimTime};
-use crate::usb::{DeviceInfo, UsbState, UsbTraffic};
+use crate::usb::{DeviceInfo, UsbState};
 
 impl Sim {
     // ---- USB ------------------------------------------------------------------------
@@ -22,12 +22,6 @@ impl Sim {
     #[must_use]
     pub fn usb_device(&self) -> DeviceInfo {
         self.with_chip(|s| s.usb.device().clone())
-    }
-
-    /// Traffic on the bus.
-    #[must_use]
-    pub fn usb_traffic(&self) -> UsbTraffic {
-        self.with_chip(|s| s.usb.traffic())
     }
 
     /// Observations of the USB host, with their times.

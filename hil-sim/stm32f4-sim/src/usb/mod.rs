@@ -5,4 +5,4 @@ mod host;
 
 pub use descriptors::{CdcAcm, DeviceInfo};
 pub(crate) use host::UsbHost;
-pub use host::{UsbState, UsbTraffic};
+pub use host::UsbState;

@@ -1,3 +1,5 @@
+mod against_rsemu;
+
 use super::*;
 
 const TICK_NS_48: u64 = 1_386_000; // units of one 48 MHz period

@@ -122,7 +122,6 @@ impl UsbHost {
             Step::ControlLines => {
                 if !self.ready {
                     self.ready = true;
-                    self.traffic.enumerations += 1;
                     self.note(now, "serial port ready");
                 }
                 self.phase = Phase::Ready;

@@ -65,17 +65,6 @@ pub enum UsbState {
     Failed(String),
 }
 
-/// Traffic on the bus.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct UsbTraffic {
-    /// Bytes of the serial port from the device.
-    pub bytes_in: u64,
-    /// Bytes of the serial port to the device.
-    pub bytes_out: u64,
-    /// Completed enumerations.
-    pub enumerations: u64,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Descriptor8,
@@ -169,7 +158,6 @@ pub(crate) struct UsbHost {
     config_len: u16,
     /// Bytes of a packet of endpoint 0.
     ep0_packet: usize,
-    traffic: UsbTraffic,
     log: Vec<(SimTime, String)>,
 }
 
@@ -200,7 +188,6 @@ impl UsbHost {
             random: seed.stream(USB_STREAM),
             config_len: 9,
             ep0_packet: 64,
-            traffic: UsbTraffic::default(),
             log: Vec::new(),
         }
     }
@@ -223,12 +210,6 @@ impl UsbHost {
     #[must_use]
     pub(crate) fn device(&self) -> &DeviceInfo {
         &self.info
-    }
-
-    /// Traffic on the bus.
-    #[must_use]
-    pub(crate) fn traffic(&self) -> UsbTraffic {
-        self.traffic
     }
 
     /// Observations of the host, with their times.

@@ -102,7 +102,6 @@ impl UsbHost {
             }
             Transaction::BulkIn(ep) => match otg.take_in(usize::from(ep)) {
                 Handshake::Ack(data) => {
-                    self.traffic.bytes_in += data.len() as u64;
                     for b in data {
                         let b = corrupt(&mut self.random, self.corrupt_in_ppm, b);
                         self.from_device.push_back(b);
@@ -116,7 +115,6 @@ impl UsbHost {
             },
             Transaction::BulkOut(ep, data) => match otg.out(usize::from(ep), &data) {
                 Handshake::Ack(_) => {
-                    self.traffic.bytes_out += data.len() as u64;
                     self.to_device.drain(..data.len().min(self.to_device.len()));
                 }
                 Handshake::Nak => {}

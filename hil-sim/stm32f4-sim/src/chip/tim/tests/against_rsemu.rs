@@ -16,7 +16,7 @@ use rsemu::core::space::{AddressSpace, MemAttrs};
 use rsemu::core::wire::{Level, Wire, WireId, WireSource};
 use rsemu::dev::stm32::tim::Tim as TheirTim;
 
-use super::*;
+use super::super::*;
 use crate::random::{Random, Seed};
 
 /// Units of one period of the kernel clock.
