@@ -3,7 +3,7 @@
 
 use std::ffi::OsString;
 use std::fs;
-use std::io::{BufWriter, Read as _};
+use std::io::{Read as _, Write as _};
 use std::os::unix::fs::{FileExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -25,10 +25,15 @@ use test_support::interrupts::worked_s;
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
 /// for `noise` bytes that cannot be packed.
 fn bomb(folder: &Path, topic: Topic, message: &[u8], chunks: usize, noise: usize) {
-    fs::create_dir_all(folder).unwrap();
-    let file = BufWriter::new(fs::File::create(folder.join(MCAP_FILE)).unwrap());
-    let options = options().emit_message_indexes(false);
-    let mut writer = options.create(mcap::write::NoSeek::new(file)).unwrap();
+    // With no place in it that says where in the file it is: it can be repeated.
+    let options = options()
+        .emit_message_indexes(false)
+        .emit_summary_records(false)
+        .emit_summary_offsets(false)
+        .calculate_data_section_crc(false);
+    let mut writer = options
+        .create(mcap::write::NoSeek::new(Vec::new()))
+        .unwrap();
     let schema = writer
         .add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())
         .unwrap();
@@ -55,18 +60,34 @@ fn bomb(folder: &Path, topic: Topic, message: &[u8], chunks: usize, noise: usize
         })
         .collect();
     let each = ((16 << 20) - noise.len()) / (31 + message.len());
-    for _ in 0..chunks {
-        if !noise.is_empty() {
-            writer
-                .write_to_known_channel(&noise_header, &noise)
-                .unwrap();
-        }
-        for _ in 0..each {
-            writer.write_to_known_channel(&header, message).unwrap();
-        }
-        writer.flush().unwrap();
+    if !noise.is_empty() {
+        writer
+            .write_to_known_channel(&noise_header, &noise)
+            .unwrap();
     }
+    for _ in 0..each {
+        writer.write_to_known_channel(&header, message).unwrap();
+    }
+    writer.flush().unwrap();
     writer.finish().unwrap();
+    let bytes = writer.into_inner().into_inner();
+
+    let mut begin = mcap::MAGIC.len();
+    let end = loop {
+        let length = u64::from_le_bytes(bytes[begin + 1..begin + 9].try_into().unwrap());
+        let end = begin + 9 + length as usize;
+        if bytes[begin] == mcap::records::op::CHUNK {
+            break end;
+        }
+        begin = end;
+    };
+    fs::create_dir_all(folder).unwrap();
+    let mut file = fs::File::create(folder.join(MCAP_FILE)).unwrap();
+    file.write_all(&bytes[..begin]).unwrap();
+    for _ in 0..chunks {
+        file.write_all(&bytes[begin..end]).unwrap();
+    }
+    file.write_all(&bytes[end..]).unwrap();
 }
 
 /// A time reference: stamp, empty names, time.
