@@ -144,18 +144,17 @@ impl Context {
     }
 
     /// Does work that reads files. Its readings end with the first Ctrl-C, and from the second
-    /// second on a bar shows how far they are, unless the work has its own.
+    /// second on a bar shows how far they are.
     ///
     /// # Errors
     ///
     /// Those of the work; or it was interrupted.
     pub(crate) fn over_files<T, E: Into<Failure>>(
         &self,
-        has_bar: bool,
         work: impl FnOnce() -> Result<T, E>,
     ) -> Result<T, Failure> {
         let interrupt = self.interrupt.clone();
-        let bar = ReadingBar::new(self, has_bar);
+        let bar = ReadingBar::new(self);
         let watching = files::watch(move |reading| {
             bar.at(reading);
             !interrupt.requested()
@@ -196,12 +195,9 @@ struct ReadingBar {
 impl ReadingBar {
     const QUIET: Duration = Duration::from_secs(1);
 
-    fn new(context: &Context, has_bar: bool) -> Self {
+    fn new(context: &Context) -> Self {
         Self {
-            bar: match has_bar {
-                true => ProgressBar::hidden(),
-                false => context.progress(None, "{msg} {spinner} {elapsed}"),
-            },
+            bar: context.progress(None, "{msg} {spinner} {elapsed}"),
             shown: Mutex::default(),
             begun: Instant::now(),
         }

@@ -10,39 +10,32 @@ use protocol::{Period, TICK_HZ};
 /// Ticks in a microsecond.
 const TICKS_PER_US: f64 = TICK_HZ as f64 * 1e-6;
 
-/// Why a text is no number for this use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum DecimalError {
-    /// Not digits with at most one point.
-    #[error("expected a decimal number such as 29.97")]
-    NotANumber,
-    /// Outside of what the board can do.
-    #[error("expected a period within 1 ms and 1 s (1 to 1000 fps)")]
-    PeriodOutOfRange,
-    /// More than 2³² − 1 ticks.
-    #[error("expected less than 89 s")]
-    TooLarge,
-    /// No number, or none of the units after it.
-    #[error("expected a time such as 33330.652us, 1.5ms or 10s")]
-    NotATime,
-}
+/// Not digits with at most one point.
+const NOT_A_NUMBER: &str = "expected a decimal number such as 29.97";
+
+/// Outside of what the board can do.
+const PERIOD_OUT_OF_RANGE: &str = "expected a period within 1 ms and 1 s (1 to 1000 fps)";
+
+/// More than 2³² − 1 ticks.
+const TOO_LARGE: &str = "expected less than 89 s";
+
+/// No number, or none of the units after it.
+const NOT_A_TIME: &str = "expected a time such as 33330.652us, 1.5ms or 10s";
 
 /// A number without sign and exponent.
-fn decimal(text: &str) -> Result<f64, DecimalError> {
+fn decimal(text: &str) -> Result<f64, &'static str> {
     let is_plain = text
         .bytes()
         .all(|byte| byte.is_ascii_digit() || byte == b'.');
     let number = text.parse().ok().filter(|_| is_plain);
-    number.ok_or(DecimalError::NotANumber)
+    number.ok_or(NOT_A_NUMBER)
 }
 
 /// A period of so many ticks.
-fn period(ticks: f64) -> Result<Period, DecimalError> {
+fn period(ticks: f64) -> Result<Period, &'static str> {
     let period = Period((ticks * 2_f64.powi(32)).round() as u64);
     let in_bounds = period.in_bounds();
-    in_bounds
-        .then_some(period)
-        .ok_or(DecimalError::PeriodOutOfRange)
+    in_bounds.then_some(period).ok_or(PERIOD_OUT_OF_RANGE)
 }
 
 /// For clap: a period as a time such as `33330.652us`.
@@ -50,7 +43,7 @@ fn period(ticks: f64) -> Result<Period, DecimalError> {
 /// # Errors
 ///
 /// Not a time, or no period that the board takes.
-pub(crate) fn parse_period(text: &str) -> Result<Period, DecimalError> {
+pub(crate) fn parse_period(text: &str) -> Result<Period, &'static str> {
     period(unsigned_micros(text)? * TICKS_PER_US)
 }
 
@@ -59,7 +52,7 @@ pub(crate) fn parse_period(text: &str) -> Result<Period, DecimalError> {
 /// # Errors
 ///
 /// Not a number, or no period that the board takes.
-pub(crate) fn parse_fps(text: &str) -> Result<Period, DecimalError> {
+pub(crate) fn parse_fps(text: &str) -> Result<Period, &'static str> {
     period(f64::from(TICK_HZ) / decimal(text)?)
 }
 
@@ -68,15 +61,15 @@ pub(crate) fn parse_fps(text: &str) -> Result<Period, DecimalError> {
 /// # Errors
 ///
 /// Not a time, or too many ticks.
-pub(crate) fn parse_ticks(text: &str) -> Result<u32, DecimalError> {
+pub(crate) fn parse_ticks(text: &str) -> Result<u32, &'static str> {
     let ticks = (unsigned_micros(text)? * TICKS_PER_US).round();
     match ticks <= f64::from(u32::MAX) {
         true => Ok(ticks as u32),
-        false => Err(DecimalError::TooLarge),
+        false => Err(TOO_LARGE),
     }
 }
 
-fn unsigned_micros(text: &str) -> Result<f64, DecimalError> {
+fn unsigned_micros(text: &str) -> Result<f64, &'static str> {
     const UNITS: [(&str, f64); 5] = [
         ("ns", 1e3),
         ("us", 1.0),
@@ -88,8 +81,8 @@ fn unsigned_micros(text: &str) -> Result<f64, DecimalError> {
     let (number, per_us) = known
         .filter_map(|&(unit, per_us)| Some((text.strip_suffix(unit)?, per_us)))
         .find(|(number, _)| number.ends_with(|c: char| c.is_ascii_digit() || c == '.'))
-        .ok_or(DecimalError::NotATime)?;
-    let number = decimal(number).map_err(|_| DecimalError::NotATime)?;
+        .ok_or(NOT_A_TIME)?;
+    let number = decimal(number).map_err(|_| NOT_A_TIME)?;
     Ok(number / per_us)
 }
 
@@ -98,7 +91,7 @@ fn unsigned_micros(text: &str) -> Result<f64, DecimalError> {
 /// # Errors
 ///
 /// Not a time.
-pub(crate) fn parse_micros(text: &str) -> Result<f64, DecimalError> {
+pub(crate) fn parse_micros(text: &str) -> Result<f64, &'static str> {
     match text.strip_prefix('-') {
         Some(digits) => unsigned_micros(digits).map(|micros| -micros),
         None => unsigned_micros(text),
@@ -110,7 +103,7 @@ pub(crate) fn parse_micros(text: &str) -> Result<f64, DecimalError> {
 /// # Errors
 ///
 /// As [`parse_micros`].
-pub(crate) fn parse_seconds(text: &str) -> Result<f64, DecimalError> {
+pub(crate) fn parse_seconds(text: &str) -> Result<f64, &'static str> {
     parse_micros(text).map(|micros| micros * 1e-6)
 }
 
@@ -137,22 +130,9 @@ pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
     Ok(ticks as u64)
 }
 
-/// Nanoseconds as seconds with all their digits.
-pub(crate) fn seconds(nanos: impl Into<i128>) -> String {
-    let nanos: i128 = nanos.into();
-    let sign = if nanos < 0 { "-" } else { "" };
-    let nanos = nanos.unsigned_abs();
-    format!(
-        "{sign}{}.{:09}",
-        nanos / 1_000_000_000,
-        nanos % 1_000_000_000
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use protocol::Ticks;
 
     use super::*;
 
@@ -183,42 +163,25 @@ mod tests {
     #[test]
     fn what_is_no_number_is_told() {
         for text in ["", ".", "-1", "1e3", "1,5", "1.2.3", " 1", "١"] {
-            assert_eq!(parse_fps(text), Err(DecimalError::NotANumber), "{text}");
+            assert_eq!(parse_fps(text), Err(NOT_A_NUMBER), "{text}");
             let time = format!("{text}us");
-            assert_eq!(parse_period(&time), Err(DecimalError::NotATime), "{time}");
+            assert_eq!(parse_period(&time), Err(NOT_A_TIME), "{time}");
         }
         for text in ["1000", "us", "1 us", "1min", "1xs", "1mus"] {
-            assert_eq!(parse_period(text), Err(DecimalError::NotATime), "{text}");
+            assert_eq!(parse_period(text), Err(NOT_A_TIME), "{text}");
         }
-        assert_eq!(parse_fps("0.000"), Err(DecimalError::PeriodOutOfRange));
+        assert_eq!(parse_fps("0.000"), Err(PERIOD_OUT_OF_RANGE));
         for text in ["999.999us", "1000000.001us", "999999999999999999us"] {
-            assert_eq!(parse_period(text), Err(DecimalError::PeriodOutOfRange));
+            assert_eq!(parse_period(text), Err(PERIOD_OUT_OF_RANGE));
         }
         for text in ["0.99", "1000.01"] {
-            assert_eq!(parse_fps(text), Err(DecimalError::PeriodOutOfRange));
+            assert_eq!(parse_fps(text), Err(PERIOD_OUT_OF_RANGE));
         }
-        assert_eq!(parse_ticks("99999999us"), Err(DecimalError::TooLarge));
+        assert_eq!(parse_ticks("99999999us"), Err(TOO_LARGE));
         assert_eq!(parse_ticks("12us"), Ok(576));
         assert_eq!(parse_ticks("0s"), Ok(0));
         assert_eq!(parse_ticks("0.0104us"), Ok(0));
         assert_eq!(parse_ticks("0.0105us"), Ok(1));
-    }
-
-    #[test]
-    fn nanoseconds_keep_all_digits() {
-        assert_eq!(seconds(-1_000_000_001_i64), "-1.000000001");
-        assert_eq!(
-            seconds(1_403_636_579_758_555_392_i64),
-            "1403636579.758555392"
-        );
-    }
-
-    #[test]
-    fn board_time_in_seconds_keeps_every_tick() {
-        let of = |ticks| seconds(Ticks(ticks).as_nanos());
-        assert_eq!(of(48_000_000 * 90), "90.000000000");
-        assert_eq!(of(1), "0.000000021");
-        assert_ne!(of(1 << 50), of((1 << 50) + 1));
     }
 
     #[test]

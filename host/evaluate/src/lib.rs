@@ -49,7 +49,6 @@ pub mod identity;
 mod input;
 mod joint;
 mod lamp;
-pub mod latency;
 mod linear;
 pub mod precision;
 mod search;

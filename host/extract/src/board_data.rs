@@ -208,11 +208,6 @@ impl BoardStream {
     pub(crate) fn damage(&self) -> Vec<String> {
         self.sorter.faults.words("damaged parts")
     }
-
-    /// Bytes read so far.
-    pub(crate) const fn position(&self) -> u64 {
-        self.walk.position()
-    }
 }
 
 impl Sorter {

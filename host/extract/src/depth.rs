@@ -117,13 +117,6 @@ impl DepthInput {
         }
     }
 
-    /// Bytes of it.
-    pub(crate) fn length(&self) -> u64 {
-        let files = self.files();
-        let lengths = files.iter().filter_map(|file| file.metadata().ok());
-        lengths.map(|file| file.len()).sum()
-    }
-
     fn recording(path: &Path) -> Result<Recording<BufReader<Input>>, DepthError> {
         Recording::open(path).map_err(in_file(path))
     }
@@ -133,10 +126,10 @@ impl DepthInput {
     /// # Errors
     ///
     /// It is no depth recording, or reading fails.
-    pub(crate) fn index(&self, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
+    pub(crate) fn index(&self) -> Result<DepthIndex, DepthError> {
         match self {
-            Self::Mkv(path) => index_mkv(path, progress),
-            Self::Ros2(bag) => index_ros2(bag, progress),
+            Self::Mkv(path) => index_mkv(path),
+            Self::Ros2(bag) => index_ros2(bag),
         }
     }
 
@@ -221,7 +214,7 @@ fn in_file(path: &Path) -> impl Fn(K4aError) -> DepthError + '_ {
     }
 }
 
-fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
+fn index_mkv(path: &Path) -> Result<DepthIndex, DepthError> {
     let mut recording = DepthInput::recording(path)?;
     let size = recording.image_bytes();
     let text = |name: &str| recording.tag(name).map(str::to_owned);
@@ -272,7 +265,6 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
         index
             .color_frames
             .extend(batch.color.iter().map(|image| image.at));
-        progress(recording.position());
     }
     let damage = recording.damage().iter().take(MAX_FAULTS);
     index.faults.extend(damage.cloned());
@@ -284,12 +276,11 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     Ok(index)
 }
 
-fn index_ros2(bag: &Ros2Bag, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
+fn index_ros2(bag: &Ros2Bag) -> Result<DepthIndex, DepthError> {
     let mut images = bag.open(false)?;
     let mut index = DepthIndex::default();
     while let Some(image) = images.next_image()? {
         index.add(&image);
-        progress(images.position());
     }
     index.faults = images.damage();
     Ok(index)

@@ -16,7 +16,6 @@ use super::depth_clock::{
 };
 use super::error::ExtractError;
 use super::gyro_clock;
-use super::progress::Progress;
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
@@ -75,7 +74,6 @@ pub(crate) struct Matching<'a> {
     pub(crate) index: &'a DepthIndex,
     pub(crate) survey: &'a Survey,
     pub(crate) constants: &'a Constants,
-    pub(crate) progress: &'a dyn Progress,
 }
 
 impl Matching<'_> {
@@ -88,9 +86,7 @@ impl Matching<'_> {
     pub(crate) fn find(&self, first_pulse: Option<usize>) -> Result<Matched, ExtractError> {
         let frames: Vec<DeviceNanos> = self.index.frames.iter().map(|frame| frame.at).collect();
         let look = |hint| match_frames(&frames, &self.survey.pulses, hint).map(Matched::new);
-        self.progress.begin("matching depth frames to pulses", 0);
         let found = look(first_pulse.map(Hint::FirstPulse));
-        self.progress.end();
         if first_pulse.is_some() {
             return Ok(found.map_err(not_matched)?.by("the user"));
         }
@@ -217,7 +213,6 @@ impl Matching<'_> {
             to: BoardNanos(self.survey.imu.last_ns),
         };
         let camera = OtherGyro {
-            what: "relating the depth camera's clock by its gyroscope",
             open: &|| streams::camera(self.input),
             options: Options {
                 a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
@@ -226,7 +221,7 @@ impl Matching<'_> {
             prior: None,
             every,
         };
-        related(self.board, span, &camera, self.progress)
+        related(self.board, span, &camera)
     }
 }
 

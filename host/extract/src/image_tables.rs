@@ -16,7 +16,6 @@ use super::depth::{CameraImage, DepthError, DepthImage, DepthInput};
 use super::geometry::register::Registration;
 use super::image::{Pixels, encode_png, write_whole};
 use super::layout::Layout;
-use super::progress::Progress;
 
 /// Bytes in a batch.
 const BATCH_BYTES: usize = 16 << 20;
@@ -100,10 +99,8 @@ pub(crate) fn write_depth(
     paths: &CameraPaths,
     view: DepthImageView<'_>,
     layout: &dyn Layout,
-    progress: &dyn Progress,
 ) -> Result<DepthOutcome, ImagesError> {
     let mut outcome = DepthOutcome::default();
-    progress.begin("writing depth images", paths.depth.len() as u64);
     let bytes = |image: &CameraImage| match image {
         CameraImage::Depth(image) => {
             image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len)
@@ -128,14 +125,8 @@ pub(crate) fn write_depth(
         for one in written? {
             outcome.take(one);
         }
-        for image in &batch {
-            if let CameraImage::Depth(image) = image {
-                progress.at(image.index as u64 + 1);
-            }
-        }
         Ok(())
     })?;
-    progress.end();
     Ok(outcome)
 }
 
@@ -253,7 +244,6 @@ pub(crate) struct VideoOutcome {
 pub(crate) fn write_video(
     video: Video,
     places: &[Option<PathBuf>],
-    progress: &dyn Progress,
 ) -> Result<VideoOutcome, ImagesError> {
     let mut video = video;
     let size = (video.info().width, video.info().height);
@@ -264,7 +254,6 @@ pub(crate) fn write_video(
     });
     let frames = frames.enumerate().map(|(index, frame)| Ok((index, frame?)));
     let mut outcome = VideoOutcome::default();
-    progress.begin("decoding the phone's video", places.len() as u64);
     let bytes = |(_, frame): &(usize, Vec<u8>)| frame.len();
     let written = in_batches(frames, bytes, |batch| {
         outcome.decoded += batch.len() as u64;
@@ -277,14 +266,12 @@ pub(crate) fn write_video(
             })
             .collect();
         outcome.written += written?.into_iter().filter(|&written| written).count() as u64;
-        progress.at(outcome.decoded);
         Ok(())
     });
     match written {
         Err(ImagesError::Video(error)) => outcome.error = Some(error.to_string()),
         written => written?,
     }
-    progress.end();
     Ok(outcome)
 }
 

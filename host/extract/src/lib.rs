@@ -35,7 +35,6 @@ pub mod output_dir;
 mod pairs;
 mod phone_clock;
 mod phone_rows;
-pub mod progress;
 pub mod report;
 mod ros2_depth;
 pub mod run;

@@ -8,7 +8,6 @@ use super::board_data::Reference;
 use super::error::ExtractError;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
-use super::progress::Progress;
 use super::report::{ClockReport, TrackedReport};
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
@@ -63,7 +62,6 @@ pub(crate) fn find(
     board: &Path,
     input: &PhoneInput,
     survey: &Survey,
-    progress: &dyn Progress,
 ) -> Result<PhoneClock, ExtractError> {
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
     let span = Span {
@@ -77,7 +75,6 @@ pub(crate) fn find(
         Some(_) if survey.imu.samples == 0 => missing("the board's recording has no IMU samples"),
         Some(gyro) => {
             let phone = OtherGyro {
-                what: "relating the phone's clock",
                 open: &|| streams::phone(gyro),
                 options: Options {
                     a_delay_s: input.constants.board_imu_delay_ns as f64 * 1e-9,
@@ -87,7 +84,7 @@ pub(crate) fn find(
                 prior,
                 every: 1,
             };
-            related(board, span, &phone, progress)
+            related(board, span, &phone)
         }
     };
     let mut clock = match found {
@@ -331,8 +328,7 @@ mod tests {
         let board = Path::new("none");
         let clock = |survey: &Survey| {
             let phone = input("left", "", known(102.0));
-            let silent = crate::progress::Silent;
-            find(board, &phone, survey, &silent).unwrap()
+            find(board, &phone, survey).unwrap()
         };
         let error_us = |clock: &PhoneClock| {
             let phone = PhoneNanos(((590.0 + offset(590.0)) * 1e9).round() as i64);

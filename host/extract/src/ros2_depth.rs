@@ -153,11 +153,6 @@ impl Ros2Images {
     pub(crate) fn damage(&self) -> Vec<String> {
         self.taken.faults.words("faults of the bag")
     }
-
-    /// About as many bytes read so far.
-    pub(crate) fn position(&self) -> u64 {
-        self.walk.position()
-    }
 }
 
 impl Taken {

@@ -8,15 +8,11 @@ use super::board_data::{BoardEvent, BoardStream};
 use super::depth::{DepthError, DepthInput};
 use super::error::ExtractError;
 use super::phone_rows::PhoneRows;
-use super::progress::Progress;
 use super::time::BoardNanos;
 use twist_sync::{
     GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
     estimate_course,
 };
-
-/// Events between two steps of the progress.
-const STEP: u64 = 8192;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
@@ -46,8 +42,6 @@ pub(crate) struct Span {
 
 /// Another gyroscope, whose clock is related to the board's.
 pub(crate) struct OtherGyro<'a> {
-    /// The step, as the progress names it.
-    pub(crate) what: &'a str,
     pub(crate) open: GyroOpener<'a, StreamError>,
     pub(crate) options: Options,
     pub(crate) prior: Option<Prior>,
@@ -62,22 +56,12 @@ pub(crate) struct OtherGyro<'a> {
 /// The recording cannot be read, or those of `each`.
 pub(crate) fn each_event(
     board: &Path,
-    what: &str,
-    progress: &dyn Progress,
     mut each: impl FnMut(BoardEvent) -> Result<(), ExtractError>,
 ) -> Result<Vec<String>, ExtractError> {
     let mut stream = BoardStream::open(board)?;
-    let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
-    progress.begin(what, length);
-    let mut count = 0_u64;
     while let Some(event) = stream.next_event()? {
         each(event)?;
-        count += 1;
-        if count.is_multiple_of(STEP) {
-            progress.at(stream.position());
-        }
     }
-    progress.end();
     Ok(stream.damage())
 }
 
@@ -122,23 +106,10 @@ pub(crate) fn related<'a>(
     board: &'a Path,
     span: Span,
     other: &OtherGyro<'a>,
-    progress: &'a dyn Progress,
 ) -> Result<RecordingClock, ExtractError> {
-    let way = |at: BoardNanos| at.0.saturating_sub(span.from.0).unsigned_abs();
-    progress.begin(other.what, way(span.to));
     let open_board = || self::board(board, span);
     let (prior, options) = (other.prior, &other.options);
-    let related = estimate_course(
-        &open_board,
-        other.open,
-        prior,
-        options,
-        other.every,
-        &|at| {
-            progress.at(way(BoardNanos(at)));
-        },
-    );
-    progress.end();
+    let related = estimate_course(&open_board, other.open, prior, options, other.every);
     related.map_err(|error| match error {
         RecordingError::Read(StreamError::Board(error)) => ExtractError::Board(error),
         error => ExtractError::Missing(error.to_string()),
@@ -184,7 +155,6 @@ pub(crate) fn camera<'a>(input: &DepthInput) -> Result<GyroStream<'a, StreamErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::progress::Silent;
     use crate::survey::survey;
     use board::imu::Sample;
     use protocol::{ImuFlags, Ticks};
@@ -219,7 +189,7 @@ mod tests {
             .unwrap()
             .map(|sample| sample.unwrap().rate[0]);
         assert_eq!(kept.collect::<Vec<_>>(), [0.0, 2.0]);
-        let imu = survey(&path, &Silent).unwrap().imu;
+        let imu = survey(&path).unwrap().imu;
         assert_eq!((imu.samples, imu.marked), (4, 2));
     }
 }

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use super::board_data::{BoardEvent, Reference, TimePair};
 use super::depth_clock::PulseTime;
 use super::error::ExtractError;
-use super::progress::Progress;
 use super::streams::each_event;
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
@@ -200,11 +199,10 @@ impl Keeper {
 /// # Errors
 ///
 /// The recording cannot be read.
-pub(crate) fn survey(board: &Path, progress: &dyn Progress) -> Result<Survey, ExtractError> {
+pub(crate) fn survey(board: &Path) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     let mut keeper = Keeper::new(length);
-    let what = "reading the board's recording";
-    let mut damage = each_event(board, what, progress, |event| {
+    let mut damage = each_event(board, |event| {
         keeper.take(event);
         Ok(())
     })?;

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 use board::imu::Sample;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use protocol::{ImuFlags, Output, Pps, Pulse, TICK_HZ, Ticks};
@@ -202,7 +201,7 @@ fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
         },
         overwrite: false,
     };
-    (run(&job, &Silent).unwrap(), out)
+    (run(&job).unwrap(), out)
 }
 
 fn lines(path: &Path) -> Vec<String> {
@@ -321,7 +320,7 @@ fn frames_on_another_clock_and_a_shifted_trigger_keep_their_times() {
         options: Options::default(),
         overwrite: false,
     };
-    let report = run(&job, &Silent).unwrap();
+    let report = run(&job).unwrap();
     assert_eq!(own(&job.out.join("phone_frames.csv")), expected);
     // The bias belongs to the depth image's time, the shift does not.
     assert_eq!(report.constants.depth_center_ns, CENTER_NS + 20_000);

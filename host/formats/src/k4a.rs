@@ -291,12 +291,6 @@ impl<R: Sparse> Recording<R> {
         self.mkv.damage()
     }
 
-    /// How far reading is, in bytes.
-    #[must_use]
-    pub fn position(&self) -> u64 {
-        self.mkv.position()
-    }
-
     /// What the next cluster holds; `None` at the end.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 //!
 //! Each is a file of `cameras/`, with its sources. A value that nobody has published is an
 //! assumption and says so; what is wrong with it stands in its 1-sigma until
-//! `smartdepthsync board trigger latency` has measured it on the camera itself.
+//! `smartdepthsync evaluate precision --calibrate` has measured what is left of it.
 
 use std::sync::LazyLock;
 
@@ -270,7 +270,8 @@ impl Model {
                         mode.basis.word()
                     ),
                     String::from(
-                        "measure it with `smartdepthsync board trigger latency`, or take the model's",
+                        "take the model's, and measure what is left with `smartdepthsync evaluate \
+                         precision --calibrate`",
                     ),
                 );
             }

@@ -100,11 +100,6 @@ impl Scan {
         self.has_magic
     }
 
-    /// Bytes read so far.
-    pub(crate) const fn position(&self) -> u64 {
-        self.position
-    }
-
     /// Takes the memory of a chunk for the next one: asking the system for it again costs as
     /// much as unpacking.
     pub(crate) fn reuse(&mut self, chunk: Chunk) {

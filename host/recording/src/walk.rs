@@ -164,12 +164,6 @@ impl Walk {
         &self.scan.report
     }
 
-    /// Bytes read so far.
-    #[must_use]
-    pub const fn position(&self) -> u64 {
-        self.scan.position()
-    }
-
     /// The topics so far, with messages or without.
     pub fn topics(&self) -> impl Iterator<Item = &Channel> {
         self.topics.channels.values()

@@ -116,7 +116,7 @@ impl Options {
 
 /// Relates the clocks over whole recordings. `options` are of each window
 /// ([`Options::of_windows`]), its `wander` also of the course; `every` takes each
-/// n-th window only (1: all); `progress` gets the nanoseconds of clock a.
+/// n-th window only (1: all).
 ///
 /// # Errors
 ///
@@ -127,7 +127,6 @@ pub fn estimate_course<E: Error + Send + 'static>(
     prior: Option<Prior>,
     options: &Options,
     every: usize,
-    progress: &dyn Fn(i64),
 ) -> Result<RecordingClock, RecordingError<E>> {
     let mut expected = match prior {
         Some(prior) => prior,
@@ -145,7 +144,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
         // Until the first estimate each window is judged before the next: its
         // result makes the search of all others narrow.
         let size = if found.estimates.is_empty() { 1 } else { BATCH };
-        let (batch, ended) = windows.batch(size, every, &expected, progress)?;
+        let (batch, ended) = windows.batch(size, every, &expected)?;
         let results = estimated(&batch, options);
         for (window, result) in batch.into_iter().zip(results) {
             found.take(window, result, options);
@@ -180,7 +179,7 @@ pub fn course_of_tracks(
         Prior::Relation(relation) => Prior::Relation(relation.moved(-a.epoch_s, -between)),
     });
     let (a_opened, b_opened) = (|| Ok(a.stream()), || Ok(b.stream()));
-    let mut clock = estimate_course(&a_opened, &b_opened, prior, options, 1, &|_| {})?;
+    let mut clock = estimate_course(&a_opened, &b_opened, prior, options, 1)?;
     for estimate in &mut clock.estimates {
         *estimate = estimate.moved(a.epoch_s, between);
     }
@@ -456,7 +455,6 @@ impl<E> Windows<'_, E> {
         size: usize,
         every: usize,
         expected: &Prior,
-        progress: &dyn Fn(i64),
     ) -> Result<(Vec<Window>, bool), E> {
         let mut batch = Vec::with_capacity(size);
         while batch.len() < size {
@@ -464,7 +462,6 @@ impl<E> Windows<'_, E> {
                 return Ok((batch, true));
             };
             self.count += 1;
-            progress(nanos(a.epoch_s + a.t.last().copied().unwrap_or(0.0)));
             if (self.count - 1).is_multiple_of(every.max(1)) {
                 let search = expected.at(&a);
                 self.taken += 1;

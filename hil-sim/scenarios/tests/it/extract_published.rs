@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use test_support::python;
@@ -29,7 +28,7 @@ fn make_bag(folder: &Path, compression: &str) {
     python::run_script(&script("make_published_bag.py"), &arguments);
     let mut refused = job(folder, Format::Euroc);
     refused.recording = folder.join("published.bag");
-    let error = run(&refused, &Silent).unwrap_err().to_string();
+    let error = run(&refused).unwrap_err().to_string();
     assert!(error.contains("is a ROS 1 bag"), "{error}");
     python::run_conversion(&error);
 }
@@ -58,7 +57,7 @@ fn job(folder: &Path, format: Format) -> Job {
 
 fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     let job = job(folder, format);
-    (run(&job, &Silent).unwrap(), job.out)
+    (run(&job).unwrap(), job.out)
 }
 
 /// Somebody who presses Ctrl-C once so many readings below a folder have begun.
@@ -158,7 +157,7 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     let mut stops = 0;
     let last = loop {
         let _watching = stop_after(stops, folder.path());
-        match run(&job(folder.path(), Format::Euroc), &Silent) {
+        match run(&job(folder.path(), Format::Euroc)) {
             Err(ExtractError::Cancelled) => stops += 1,
             end => break end.unwrap(),
         }

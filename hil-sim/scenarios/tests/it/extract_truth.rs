@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use crate::synthetic::{Synthetic, Truth, make};
 use extract::layout::Format;
 use extract::options::Options;
-use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use test_support::browser;
@@ -40,7 +39,7 @@ impl Case {
             options,
             overwrite: false,
         };
-        run(&job, &Silent).unwrap()
+        run(&job).unwrap()
     }
 }
 
@@ -350,7 +349,7 @@ fn damaged_and_missing_parts_leave_the_rest() {
         options: Options::default(),
         overwrite: false,
     };
-    let error = run(&job, &Silent).unwrap_err().to_string();
+    let error = run(&job).unwrap_err().to_string();
     assert!(
         error.contains("expected a folder with recording.mcap"),
         "{error}"

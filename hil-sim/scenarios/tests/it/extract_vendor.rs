@@ -11,7 +11,6 @@ use crate::whole_chain::programs;
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use scenarios::whole_chain::{self, Plan};
@@ -86,7 +85,7 @@ impl Case {
             options,
             overwrite: false,
         };
-        run(&job, &Silent)
+        run(&job)
     }
 
     /// A recording of the maker's library with these device times.

@@ -22,7 +22,6 @@ mod extract_vendor;
 mod faults;
 mod first_recording;
 mod frame_clock;
-mod imu_csv;
 mod json_objects;
 mod live_view;
 mod phone_bench;

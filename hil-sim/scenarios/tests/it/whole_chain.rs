@@ -2,28 +2,16 @@
 //! camera and a session of the program, then the program's own answers against the ground
 //! truth. Over many rigs, that is `cargo xtask hil-sim study chain`.
 
-use std::time::Duration;
-
 use crate::support;
-use ::session::devices::Connector;
-use board::{Board, Event};
-use evaluate::latency::latency;
-use evaluate::train::TrainGeometry;
-use protocol::{
-    BoardModel, DeviceToHost, ImuClock, MIN_PULSE_WIDTH, Output, Period, TICK_HZ, TriggerStart,
-};
+use protocol::{BoardModel, ImuClock};
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
 use rig::model_ranges::ModelValues;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
-use rig::virtual_rig::VirtualRig;
-use rig::wiring::{self, BoardKind};
+use rig::wiring::BoardKind;
 use scenarios::programs::Programs;
 use scenarios::study::{Kind, Specimen};
-use scenarios::virtual_session::SharedRig;
 use scenarios::whole_chain::{self, Plan, evaluation, extraction, ranges};
-use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 
 pub(crate) fn programs() -> Programs {
     Programs {
@@ -147,53 +135,4 @@ fn bias_and_drift_are_as_the_truth_says() {
         assert!(found.bias.uncertainty_99 < 1.0, "{found:?}");
         assert!(found.drift.uncertainty_99 < 5.0, "{found:?}");
     }
-}
-
-#[test]
-fn the_photodiode_gives_the_time_from_trigger_to_centre() {
-    let config = RigConfig::published(Seed(9));
-    let (clock, camera) = (config.board_clock, config.depth_camera.unwrap());
-    let rig = VirtualRig::new(config, wiring::board(), Vec::new()).unwrap();
-    let link = SharedRig::boot(rig).unwrap().connect(None).unwrap();
-    let mut board = Board::connect_from(link, 1).unwrap();
-    let start = TriggerStart {
-        period: Period::from_picos(33_333_333_333).unwrap(),
-        width: MIN_PULSE_WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    board.start_trigger(Output::Camera, start).unwrap();
-    let (mut pulses, mut captures) = (Vec::new(), Vec::new());
-    while pulses.len() <= 60 {
-        match board.next_event(Duration::from_secs(1)).unwrap() {
-            Some(Event::Message(DeviceToHost::Pulse(pulse))) => pulses.push(pulse.at),
-            Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
-            _ => {}
-        }
-    }
-    let published = TrainGeometry::default();
-    let found = latency(&pulses, &captures, &published).unwrap();
-    // The camera's first frame comes on the second pulse.
-    assert!(found.pulses >= 57, "{found:?}");
-    // The camera counts its delays on its own clock.
-    let rate = (1.0 + 1e-6 * clock.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);
-    let flash_us = camera.flash_delay.as_nanos() as f64 * 1e-3;
-    let center_us = camera.center_delay_ns() * 1e-3;
-    // A capture is late by the input's synchroniser, the trigger's edge is not.
-    let late_us = INPUT_SYNCHRONISER as f64 * 1e6 / f64::from(TICK_HZ);
-    for (quantity, truth, late_us, limit) in [
-        (&found.center, center_us, late_us, 0.03),
-        (&found.first_flash, flash_us, late_us, 0.03),
-        (&found.pitch, 1575.0, 0.0, 0.01),
-        (&found.duration, 125.0, 0.0, 0.03),
-    ] {
-        let off = quantity.mean_us - truth * rate - late_us;
-        assert!(off.abs() < limit, "{off} of {truth}: {found:?}");
-    }
-    // A train of another mode is not there.
-    let other = TrainGeometry {
-        count: 7,
-        ..published
-    };
-    assert!(latency(&pulses, &captures, &other).is_none());
 }

@@ -288,7 +288,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
                 context.say(format!("{done}/{count} {}: {said}", path.display()));
             }
         };
-    let (result, shown) = context.over_files(false, || {
+    let (result, shown) = context.over_files(|| {
         precision::evaluate(&args.inputs, &settings, args.frames.into(), &mut each)
     })?;
     let Some(shown) = shown else {
@@ -393,7 +393,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     args.common.check_targets()?;
     let started = Instant::now();
     let settings = args.common.settings(args.timestamps.clone())?;
-    let (evaluated, waited) = context.over_files(false, || {
+    let (evaluated, waited) = context.over_files(|| {
         let recording = Footage::read(&args.input, &settings, None)?;
         let waited = recording.waited;
         drift::evaluate(recording, &settings).map(|evaluated| (evaluated, waited))

@@ -1,9 +1,6 @@
 //! `smartdepthsync extract`: a recording into a data set in board time.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-use indicatif::ProgressBar;
 
 use crate::advice::bag_step;
 use crate::context::Context;
@@ -16,7 +13,6 @@ use extract::inputs::InputsError;
 use extract::layout::Format;
 use extract::options::Options;
 use extract::output_dir::OutputDirError;
-use extract::progress::Progress;
 use extract::run::{Job, run as extract};
 use phone::video_files::FilesError;
 use recording::SESSION_FILE;
@@ -166,11 +162,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         },
         overwrite: args.overwrite,
     };
-    let bar = Bar {
-        context,
-        bar: Mutex::new(ProgressBar::hidden()),
-    };
-    let report = context.over_files(true, || extract(&job, &bar))?;
+    let report = context.over_files(|| extract(&job))?;
     let folder = recordings::folder_of(&job.recording);
     report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
@@ -254,42 +246,6 @@ impl From<ExtractError> for Failure {
             ),
         };
         Self::new(status, error.to_string()).next_step(step)
-    }
-}
-
-/// A progress bar for each long step.
-struct Bar<'a> {
-    context: &'a Context,
-    bar: Mutex<ProgressBar>,
-}
-
-impl Bar<'_> {
-    fn bar(&self) -> MutexGuard<'_, ProgressBar> {
-        self.bar.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Progress for Bar<'_> {
-    fn begin(&self, what: &str, total: u64) {
-        self.end();
-        let template = if total > 0 {
-            "{msg} {wide_bar} {percent:>3} % {eta:>4}"
-        } else {
-            "{msg} {spinner}"
-        };
-        let bar = self
-            .context
-            .progress((total > 0).then_some(total), template);
-        bar.set_message(what.to_owned());
-        *self.bar() = bar;
-    }
-
-    fn at(&self, position: u64) {
-        self.bar().set_position(position);
-    }
-
-    fn end(&self) {
-        self.bar().finish_and_clear();
     }
 }
 

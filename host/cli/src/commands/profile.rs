@@ -110,8 +110,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             let folder = recordings::folder_of(&recording);
             let session = SessionFile::load(folder)?;
             let (phone, timestamps) = (phone.as_deref(), timestamps.as_deref());
-            let learnt =
-                context.over_files(false, || learn(file, folder, &session, phone, timestamps))?;
+            let learnt = context.over_files(|| learn(file, folder, &session, phone, timestamps))?;
             context.print(&BTreeMap::from([("learnt", &learnt)]), || {
                 learnt.iter().map(Lesson::text).collect()
             })?;

@@ -29,7 +29,7 @@ pub(crate) struct Args {
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
-    let verified = context.over_files(false, || {
+    let verified = context.over_files(|| {
         let mut verified = verify(&recording)?;
         verified.report = write_report(recordings::folder_of(&recording), context);
         Ok::<_, RecordingError>(verified)

@@ -34,7 +34,6 @@ const CASES: &str = "\
 2 | board trigger start --fps fast | a decimal number | help COMMAND
 2 | board trigger start --fps 30 --period 33333us | cannot be used with | help COMMAND
 2 | board imu --duration soon | 90s, 5m or 1h | help COMMAND
-2 | board trigger latency --output 2 | output 1 | leave --output out
 5 | board trigger stop --port /no/such/port | /no/such/port | board list
 5 | board trigger status --port /no/such/port | /no/such/port | board list
 5 | board pps start --port /no/such/port | /no/such/port | board list
@@ -96,7 +95,6 @@ const CASES: &str = "\
 2 | verify wrong.toml | found neither | `record` made
 2 | extract wrong.toml | found neither | `record` made
 # What is there is not overwritten.
-13 | board imu --out text.txt | not overwritten | --overwrite
 13 | evaluate precision folder --out text.txt | not overwritten | --overwrite
 13 | evaluate drift folder --out text.txt | not overwritten | --overwrite
 # Profiles that are made and taught.

@@ -50,17 +50,13 @@ impl Extraction<'_> {
             }
         };
         self.inputs.depth = Some(input.clone());
-        let length = input.length();
-        self.progress
-            .begin("reading the depth recording's times", length);
-        let index = match input.index(&mut |position| self.progress.at(position)) {
+        let index = match input.index() {
             Ok(index) => index,
             Err(error) => {
                 self.lose("depth", error.to_string());
                 return Ok(None);
             }
         };
-        self.progress.end();
         for fault in &index.faults {
             self.lose("depth", fault.clone());
         }
@@ -122,7 +118,6 @@ impl Extraction<'_> {
             index,
             survey,
             constants,
-            progress: self.progress,
         };
         if self.job.options.free_running {
             return matching.free_running();
@@ -324,7 +319,7 @@ impl Extraction<'_> {
                     size: depth.index.size,
                     registration,
                 };
-                let written = write_depth(&input, &paths, view, layout, self.progress);
+                let written = write_depth(&input, &paths, view, layout);
                 match written {
                     Ok(outcome) => {
                         self.output

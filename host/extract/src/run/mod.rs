@@ -37,7 +37,6 @@ use super::layout::{DataSetInfo, Format, Layout};
 use super::options::Options;
 use super::output_dir::{FileMark, OutputDir, check_outside};
 use super::pairs::{self, Pair};
-use super::progress::Progress;
 use super::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
 use super::sequence::Sequences;
 use super::streams::each_event;
@@ -79,7 +78,6 @@ struct Extraction<'a> {
     job: &'a Job,
     inputs: Inputs,
     output: OutputDir,
-    progress: &'a dyn Progress,
     losses: Vec<Loss>,
     remarks: Vec<String>,
     /// Images are missing that the next run may write.
@@ -92,16 +90,16 @@ struct Extraction<'a> {
 ///
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
-pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
-    steps(job, progress).map_err(|error| match files::is_stopped(&job.recording) {
+pub fn run(job: &Job) -> Result<ExtractReport, ExtractError> {
+    steps(job).map_err(|error| match files::is_stopped(&job.recording) {
         true => ExtractError::Cancelled,
         false => error,
     })
 }
 
-fn steps(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
-    let mut run = Extraction::open(job, progress)?;
-    let survey = survey(&run.inputs.board, progress)?;
+fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
+    let mut run = Extraction::open(job)?;
+    let survey = survey(&run.inputs.board)?;
     run.note_published(&survey);
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
@@ -206,7 +204,7 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
 
 impl<'a> Extraction<'a> {
     /// Finds the inputs, and opens the output folder.
-    fn open(job: &'a Job, progress: &'a dyn Progress) -> Result<Self, ExtractError> {
+    fn open(job: &'a Job) -> Result<Self, ExtractError> {
         let inputs = super::inputs::find(
             &job.recording,
             job.phone.as_deref(),
@@ -221,7 +219,6 @@ impl<'a> Extraction<'a> {
             remarks: inputs.remarks.clone(),
             inputs,
             output,
-            progress,
             losses: Vec::new(),
             unfinished: false,
         })
@@ -404,8 +401,7 @@ impl Extraction<'_> {
         let table = self.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.output.out, sequences, delay);
         let board = &self.inputs.board;
-        let what = "writing the board's IMU";
-        each_event(board, what, self.progress, |event| match event {
+        each_event(board, |event| match event {
             BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
             _ => Ok(()),
         })?;

@@ -81,7 +81,7 @@ impl Extraction<'_> {
         }
         let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
-        let clock = match phone_clock::find(board, input, survey, self.progress) {
+        let clock = match phone_clock::find(board, input, survey) {
             Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
@@ -190,7 +190,7 @@ impl Extraction<'_> {
             Some(outcome) => outcome,
             None => match Video::open(&video, Pixels::Rgb) {
                 Ok(decoder) => {
-                    let outcome = write_video(decoder, &paths, self.progress)?;
+                    let outcome = write_video(decoder, &paths)?;
                     // With an error the next run tries again.
                     if outcome.error.is_none() {
                         self.output
@@ -250,7 +250,6 @@ impl Extraction<'_> {
                 return Ok(PhoneImu::default());
             }
         };
-        self.progress.begin("writing the phone's IMU", 0);
         let out = self.output.out.join(&input.folder);
         let mut writer =
             TableWriter::new(table, &out, sequences, input.constants.phone_imu_delay_ns);
@@ -274,7 +273,6 @@ impl Extraction<'_> {
         };
         let without = joiner.without_accel;
         let rows = writer.finish().map_err(|error| self.failed(error))?;
-        self.progress.end();
         if let Some(error) = read_error {
             let what = format!("reading the sensor files: {error}");
             self.lose("phone", input.about(&what));

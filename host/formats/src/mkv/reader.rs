@@ -143,11 +143,6 @@ impl<R: Sparse> Mkv<R> {
         self.damage.first()
     }
 
-    /// How far reading is, in bytes.
-    pub(crate) fn position(&self) -> u64 {
-        self.source.position()
-    }
-
     fn read_header(&mut self) -> Result<(), MkvError> {
         // A damaged element in front of the tracks must not hide them.
         let first_cluster = loop {

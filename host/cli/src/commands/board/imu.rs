@@ -1,8 +1,4 @@
-//! `smartdepthsync board imu`: stream the board's IMU, judge it, write it to a file.
-
-use std::fs::File;
-use std::io::{BufWriter, Write as _};
-use std::path::{Path, PathBuf};
+//! `smartdepthsync board imu`: stream the board's IMU and judge it.
 
 use indicatif::ProgressBar;
 use protocol::{DeviceToHost, ImuClock, ImuSensor, TICK_HZ};
@@ -10,10 +6,10 @@ use serde::Serialize;
 
 use crate::advice::imu_scale;
 use crate::context::Context;
-use crate::decimal::{parse_duration, seconds};
+use crate::decimal::parse_duration;
 use crate::options::PortArg;
-use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
-use board::imu::{Sample, Scale, Summary, SummaryReport, last_fault};
+use crate::outcome::{ExitStatus, Failure};
+use board::imu::{Scale, Summary, SummaryReport, last_fault};
 use board::{Board, Event, Stream};
 use session::checks::IMU_WIRING;
 
@@ -23,17 +19,11 @@ const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
 
 /// Options of `board imu`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: smartdepthsync board imu --duration 60s --out imu.csv")]
+#[command(after_help = "Example: smartdepthsync board imu --duration 60s")]
 pub(crate) struct Args {
     /// How long, in board time: 90s, 5m, 1h
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_duration)]
     duration: u64,
-    /// Write the samples to this CSV file, in SI units with board time
-    #[arg(short, long, value_name = "FILE")]
-    out: Option<PathBuf>,
-    /// Replace the file if it is there
-    #[arg(long, requires = "out")]
-    overwrite: bool,
 }
 
 /// The result.
@@ -47,28 +37,18 @@ struct PrintedImu {
     summary: SummaryReport,
     /// Samples that the board made and that did not arrive.
     missed: u64,
-    csv: Option<String>,
 }
 
 /// Streams the IMU.
 ///
 /// # Errors
 ///
-/// The board cannot be reached, its IMU gives nothing, or the file cannot be
-/// written.
+/// The board cannot be reached, or its IMU gives nothing.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
-    // What is in the way is reported before the board is asked for anything.
-    if let Some(path) = &args.out {
-        refuse_to_overwrite(path, args.overwrite)?;
-    }
     let mut board = port.open()?;
-    let mut csv = args.out.as_deref().map(Csv::create).transpose()?;
     let scale = imu_scale(&board.imu()?)?;
     let mut summary = Summary::default();
-    let streamed = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
-    if let Some(csv) = csv {
-        csv.finish()?;
-    }
+    let streamed = stream(args, &mut board, context, &scale, &mut summary)?;
     // The clock is only known once samples have come.
     let setup = board.imu()?;
     let report = PrintedImu {
@@ -78,7 +58,6 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         nominal_interval_ticks: setup.interval,
         summary: summary.report(),
         missed: board.conversation().counts().of(Stream::Imu).lost,
-        csv: args.out.as_ref().map(|path| path.display().to_string()),
     };
     context.show(&report)?;
     let impaired = report.missed > 0 || summary.is_impaired();
@@ -95,7 +74,6 @@ fn stream(
     context: &Context,
     scale: &Scale,
     summary: &mut Summary,
-    csv: &mut Option<Csv>,
 ) -> Result<Option<()>, Failure> {
     let bar = context.progress(
         Some(args.duration / u64::from(TICK_HZ)),
@@ -114,9 +92,6 @@ fn stream(
                 }
                 summary.add(&sample);
                 last_sign = sample.at;
-                if let Some(csv) = csv {
-                    csv.sample(&sample)?;
-                }
                 if summary.samples().is_multiple_of(50) {
                     show(&bar, summary);
                 }
@@ -167,46 +142,4 @@ fn show(bar: &ProgressBar, summary: &Summary) {
         report.interval_jitter_ticks.unwrap_or_default(),
         report.temperature_c.unwrap_or_default()
     ));
-}
-
-/// The samples as a CSV file. See `docs/formats.md`.
-struct Csv {
-    file: BufWriter<File>,
-    path: PathBuf,
-}
-
-impl Csv {
-    const HEADER: &str = "ticks,time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,\
-                          accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,temperature_c,flags";
-
-    fn create(path: &Path) -> Result<Self, Failure> {
-        let file = File::create(path).map_err(|error| Failure::file("write", path, &error))?;
-        let mut csv = Self {
-            file: BufWriter::new(file),
-            path: path.to_owned(),
-        };
-        csv.line(Self::HEADER)?;
-        Ok(csv)
-    }
-
-    fn sample(&mut self, sample: &Sample) -> Result<(), Failure> {
-        let [gx, gy, gz] = sample.gyro;
-        let [ax, ay, az] = sample.accel;
-        self.line(&format!(
-            "{},{},{gx:.9},{gy:.9},{gz:.9},{ax:.7},{ay:.7},{az:.7},{:.3},{}",
-            sample.at.0,
-            seconds(sample.at.as_nanos()),
-            sample.temperature,
-            sample.flags.0
-        ))
-    }
-
-    fn line(&mut self, line: &str) -> Result<(), Failure> {
-        writeln!(self.file, "{line}").map_err(|error| Failure::file("write", &self.path, &error))
-    }
-
-    fn finish(mut self) -> Result<(), Failure> {
-        let written = self.file.flush();
-        written.map_err(|error| Failure::file("write", &self.path, &error))
-    }
 }

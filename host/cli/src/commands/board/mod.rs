@@ -37,9 +37,9 @@ enum Action {
     Flash(flash::Args),
     /// Test a new board, with a report to send
     Test(test::Args),
-    /// Run the camera trigger by hand: start, align, period, latency, stop, status
+    /// Run the camera trigger by hand: start, align, period, stop, status
     Trigger(trigger::Args),
-    /// Stream the board's IMU: rate, jitter, noise; to a CSV file
+    /// Stream the board's IMU: rate, jitter, noise
     Imu(imu::Args),
     /// Run pulse per second and NMEA sentences for a lidar: start, stop, status
     Pps(pps::Args),

@@ -1,7 +1,5 @@
 //! `smartdepthsync board trigger`: the trigger outputs by hand.
 
-mod latency;
-
 use clap::Subcommand;
 use protocol::{
     Output, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
@@ -12,7 +10,6 @@ use crate::context::Context;
 use crate::decimal::{parse_fps, parse_period, parse_ticks};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
-use evaluate::train::TrainGeometry;
 
 /// Options of `board trigger`.
 #[derive(Debug, clap::Args)]
@@ -59,17 +56,6 @@ enum Action {
         #[command(flatten)]
         period: PeriodArg,
     },
-    /// Measure from the trigger's edge to the centre of exposure, with a photodiode on the
-    /// strobe input (PA2) while the train runs
-    #[command(after_help = "Example: smartdepthsync board trigger latency --train nfov")]
-    Latency {
-        /// The depth mode's strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
-        #[arg(long, default_value = "nfov", value_name = "TRAIN")]
-        train: TrainGeometry,
-        /// Pulses to measure
-        #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..=100_000))]
-        pulses: u32,
-    },
     /// Stop the train
     #[command(after_help = "Example: smartdepthsync board trigger stop")]
     Stop,
@@ -114,18 +100,8 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
     }
     // The command line takes 1 to 4.
     let output = Output::from_number(args.output).unwrap_or(Output::Camera);
-    if !output.is_camera() && matches!(args.action, Action::Latency { .. }) {
-        return Err(Failure::new(
-            ExitStatus::Usage,
-            "the latency is measured on the camera's trigger, output 1",
-        )
-        .next_step("leave --output out"));
-    }
     let mut board = port.open()?;
     let status = match args.action {
-        Action::Latency { train, pulses } => {
-            return latency::measure(&mut board, context, &train, pulses as usize);
-        }
         Action::Start {
             period,
             width,
