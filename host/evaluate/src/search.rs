@@ -268,49 +268,62 @@ impl WideSearch {
         }
     }
 
-    /// The best few distinct shapes for one profile without its smooth part, on
-    /// `rows`, best first.
+    /// The best few distinct shapes for each profile without its smooth part, on
+    /// `rows`, best first. What is prepared for a shape serves all profiles.
     pub(crate) fn run(
         &self,
         rows: RowGrid,
         train: &TrainGeometry,
-        profile: &[f64],
+        profiles: &[DVector<f64>],
         smooth: &Basis,
-    ) -> Vec<Found> {
+    ) -> Vec<Vec<Found>> {
         // Bins of about a fifth of a flash at the usual row times.
         let factor = (rows.len / 270).max(1);
         let coarse = rows.binned(factor);
         let smooth = smooth.binned(factor);
-        let mut y = DVector::from_vec(bin(profile, factor));
-        smooth.remove_from(&mut y);
+        let binned = profiles.iter().map(|profile| {
+            let mut y = DVector::from_vec(bin(profile.as_slice(), factor));
+            smooth.remove_from(&mut y);
+            y
+        });
+        let binned: Vec<DVector<f64>> = binned.collect();
         let step_us = 0.5 * train.duration_us.max(40.0);
-        let mut found: Vec<Found> = self
+        let of_each: Vec<Vec<Option<Found>>> = self
             .row_times_us
             .par_iter()
             .flat_map_iter(|&row_time| {
-                let (smooth, y) = (&smooth, y.as_slice());
-                self.exposures_us.iter().filter_map(move |&exposure| {
-                    CombSearch::new(coarse, train, row_time, exposure, smooth, step_us)
-                        .best(y, self.near_us)
+                let (smooth, binned) = (&smooth, &binned);
+                self.exposures_us.iter().map(move |&exposure| {
+                    let search =
+                        CombSearch::new(coarse, train, row_time, exposure, smooth, step_us);
+                    let best = |y: &DVector<f64>| search.best(y.as_slice(), self.near_us);
+                    binned.iter().map(best).collect()
                 })
             })
             .collect();
-        found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
-        let mut kept: Vec<Found> = Vec::new();
-        for f in found {
-            let known = kept.iter().any(|k| {
-                (k.shape.row_time_us / f.shape.row_time_us - 1.0).abs() < 0.03
-                    && (k.shape.exposure_us / f.shape.exposure_us).ln().abs() < 0.6
-            });
-            if !known {
-                kept.push(f);
-            }
-            if kept.len() == KEEP {
-                break;
-            }
-        }
-        kept
+        (0..profiles.len())
+            .map(|number| distinct(of_each.iter().filter_map(|all| *all.get(number)?).collect()))
+            .collect()
     }
+}
+
+/// The best few, each of another shape.
+fn distinct(mut found: Vec<Found>) -> Vec<Found> {
+    found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
+    let mut kept: Vec<Found> = Vec::new();
+    for f in found {
+        let known = kept.iter().any(|k| {
+            (k.shape.row_time_us / f.shape.row_time_us - 1.0).abs() < 0.03
+                && (k.shape.exposure_us / f.shape.exposure_us).ln().abs() < 0.6
+        });
+        if !known {
+            kept.push(f);
+        }
+        if kept.len() == KEEP {
+            break;
+        }
+    }
+    kept
 }
 
 #[cfg(test)]
@@ -387,14 +400,14 @@ mod tests {
                 row_time_us,
                 exposure_us,
             };
-            let y = profile(ROWS, &shape);
+            let y = DVector::from_vec(profile(ROWS, &shape));
             let found = WideSearch::new(1080, None, None, 0.0).run(
                 ROWS,
                 &TrainGeometry::NFOV,
-                &y,
+                &[y],
                 &Basis::polynomials(ROWS.len, 5),
             );
-            let near = found.iter().any(|f| {
+            let near = found[0].iter().any(|f| {
                 (f.shape.row_time_us / row_time_us - 1.0).abs() < 0.01
                     && (f.shape.exposure_us / exposure_us).ln().abs() < 0.5
             });

@@ -464,13 +464,20 @@ fn search_some(
         model.smooth.columns(),
         &polynomial_columns(footage.rows.len, COMPETITOR_DEGREE),
     ));
+    let frames = ranks.iter().filter_map(|&rank| order.get(rank));
+    let frames: Vec<_> = frames
+        .map(|(_, frame)| model.detrend(&frame.rows))
+        .collect();
+    // Mostly the first is enough.
+    let (first, others) = frames.split_at(frames.len().min(1));
     searches.iter().find_map(|wide| {
-        ranks.iter().find_map(|&rank| {
-            let y = model.detrend(&order.get(rank)?.1.rows);
-            let mut bent = y.clone();
-            competitor.remove_from(&mut bent);
-            let found = wide.run(model.rows, &settings.train, y.as_slice(), &model.smooth);
-            best_train(model, &y, &found, bent.norm_squared(), settings)
+        [first, others].into_iter().find_map(|frames| {
+            let found = wide.run(model.rows, &settings.train, frames, &model.smooth);
+            frames.iter().zip(&found).find_map(|(y, found)| {
+                let mut bent = y.clone();
+                competitor.remove_from(&mut bent);
+                best_train(model, y, found, bent.norm_squared(), settings)
+            })
         })
     })
 }
