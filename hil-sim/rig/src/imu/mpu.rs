@@ -378,13 +378,14 @@ mod tests {
     #[test]
     fn the_protocol_and_the_sensor_agree_on_every_setting() {
         use protocol::{AccelRange, GyroRange, LowPass};
-        for (setting, pass) in [
-            (1, LowPass::Hz188),
-            (2, LowPass::Hz98),
-            (3, LowPass::Hz42),
-            (4, LowPass::Hz20),
-            (5, LowPass::Hz10),
-            (6, LowPass::Hz5),
+        // With the bandwidths of gyroscope and accelerometer, in Hz (section 4.3).
+        for (setting, pass, gyro_hz, accel_hz) in [
+            (1, LowPass::Hz188, 188.0, 184.0),
+            (2, LowPass::Hz98, 98.0, 94.0),
+            (3, LowPass::Hz42, 42.0, 44.0),
+            (4, LowPass::Hz20, 20.0, 21.0),
+            (5, LowPass::Hz10, 10.0, 10.0),
+            (6, LowPass::Hz5, 5.0, 5.0),
         ] {
             let mut map = MpuRegisters::new(SensorModel::Mpu9150);
             map.store(address::CONFIG, setting);
@@ -397,6 +398,8 @@ mod tests {
                 (path.accel.delay_s * 1e6).round() as u32,
                 pass.accel_delay_us()
             );
+            let found = (path.gyro.bandwidth_hz, path.accel.bandwidth_hz);
+            assert_eq!(found, (gyro_hz, accel_hz));
             assert_eq!(path.gyro_hz, 1000);
         }
         for (setting, range) in [

@@ -19,7 +19,8 @@ mod view;
 use std::sync::Arc;
 
 use crate::random::Random;
-use gesture::{Gesture, Performance};
+use gesture::Gesture;
+pub use gesture::Motion;
 pub use view::MotionView;
 
 /// Standard gravity, m/s².
@@ -51,7 +52,7 @@ impl MotionSpec {
     /// Draws the motion's details from `random`.
     #[must_use]
     pub fn build(&self, random: Random) -> Arc<Motion> {
-        Arc::new(Motion::Performed(Performance::new(&self.0, random)))
+        Arc::new(Motion::new(&self.0, random))
     }
 }
 
@@ -110,52 +111,6 @@ impl core::str::FromStr for MotionSpec {
         }
         Ok(Self(steps))
     }
-}
-
-/// The motion of the rig.
-#[derive(Clone, Debug)]
-pub enum Motion {
-    /// From formulas.
-    Performed(Performance),
-    /// Sines about and then along the three axes, for tests of filters: the amplitude of
-    /// each in rad/s and m/s², and its frequency in Hz.
-    #[cfg(test)]
-    Sines([(f64, f64); 6]),
-}
-
-impl Motion {
-    /// No motion at all.
-    #[must_use]
-    pub fn rest() -> Arc<Self> {
-        Arc::new(Self::Performed(Performance::rest()))
-    }
-
-    /// Angular rate about the rig's axes at true time `t`, in rad/s.
-    #[must_use]
-    pub fn angular_rate(&self, t: f64) -> [f64; 3] {
-        match self {
-            Self::Performed(p) => p.angular_rate(t),
-            #[cfg(test)]
-            Self::Sines([x, y, z, ..]) => [x, y, z].map(|sine| value(sine, t)),
-        }
-    }
-
-    /// Specific force (what an accelerometer measures: acceleration minus
-    /// gravity) along the rig's axes at true time `t`, in m/s². At rest it is
-    /// `[0, 0, 9.80665]`.
-    #[must_use]
-    pub fn specific_force(&self, t: f64) -> [f64; 3] {
-        match self {
-            Self::Performed(p) => p.specific_force(t),
-            #[cfg(test)]
-            Self::Sines([.., x, y, z]) => [x, y, z].map(|sine| value(sine, t)),
-        }
-    }
-}
-
-#[cfg(test)]
-fn value((amplitude, hz): &(f64, f64), t: f64) -> f64 {
-    amplitude * (core::f64::consts::TAU * hz * t).sin()
 }
 
 #[cfg(test)]

@@ -39,20 +39,12 @@ impl MotionView {
 
     /// See [`Motion::angular_rate`].
     pub fn angular_rate(&mut self, t: f64) -> [f64; 3] {
-        match &*self.motion {
-            Motion::Performed(p) => self.rate.at(t, |t| p.angular_rate(t)),
-            #[cfg(test)]
-            sines @ Motion::Sines(_) => sines.angular_rate(t),
-        }
+        self.rate.at(t, |t| self.motion.angular_rate(t))
     }
 
     /// See [`Motion::specific_force`].
     pub fn specific_force(&mut self, t: f64) -> [f64; 3] {
-        match &*self.motion {
-            Motion::Performed(p) => self.force.at(t, |t| p.specific_force(t)),
-            #[cfg(test)]
-            sines @ Motion::Sines(_) => sines.specific_force(t),
-        }
+        self.force.at(t, |t| self.motion.specific_force(t))
     }
 }
 

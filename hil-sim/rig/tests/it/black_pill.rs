@@ -2,11 +2,8 @@
 //! STM32F4DISCOVERY hold in length, in short.
 
 use crate::board_host::{Board, GNSS, train};
-use crate::imu_bench::Bench;
 use crate::trigger::check_train;
 use protocol::*;
-use rig::imu::SensorModel;
-use rig::motion::Motion;
 use rig::wiring::{self, BoardKind};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Part, SimBuilder, SimError};
@@ -62,32 +59,6 @@ fn its_trigger_is_exact_and_its_light_is_a_fault() {
     // There is no IMU, so the LED on the board, which is lit by a low pin, is on.
     assert!(!board.rig.level(Pin::PC13).is_high());
     assert_eq!(board.next_status().imu.state, ImuState::Failed);
-}
-
-#[test]
-fn each_imu_is_as_exact_on_it_as_on_the_discovery() {
-    for (model, found) in [
-        (SensorModel::Mpu6050, ImuModel::Mpu6050),
-        (SensorModel::Icm42688P, ImuModel::Icm42688P),
-    ] {
-        let mut bench = Bench::on(black_pill(), model, Motion::rest(), &[]);
-        bench.board.run(500);
-        bench.check_samples();
-        bench.board.run(1_000);
-        let Ok(setup) = bench.board.ask(QueryImu) else {
-            panic!("{model:?} does not answer");
-        };
-        assert_eq!(setup.sensor.model, found);
-        assert_eq!(setup.status.clock, ImuClock::External);
-        assert_eq!(setup.status.last_fault, None);
-        // Ticks of data-ready and values of the registers, against the sensor's own log.
-        let samples = bench.check_samples();
-        assert!(samples.len() >= 499, "{}", samples.len());
-        for (n, sample) in samples.iter().enumerate() {
-            assert!(!sample.flags.has(ImuFlags::LATE), "{sample:?}");
-            assert_eq!(sample.at - samples[0].at, TickDelta(96_000 * n as i64));
-        }
-    }
 }
 
 #[test]

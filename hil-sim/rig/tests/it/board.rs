@@ -101,41 +101,6 @@ fn ten_minutes_of_status_in_one_continuous_time() {
     );
 }
 
-#[test]
-fn time_goes_on_while_the_cable_is_out() {
-    let mut board = Board::boot(wiring::board());
-    board.run(3_000);
-    let hello = board.hellos[0].clone();
-    let (sim_before, before) = (board.rig.now(), board.now());
-    let connects = board.next_status().connects;
-
-    board.unplug_and_plug(10_000);
-
-    let again = board.hellos.last().unwrap().clone();
-    assert_eq!(again.epoch, hello.epoch, "the board was not reset");
-    assert_eq!(again.reset_cause, hello.reset_cause);
-    let after = board.now();
-    let elapsed = (board.rig.now() - sim_before).as_nanos();
-    let counted = (after - before).as_secs_f64() * 1e9;
-    assert!(
-        (counted - elapsed as f64).abs() < 5e6,
-        "{counted} ns of {elapsed}"
-    );
-    let status = board.next_status();
-    assert_eq!(status.connects, connects + 1);
-    assert_eq!(status.epoch, hello.epoch);
-    assert!(status.usb.resets >= 2, "{:?}", status.usb);
-    // Status messages went on, and those that nobody took are counted.
-    let gaps: u32 = board
-        .statuses
-        .windows(2)
-        .map(|pair| pair[1].seq - pair[0].seq - 1)
-        .sum();
-    assert!(gaps > 0, "ten seconds without a host lose something");
-    assert_eq!(status.dropped.status, gaps, "every lost status is counted");
-    assert!(board.rig.failures().is_empty());
-}
-
 /// Bus resets, suspends and pulled cables at any moment of a stream of full packets: the board
 /// comes back each time, and nothing is lost that is not counted.
 #[test]
@@ -282,35 +247,16 @@ fn a_transmitter_that_stops_is_started_again() {
     assert_eq!((status.connects, status.usb.stuck), (connects + 1, 1));
 }
 
-#[test]
-fn a_host_that_stops_reading_costs_only_counted_messages() {
-    let mut board = Board::boot(wiring::board());
-    board.run(2_000);
-    board.rig.usb_set_reading(false);
-    board.run(20_000);
-    board.rig.usb_set_reading(true);
-    board.run(2_000);
-    let last = board.statuses.last().unwrap().clone();
-    let gaps: u32 = board
-        .statuses
-        .windows(2)
-        .map(|pair| pair[1].seq - pair[0].seq - 1)
-        .sum();
-    assert!(gaps > 0);
-    assert_eq!(last.dropped.status, gaps);
-    assert!(board.ask(Ping { host_time: 5 }).is_ok());
-}
-
-/// Ten megabytes of anything: no panic, no reset, and every command is
+/// A megabyte of anything: no panic, no reset, and every command is
 /// answered afterwards.
 #[test]
-fn ten_megabytes_of_random_bytes_change_nothing() {
+fn a_megabyte_of_random_bytes_change_nothing() {
     let mut board = Board::boot(wiring::board());
     let epoch = board.hellos[0].epoch;
     let mut random = Seed(99).stream(Stream::Test);
     let mut chunk = vec![0; 64 * 1024];
     let mut sent = 0usize;
-    while sent < 10_000_000 {
+    while sent < 1_000_000 {
         if board.rig.usb_unsent() < chunk.len() {
             random.fill(&mut chunk);
             board.rig.usb_write(&chunk);
@@ -334,7 +280,7 @@ fn ten_megabytes_of_random_bytes_change_nothing() {
     assert_eq!(status.dropped.answers, 0);
     let link = status.link;
     assert!(link.lost_frames() > 1_000, "{link:?}");
-    assert!(link.lost_bytes as usize > 9_000_000, "{link:?}");
+    assert!(link.lost_bytes as usize > 900_000, "{link:?}");
     assert!(board.rig.failures().is_empty());
 }
 
@@ -513,25 +459,6 @@ fn masked_interrupts_are_metered() {
     );
 }
 
-#[test]
-fn a_hard_fault_is_reported_in_the_next_hello() {
-    let mut board = Board::boot(wiring::board().tolerate_failures());
-    self_test(&mut board, Failure::HardFault);
-    let hello = next_run(&mut board);
-    assert_eq!(hello.reset_cause, ResetCause::Software);
-    let message = hello.last_panic.expect("the message of the fault");
-    assert!(message.contains("HardFault"), "{message}");
-    let failure = &board.rig.failures()[0];
-    assert_eq!(failure.kind, FailureKind::HardFault);
-    assert!(
-        failure
-            .backtrace
-            .iter()
-            .any(|l| l.contains("undefined_instruction")),
-        "the stack names the culprit: {failure}"
-    );
-}
-
 /// The catch would halt the core at the fault, until the watchdog's reset.
 #[test]
 fn a_fault_is_reported_where_a_tool_left_its_catch_on() {
@@ -543,6 +470,8 @@ fn a_fault_is_reported_where_a_tool_left_its_catch_on() {
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Software);
     assert!(hello.last_panic.unwrap().contains("HardFault"));
+    let failure = board.rig.failures().last().unwrap();
+    assert_eq!(failure.kind, FailureKind::HardFault);
 }
 
 /// The IMU's task does not switch it off.
@@ -562,19 +491,6 @@ fn the_red_light_stays_on_after_a_panic() {
     next_run(&mut bench.board);
     bench.board.run(2_000);
     assert!(!is_red(&bench));
-}
-
-/// The handler of the fault has a stack of its own to report from.
-#[test]
-fn a_stack_that_overflows_is_reported_in_the_next_hello() {
-    let mut board = Board::boot(wiring::board().tolerate_failures());
-    self_test(&mut board, Failure::StackOverflow);
-    let hello = next_run(&mut board);
-    assert_eq!(hello.reset_cause, ResetCause::Software);
-    let message = hello.last_panic.expect("the message of the fault");
-    assert!(message.contains("stack overflow"), "{message}");
-    let kinds: Vec<_> = board.rig.failures().iter().map(|f| f.kind).collect();
-    assert_eq!(kinds, [FailureKind::HardFault]);
 }
 
 #[test]
@@ -731,47 +647,6 @@ fn a_wrong_crystal_is_found_out() {
         (counted - elapsed * 1.002).abs() < 0.005,
         "{counted} s of {elapsed} s"
     );
-}
-
-/// Three seconds of the board's bytes.
-fn three_seconds(seed: u64) -> Vec<u8> {
-    let mut rig = wiring::board().seed(Seed(seed)).build().unwrap();
-    let mut bytes = Vec::new();
-    for _ in 0..30 {
-        rig.run_for(SimDuration::from_millis(100)).unwrap();
-        bytes.extend(rig.usb_read());
-    }
-    assert_eq!(rig.usb_state(), UsbState::Ready);
-    bytes
-}
-
-#[test]
-fn the_same_seed_gives_the_same_bytes() {
-    let bytes = three_seconds(1);
-    assert!(bytes.len() > 100);
-    assert_eq!(bytes, three_seconds(1));
-    assert_ne!(
-        bytes,
-        three_seconds(2),
-        "what RAM holds at power-on is random"
-    );
-}
-
-#[test]
-fn damaged_bytes_are_counted_and_the_link_goes_on() {
-    let mut board = Board::boot(wiring::board());
-    board.rig.usb_corrupt(0, 20_000);
-    for n in 0..300 {
-        board.send(Ping { host_time: n });
-        board.run(5);
-    }
-    board.rig.usb_corrupt(0, 0);
-    board.rig.usb_write(&[0]);
-    let pongs = board.answers.len();
-    assert!((100..300).contains(&pongs), "{pongs} of 300 answered");
-    let link = board.next_status().link;
-    assert!(link.lost_frames() > 0, "{link:?}");
-    assert!(board.ask(Ping { host_time: 1 }).is_ok());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, GNSS, UNITS_PER_TICK, train};
+use crate::board_host::{Board, GNSS, UNITS_PER_TICK};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use rig::wiring;
@@ -148,43 +148,6 @@ fn every_rate_and_polarity_is_read() {
     }
 }
 
-/// A lidar whose line is low when idle, wired without the inverting gate, reads nothing.
-#[test]
-fn a_line_without_its_inverting_gate_is_not_understood() {
-    let mut bench = Bench::new(LidarConfig {
-        gate_inverts: false,
-        ..LidarConfig::default()
-    });
-    bench.start(GNSS);
-    bench.board.run(4_000);
-    let seconds = lock(&bench.lidar).take_seconds();
-    assert!(seconds.len() >= 2);
-    assert!(seconds.iter().all(|second| second.utc.is_none()));
-}
-
-/// Every output busy at once, USB full, a flood of commands: no second is lost.
-#[test]
-fn no_second_is_lost_under_full_load() {
-    let mut bench = Bench::new(LidarConfig::default());
-    bench.start(GNSS);
-    for output in Output::AUXILIARY {
-        let start = train(Period::from_picos(1_500_000_000).unwrap(), MIN_OUTPUT_WIDTH);
-        bench.board.ask(StartTrigger { output, start }).unwrap();
-    }
-    let bytes_per_second = u32::MAX;
-    bench.board.ask(SendFiller { bytes_per_second }).unwrap();
-    for _ in 0..500 {
-        bench.board.send(Ping { host_time: 0 });
-        bench.board.send(QueryGnss);
-        bench.board.run(20);
-    }
-    assert!(bench.check(&GNSS).len() >= 8);
-    assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
-    let status = bench.board.next_status();
-    assert_eq!((status.gnss.missed, status.gnss.late), (0, 0));
-    assert_eq!(status.trigger.late, 0);
-}
-
 /// A stop finishes the pulse and the sentences under way; then other settings
 /// are taken.
 #[test]
@@ -220,42 +183,4 @@ fn a_stop_finishes_what_it_began() {
         bench.board.run(2_500);
     }
     bench.check(&GNSS);
-}
-
-#[test]
-fn what_the_board_cannot_keep_is_refused() {
-    let mut bench = Bench::new(LidarConfig::default());
-    for (settings, expected) in [
-        (
-            GnssSettings {
-                utc_at_zero: 0,
-                ..GNSS
-            },
-            Refusal::GnssDateOutOfRange,
-        ),
-        (
-            GnssSettings {
-                pulse_width: 0,
-                ..GNSS
-            },
-            Refusal::WidthOutOfRange {
-                min: MIN_OUTPUT_WIDTH,
-                max: MAX_PPS_WIDTH,
-            },
-        ),
-        (
-            GnssSettings {
-                delay_ms: 450,
-                ..GNSS
-            },
-            Refusal::GnssWindowExceeded { ends_us: 525_000 },
-        ),
-    ] {
-        let refused = bench.board.ask(StartGnss(settings));
-        assert_eq!(refused, Err(expected));
-    }
-    bench.board.run(2_000);
-    assert_eq!(bench.board.rig.edge_count(Pin::PE9), 0);
-    // The pull-up at the gate, at power-on.
-    assert_eq!(bench.board.rig.edge_count(Pin::PC12), 1);
 }

@@ -13,6 +13,5 @@ mod outputs;
 mod phone_bench;
 mod phone_rude;
 mod phone_server;
-mod phone_video;
 mod trigger;
 mod trigger_rig;

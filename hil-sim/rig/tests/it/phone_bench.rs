@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use rig::flash_log::{Dark, FlashSource};
+use rig::flash_log::Dark;
 use rig::motion::MotionSpec;
 use rig::oscillator::TrueTime;
 use rig::phone::{Answer, AskedPhone, PhoneConfig, RequestId, Surroundings};
@@ -14,7 +14,6 @@ use rig::true_clock::TrueClock;
 pub(crate) fn on_a_walk(
     seed: u64,
     clock: &TrueClock,
-    light: Arc<dyn FlashSource>,
     edit: impl FnOnce(&mut PhoneConfig),
 ) -> (PhoneConfig, Surroundings) {
     let mut config = PhoneConfig::draw(Seed(seed));
@@ -23,7 +22,7 @@ pub(crate) fn on_a_walk(
     let surroundings = Surroundings {
         clock: clock.clone(),
         motion: spec.build(Seed(seed).stream(Stream::Motion)),
-        light,
+        light: Arc::new(Dark),
     };
     (config, surroundings)
 }
@@ -35,16 +34,8 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) fn new(seed: u64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
-        Self::with(seed, Arc::new(Dark), edit)
-    }
-
-    pub(crate) fn with(
-        seed: u64,
-        light: Arc<dyn FlashSource>,
-        edit: impl FnOnce(&mut PhoneConfig),
-    ) -> Self {
         let clock = TrueClock::new();
-        let (config, surroundings) = on_a_walk(seed, &clock, light, edit);
+        let (config, surroundings) = on_a_walk(seed, &clock, edit);
         let phone = AskedPhone::start(config, surroundings).unwrap();
         Self { phone, clock }
     }

@@ -2,7 +2,7 @@
 //! that it is about: RRH is `RemoteRpcRequestHandler.java`, RSS `RemoteRpcServer.java`,
 //! EAI `ExtendedAppInterface.java`, of prime-slam/OpenCamera-Sensors at v1.48.3.1.
 
-use rig::phone::{PhoneConfig, StorageAccess, VideoMode};
+use rig::phone::{PhoneConfig, VideoMode};
 
 use crate::phone_bench::Bench;
 
@@ -11,11 +11,6 @@ const BUSY: [&str; 3] = ["ERROR", "v.0.1.1", "Error in IMU recording"];
 
 fn without_pictures(c: &mut PhoneConfig) {
     c.video = VideoMode::Never;
-}
-
-fn with_few_pixels(c: &mut PhoneConfig) {
-    c.camera.rows = 64;
-    c.camera.columns = 16;
 }
 
 /// `Preview.java`:1048 and CameraController2.java:5277 (the session closes later), EAI:237
@@ -56,20 +51,6 @@ fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
     assert!(!bench.phone.is_recording());
 }
 
-/// The same after a start whose phase came too late: RRH:34, `VideoFrameInfo.java`:145.
-#[test]
-fn the_phase_of_slow_frames_answers_the_next_start() {
-    let mut bench = Bench::new(52, |c| {
-        without_pictures(c);
-        c.camera.frame_period_ns = 200e6;
-    });
-    assert_eq!(bench.ask("video_start")[0], "ERROR");
-    assert!(bench.phone.is_recording());
-    bench.pass(5.0);
-    assert_eq!(bench.ask("video_start")[0], "SUCCESS");
-    assert!(!bench.phone.is_recording());
-}
-
 /// `Preview.java`:5020.
 #[test]
 fn a_press_right_behind_a_start_is_ignored() {
@@ -96,43 +77,15 @@ fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
     assert!(bench.clock.now().as_secs_f64() > 9.9);
 }
 
-/// RRH:208, in a thread that nobody guards.
+/// RSS:76, `Long.parseLong` of more digits than it has, in a thread that nobody guards.
 #[test]
-fn get_video_without_a_video_ends_the_app() {
-    let mut bench = Bench::new(55, with_few_pixels);
-    assert!(bench.ask("get_video").is_empty());
-    assert!(bench.ask("x").is_empty(), "nobody listens");
-    bench.phone.join_network();
-    bench.ask("video_start");
-    bench.ask("video_stop");
-    assert_eq!(bench.ask("get_video")[0], "SUCCESS");
-    // RSS:76, `Long.parseLong` of more digits than it has; and a video of before the app was
-    // opened again does not count.
+fn a_number_that_is_too_large_ends_the_app() {
+    let mut bench = Bench::new(55, without_pictures);
     bench.phone.press_record();
     let overflow = "imu?duration=9223372036854775808&accel=0&gyro=1&magnetic=0";
     assert!(bench.ask(overflow).is_empty());
+    assert!(bench.ask("x").is_empty(), "nobody listens");
     assert!(!bench.phone.is_recording());
-    bench.phone.join_network();
-    assert!(bench.ask("get_video").is_empty());
-}
-
-/// RRH:203 waits for what only `Preview.java`:1072 gives, and that only for files.
-#[test]
-fn with_storage_access_get_video_behind_a_stop_hangs_for_good() {
-    let mut bench = Bench::new(57, |c| {
-        with_few_pixels(c);
-        c.app.storage = StorageAccess::Documents;
-        c.app.stop_ms = 1_000.0;
-    });
-    bench.ask("video_start");
-    bench.ask("video_stop");
-    bench.pass(2.0);
-    assert_eq!(bench.ask("get_video")[0], "SUCCESS");
-    bench.ask("video_start");
-    bench.ask("video_stop");
-    let asked = ["get_video", ""].map(|request| bench.phone.ask(request));
-    bench.pass(60.0);
-    assert!(asked.into_iter().all(|id| bench.take(id).is_none()));
 }
 
 /// EAI:297 (the ticks decide which files there are), `RawSensorInfo.java`:216 (also of a
@@ -170,21 +123,6 @@ fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one(
         std::path::Path::new(&name.replace("_imu_timestamps", suffix)).exists()
     };
     assert!(beside("accel") && !beside("gyro") && !beside("magnetic"));
-}
-
-/// `StorageUtils.java`:640 and 714; with storage access the system's own number.
-#[test]
-fn two_recordings_within_a_second_have_numbers() {
-    for (storage, number) in [
-        (StorageAccess::Files, "_1"),
-        (StorageAccess::Documents, " (1)"),
-    ] {
-        let mut bench = Bench::new(59, |c| c.app.storage = storage);
-        let short = "imu?duration=1&accel=0&gyro=1&magnetic=0";
-        let names = [(); 2].map(|()| bench.ask(short)[2].clone());
-        let ending = format!("gyro{number}.csv");
-        assert!(names[1].ends_with(&ending), "{names:?}");
-    }
 }
 
 /// RRH:128 gives no reason.

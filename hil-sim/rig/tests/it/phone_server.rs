@@ -3,9 +3,7 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::sync::Arc;
 
-use rig::flash_log::Dark;
 use rig::phone::SimPhone;
 use rig::true_clock::TrueClock;
 
@@ -15,7 +13,7 @@ use crate::phone_bench::on_a_walk;
 fn the_python_client_gets_all_it_asks_for() {
     for version in ["v.0.1", "v.0.1.1"] {
         let clock = TrueClock::run_at(20.0);
-        let (config, surroundings) = on_a_walk(30, &clock, Arc::new(Dark), |c| {
+        let (config, surroundings) = on_a_walk(30, &clock, |c| {
             c.version = version.to_owned();
             c.camera.rows = 120;
             c.camera.columns = 16;

@@ -1,16 +1,11 @@
 //! The trigger train of the real firmware on the simulated board: every edge at
 //! the pin against the arithmetic of the command.
 
-use std::sync::{Arc, Mutex};
-
 use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, train};
 use crate::trigger_rig::Strobe;
 use protocol::*;
-use rig::jumpers::Jumpers;
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::shared::lock;
-use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 
 /// The default width: 12 µs.
@@ -82,9 +77,9 @@ fn every_pulse_of_a_train_is_exact() {
     let nearly_whole = picos(1_000_000_001);
     for (period, width, seconds, least) in [
         (picos(1_000_000_000), MIN_PULSE_WIDTH, 101, 100_000),
-        (picos(33_330_652_540), WIDTH, 200, 6_000),
-        (picos(33_333_333_330), WIDTH, 100, 2_999),
-        (picos(200_000_000_000), WIDTH, 100, 499),
+        (picos(33_330_652_540), WIDTH, 100, 2_999),
+        (picos(33_333_333_330), WIDTH, 10, 299),
+        (picos(200_000_000_000), WIDTH, 10, 49),
         (nearly_whole, nearly_whole.ticks() - MIN_PULSE_GAP, 5, 0),
     ] {
         let pulses = exact(period, width, seconds);
@@ -259,82 +254,6 @@ pub(crate) fn check_aligns(
     }
 }
 
-#[test]
-fn the_read_back_proves_the_wire() {
-    let wires = Arc::new(Mutex::new(Jumpers {
-        readback: false,
-        strobe: None,
-        ..Jumpers::default()
-    }));
-    let mut board = Board::boot(wiring::board().model(Arc::clone(&wires)));
-    start(&mut board, picos(33_333_333_330), WIDTH);
-    board.run(500);
-    let unwired = board.trigger().readback;
-    assert_eq!((unwired.seen, unwired.missing, unwired.stray), (0, 0, 0));
-    assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
-
-    lock(&wires).readback = true;
-    board.run(60);
-    board.pulses.clear();
-    board.run(1_000);
-    assert!(board.pulses.len() >= 29);
-    let seen = Some(INPUT_SYNCHRONISER as i32);
-    assert!(board.pulses.iter().all(|pulse| pulse.readback == seen));
-    let wired = board.trigger().readback;
-    assert!(wired.seen >= 30);
-    assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, seen));
-
-    lock(&wires).readback = false;
-    board.run(60);
-    board.pulses.clear();
-    board.run(1_000);
-    let missed = board.pulses.len() as u32;
-    let cut = board.trigger().readback;
-    assert!(cut.missing >= missed && missed >= 29, "{cut:?}");
-    assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
-}
-
-/// The camera's 9 flashes at 30 fps, for 20 s: every edge reported, at the tick
-/// in which it came and the clocks of the input's synchroniser, with the filter taken off.
-#[test]
-fn the_cameras_flashes_are_captured_without_loss() {
-    flashes_are_captured(20_000, INPUT_SYNCHRONISER);
-}
-
-/// The manual's other figure for the synchroniser.
-#[test]
-fn a_faster_synchroniser_delays_captures_by_one_tick_less() {
-    flashes_are_captured(2_000, 2);
-}
-
-fn flashes_are_captured(ms: u64, synchroniser: u64) {
-    let strobe = Strobe::flashes();
-    let made = strobe.made.clone();
-    let builder = wiring::board().chip(|chip| chip.synchroniser = synchroniser);
-    let mut board = Board::boot(builder.model(strobe));
-    board.rig.log_pin(Pin::PA5);
-    start(&mut board, picos(33_333_333_330), WIDTH);
-    board.run(ms);
-    board.stop();
-    board.run(200);
-    let zero = board.zero();
-    let made = made.lock().unwrap();
-    let frames = ms as usize * 30 / 1_000;
-    assert!(made.len() > 18 * (frames - 10), "{}", made.len());
-    assert_eq!(board.captures.len(), made.len());
-    for (index, (capture, &(at, level))) in board.captures.iter().zip(made.iter()).enumerate() {
-        assert_eq!(capture.seq as usize, index);
-        assert_eq!(capture.channel, CaptureChannel::Strobe);
-        assert_eq!(capture.edge == Edge::Rising, level.is_high());
-        assert!(!capture.after_loss);
-        let tick = (at.units() - zero) / UNITS_PER_TICK;
-        assert_eq!(capture.at, Ticks(tick + synchroniser), "edge {index}");
-    }
-    let status = board.next_status();
-    assert_eq!((status.strobe_overcaptures, status.strobe_floods), (0, 0));
-    assert_eq!(status.dropped.captures, 0);
-}
-
 /// Ringing after each edge, shorter than the filter's eight samples, is none of them.
 #[test]
 fn ringing_on_the_strobe_input_makes_no_edges() {
@@ -371,33 +290,6 @@ fn a_pulse_ends_by_itself() {
         board.run(3);
     }
     check_train(&mut board, first, period, MIN_PULSE_WIDTH);
-}
-
-/// 100 kHz on the strobe input starves neither the trigger nor anything else, and
-/// the flashes that come after it are captured again.
-#[test]
-fn a_flood_on_the_strobe_input_starves_nothing() {
-    let strobe = Strobe::new(3_000, 5, 10);
-    let mut board = Board::boot(wiring::board().model(strobe));
-    board.rig.log_pin(Pin::PA5);
-    let period = picos(33_330_652_540);
-    let first = start(&mut board, period, WIDTH).next_edge;
-    board.run(10_000);
-    let status = board.next_status();
-    assert!(status.strobe_floods > 100, "{status:?}");
-    assert!(status.cpu_permille < 200, "{status:?}");
-    assert_eq!(status.dropped.pulses, 0);
-    assert!(board.captures.len() > 500, "{}", board.captures.len());
-    // What was taken is marked where edges are missing before it.
-    let marked = board.captures.iter().filter(|c| c.after_loss).count() as u32;
-    let unseen = status.dropped.captures + 1;
-    assert!(
-        marked + unseen >= status.strobe_floods,
-        "{marked} marked, {unseen} unseen, {} floods, {} captures",
-        status.strobe_floods,
-        board.captures.len()
-    );
-    check_train(&mut board, first, period, WIDTH);
 }
 
 #[test]

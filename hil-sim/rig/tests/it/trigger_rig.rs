@@ -1,7 +1,6 @@
 //! A strobe on the trigger, for tests.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
 
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
@@ -15,20 +14,14 @@ pub(crate) struct Strobe {
     /// Excursions to the other level after each edge, and how long each lasts.
     pub(crate) ringing: Option<(u32, SimDuration)>,
     coming: VecDeque<(SimTime, Level)>,
-    /// The edges that were made.
-    pub(crate) made: Arc<Mutex<Vec<(SimTime, Level)>>>,
 }
 
 impl Strobe {
     /// The depth camera's: 9 pulses of 125 µs, 1,575 µs apart.
     pub(crate) fn flashes() -> Self {
-        Self::new(9, 125, 1_575)
-    }
-
-    pub(crate) fn new(count: u32, high_us: u64, pitch_us: u64) -> Self {
         Self {
-            pitch: SimDuration::from_micros(pitch_us),
-            ..Self::of(count, SimDuration::from_micros(high_us))
+            pitch: SimDuration::from_micros(1_575),
+            ..Self::of(9, SimDuration::from_micros(125))
         }
     }
 
@@ -40,7 +33,6 @@ impl Strobe {
             pitch: high + high,
             ringing: None,
             coming: VecDeque::new(),
-            made: Arc::default(),
         }
     }
 }
@@ -92,7 +84,6 @@ impl PinModel for Strobe {
             && at <= io.now()
         {
             self.coming.pop_front();
-            self.made.lock().unwrap().push((at, level));
             io.drive(Pin::PA2, Drive::from(level));
         }
     }
