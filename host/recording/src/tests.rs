@@ -315,15 +315,4 @@ proptest! {
     fn nanoseconds_give_the_ticks_back(ticks in 0_u64..1 << 58) {
         prop_assert_eq!(ticks_of_nanos(Ticks(ticks).as_nanos()), Ticks(ticks));
     }
-
-    #[test]
-    fn no_file_makes_the_reader_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
-        let folder = tempfile::tempdir().unwrap();
-        let mut content = b"\x89MCAP0\r\n".to_vec();
-        content.extend(bytes);
-        fs::write(folder.path().join(MCAP_FILE), content).unwrap();
-        for entry in Reader::open(folder.path()).unwrap() {
-            let _ = entry;
-        }
-    }
 }

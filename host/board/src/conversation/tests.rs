@@ -1,7 +1,6 @@
-use proptest::prelude::*;
 use protocol::{
-    Filler, Hello, ImuFlags, ImuSample, MAX_FILLER, Output, Refusal, Reply, ResetCause,
-    SELF_TEST_KEY, SayHello, SelfTest, StopTrigger,
+    Filler, Hello, ImuFlags, ImuSample, Output, Refusal, Reply, ResetCause, SELF_TEST_KEY,
+    SayHello, SelfTest, StopTrigger,
 };
 
 use super::*;
@@ -264,48 +263,4 @@ fn frames_are_kept_as_they_came() {
     assert_eq!(told[1], Event::Message(sample(1)));
     assert_eq!(told[2], Event::Frame(vec![9; MAX_FRAME]));
     assert_eq!(told[3], Event::Damaged(FrameError::Oversize));
-}
-
-proptest! {
-    #[test]
-    fn any_bytes_in_any_split_do_no_harm(
-        noise in proptest::collection::vec(any::<u8>(), 0..3_000),
-        cut in 1_usize..200,
-    ) {
-        let mut conversation = Conversation::new(0);
-        conversation.keep_frames(true);
-        for part in noise.chunks(cut) {
-            conversation.receive(part);
-            while conversation.next_event().is_some() {}
-        }
-        // After one delimiter everything is understood again.
-        conversation.receive(&[0]);
-        while conversation.next_event().is_some() {}
-        conversation.receive(&frame(&sample(3)));
-        prop_assert!(events(&mut conversation).contains(&Event::Message(sample(3))));
-    }
-
-    #[test]
-    fn messages_do_not_depend_on_the_split(
-        seqs in proptest::collection::vec(any::<u32>(), 1..20),
-        cut in 1_usize..400,
-    ) {
-        let payload: heapless::Vec<u8, MAX_FILLER> = (0..MAX_FILLER).map(|i| i as u8).collect();
-        let bytes: Vec<u8> = seqs
-            .iter()
-            .flat_map(|&seq| frame(&DeviceToHost::Filler(Filler { seq, payload: payload.clone() })))
-            .collect();
-        let mut conversation = Conversation::new(0);
-        for part in bytes.chunks(cut) {
-            conversation.receive(part);
-        }
-        let got: Vec<u32> = events(&mut conversation)
-            .into_iter()
-            .filter_map(|event| match event {
-                Event::Message(DeviceToHost::Filler(filler)) => Some(filler.seq),
-                _ => None,
-            })
-            .collect();
-        prop_assert_eq!(got, seqs);
-    }
 }
