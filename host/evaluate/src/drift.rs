@@ -25,8 +25,8 @@ const OUTLIER: f64 = 6.0;
 const OUTLIER_ROUNDS: usize = 4;
 
 /// By how much the stated uncertainty of an encoded video is larger than its
-/// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds,
-/// `cargo xtask hil-sim chain evaluate`). See [`super::precision`].
+/// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds). See
+/// [`super::precision`].
 const ENCODED: f64 = 1.5;
 
 /// Result of a long recording.

@@ -12,15 +12,6 @@ use super::frame::{MAX_SIDE, MIN_ROWS, Region};
 /// An evaluation that could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
-    /// Not a strobe train.
-    #[error(
-        "`{0}` is not a strobe train: give `nfov`, `wfov`, a depth mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least twice the duration)"
-    )]
-    Train(String),
-    #[error("`{0}` is not a rotation: give 0, 90, 180 or 270 degrees")]
-    Rotation(String),
-    #[error("`{0}` is not a region: give X,Y,WIDTH,HEIGHT in pixels of the image")]
-    RegionSyntax(String),
     /// The region is not inside the image.
     #[error(
         "the region {region} (X,Y,WIDTH,HEIGHT) is not inside the image of {width}x{height} pixels"
@@ -37,7 +28,7 @@ pub enum EvaluateError {
         "only {rows} sensor rows to look at, at least {MIN_ROWS} are needed: give a larger region or a larger video, and check --rotation"
     )]
     TooFewRows { rows: usize },
-    /// A setting out of range.
+    /// A setting that is none, or out of range.
     #[error("{0}")]
     Setting(String),
     /// A frame of another size than those before it.

@@ -1,7 +1,6 @@
 //! One recording, read: the profiles of its frames and a picture for the report.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use super::frame::{GreyView, RowProfile, RowReducer};
 use super::input::{self, Applied};
@@ -55,8 +54,6 @@ pub struct Footage {
     pub(crate) encoded: bool,
     /// Remarks for the user.
     pub(crate) notes: Vec<String>,
-    /// Time spent waiting for the decoder and for the disk.
-    pub waited: Duration,
 }
 
 impl Footage {
@@ -68,12 +65,9 @@ impl Footage {
         settings: &Settings,
         expected: Option<(usize, usize)>,
     ) -> Result<Self, EvaluateError> {
-        let started = Instant::now();
         let input = input::resolve(path)?;
-        let mut source = Video::open(&input.path, settings.timestamps.as_deref())?;
-        let opened = started.elapsed();
+        let mut source = Video::open(&input.path)?;
         let mut footage = Self::from_source(&mut source, settings, expected)?;
-        footage.waited += opened;
         footage.applied = input.applied;
         Ok(footage)
     }
@@ -84,7 +78,6 @@ impl Footage {
         settings: &Settings,
         expected: Option<(usize, usize)>,
     ) -> Result<Self, EvaluateError> {
-        let mut waited = Duration::ZERO;
         let info = source.info().clone();
         if let Some((width, height)) = expected.filter(|&e| e != (info.width, info.height)) {
             return Err(EvaluateError::FrameSize {
@@ -97,13 +90,11 @@ impl Footage {
         let reducer = RowReducer::new(
             info.width,
             info.height,
-            settings.rotation,
+            settings.readout,
             settings.region,
             info.white,
         )?;
-        let middle = settings
-            .middle_row
-            .unwrap_or(0.5 * (reducer.sensor_rows() as f64 - 1.0));
+        let middle = 0.5 * (reducer.sensor_rows() as f64 - 1.0);
         let rows = RowGrid {
             first: reducer.first_row() as f64 - middle,
             step: 1.0,
@@ -114,10 +105,9 @@ impl Footage {
         let mut picture = Picture::default();
         let (mut read, mut saturated, mut untimed) = (0, 0.0f32, 0usize);
         for index in 0.. {
-            let asked = Instant::now();
-            let frame = source.next_frame();
-            waited += asked.elapsed();
-            let Some(frame) = frame? else { break };
+            let Some(frame) = source.next_frame()? else {
+                break;
+            };
             let Some(time_s) = info.times.seconds(index) else {
                 untimed += 1;
                 continue;
@@ -155,7 +145,6 @@ impl Footage {
             picture,
             encoded: info.encoded,
             notes,
-            waited,
         })
     }
 }

@@ -8,6 +8,8 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
+use recording::profile::Direction;
+
 use super::EvaluateError;
 
 /// An 8-bit grey image, row by row without gaps.
@@ -18,38 +20,6 @@ pub struct GreyView<'a> {
     pub height: usize,
     /// `width · height` grey levels.
     pub pixels: &'a [u8],
-}
-
-/// By how many degrees the image is turned clockwise against the sensor's read-out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub enum Rotation {
-    /// The sensor's first row is the image's top row.
-    #[default]
-    #[serde(rename = "0")]
-    Deg0,
-    /// The sensor's first row is the image's right column.
-    #[serde(rename = "90")]
-    Deg90,
-    /// The sensor's first row is the image's bottom row.
-    #[serde(rename = "180")]
-    Deg180,
-    /// The sensor's first row is the image's left column.
-    #[serde(rename = "270")]
-    Deg270,
-}
-
-impl FromStr for Rotation {
-    type Err = EvaluateError;
-
-    fn from_str(s: &str) -> Result<Self, Self::Err> {
-        match s {
-            "0" => Ok(Self::Deg0),
-            "90" => Ok(Self::Deg90),
-            "180" => Ok(Self::Deg180),
-            "270" => Ok(Self::Deg270),
-            _ => Err(EvaluateError::Rotation(s.to_owned())),
-        }
-    }
 }
 
 /// A rectangle of the image, in image pixels.
@@ -71,7 +41,11 @@ impl FromStr for Region {
     type Err = EvaluateError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
-        let wrong = || EvaluateError::RegionSyntax(s.to_owned());
+        let wrong = || {
+            EvaluateError::Setting(format!(
+                "`{s}` is not a region: give X,Y,WIDTH,HEIGHT in pixels of the image"
+            ))
+        };
         let numbers: Vec<usize> = s
             .split(',')
             .map(|p| p.trim().parse().map_err(|_| wrong()))
@@ -107,7 +81,7 @@ pub(crate) struct RowProfile {
 pub(crate) struct RowReducer {
     pub(crate) width: usize,
     pub(crate) height: usize,
-    rotation: Rotation,
+    readout: Direction,
     region: Region,
     white: u8,
 }
@@ -118,7 +92,7 @@ impl RowReducer {
     pub(crate) fn new(
         width: usize,
         height: usize,
-        rotation: Rotation,
+        readout: Direction,
         region: Option<Region>,
         white: u8,
     ) -> Result<Self, EvaluateError> {
@@ -141,7 +115,7 @@ impl RowReducer {
         let reducer = Self {
             width,
             height,
-            rotation,
+            readout,
             region,
             white,
         };
@@ -153,11 +127,11 @@ impl RowReducer {
     }
 
     fn rows_are_columns(&self) -> bool {
-        matches!(self.rotation, Rotation::Deg90 | Rotation::Deg270)
+        matches!(self.readout, Direction::Left | Direction::Right)
     }
 
     fn reversed(&self) -> bool {
-        matches!(self.rotation, Rotation::Deg90 | Rotation::Deg180)
+        matches!(self.readout, Direction::Left | Direction::Up)
     }
 
     /// Rows of the whole sensor picture.
@@ -276,20 +250,20 @@ fn count_white(line: &[u8], white: u8) -> u64 {
 mod tests {
     use super::*;
 
-    /// A sensor picture whose row r is r everywhere, delivered with a rotation.
-    fn picture(rotation: Rotation, rows: usize, columns: usize) -> (usize, usize, Vec<u8>) {
-        let (w, h) = match rotation {
-            Rotation::Deg0 | Rotation::Deg180 => (columns, rows),
+    /// A sensor picture whose row r is r everywhere, read out that way in the image.
+    fn picture(readout: Direction, rows: usize, columns: usize) -> (usize, usize, Vec<u8>) {
+        let (w, h) = match readout {
+            Direction::Down | Direction::Up => (columns, rows),
             _ => (rows, columns),
         };
         let mut pixels = vec![0; w * h];
         for (i, p) in pixels.iter_mut().enumerate() {
             let (x, y) = (i % w, i / w);
-            let row = match rotation {
-                Rotation::Deg0 => y,
-                Rotation::Deg90 => w - 1 - x,
-                Rotation::Deg180 => h - 1 - y,
-                Rotation::Deg270 => x,
+            let row = match readout {
+                Direction::Down => y,
+                Direction::Left => w - 1 - x,
+                Direction::Up => h - 1 - y,
+                Direction::Right => x,
             };
             *p = row as u8;
         }
@@ -297,15 +271,15 @@ mod tests {
     }
 
     #[test]
-    fn every_rotation_gives_rows_in_read_out_order() {
-        for rotation in [
-            Rotation::Deg0,
-            Rotation::Deg90,
-            Rotation::Deg180,
-            Rotation::Deg270,
+    fn every_direction_gives_rows_in_read_out_order() {
+        for readout in [
+            Direction::Down,
+            Direction::Left,
+            Direction::Up,
+            Direction::Right,
         ] {
-            let (width, height, pixels) = picture(rotation, 100, 33);
-            let reducer = RowReducer::new(width, height, rotation, None, 98).unwrap();
+            let (width, height, pixels) = picture(readout, 100, 33);
+            let reducer = RowReducer::new(width, height, readout, None, 98).unwrap();
             let mut out = RowProfile::default();
             let view = GreyView {
                 width,
@@ -314,22 +288,22 @@ mod tests {
             };
             reducer.reduce(view, &mut out).unwrap();
             let expected: Vec<f32> = (0..100).map(|r| r as f32).collect();
-            assert_eq!(out.rows, expected, "{rotation:?}");
+            assert_eq!(out.rows, expected, "{readout:?}");
             assert!((out.saturated - 0.02).abs() < 1e-6);
         }
     }
 
     #[test]
     fn a_region_keeps_the_row_numbers() {
-        for (rotation, region, first) in [
-            (Rotation::Deg0, "3,10,20,70", 10),
-            (Rotation::Deg180, "3,10,20,70", 20),
-            (Rotation::Deg270, "5,1,70,20", 5),
-            (Rotation::Deg90, "5,1,70,20", 25),
+        for (readout, region, first) in [
+            (Direction::Down, "3,10,20,70", 10),
+            (Direction::Up, "3,10,20,70", 20),
+            (Direction::Right, "5,1,70,20", 5),
+            (Direction::Left, "5,1,70,20", 25),
         ] {
-            let (width, height, pixels) = picture(rotation, 100, 33);
+            let (width, height, pixels) = picture(readout, 100, 33);
             let region = Some(region.parse().unwrap());
-            let reducer = RowReducer::new(width, height, rotation, region, 255).unwrap();
+            let reducer = RowReducer::new(width, height, readout, region, 255).unwrap();
             let mut out = RowProfile::default();
             let view = GreyView {
                 width,
@@ -337,7 +311,7 @@ mod tests {
                 pixels: &pixels,
             };
             reducer.reduce(view, &mut out).unwrap();
-            assert_eq!(reducer.first_row(), first, "{rotation:?}");
+            assert_eq!(reducer.first_row(), first, "{readout:?}");
             assert_eq!(out.rows.first(), Some(&(first as f32)));
             assert_eq!(out.rows.len(), 70);
             let (line, vertical) = reducer.image_line(first as f64);
@@ -354,7 +328,7 @@ mod tests {
     fn wrong_sizes_and_regions_are_refused() {
         let new = |w, h, region: &str| {
             let region = region.parse().ok();
-            RowReducer::new(w, h, Rotation::Deg0, region, 255)
+            RowReducer::new(w, h, Direction::Down, region, 255)
         };
         let e = new(100, 100, "50,0,51,100").unwrap_err().to_string();
         assert!(e.contains("100x100"), "{e}");

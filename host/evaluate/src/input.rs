@@ -2,13 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use phone::video_files::{self, FilesError};
 use recording::SESSION_FILE;
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;
-
-/// Endings of the videos that phones make.
-const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,31 +51,17 @@ fn applied(folder: &Path) -> Result<Option<Applied>, EvaluateError> {
 }
 
 fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
-    let io = EvaluateError::io(folder);
-    let mut videos = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let file = entry.map_err(io)?.path();
-        let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("");
-        // The depth recorder's own file is not the phone's.
-        if VIDEO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str()) && file.is_file() {
-            videos.push(file);
-        }
-    }
-    if videos.len() > 1 {
-        videos.retain(|v| v.extension().is_some_and(|e| e != "mkv"));
-    }
-    match (videos.pop(), videos.len()) {
-        (Some(video), 0) => Ok(video),
-        (video, _) => Err(EvaluateError::Setting(format!(
-            "{}: {} in this folder; give the phone's video itself",
-            folder.display(),
-            if video.is_some() {
-                "more than one video"
-            } else {
-                "no video"
-            }
-        ))),
-    }
+    let wrong = |found: &str| {
+        let folder = folder.display();
+        let step = "give the phone's video itself";
+        EvaluateError::Setting(format!("{folder}: {found} in this folder; {step}"))
+    };
+    let files = video_files::find(folder, None).map_err(|error| match error {
+        FilesError::Io { path, error } => EvaluateError::io(&path)(error),
+        FilesError::Several { .. } => wrong("more than one video"),
+    })?;
+    let video = files.and_then(|files| files.video);
+    video.ok_or_else(|| wrong("no video"))
 }
 
 #[cfg(test)]

@@ -33,8 +33,6 @@
 //!   sees the same light); the result says so.
 //! - The light path's delay is the user's to state (`path_delay_us`).
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 
 pub mod calibrate;
@@ -63,7 +61,8 @@ mod window;
 pub use error::EvaluateError;
 
 use footage::Footage;
-use frame::{Region, Rotation};
+use frame::Region;
+use recording::profile::Direction;
 use train::TrainGeometry;
 
 /// Settings of the user about camera and train.
@@ -71,12 +70,10 @@ use train::TrainGeometry;
 pub struct Settings {
     /// Flashes of one exposure of the depth camera.
     pub train: TrainGeometry,
-    /// Rotation of the image against the sensor.
-    pub rotation: Rotation,
+    /// Which way the sensor reads out, in the image.
+    pub readout: Direction,
     /// Part of the image to look at.
     pub region: Option<Region>,
-    /// The row that counts as the middle, counted from 0 in read-out order.
-    pub middle_row: Option<f64>,
     /// Exposure of a row, µs, if known (to about 2 %).
     pub exposure_us: Option<f64>,
     /// Row time, µs, if known (to about 0.5 %).
@@ -96,8 +93,6 @@ pub struct Settings {
     pub from_s: Option<f64>,
     /// Second of the recording to stop at.
     pub to_s: Option<f64>,
-    /// File with one time a frame, instead of the one beside the video.
-    pub timestamps: Option<PathBuf>,
 }
 
 impl Settings {
@@ -129,9 +124,6 @@ impl Settings {
         }
         if !self.path_delay_us.is_finite() || self.path_delay_us.abs() > 1e5 {
             return wrong("a delay", self.path_delay_us, "at most 100000 µs");
-        }
-        if let Some(m) = self.middle_row.filter(|m| !(0.0..=1e5).contains(m)) {
-            return wrong("a middle row", m, "a row of the sensor, from 0");
         }
         let seconds = |v: Option<f64>| v.is_none_or(|s| s.is_finite() && s >= 0.0);
         let ordered = self.from_s.zip(self.to_s).is_none_or(|(a, b)| a < b);

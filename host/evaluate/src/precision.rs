@@ -1,7 +1,6 @@
 //! Bias of each recording, and its spread over recordings.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use serde::Serialize;
 
@@ -24,7 +23,7 @@ const NOTABLE_MOTION_US: f64 = 20.0;
 /// An encoder's errors follow the picture: a part of them looks like a shift of the
 /// flashes' edges, which the fit takes for one and which leaves no residual.
 /// Simulated videos (x264 at constant quality 18) scatter by 1.7 times what the
-/// residuals say, over 29 seeds of the whole rig (`cargo xtask hil-sim chain evaluate`).
+/// residuals say, over 29 seeds of the whole rig.
 const ENCODED: f64 = 2.0;
 
 /// Result of one recording.
@@ -134,9 +133,8 @@ pub struct Precision {
     pub row_time_sigma_us: f64,
 }
 
-/// Called after each input: its path, its result or why there is none, and the time
-/// spent waiting for it.
-pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>, Duration) + 'a;
+/// Called after each input: its path, and its result or why there is none.
+pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>) + 'a;
 
 /// One recording's result.
 #[derive(Debug, Clone)]
@@ -144,8 +142,6 @@ pub struct Evaluated {
     pub result: RecordingResult,
     /// What a report draws of it.
     pub shown: Shown,
-    /// Time spent waiting for the decoder and for the disk.
-    pub waited: Duration,
 }
 
 /// Evaluates one recording from its last `frames` frames with flashes.
@@ -219,7 +215,6 @@ fn measure(
     let evaluated = Evaluated {
         result,
         shown: Shown::new(&footage, &track, settings),
-        waited: footage.waited,
     };
     Ok((evaluated, doubt))
 }
@@ -275,8 +270,8 @@ pub(crate) fn middle_row(footage: &Footage) -> f64 {
 /// Evaluates recordings one after the other; only one is in memory at a time.
 ///
 /// Inputs that give no result are left out with the reason.
-/// `each` is called after each input, with the time spent waiting for it. Returns
-/// the results and, for the pictures, the first recording that gave one.
+/// `each` is called after each input. Returns the results and, for the pictures, the first
+/// recording that gave one.
 pub fn evaluate(
     inputs: &[PathBuf],
     settings: &Settings,
@@ -301,7 +296,7 @@ pub fn evaluate(
         match found {
             Ok((evaluated, doubt)) => {
                 if doubt.is_none() {
-                    each(path, &Ok(evaluated.result.clone()), evaluated.waited);
+                    each(path, &Ok(evaluated.result.clone()));
                 }
                 measured.push((evaluated, doubt));
             }
@@ -318,7 +313,7 @@ pub fn evaluate(
             Some(error) => leave_out(&path, &error, each, &mut left_out),
             None => {
                 if evaluated.result.evidence == Some(Evidence::Shift) {
-                    each(&path, &Ok(evaluated.result.clone()), evaluated.waited);
+                    each(&path, &Ok(evaluated.result.clone()));
                 }
                 results.push(evaluated.result.clone());
                 shown.get_or_insert(evaluated);
@@ -359,7 +354,7 @@ fn leave_out(
     left_out: &mut Vec<LeftOut>,
 ) {
     let reason = error.to_string();
-    each(path, &Err(reason.clone()), Duration::ZERO);
+    each(path, &Err(reason.clone()));
     left_out.push(LeftOut {
         path: path.to_owned(),
         reason,
@@ -371,7 +366,6 @@ fn concerns_all(error: &EvaluateError) -> bool {
         error,
         EvaluateError::Ffmpeg(_)
             | EvaluateError::Setting(_)
-            | EvaluateError::Train(_)
             | EvaluateError::RegionOutside { .. }
             | EvaluateError::TooFewRows { .. }
     )

@@ -59,7 +59,7 @@ impl TrainGeometry {
         if fits {
             Ok(self)
         } else {
-            Err(EvaluateError::Train(self.to_string()))
+            Err(no_train(&self.to_string()))
         }
     }
 
@@ -94,7 +94,7 @@ impl FromStr for TrainGeometry {
             "wfov" | "wfov_unbinned" => return Ok(Self::WFOV),
             _ => {}
         }
-        let wrong = || EvaluateError::Train(s.to_owned());
+        let wrong = || no_train(s);
         let parts: Vec<&str> = s.split(',').map(str::trim).collect();
         let [count, pitch, duration] = parts.as_slice() else {
             return Err(wrong());
@@ -106,6 +106,14 @@ impl FromStr for TrainGeometry {
         }
         .check()
     }
+}
+
+fn no_train(text: &str) -> EvaluateError {
+    EvaluateError::Setting(format!(
+        "`{text}` is not a strobe train: give `nfov`, `wfov`, a depth mode such as WFOV_2X2BINNED, \
+         or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least \
+         twice the duration)"
+    ))
 }
 
 /// Parameters of the train's shape in the image.

@@ -410,7 +410,7 @@ fn a_second_recording_with_the_trigger_moved_shows_that_they_are_flashes() {
     let evaluate = |inputs: &[&PathBuf]| {
         let inputs: Vec<PathBuf> = inputs.iter().map(|&path| path.clone()).collect();
         let settings = Settings::default();
-        precision::evaluate(&inputs, &settings, 16, &mut |_, _, _| ())
+        precision::evaluate(&inputs, &settings, 16, &mut |_, _| ())
     };
     let alone = evaluate(&[&first]).unwrap_err();
     assert!(matches!(alone, EvaluateError::Unproven { .. }), "{alone}");

@@ -2,10 +2,10 @@
 
 use crate::strobes::Scene;
 use evaluate::classify::Reference;
-use evaluate::frame::Rotation;
 use evaluate::precision::{RecordingResult, evaluate_recording};
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings, drift};
+use recording::profile::Direction;
 use rig::rolling_shutter::{Flicker, Readout, RollingShutter};
 
 /// Row times known to the tool make the tests fast; what it does without is tested
@@ -358,10 +358,10 @@ fn an_exposure_that_the_frames_leave_open_is_stated() {
 
 #[test]
 fn rotation_region_and_wide_mode() {
-    for (readout, rotation) in [
-        (Readout::BottomToTop, Rotation::Deg180),
-        (Readout::LeftToRight, Rotation::Deg270),
-        (Readout::RightToLeft, Rotation::Deg90),
+    for (readout, direction) in [
+        (Readout::BottomToTop, Direction::Up),
+        (Readout::LeftToRight, Direction::Right),
+        (Readout::RightToLeft, Direction::Left),
     ] {
         let scene = Scene {
             camera: RollingShutter {
@@ -372,10 +372,10 @@ fn rotation_region_and_wide_mode() {
             ..Scene::default()
         };
         let settings = Settings {
-            rotation,
+            readout: direction,
             // Not centred in the image.
-            region: Some(match rotation {
-                Rotation::Deg180 => "10,100,60,900".parse().unwrap(),
+            region: Some(match direction {
+                Direction::Up => "10,100,60,900".parse().unwrap(),
                 _ => "100,10,900,60".parse().unwrap(),
             }),
             ..hint(&scene)
@@ -383,7 +383,7 @@ fn rotation_region_and_wide_mode() {
         let result = scene.evaluate(&settings).unwrap();
         assert!(
             (result.bias_us - 321.0).abs() < 0.3,
-            "{rotation:?}: {result:?}"
+            "{direction:?}: {result:?}"
         );
     }
     let wide = Scene {

@@ -139,7 +139,7 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     let inputs = [good.clone(), small.clone(), dark.clone()];
     let mut reported = 0;
     let (result, shown) =
-        precision::evaluate(&inputs, &settings, 16, &mut |_, _, _| reported += 1).unwrap();
+        precision::evaluate(&inputs, &settings, 16, &mut |_, _| reported += 1).unwrap();
     assert_eq!((result.recordings.len(), reported), (1, 3));
     let reasons: Vec<&str> = result.left_out.iter().map(|l| l.reason.as_str()).collect();
     assert!(reasons[0].contains("320x720"), "{reasons:?}");

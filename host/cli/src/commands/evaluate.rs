@@ -1,7 +1,6 @@
 //! `smartdepthsync evaluate precision|drift`: frame sync measured from strobes on video.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use jiff::civil::Date;
@@ -9,16 +8,26 @@ use serde::Serialize;
 
 use crate::context::Context;
 use crate::decimal::{parse_micros, parse_seconds};
+use crate::options::one_of;
 use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
-use evaluate::frame::{Region, Rotation};
+use evaluate::frame::Region;
 use evaluate::precision::{self, Precision, RecordingResult, Spread};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings};
+use recording::profile::Direction;
 use report::evaluation::{drift_summary, precision_summary};
+
+/// Degrees by which an image is turned against the sensor, and which way it is read out then.
+const ROTATIONS: [(&str, Direction); 4] = [
+    ("0", Direction::Down),
+    ("90", Direction::Left),
+    ("180", Direction::Up),
+    ("270", Direction::Right),
+];
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -41,14 +50,11 @@ struct CommonArgs {
     #[arg(long, default_value = "nfov", value_name = "TRAIN")]
     train: TrainGeometry,
     /// Degrees by which the image is turned clockwise against the sensor's read-out
-    #[arg(long, default_value = "0", value_name = "0|90|180|270")]
-    rotation: Rotation,
+    #[arg(long, default_value = "0", value_name = "DEGREES", value_parser = one_of(&ROTATIONS))]
+    rotation: Direction,
     /// Part of the image to look at, in pixels
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT")]
     region: Option<Region>,
-    /// Row, from 0, whose exposure perfect sync refers to; else the middle
-    #[arg(long, value_name = "ROW")]
-    middle_row: Option<f64>,
     /// Exposure of a row, such as 500us, if known to 2 %
     #[arg(long, value_name = "TIME", value_parser = parse_micros)]
     exposure: Option<f64>,
@@ -90,11 +96,6 @@ struct PrecisionArgs {
     /// Write the bias into this rig profile
     #[arg(long, value_name = "PROFILE")]
     calibrate: Option<PathBuf>,
-    /// Bias that was subtracted while recording, if not as the recording's session says, else
-    /// the profile's
-    #[arg(long, value_name = "TIME", value_parser = parse_micros, requires = "calibrate",
-          allow_hyphen_values = true)]
-    applied_bias: Option<f64>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -107,9 +108,6 @@ struct DriftArgs {
     /// Recording's folder, or video
     #[arg(value_name = "VIDEO_OR_FRAMES")]
     input: PathBuf,
-    /// File with one integer of nanoseconds a frame, if not the one beside the video
-    #[arg(long, value_name = "FILE")]
-    timestamps: Option<PathBuf>,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -121,12 +119,11 @@ impl CommonArgs {
         out.try_for_each(|path| refuse_to_overwrite(path, self.overwrite))
     }
 
-    fn settings(&self, timestamps: Option<PathBuf>) -> Result<Settings, EvaluateError> {
+    fn settings(&self) -> Result<Settings, EvaluateError> {
         let settings = Settings {
             train: self.train,
-            rotation: self.rotation,
+            readout: self.rotation,
             region: self.region,
-            middle_row: self.middle_row,
             exposure_us: self.exposure,
             row_time_us: self.row_time,
             row_time_hint_us: None,
@@ -135,20 +132,10 @@ impl CommonArgs {
             path_delay_us: self.path_delay,
             from_s: self.from,
             to_s: self.to,
-            timestamps,
         };
         settings.check()?;
         Ok(settings)
     }
-}
-
-/// How long it took, and where.
-#[derive(Debug, Clone, Copy, Serialize)]
-struct Timing {
-    /// From start to result, seconds.
-    total_s: f64,
-    /// Of it spent waiting for the decoder or the disk, seconds.
-    waiting_for_input_s: f64,
 }
 
 /// What was written into the rig profile.
@@ -183,7 +170,6 @@ struct PrecisionOutput<'a> {
     #[serde(flatten)]
     precision: &'a Precision,
     calibrated: Option<Calibrated>,
-    timing: Timing,
 }
 
 #[derive(Serialize)]
@@ -191,7 +177,6 @@ struct DriftOutput<'a> {
     settings: &'a Settings,
     #[serde(flatten)]
     drift: &'a Drift,
-    timing: Timing,
 }
 
 /// Runs `evaluate`.
@@ -210,7 +195,7 @@ impl From<EvaluateError> for Failure {
     fn from(error: EvaluateError) -> Self {
         use EvaluateError as E;
         let (status, step) = match &error {
-            E::Train(_) | E::Rotation(_) | E::RegionSyntax(_) | E::Setting(_) => (
+            E::Setting(_) => (
                 ExitStatus::Usage,
                 "change the option; `smartdepthsync help evaluate` explains each",
             ),
@@ -266,8 +251,7 @@ const REGION: &str = "give a --region inside the picture, or leave it out";
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
-    let started = Instant::now();
-    let settings = args.common.settings(None)?;
+    let settings = args.common.settings()?;
     // A profile that cannot be read is found out before hours of work.
     let profile_bias = match &args.calibrate {
         Some(profile) => read_bias(profile)?,
@@ -275,19 +259,16 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     };
     let count = args.inputs.len();
     let mut done = 0;
-    let mut waited = 0.0;
-    let mut each =
-        |path: &Path, result: &Result<RecordingResult, String>, waited_here: Duration| {
-            done += 1;
-            waited += waited_here.as_secs_f64();
-            if count > 1 {
-                let said = match result {
-                    Ok(r) => format!("{:+.3} ± {:.3} µs", r.bias_us, r.sigma_us),
-                    Err(reason) => format!("left out: {reason}"),
-                };
-                context.say(format!("{done}/{count} {}: {said}", path.display()));
-            }
-        };
+    let mut each = |path: &Path, result: &Result<RecordingResult, String>| {
+        done += 1;
+        if count > 1 {
+            let said = match result {
+                Ok(r) => format!("{:+.3} ± {:.3} µs", r.bias_us, r.sigma_us),
+                Err(reason) => format!("left out: {reason}"),
+            };
+            context.say(format!("{done}/{count} {}: {said}", path.display()));
+        }
+    };
     let (result, shown) = context.over_files(|| {
         precision::evaluate(&args.inputs, &settings, args.frames.into(), &mut each)
     })?;
@@ -317,10 +298,6 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         settings: &settings,
         precision: &result,
         calibrated,
-        timing: Timing {
-            total_s: started.elapsed().as_secs_f64(),
-            waiting_for_input_s: waited,
-        },
     };
     context.print_checks(&output, || {
         let calibrated = output.calibrated.as_ref().map(Calibrated::text);
@@ -349,11 +326,7 @@ fn calibrate(
     let applied: Vec<f64> = result
         .recordings
         .iter()
-        .map(|r| {
-            args.applied_bias
-                .or(r.applied_bias_us)
-                .unwrap_or(profile_bias)
-        })
+        .map(|r| r.applied_bias_us.unwrap_or(profile_bias))
         .collect();
     let whole: Vec<f64> = result
         .recordings
@@ -391,12 +364,10 @@ fn calibrate(
 
 fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
-    let started = Instant::now();
-    let settings = args.common.settings(args.timestamps.clone())?;
-    let (evaluated, waited) = context.over_files(|| {
+    let settings = args.common.settings()?;
+    let evaluated = context.over_files(|| {
         let recording = Footage::read(&args.input, &settings, None)?;
-        let waited = recording.waited;
-        drift::evaluate(recording, &settings).map(|evaluated| (evaluated, waited))
+        drift::evaluate(recording, &settings)
     })?;
     if let Some(path) = &args.common.out {
         let html = report::evaluation::drift(&evaluated, &settings, path);
@@ -406,10 +377,6 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     let output = DriftOutput {
         settings: &settings,
         drift: &evaluated.result,
-        timing: Timing {
-            total_s: started.elapsed().as_secs_f64(),
-            waiting_for_input_s: waited.as_secs_f64(),
-        },
     };
     context.print_checks(&output, || drift_summary(&evaluated.result).text())?;
     Ok(ExitStatus::Good)

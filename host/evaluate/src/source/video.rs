@@ -21,12 +21,12 @@ pub(crate) struct Video {
 }
 
 impl Video {
-    pub(crate) fn open(path: &Path, timestamps: Option<&Path>) -> Result<Self, EvaluateError> {
+    pub(crate) fn open(path: &Path) -> Result<Self, EvaluateError> {
         let decoder = video::Video::open(path, Pixels::Luma)
             .map_err(|error| EvaluateError::of_video(path, error))?;
         let stated = decoder.info();
         let mut notes = Vec::new();
-        let times = match timestamps.map(Path::to_owned).or_else(|| beside(path)) {
+        let times = match beside(path) {
             Some(file) => {
                 let times = read_timestamps(&file)?;
                 if let Some(n) = stated.frames.filter(|&n| n != times.len() as u64) {
