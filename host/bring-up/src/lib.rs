@@ -25,8 +25,8 @@ use std::time::Duration;
 use board::BoardError;
 use board::transport::Link;
 use protocol::BoardSettings;
-use protocol::usb::serial_number;
 use recording::finding::{Finding, Severity};
+use recording::session_file::BoardInfo;
 use serde::Serialize;
 
 /// Version of the JSON form of [`Report`].
@@ -154,19 +154,6 @@ pub struct Check {
     pub limit: String,
 }
 
-/// The board that was measured.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct BoardFacts {
-    /// Its serial number, from the chip's unique ID.
-    pub id: String,
-    /// Version of the firmware.
-    pub firmware: String,
-    /// Its git revision; with `+` if the tree had changes.
-    pub revision: String,
-    /// Why it last reset.
-    pub reset_cause: &'static str,
-}
-
 /// How often each interval of data-ready came, in ticks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Histogram {
@@ -184,7 +171,7 @@ pub struct Report {
     /// Version of this form.
     pub format: u32,
     /// The board.
-    pub board: BoardFacts,
+    pub board: BoardInfo,
     /// What the board keeps, at the end of the test.
     pub settings: BoardSettings,
     /// The checks, in the order in which they were made.
@@ -245,18 +232,7 @@ pub fn run(
     operator: Operator<'_>,
     plan: Plan<'_>,
 ) -> Result<Report, BringUpError> {
-    let hello = board.hello();
-    let (major, minor, patch) = hello.firmware_version;
-    let facts = BoardFacts {
-        id: serial_number(&hello.board_id).to_string(),
-        firmware: format!("{major}.{minor}.{patch}"),
-        revision: format!(
-            "{}{}",
-            hello.git_revision,
-            if hello.git_dirty { "+" } else { "" }
-        ),
-        reset_cause: board::reset_cause(hello.reset_cause),
-    };
+    let info = BoardInfo::of(board.hello());
     let mut session = parts::Session::new(board, operator)?;
     let mut settings = session.settings(false)?;
     let measured = (plan.parts.iter()).try_for_each(|&part| session.measure(part, &plan));
@@ -269,7 +245,7 @@ pub fn run(
     }
     Ok(Report {
         format: FORMAT,
-        board: facts,
+        board: info,
         settings,
         checks: session.checks,
         intervals: session.intervals,

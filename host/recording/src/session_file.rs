@@ -6,7 +6,8 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use protocol::{BoardModel, ImuSetup, ResetCause, Ticks};
+use protocol::usb::serial_number;
+use protocol::{BoardModel, Hello, ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
@@ -119,6 +120,25 @@ pub struct BoardInfo {
     pub epoch: u32,
     /// Why it last reset.
     pub reset_cause: ResetCause,
+}
+
+impl BoardInfo {
+    /// As it introduces itself.
+    #[must_use]
+    pub fn of(hello: &Hello) -> Self {
+        let (major, minor, patch) = hello.firmware_version;
+        Self {
+            id: serial_number(&hello.board_id).to_string(),
+            firmware: format!("{major}.{minor}.{patch}"),
+            git_revision: hello.git_revision.to_string(),
+            git_dirty: hello.git_dirty,
+            model: hello.board,
+            protocol: hello.protocol_version,
+            tick_hz: hello.tick_hz,
+            epoch: hello.epoch,
+            reset_cause: hello.reset_cause,
+        }
+    }
 }
 
 /// The board's IMU.

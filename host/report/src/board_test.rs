@@ -1,5 +1,6 @@
 //! The report of a board test.
 
+use board::reset_cause;
 use bring_up::Report;
 use serde_json::json;
 
@@ -40,6 +41,8 @@ pub fn summary(report: &Report) -> Summary {
         }
     });
     let board = &report.board;
+    let changed = if board.git_dirty { "+" } else { "" };
+    let revision = format!("{}{changed}", board.git_revision);
     Summary {
         title: String::from("Board test"),
         severity,
@@ -48,8 +51,8 @@ pub fn summary(report: &Report) -> Summary {
         facts: vec![
             ("board", board.id.clone()),
             ("firmware", board.firmware.clone()),
-            ("revision", board.revision.clone()),
-            ("last reset", board.reset_cause.to_owned()),
+            ("revision", revision),
+            ("last reset", reset_cause(board.reset_cause).to_owned()),
         ],
     }
 }

@@ -8,10 +8,10 @@
 
 use board::Board;
 use board::imu::{ImuLook, describe, last_fault};
-use protocol::{BoardModel, Hello, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
+use protocol::{BoardModel, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
 use recording::finding::{Finding, Severity};
 use recording::profile::Profile;
-use recording::session_file::CHECK_READBACK;
+use recording::session_file::{BoardInfo, CHECK_READBACK};
 use serde::Serialize;
 
 use crate::error::SessionError;
@@ -40,13 +40,6 @@ pub const IMU_WIRING: &str =
 /// The remedy for a profile that names more than the board has.
 pub const NO_OUTPUTS: &str =
     "leave `[[outputs]]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY";
-
-/// The version of a board's firmware, as people write it.
-#[must_use]
-pub fn firmware_version(hello: &Hello) -> String {
-    let (major, minor, patch) = hello.firmware_version;
-    format!("{major}.{minor}.{patch}")
-}
 
 /// Where that lies which a check found bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -110,15 +103,9 @@ impl Checks {
     /// the profile names.
     pub fn firmware(&mut self, board: &Board, profile: Option<&Profile>) {
         let hello = board.hello();
-        self.good(
-            "board",
-            format!(
-                "{}, firmware {}, up {:.1} s",
-                protocol::usb::serial_number(&hello.board_id),
-                firmware_version(hello),
-                hello.now.as_secs_f64()
-            ),
-        );
+        let BoardInfo { id, firmware, .. } = BoardInfo::of(hello);
+        let up = hello.now.as_secs_f64();
+        self.good("board", format!("{id}, firmware {firmware}, up {up:.1} s"));
         if let Some(panic) = &hello.last_panic {
             self.warn(
                 "last panic",

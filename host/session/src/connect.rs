@@ -11,7 +11,6 @@ use recording::profile::Profile;
 use recording::session_file::{BoardInfo, ImuInfo, SessionFile};
 use recording::writer::Writer;
 
-use crate::checks::firmware_version;
 use crate::devices::{Choice, Clock, Connector, DepthRecorder, Operator, PhoneClockStarter};
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, Prompt, SessionEvent, Stamped, Step};
@@ -193,18 +192,7 @@ fn new_log<'a>(
         .map_or(name, |name| name.to_string_lossy().into_owned());
     let mut file = SessionFile::new(name, profile.clone());
     file.started = now.strftime("%Y-%m-%dT%H:%M:%S%:z").to_string();
-    let hello = sides.board.hello();
-    file.board = Some(BoardInfo {
-        id: protocol::usb::serial_number(&hello.board_id).to_string(),
-        firmware: firmware_version(hello),
-        git_revision: hello.git_revision.to_string(),
-        git_dirty: hello.git_dirty,
-        model: hello.board,
-        protocol: hello.protocol_version,
-        tick_hz: hello.tick_hz,
-        epoch: hello.epoch,
-        reset_cause: hello.reset_cause,
-    });
+    file.board = Some(BoardInfo::of(sides.board.hello()));
     file.imu = Some(sides.imu.clone());
     for (phone, version) in file.phones.iter_mut().zip(&sides.apps) {
         phone.version = Some(version.clone());

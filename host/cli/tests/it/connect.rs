@@ -18,14 +18,14 @@ fn info_says_who_the_board_is() {
     let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
     let info: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(info["board_id"], "AB0102030405060708090A0B");
-    assert_eq!(info["firmware_version"], "1.2.3");
+    assert_eq!(info["id"], "AB0102030405060708090A0B");
+    assert_eq!(info["firmware"], "1.2.3");
     assert_eq!(info["git_revision"], "0123456789ab");
     assert_eq!(info["git_dirty"], true);
     assert_eq!(info["now_ticks"], 4_320_000_000_u64);
     assert_eq!(info["reset_cause"], "Watchdog");
     assert_eq!(info["last_panic"], "trigger.rs:12: odd");
-    assert_eq!(info["board_model"], "BlackPill");
+    assert_eq!(info["model"], "BlackPill");
     assert_eq!(info["has_outputs"], false);
     assert_eq!(info["imu"]["sensor"]["model"], "Icm42688P");
 

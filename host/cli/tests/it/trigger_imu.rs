@@ -90,7 +90,6 @@ fn a_period_in_microseconds_reaches_the_board() {
     assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
     let report: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["period_ns"], "33330652.540");
-    assert_eq!(report["period_ticks"], 1_599_871);
     assert_eq!(report["readback_state"], "ok");
     assert_eq!(report["readback"]["delay"], 2);
 }

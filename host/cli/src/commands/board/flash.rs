@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use board::image::{FLASH_START, Image};
 use protocol::{BoardModel, Hello, RestartIntoRom};
+use recording::session_file::BoardInfo;
 use serde::Serialize;
-use session::checks::firmware_version;
 
 use super::keep_trying;
 use crate::context::Context;
@@ -42,11 +42,9 @@ fn parse_board(text: &str) -> Result<BoardModel, String> {
 /// The result.
 #[derive(Debug, Serialize)]
 struct Flashed {
-    board_model: BoardModel,
     image: PathBuf,
-    firmware_version: String,
-    git_revision: String,
-    epoch: u32,
+    #[serde(flatten)]
+    board: BoardInfo,
 }
 
 /// Runs the command.
@@ -104,11 +102,8 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         );
     }
     context.show(&Flashed {
-        board_model: hello.board,
         image: path,
-        firmware_version: firmware_version(&hello),
-        git_revision: hello.git_revision.to_string(),
-        epoch: hello.epoch,
+        board: BoardInfo::of(&hello),
     })?;
     Ok(ExitStatus::Good)
 }

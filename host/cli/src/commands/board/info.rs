@@ -1,30 +1,23 @@
 //! `smartdepthsync board info`: who the board is.
 
-use protocol::{BoardModel, BoardSettings, ImuSetup, QueryBoard, ResetCause};
+use protocol::{BoardSettings, ImuSetup, QueryBoard};
 use serde::Serialize;
 
 use crate::context::Context;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::{Place, ProfileArg};
-use session::checks::firmware_version;
+use recording::session_file::BoardInfo;
 
 /// The result.
 #[derive(Debug, Serialize)]
 struct PrintedInfo {
-    board_id: String,
-    board_model: BoardModel,
+    #[serde(flatten)]
+    board: BoardInfo,
     /// Outputs 2 to 4, and the pulse per second.
     has_outputs: bool,
-    firmware_version: String,
-    git_revision: Option<String>,
-    git_dirty: bool,
-    protocol_version: u16,
-    tick_hz: u32,
     now_ticks: u64,
     uptime_s: f64,
-    epoch: u32,
-    reset_cause: ResetCause,
     last_panic: Option<String>,
     /// Panics and faults of all runs, and the newest of them: both outlive power-off.
     panics: u32,
@@ -48,18 +41,10 @@ pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failu
     let settings = board.call(QueryBoard)?;
     let hello = board.hello();
     context.show(&PrintedInfo {
-        board_model: hello.board,
+        board: BoardInfo::of(hello),
         has_outputs: hello.board.has_outputs(),
-        board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
-        firmware_version: firmware_version(hello),
-        git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
-        git_dirty: hello.git_dirty,
-        protocol_version: hello.protocol_version,
-        tick_hz: hello.tick_hz,
         now_ticks: hello.now.0,
         uptime_s: hello.now.as_secs_f64(),
-        epoch: hello.epoch,
-        reset_cause: hello.reset_cause,
         last_panic: hello.last_panic.as_ref().map(ToString::to_string),
         panics: hello.panics,
         kept_panic: hello.kept_panic.as_ref().map(ToString::to_string),
