@@ -449,8 +449,9 @@ impl Advice for RecordingError {
                  what is wrong with one"
             }
             Self::Io { source, .. } => file_step(source.kind()),
-            Self::NoRecording { .. } => bag_step(self),
-            Self::ForeignBag { .. } => return (ExitStatus::Usage, bag_step(self).into()),
+            Self::NoRecording { .. } | Self::ForeignBag { .. } => {
+                return (ExitStatus::Usage, bag_step(self).into());
+            }
             _ => "check the folder and its rights",
         };
         (ExitStatus::Storage, step.into())

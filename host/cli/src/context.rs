@@ -103,8 +103,8 @@ impl Context {
         Ok(())
     }
 
-    /// As [`Context::print`], for a text with lines of checks: their marks are coloured on
-    /// a terminal.
+    /// As [`Context::print`], for a text with lines of checks: they are broken at the width of a
+    /// terminal.
     ///
     /// # Errors
     ///
@@ -118,11 +118,7 @@ impl Context {
             return self.print(value, text);
         }
         let width = rustix::termios::tcgetwinsize(io::stdout()).map_or(80, |size| size.ws_col);
-        let shown = match is_coloured() {
-            true => Shown::WithMarks,
-            false => Shown::ForPeople,
-        };
-        Ok(write_stdout(&wrapped(&text(), width.into()), shown)?)
+        self.print_text(|| wrapped(&text(), width.into()))
     }
 
     /// Whether to report no progress.
@@ -281,11 +277,6 @@ impl Interrupt {
 
 fn bar_style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
-}
-
-/// Tells whether standard output shows colours, and its user wants them (no-color.org).
-fn is_coloured() -> bool {
-    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// Tells whether the terminal was closed: there is nobody to tell it to.

@@ -3,7 +3,7 @@
 //! The view draws on the same terminal, so a line of the log would land in the middle
 //! of it; and a terminal that takes nothing would stop the thread that logs. Lines are
 //! therefore held back while the view is open and written when it has gone, at most
-//! [`MOST`] bytes of them; what is left out is counted.
+//! [`MOST`] bytes of them.
 
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,39 +11,21 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// How much is held back, in bytes.
 const MOST: usize = 64 << 10;
 
-#[derive(Default)]
-struct Held {
-    text: Vec<u8>,
-    left_out: u64,
-}
+/// What stands in place of more.
+const TOO_MUCH: &[u8] = b"further log lines were left out: too many came while the view was open\n";
 
-impl Held {
-    fn add(&mut self, line: &[u8]) {
-        if self.text.len() + line.len() <= MOST {
-            self.text.extend_from_slice(line);
-        } else {
-            self.left_out += 1;
-        }
-    }
+static HELD: Mutex<Option<Vec<u8>>> = Mutex::new(None);
 
-    fn write_to(&self, mut out: impl Write) -> io::Result<()> {
-        out.write_all(&self.text)?;
-        if self.left_out > 0 {
-            writeln!(
-                out,
-                "{} further log lines were left out: more than {} KiB came while the view was open",
-                self.left_out,
-                MOST >> 10
-            )?;
-        }
-        out.flush()
-    }
-}
-
-static HELD: Mutex<Option<Held>> = Mutex::new(None);
-
-fn held() -> MutexGuard<'static, Option<Held>> {
+fn held() -> MutexGuard<'static, Option<Vec<u8>>> {
     HELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn add(held: &mut Vec<u8>, line: &[u8]) {
+    if held.len() + line.len() <= MOST {
+        held.extend_from_slice(line);
+    } else if !held.ends_with(TOO_MUCH) {
+        held.extend_from_slice(TOO_MUCH);
+    }
 }
 
 /// Holds lines back from now on.
@@ -57,7 +39,7 @@ pub(crate) fn release() {
     let held = held().take();
     if let Some(held) = held {
         // A terminal that has gone takes no log.
-        let _ = held.write_to(io::stderr().lock());
+        let _ = io::stderr().lock().write_all(&held);
     }
 }
 
@@ -68,7 +50,7 @@ impl Write for Lines {
     /// One call is one line: the formatter hands over whole events.
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         if let Some(held) = held().as_mut() {
-            held.add(line);
+            add(held, line);
             return Ok(line.len());
         }
         io::stderr().lock().write(line)
@@ -84,27 +66,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_held_back_in_order_and_what_is_too_much_is_counted() {
-        let mut held = Held::default();
-        held.add(b"one\n");
-        held.add(b"two\n");
-        let long = vec![b'x'; MOST];
-        held.add(&long);
-        held.add(b"three\n");
-        let mut out = Vec::new();
-        held.write_to(&mut out).unwrap();
-        let text = String::from_utf8(out).unwrap();
-        assert!(
-            text.starts_with("one\ntwo\nthree\n1 further log lines"),
-            "{text}"
-        );
+    fn lines_are_held_back_in_order_and_what_is_too_much_is_told() {
+        let mut held = Vec::new();
+        for line in ["one\n", "two\n", &"x".repeat(MOST), &"y".repeat(MOST)] {
+            add(&mut held, line.as_bytes());
+        }
+        assert_eq!(held, [b"one\ntwo\n", TOO_MUCH].concat());
     }
 
     #[test]
     fn while_held_nothing_reaches_the_terminal() {
         hold();
         Lines.write_all(b"a line\n").unwrap();
-        assert_eq!(held().as_ref().unwrap().text, b"a line\n");
+        assert_eq!(held().as_ref().unwrap(), b"a line\n");
         release();
         assert!(held().is_none());
     }

@@ -55,9 +55,6 @@ impl Camera {
                  # `smartdepthsync profile init --exposure`.\n"
             );
         }
-        for trap in &model.traps {
-            text += &format!("# - {} ({})\n", trap.text, trap.source);
-        }
         text
     }
 
@@ -168,7 +165,7 @@ mod tests {
                 let profile = Profile::parse(&text, None).unwrap();
                 assert_eq!(profile.depth.camera, model.id);
                 assert_eq!(model.objections(&profile), [], "{text}");
-                assert!(text.contains(&mode.source) && text.contains(&model.traps[0].text));
+                assert!(text.contains(&mode.source));
                 assert!(text.contains("# From the trigger's edge"), "comments stay");
                 assert!(profile.depth.recorder.command.len() > 4);
             }

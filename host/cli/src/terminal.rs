@@ -11,24 +11,17 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-use report::summary::MARKS;
-
 /// How a character is shown that a terminal would obey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shown {
     /// As `\u{1b}`.
     ForPeople,
-    /// As that, and the marks at the beginnings of checks' lines in colour.
-    WithMarks,
     /// As `\u001b`, which it also is in a JSON string.
     Json,
 }
 
 /// A text that does nothing to a terminal but to be read. Line ends and tabs stay.
 pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
-    if shown == Shown::WithMarks {
-        return Cow::Owned(with_marks(&harmless(text, Shown::ForPeople)));
-    }
     if !text.contains(is_obeyed) {
         return Cow::Borrowed(text);
     }
@@ -38,56 +31,44 @@ pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
         // Writing into a String cannot fail.
         let _ = match shown {
             _ if !is_obeyed(c) => out.write_char(c),
-            Shown::ForPeople | Shown::WithMarks => write!(out, "\\u{{{code:x}}}"),
+            Shown::ForPeople => write!(out, "\\u{{{code:x}}}"),
             Shown::Json => write!(out, "\\u{code:04x}"),
         };
     }
     Cow::Owned(out)
 }
 
-/// The lines of a text, broken between words where they are wider than a terminal; what is
-/// broken stands below its beginning. Commands, which begin with two blanks, stay whole: they
-/// are to be pasted.
+/// The lines of a text, broken between words where they are wider than a terminal. Commands,
+/// which begin with two blanks, stay whole: they are to be pasted.
 pub(crate) fn wrapped(text: &str, width: usize) -> String {
     let mut out = String::with_capacity(text.len() + 64);
     for line in text.lines() {
         let is_command = line
             .strip_prefix("  ")
             .is_some_and(|it| !it.starts_with(' '));
-        // Mark and kind of a finding are its first column.
-        let column = line.rfind("  ").map_or(0, |at| at + 2).min(width / 2);
-        let mut at = 0;
-        for (index, word) in line.split_inclusive(' ').enumerate() {
-            let letters = word.trim_end().chars().count();
-            if index > 0 && !is_command && at > column && at + letters > width {
-                out.truncate(out.trim_end_matches(' ').len());
-                out.push('\n');
-                out.extend(std::iter::repeat_n(' ', column));
-                at = column;
-            }
-            out.push_str(word);
-            at += word.chars().count();
+        match is_command {
+            true => out.push_str(line),
+            // Mark and kind of a finding are its first column.
+            false => out += &broken(line, line.rfind("  ").map_or(0, |at| at + 2), width),
         }
         out.push('\n');
     }
     out
 }
 
-/// The marks of checks at the beginnings of lines in green, yellow and bold red.
-fn with_marks(text: &str) -> String {
-    const COLOURS: [&str; 3] = ["32", "33", "1;31"];
-    let mut out = String::with_capacity(text.len() + 64);
-    for line in text.split_inclusive('\n') {
-        let mut known = MARKS.iter().zip(COLOURS);
-        let marked =
-            known.find_map(|(mark, colour)| Some((mark, colour, line.strip_prefix(mark)?)));
-        match marked {
-            // Writing into a String cannot fail.
-            Some((mark, colour, rest)) => {
-                let _ = write!(out, "\u{1b}[{colour}m{mark}\u{1b}[0m{rest}");
-            }
-            None => out.push_str(line),
+/// A line broken between words where it is wider than `width`; what is broken stands at `column`.
+pub(crate) fn broken(line: &str, column: usize, width: usize) -> String {
+    let column = column.min(width / 2);
+    let (mut out, mut at) = (String::with_capacity(line.len() + 16), 0);
+    for word in line.split_inclusive(' ') {
+        if at > column && at + word.trim_end().chars().count() > width {
+            out.truncate(out.trim_end_matches(' ').len());
+            out.push('\n');
+            out.extend(std::iter::repeat_n(' ', column));
+            at = column;
         }
+        out.push_str(word);
+        at += word.chars().count();
     }
     out
 }
@@ -113,15 +94,6 @@ mod tests {
              \x20 smartdepthsync extract x/y/z/long\n"
         );
         assert_eq!(wrapped("a\n\nb", 0), "a\n\nb\n");
-    }
-
-    #[test]
-    fn marks_alone_are_coloured() {
-        let text = "good   disk  40 GB\nBAD    board  \u{1b}[31mok  \n       -> good \n";
-        assert_eq!(
-            harmless(text, Shown::WithMarks),
-            "\u{1b}[32mgood \u{1b}[0m  disk  40 GB\n\u{1b}[1;31mBAD  \u{1b}[0m  board  \\u{1b}[31mok  \n       -> good \n"
-        );
     }
 
     #[test]

@@ -52,8 +52,6 @@ pub struct Model {
     pub default_mode: Mode,
     /// Its other depth modes.
     pub other_modes: Vec<Mode>,
-    /// Problems that others have had with it.
-    pub traps: Vec<Trap>,
 }
 
 impl PartialEq for Model {
@@ -128,16 +126,6 @@ impl Basis {
             Self::Assumed => "assumed",
         }
     }
-}
-
-/// A problem that others have had.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Trap {
-    /// The problem, and what to do.
-    pub text: String,
-    /// Who reported it.
-    pub source: String,
 }
 
 impl Model {
@@ -369,7 +357,6 @@ mod tests {
         for file in FILES {
             let model: Model = toml::from_str(file).unwrap();
             assert_eq!(Model::find(&model.id), Some(&model));
-            assert!(!model.traps.is_empty(), "{}", model.id);
             assert!(model.recorder.len() > 4, "{}", model.id);
             assert!(
                 model.pulse.width_us > model.pulse.shortest_us,

@@ -38,15 +38,12 @@ impl Summary {
     }
 }
 
-/// Marks at the beginnings of findings' lines, from good to bad.
-pub const MARKS: [&str; 3] = ["good ", "check", "BAD  "];
-
+/// What a finding's line begins with.
 const fn mark(severity: Severity) -> &'static str {
-    let [good, check, bad] = MARKS;
     match severity {
-        Severity::Good => good,
-        Severity::Check => check,
-        Severity::Bad => bad,
+        Severity::Good => "good ",
+        Severity::Check => "check",
+        Severity::Bad => "BAD  ",
     }
 }
 

@@ -131,8 +131,6 @@ fn the_page_is_followed_to_a_data_set() {
             .current_dir(place)
             .env("PATH", &rig.search_path)
             .env("HOME", place)
-            .env_remove("XDG_CONFIG_HOME")
-            .env_remove("SMARTDEPTHSYNC_PROFILE")
             .stdin(Stdio::null())
             .output()
             .unwrap();
@@ -221,8 +219,6 @@ fn typed(command: &str, place: &Path, rig: &Served) -> String {
         .current_dir(place)
         .env("PATH", &rig.search_path)
         .env("HOME", place)
-        .env_remove("XDG_CONFIG_HOME")
-        .env_remove("SMARTDEPTHSYNC_PROFILE")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

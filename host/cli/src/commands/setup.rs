@@ -7,7 +7,7 @@
 use std::io::{BufRead, IsTerminal as _};
 use std::path::PathBuf;
 
-use toml_edit::{Array, Item, value};
+use toml_edit::{Item, value};
 
 use super::doctor;
 use crate::context::Context;
@@ -125,16 +125,6 @@ fn parse_exposure(text: &str) -> Result<f64, String> {
         .ok_or_else(|| String::from("expected 1us to 200ms"))
 }
 
-/// The answers.
-#[derive(Clone, Debug)]
-struct Answers {
-    name: String,
-    phone: String,
-    camera: Camera,
-    recorder: Array,
-    port: Option<String>,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -157,8 +147,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         is_terminal: std::io::stdin().is_terminal(),
         context,
     };
-    let answers = answers(args, known, &mut asker)?;
-    let text = answers.profile()?;
+    let text = asked_profile(args, known, &mut asker)?;
     write_file(&args.profile, &text)?;
     context.say(format!("wrote {}\n", args.profile.display()));
     let doctor = doctor::Args {
@@ -223,11 +212,12 @@ impl<R: BufRead> Asker<'_, R> {
     }
 }
 
-fn answers<R: BufRead>(
+/// The profile that the answers make.
+fn asked_profile<R: BufRead>(
     args: &Args,
     known: Option<String>,
     asker: &mut Asker<'_, R>,
-) -> Result<Answers, Failure> {
+) -> Result<String, Failure> {
     let as_typed = |text: &str| Ok(text.to_owned());
     let name = asker.ask(
         args.name.clone(),
@@ -252,13 +242,15 @@ fn answers<R: BufRead>(
     let default = usual.map_or("none", String::as_str);
     let question = "The program that records the depth camera (none: you start it yourself)?";
     let recorder = asker.ask(args.recorder.clone(), question, default, as_typed)?;
-    Ok(Answers {
-        name,
-        phone,
-        recorder: recorder_command(&recorder, camera.model, camera.mode),
-        camera,
-        port: args.port.port.clone(),
-    })
+    let recorder = recorder_command(&recorder, camera.model, camera.mode);
+    let mut set: Vec<(&[&str], Item)> = vec![
+        (&["name"], value(name)),
+        (&["phone", "address"], value(phone)),
+        (&["depth", "recorder", "command"], value(recorder)),
+    ];
+    let port = args.port.port.as_deref();
+    set.extend(port.map(|port| (["port"].as_slice(), value(port))));
+    text(&camera, &set)
 }
 
 fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camera, Failure> {
@@ -275,20 +267,6 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
     Ok(camera)
 }
 
-impl Answers {
-    fn profile(&self) -> Result<String, Failure> {
-        let recorder = value(self.recorder.clone());
-        let mut set: Vec<(&[&str], Item)> = vec![
-            (&["name"], value(self.name.as_str())),
-            (&["phone", "address"], value(self.phone.as_str())),
-            (&["depth", "recorder", "command"], recorder),
-        ];
-        let port = self.port.as_deref();
-        set.extend(port.map(|port| (["port"].as_slice(), value(port))));
-        text(&self.camera, &set)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::Parser as _;
@@ -303,7 +281,7 @@ mod tests {
         args: Args,
     }
 
-    fn asked(options: &[&str], lines: &str, by_adb: Option<&str>) -> Result<Answers, Failure> {
+    fn asked(options: &[&str], lines: &str, by_adb: Option<&str>) -> Result<String, Failure> {
         let line = Line::try_parse_from(std::iter::once(&"setup").chain(options)).unwrap();
         let context = Context {
             global: Global {
@@ -319,13 +297,13 @@ mod tests {
             is_terminal: false,
             context: &context,
         };
-        answers(&line.args, by_adb.map(str::to_owned), &mut asker)
+        asked_profile(&line.args, by_adb.map(str::to_owned), &mut asker)
     }
 
     #[test]
     fn what_is_typed_and_what_is_given_come_to_the_same() {
         let typed = "desk\n10.0.0.7\n\nwfov_unbinned\nk4arecorder\n";
-        let typed = asked(&[], typed, None).unwrap().profile().unwrap();
+        let typed = asked(&[], typed, None).unwrap();
         let given = [
             "--name",
             "desk",
@@ -337,7 +315,7 @@ mod tests {
             "k4arecorder",
             "--yes",
         ];
-        assert_eq!(asked(&given, "", None).unwrap().profile().unwrap(), typed);
+        assert_eq!(asked(&given, "", None).unwrap(), typed);
         let profile = Profile::parse(&typed, None).unwrap();
         assert_eq!(profile.name, "desk");
         assert_eq!(profile.depth.mode, "WFOV_UNBINNED");
@@ -356,7 +334,7 @@ mod tests {
     fn another_camera_brings_its_modes() {
         let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\nnone\n";
         let typed = asked(&["--exposure", "6ms"], typed, None).unwrap();
-        let profile = Profile::parse(&typed.profile().unwrap(), None).unwrap();
+        let profile = Profile::parse(&typed, None).unwrap();
         assert_eq!(
             (profile.depth.camera.as_str(), profile.depth.fps),
             ("realsense-d400", 15)
@@ -382,11 +360,9 @@ mod tests {
     #[test]
     fn defaults_are_taken_and_an_address_never_invented() {
         let default = asked(&["--recorder", "none"], "", Some("10.1.1.1")).unwrap();
-        assert_eq!(
-            (default.phone.as_str(), default.camera.fps),
-            ("10.1.1.1", 30)
-        );
-        assert!(default.recorder.is_empty());
+        let Profile { phone, depth, .. } = Profile::parse(&default, None).unwrap();
+        assert_eq!((phone.address.as_str(), depth.fps), ("10.1.1.1", 30));
+        assert!(depth.recorder.command.is_empty());
         let nobody = asked(&["--yes"], "", None).unwrap_err();
         assert_eq!(nobody.status(), ExitStatus::Usage);
         assert!(nobody.to_string().contains("address"), "{nobody}");
@@ -397,8 +373,8 @@ mod tests {
     #[test]
     fn another_recorder_keeps_its_arguments() {
         let recorder = "my-recorder {folder}/d.mkv {fps}";
-        let answers = asked(&["--phone", "x", "--yes", "--recorder", recorder], "", None).unwrap();
-        let profile = Profile::parse(&answers.profile().unwrap(), None).unwrap();
+        let text = asked(&["--phone", "x", "--yes", "--recorder", recorder], "", None).unwrap();
+        let profile = Profile::parse(&text, None).unwrap();
         assert_eq!(
             profile.depth.recorder.command,
             ["my-recorder", "{folder}/d.mkv", "{fps}"]

@@ -77,8 +77,6 @@ pub(crate) struct State {
     imu: Rate,
     pulses: Rate,
     captures: Rate,
-    /// Messages that the board had dropped when counting began.
-    dropped_before: Option<u64>,
     /// Time and size of the recording when its growth was first seen.
     growth_from: Option<(Ticks, u64)>,
     /// Outputs 2 to 4, then the lidar.
@@ -191,7 +189,6 @@ impl State {
                 reconnects: self.losses.reconnects,
                 ..Losses::default()
             };
-            self.dropped_before = None;
         }
     }
 
@@ -261,10 +258,6 @@ impl State {
         trigger.readback_ns = trigger.readback_ns.filter(|_| runs);
         trigger.readback_missing = train.readback.missing;
         trigger.late = train.late;
-        let sum = status.dropped.total();
-        let before = self.dropped_before.map_or(sum, |before| before.min(sum));
-        self.dropped_before = Some(before);
-        self.losses.dropped = sum - before;
     }
 
     /// Free space, and how long it lasts at the rate at which the recording grows.

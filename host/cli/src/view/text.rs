@@ -16,6 +16,7 @@ use recording::error_budget::micros_text;
 
 use super::plain::{line, lock};
 use super::state::{Keys, State, Twist};
+use crate::terminal::broken;
 
 /// Below this the chart is left out.
 const CHART_MIN: u16 = 20;
@@ -256,22 +257,12 @@ fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<
 
 /// Lines of a text as wide as the screen; those after the first stand further to the right.
 fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
-    let width = usize::from(width);
-    let further = " ".repeat(first.chars().count().min(width / 2));
-    let mut lines = Vec::new();
-    let mut line = first.to_owned();
-    for word in text.split_whitespace() {
-        let has_words = line != first && line != further;
-        if has_words && line.chars().count() + 1 + word.chars().count() > width {
-            lines.push(std::mem::replace(&mut line, further.clone()));
-        }
-        if !line.is_empty() && !line.ends_with(' ') {
-            line.push(' ');
-        }
-        line.push_str(word);
-    }
-    lines.push(line);
-    lines
+    let lines = broken(
+        &format!("{first}{text}"),
+        first.chars().count(),
+        width.into(),
+    );
+    lines.lines().map(str::to_owned).collect()
 }
 
 /// The warnings with what to do about them, the newest first, each in its lines.

@@ -90,8 +90,6 @@ const CASES: &str = "\
 13 | verify broken.mcap | broken.mcap | verify
 # Which recording.
 2 | verify | which recording | smartdepthsync record
-2 | verify many | 2 recordings | many/
-2 | extract many | 2 recordings | many/
 2 | verify wrong.toml | found neither | `record` made
 2 | extract wrong.toml | found neither | `record` made
 # What is there is not overwritten.
@@ -139,10 +137,6 @@ fn files(folder: &Path) {
     write("broken.mcap", b"this is no recording at all");
     write("wrong.toml", b"[phone]\nno_such_key = 1\n");
     write("plain.toml", b"[phone]\naddress = \"127.0.0.1:1\"\n");
-    for name in ["many/one", "many/two"] {
-        fs::create_dir_all(folder.join(name)).unwrap();
-        write(&format!("{name}/recording.mcap"), b"");
-    }
     let mut gyro = String::from("t,x,y,z\n");
     for k in 0..400 {
         gyro.push_str(&format!("{},0.1,0.2,0.3\n", f64::from(k) * 0.002));
@@ -156,10 +150,6 @@ fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Output {
     let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
         .args(arguments)
         .current_dir(folder)
-        // No profile of whoever runs the tests.
-        .env("HOME", folder)
-        .env_remove("XDG_CONFIG_HOME")
-        .env_remove("SMARTDEPTHSYNC_PROFILE")
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&output.stderr);

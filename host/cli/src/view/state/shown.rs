@@ -116,8 +116,6 @@ pub(crate) struct Rates {
 pub(crate) struct Losses {
     /// Messages by the board's numbers.
     pub(crate) messages: u64,
-    /// Of these, dropped by the board itself.
-    pub(crate) dropped: u64,
     /// Damaged frames.
     pub(crate) damaged: u64,
     /// Losses of the link.
