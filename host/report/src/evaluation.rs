@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use evaluate::Settings;
-use evaluate::classify::{FrameCounts, Reference};
+use evaluate::classify::FrameCounts;
 use evaluate::drift::{Drift, EvaluatedDrift};
 use evaluate::identity::Identity;
 use evaluate::precision::{Precision, Spread};
@@ -94,15 +94,14 @@ pub fn precision_summary(result: &Precision) -> Summary {
             "recording",
             format!(
                 "{name}: {:+.3} ± {:.3} µs (1 σ), row {:.2}; row time {:.4} ± {:.4} µs, exposure \
-                 {:.1} µs, flash {:.1} grey levels; frames: {frames}; scene taken from {}",
+                 {:.1} µs, flash {:.1} grey levels; frames: {frames}",
                 r.bias_us,
                 r.sigma_us,
                 r.row,
                 r.row_time_us,
                 r.row_time_sigma_us,
                 r.exposure_us,
-                r.amplitude,
-                reference_text(r.reference)
+                r.amplitude
             ),
         ));
         parts.extend(remarks(&name, &r.identity, &r.notes));
@@ -198,7 +197,6 @@ pub fn drift_summary(r: &Drift) -> Summary {
         fact("window", window);
     }
     fact("frames", counts_text(&r.frames));
-    fact("scene taken from", reference_text(r.reference).to_owned());
     let parts = remarks(&short(&r.path), &r.identity, &r.notes);
     Summary {
         title: String::from("Frame sync: drift"),
@@ -228,26 +226,15 @@ fn remarks(name: &str, identity: &Identity, notes: &[String]) -> Vec<Finding> {
 
 /// Assignment of flashes to bands, where that is open, in words.
 fn identity_text(identity: &Identity) -> String {
-    let Some(first) = identity.candidates.first() else {
+    let candidates = identity.candidates.iter();
+    let candidates: Vec<String> = candidates.map(|c| format!("{:+.1}", c.bias_us)).collect();
+    if candidates.is_empty() {
         return "open".to_owned();
-    };
-    let candidates: Vec<String> = identity
-        .candidates
-        .iter()
-        .map(|c| format!("{:+.1}", c.bias_us))
-        .collect();
-    let exposures = identity
-        .candidates
-        .iter()
-        .any(|c| (c.exposure_us - first.exposure_us).abs() > 1.0);
+    }
     format!(
-        "open: the frames do not show the train's ends; {} µs fit equally well, the first is taken (nearest to the expected bias{})",
-        candidates.join(", "),
-        if exposures {
-            ", shortest exposure; the true exposure, given with --exposure, decides between them"
-        } else {
-            ""
-        }
+        "open: the frames do not show the train's ends; {} µs fit equally well, the first is taken \
+         (shortest exposure, nearest to the expected bias; --exposure and --near decide)",
+        candidates.join(", ")
     )
 }
 
@@ -275,15 +262,6 @@ fn counts_text(c: &FrameCounts) -> String {
         }
     }
     text
-}
-
-/// Source of the scene's own brightness, in words.
-const fn reference_text(reference: Reference) -> &'static str {
-    match reference {
-        Reference::DarkFrames(_) => "frames without flashes",
-        Reference::DarkRows => "rows while they saw no flash",
-        Reference::Polynomial => "a smooth curve (no frames without flashes)",
-    }
 }
 
 /// The last two parts of a path: a recording's name and its video's.

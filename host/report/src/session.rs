@@ -26,7 +26,6 @@ use recording::RecordingError;
 use recording::finding::{Finding, Severity};
 use recording::session_file::{PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;
-use timebase::ClockModel;
 
 /// The most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
@@ -222,7 +221,8 @@ fn phone_fact(phone: &PhoneRecord) -> String {
         let _ = write!(text, ", app {version}");
     }
     if let Some(clock) = phone.clock {
-        let (offset_us, skew_ppm) = sigmas(&clock);
+        let offset_us = clock.offset_at(clock.reference).sigma * 1e6;
+        let skew_ppm = clock.skew_sigma_at(clock.reference) * 1e6;
         let (offset, skew) = (clock.offset, clock.skew * 1e6);
         let used = phone.twists.iter().filter(|twist| twist.accepted).count();
         let _ = write!(
@@ -246,20 +246,6 @@ fn phone_fact(phone: &PhoneRecord) -> String {
     text
 }
 
-fn title(name: &str) -> String {
-    // A name such as "recording" says it already.
-    match name.to_lowercase().starts_with("recording") {
-        true => name.to_owned(),
-        false => format!("Recording {name}"),
-    }
-}
-
-/// 1-sigma of a relation's offset in µs and of its skew in ppm, at its reference.
-fn sigmas(clock: &ClockModel) -> (f64, f64) {
-    let sigma = |at: usize| clock.covariance[at][at].max(0.0).sqrt() * 1e6;
-    (sigma(0), sigma(1))
-}
-
 fn seconds(from: Ticks, to: Ticks) -> f64 {
     to.as_secs_f64() - from.as_secs_f64()
 }
@@ -267,13 +253,6 @@ fn seconds(from: Ticks, to: Ticks) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_title_says_recording_once() {
-        assert_eq!(title("walk"), "Recording walk");
-        assert_eq!(title("Recording-3"), "Recording-3");
-        assert_eq!(title("recording"), "recording");
-    }
 
     #[test]
     fn a_recording_its_data_sets_and_its_evaluations_lead_to_each_other() {

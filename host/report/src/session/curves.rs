@@ -11,7 +11,6 @@ use crate::chart::Envelope;
 use crate::verify::numbers::stream_of;
 use board::{Stream, follow};
 use recording::RecordingError;
-use recording::grid::FollowedGrid;
 use recording::reader::{Entry, Item, Reader};
 use recording::session_file::SessionFile;
 
@@ -26,7 +25,6 @@ const MAX_LOSSES: usize = 3_600;
 pub(super) struct Curves {
     /// Rate of rotation, rad/s.
     pub(super) gyro: Envelope,
-    pub(super) off_grid: Envelope,
     pub(super) readback: Envelope,
     pub(super) temperature: Envelope,
     /// From sample to sample of the IMU, µs.
@@ -50,8 +48,6 @@ pub(super) struct Curves {
     /// whether all tell one relation.
     pub(super) gnss: Option<Gnss>,
     pub(super) broken_off: bool,
-    /// The grid of the alignment, from change to change of the trigger's period.
-    grid: Option<FollowedGrid>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -69,9 +65,7 @@ impl Curves {
     ///
     /// It cannot be read. A recording that is damaged gives what is left.
     pub(super) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
-        let alignment = session.alignment.as_ref();
         let mut curves = Self {
-            grid: alignment.map(|alignment| FollowedGrid::new(alignment.into())),
             twists: TwistRates::of_session(recording, session),
             frames: Frames::of_session(recording, session),
             ..Self::default()
@@ -118,20 +112,15 @@ impl Curves {
                 }
                 self.gyro.add(x, norm(imu.angular_velocity));
             }
-            Item::Period(period) => {
-                if let Some(grid) = &mut self.grid {
-                    grid.follow(period.into());
-                }
-            }
             Item::Temperature(value) => self.temperature.add(x, value.temperature),
             Item::Pulse(pulse) => {
                 if pulse.readback {
                     self.readback.add(x, f64::from(pulse.readback_ticks));
                 }
-                if let (Some(grid), Some(span)) = (&self.grid, session.recorded)
+                if session.alignment.is_some()
+                    && let Some(span) = session.recorded
                     && (span.from..=span.to).contains(&at)
                 {
-                    self.off_grid.add(x, grid.off(at).0 as f64);
                     if let Some(last) = self.last_pulse.replace(x) {
                         self.pulse_intervals.add(x, (x - last) * 1e6);
                     }

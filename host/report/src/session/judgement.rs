@@ -17,7 +17,7 @@ use recording::session_file::{
 use session::alignment::drift_sigma_over;
 use timebase::PhoneNanos;
 
-use super::{facts, seconds, title};
+use super::{facts, seconds};
 use crate::summary::Summary;
 
 /// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`.
@@ -52,7 +52,7 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
         _ => text,
     };
     Summary {
-        title: title(&session.name),
+        title: format!("Recording {}", session.name),
         severity,
         text,
         parts,
@@ -92,28 +92,15 @@ fn part(name: &str, severity: Severity, found: String, next: Vec<String>) -> Fin
 }
 
 fn nothing_recorded(session: &SessionFile) -> Finding {
-    let delete = "record again; this folder can be deleted";
-    let (found, next) = match session.outcome {
-        Some(SessionOutcome::Interrupted) => (
-            String::from("Interrupted before the recording began: nothing was recorded."),
-            delete,
-        ),
+    let found = match session.outcome {
         Some(SessionOutcome::Failed) => {
             let reason = reason(session);
-            let found = format!("The session failed before the recording began: {reason}.");
-            (found, "record again")
+            format!("The session failed before the recording began: {reason}.")
         }
-        _ => (
-            String::from("The session ended before the recording began: nothing was recorded."),
-            delete,
-        ),
+        _ => String::from("The session ended before the recording began: nothing was recorded."),
     };
-    part(
-        "board and phone",
-        Severity::Bad,
-        found,
-        vec![next.to_owned()],
-    )
+    let next = String::from("record again; this folder can be deleted");
+    part("board and phone", Severity::Bad, found, vec![next])
 }
 
 fn reason(session: &SessionFile) -> &str {

@@ -45,20 +45,6 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
         ],
         rows,
     );
-    if let (Some(clock), Some(span)) = (phone.clock, session.recorded) {
-        let sigmas = times(span).map(|at| (at.0, clock.offset_at(at).sigma * 1e6));
-        let all = vec![("offset", Data::Line(sigmas.collect()))];
-        let unit = "1-sigma of the offset, µs";
-        let svg = chart::series("board time, s", unit, 0.0..1.0, all);
-        if !svg.is_empty() {
-            page.figure(
-                &svg,
-                "How well a time of the phone is known in board time, over the recording (1-sigma \
-                 of the last clock relation). It grows away from the twists; a second twist at \
-                 the end keeps it low at both ends.",
-            );
-        }
-    }
     for twist in &curves.twists {
         overlay(page, twist);
     }
@@ -257,38 +243,22 @@ pub(super) fn auxiliary(page: &mut Page, session: &SessionFile, curves: &Curves)
 }
 
 pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
-    let off_grid = range("off the grid", &curves.off_grid);
-    let readback = range("read-back", &curves.readback);
-    if off_grid.is_none() && readback.is_none() {
+    let has_readback = curves.readback.extremes().is_some();
+    if !has_readback && session.counts.pulses.received == 0 {
         return;
     }
     page.section("The trigger");
-    if curves.off_grid.extremes() == Some((0.0, 0.0)) {
-        page.text("Every pulse was where it should be on its grid, to the tick of 20.83 ns.");
-    } else if let Some(series) = off_grid {
-        let svg = chart::series(
-            "board time, s",
-            "off the grid, ticks",
-            -2.0..2.0,
-            vec![series],
-        );
-        page.figure(
-            &svg,
-            "Each pulse against the grid it was sent to, in ticks of 20.83 ns.",
-        );
-    }
-    match readback {
-        Some(_) => course(
+    match has_readback {
+        true => course(
             page,
             "time from the trigger's edge to the same edge after the buffer",
             ("ticks", &curves.readback, 1.5),
         ),
-        None if session.counts.pulses.received > 0 => page.note(
+        false => page.note(
             Severity::Check,
             "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
              PA3 after the buffer.",
         ),
-        None => {}
     }
 }
 
