@@ -18,18 +18,41 @@ use crate::{
 };
 use timebase::PhoneNanos;
 
+/// A phone with the app. No method waits: each gives an answer that is on its way.
+pub trait Phone {
+    /// Is it there, and which version is its app?
+    fn probe(&self) -> Pending<ServerVersion>;
+    /// Records the gyroscope.
+    fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>>;
+    /// Starts a video, at this time of the phone's clocks if it is known.
+    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart>;
+    /// Stops the video.
+    fn stop_video(&self) -> Pending<()>;
+    /// Does it record a video?
+    fn is_recording(&self) -> Pending<bool>;
+    /// Waits until a video that was stopped is closed.
+    fn await_closed(&self) -> Pending<()>;
+    /// Downloads the last video into a folder.
+    fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo>;
+    /// Copies the other files of the video with this phase into a folder, by `adb`; gives
+    /// where they are.
+    fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>>;
+    /// Bytes of the download that are there, and in all.
+    fn progress(&self) -> (u64, u64);
+}
+
 /// The thread of one phone. Dropping it ends the request under way.
 pub struct PhoneTask {
     requests: Option<Sender<Request>>,
-    phone: Arc<Phone>,
+    phone: Arc<Reached>,
     thread: Option<JoinHandle<()>>,
 }
 
 /// What the thread does.
-type Request = Box<dyn FnOnce(&Phone) + Send>;
+type Request = Box<dyn FnOnce(&Reached) + Send>;
 
 /// How the thread reaches the phone, and what is seen of that from outside.
-struct Phone {
+struct Reached {
     address: String,
     settings: Settings,
     cancel: Arc<AtomicBool>,
@@ -38,7 +61,7 @@ struct Phone {
     whole: AtomicU64,
 }
 
-impl Phone {
+impl Reached {
     fn connect(&self) -> Result<PhoneClient, PhoneError> {
         PhoneClient::connect(&self.address, self.settings.clone())
     }
@@ -85,7 +108,7 @@ impl PhoneTask {
         let (requests, inbox) = channel::<Request>();
         let cancel = Arc::new(AtomicBool::new(false));
         let cancelled = Arc::clone(&cancel);
-        let phone = Arc::new(Phone {
+        let phone = Arc::new(Reached {
             address,
             settings: Settings {
                 stop: StopSignal::new(move || cancelled.load(Ordering::Relaxed)),
@@ -106,73 +129,9 @@ impl PhoneTask {
         })
     }
 
-    /// Is it there, and which version is it?
-    #[must_use]
-    pub fn probe(&self) -> Pending<ServerVersion> {
-        self.ask(|phone| phone.connect()?.probe())
-    }
-
-    /// Records the gyroscope.
-    #[must_use]
-    pub fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
-        self.ask(move |phone| phone.connect()?.gyroscope(length))
-    }
-
-    /// Starts a video, at this time of the phone's clock if it is known.
-    #[must_use]
-    pub fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
-        self.ask(move |phone| phone.connect()?.start_video(asked))
-    }
-
-    /// Stops the video.
-    #[must_use]
-    pub fn stop_video(&self) -> Pending<()> {
-        self.ask(|phone| phone.connect()?.stop_video())
-    }
-
-    /// Does it record a video?
-    #[must_use]
-    pub fn is_recording(&self) -> Pending<bool> {
-        self.ask(|phone| phone.connect()?.is_recording())
-    }
-
-    /// Waits until a video that was stopped is closed.
-    #[must_use]
-    pub fn await_closed(&self) -> Pending<()> {
-        self.ask(|phone| phone.connect()?.wait_until_free(phone.settings.busy))
-    }
-
-    /// Downloads the last video into a folder.
-    #[must_use]
-    pub fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
-        self.ask(move |phone| {
-            let mut progress = |done, whole| {
-                phone.done.store(done, Ordering::Relaxed);
-                phone.whole.store(whole, Ordering::Relaxed);
-            };
-            phone.connect()?.get_video(&folder, false, &mut progress)
-        })
-    }
-
-    /// Copies the other files of the video with this phase into a folder, by `adb`; gives
-    /// where they are.
-    #[must_use]
-    pub fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
-        self.ask(move |phone| Ok(adb::fetch(phase, &folder, false, &phone.settings.stop)?))
-    }
-
-    /// Bytes of the download that are there, and in all.
-    #[must_use]
-    pub fn progress(&self) -> (u64, u64) {
-        (
-            self.phone.done.load(Ordering::Relaxed),
-            self.phone.whole.load(Ordering::Relaxed),
-        )
-    }
-
     fn ask<T: Send + 'static>(
         &self,
-        request: impl FnOnce(&Phone) -> Result<T, PhoneError> + Send + 'static,
+        request: impl FnOnce(&Reached) -> Result<T, PhoneError> + Send + 'static,
     ) -> Pending<T> {
         self.phone.cancel.store(false, Ordering::Relaxed);
         self.phone.done.store(0, Ordering::Relaxed);
@@ -192,6 +151,53 @@ impl PhoneTask {
                 Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
             },
             move || cancel.store(true, Ordering::Relaxed),
+        )
+    }
+}
+
+impl Phone for PhoneTask {
+    fn probe(&self) -> Pending<ServerVersion> {
+        self.ask(|phone| phone.connect()?.probe())
+    }
+
+    fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
+        self.ask(move |phone| phone.connect()?.gyroscope(length))
+    }
+
+    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
+        self.ask(move |phone| phone.connect()?.start_video(asked))
+    }
+
+    fn stop_video(&self) -> Pending<()> {
+        self.ask(|phone| phone.connect()?.stop_video())
+    }
+
+    fn is_recording(&self) -> Pending<bool> {
+        self.ask(|phone| phone.connect()?.is_recording())
+    }
+
+    fn await_closed(&self) -> Pending<()> {
+        self.ask(|phone| phone.connect()?.wait_until_free(phone.settings.busy))
+    }
+
+    fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
+        self.ask(move |phone| {
+            let mut progress = |done, whole| {
+                phone.done.store(done, Ordering::Relaxed);
+                phone.whole.store(whole, Ordering::Relaxed);
+            };
+            phone.connect()?.get_video(&folder, false, &mut progress)
+        })
+    }
+
+    fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
+        self.ask(move |phone| Ok(adb::fetch(phase, &folder, false, &phone.settings.stop)?))
+    }
+
+    fn progress(&self) -> (u64, u64) {
+        (
+            self.phone.done.load(Ordering::Relaxed),
+            self.phone.whole.load(Ordering::Relaxed),
         )
     }
 }

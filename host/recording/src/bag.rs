@@ -101,14 +101,7 @@ pub fn foreign(path: &Path, form: &'static str) -> RecordingError {
 pub fn conversion(path: &Path) -> String {
     let mut to = path.with_extension("").into_os_string();
     to.push("-mcap");
-    let [from, to] = [path.as_os_str(), &to].map(|path| {
-        let text = path.to_string_lossy();
-        let is_plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
-        match text.chars().all(is_plain) {
-            true => text.into_owned(),
-            false => format!("'{}'", text.replace('\'', r"'\''")),
-        }
-    });
+    let [from, to] = [path, Path::new(&to)].map(files::shell_word);
     format!("rosbags-convert --src {from} --dst {to} --dst-storage mcap")
 }
 

@@ -4,6 +4,7 @@
 //! It is written again at every step (to a temporary file that then replaces it),
 //! so a kill leaves the state of the last step, without an outcome.
 
+use std::fmt::{self, Display, Formatter};
 use std::path::{Component, Path, PathBuf};
 
 use protocol::usb::serial_number;
@@ -185,6 +186,20 @@ pub struct Placement {
     pub drift_us_per_min: f64,
     /// 1-sigma of it, µs/min.
     pub drift_sigma_us_per_min: f64,
+}
+
+impl Display for Placement {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "its frames are {:+.1} ± {:.1} µs from the depth images, moving by {:+.1} ± {:.1} \
+             µs/min (1-sigma); they cannot be shifted",
+            self.offset_us,
+            self.offset_sigma_us,
+            self.drift_us_per_min,
+            self.drift_sigma_us_per_min
+        )
+    }
 }
 
 /// One twist.

@@ -233,15 +233,7 @@ fn phone_fact(phone: &PhoneRecord) -> String {
         );
     }
     if let Some(placed) = phone.placement {
-        let _ = write!(
-            text,
-            "; its frames cannot be shifted: {:+.1} ± {:.1} µs after the depth images, moving by \
-             {:+.1} ± {:.1} µs/min",
-            placed.offset_us,
-            placed.offset_sigma_us,
-            placed.drift_us_per_min,
-            placed.drift_sigma_us_per_min
-        );
+        let _ = write!(text, "; {placed}");
     }
     text
 }

@@ -5,18 +5,17 @@
 //! by [`Link::receive`](board::transport::Link::receive), whose link keeps the time of all
 //! deadlines, and for anything else by [`Clock::wait`].
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use board::transport::Link;
 use jiff::Zoned;
+use phone::PhoneError;
 use phone::agent::PhoneExchange;
-use phone::task::{Pending, PhoneTask};
-use phone::{Asked, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
+pub use phone::task::Phone;
 use recording::profile::Depth;
 use recording::writer::WallClock;
 use serde::Serialize;
-use timebase::PhoneNanos;
 
 /// Opens links to the board, the first time and after a loss.
 pub trait Connector {
@@ -26,66 +25,6 @@ pub trait Connector {
     ///
     /// It cannot be opened (now).
     fn connect(&mut self, board_id: Option<&str>) -> board::Result<Box<dyn Link>>;
-}
-
-/// A phone with the app. No method waits: each gives an answer that is on its way.
-pub trait Phone {
-    /// Is it there, and which version is its app?
-    fn probe(&self) -> Pending<ServerVersion>;
-    /// Records the gyroscope.
-    fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>>;
-    /// Starts a video, at this time of the phone's clocks if it is known.
-    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart>;
-    /// Stops the video.
-    fn stop_video(&self) -> Pending<()>;
-    /// Does it record a video?
-    fn is_recording(&self) -> Pending<bool>;
-    /// Waits until a video that was stopped is closed.
-    fn await_closed(&self) -> Pending<()>;
-    /// Downloads the last video into a folder.
-    fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo>;
-    /// Copies the other files of the video with this phase into a folder.
-    fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>>;
-    /// Bytes of the download that are there, and in all.
-    fn progress(&self) -> (u64, u64);
-}
-
-impl Phone for PhoneTask {
-    fn probe(&self) -> Pending<ServerVersion> {
-        Self::probe(self)
-    }
-
-    fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
-        Self::gyroscope(self, length)
-    }
-
-    fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart> {
-        Self::start_video(self, asked)
-    }
-
-    fn stop_video(&self) -> Pending<()> {
-        Self::stop_video(self)
-    }
-
-    fn is_recording(&self) -> Pending<bool> {
-        Self::is_recording(self)
-    }
-
-    fn await_closed(&self) -> Pending<()> {
-        Self::await_closed(self)
-    }
-
-    fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
-        Self::fetch_video(self, folder)
-    }
-
-    fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
-        Self::fetch_files(self, phase, folder)
-    }
-
-    fn progress(&self) -> (u64, u64) {
-        Self::progress(self)
-    }
 }
 
 /// Reads the phone's clock many times a second while the session runs.

@@ -167,21 +167,6 @@ pub struct Tracked {
     pub holds: bool,
 }
 
-/// Counts of what the board has sent, since the recording began or the board connected.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Counts {
-    /// Trigger pulses.
-    pub pulses: u64,
-    /// IMU samples.
-    pub samples: u64,
-    /// Edges on the strobe input.
-    pub captures: u64,
-    /// Messages lost on the link.
-    pub lost: u64,
-    /// Damaged frames.
-    pub damaged: u32,
-}
-
 /// What happened in a session.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
@@ -242,11 +227,6 @@ pub enum SessionEvent {
         /// In SI units, if it is a sample of the IMU.
         #[serde(skip)]
         sample: Option<Sample>,
-    },
-    /// Counts, once a second.
-    Counted {
-        /// What has come.
-        counts: Counts,
     },
     /// The disk, once a second.
     Disk {
@@ -688,7 +668,6 @@ impl SessionEvent {
             | Self::ClockFollowed { .. }
             | Self::ClockNotFollowed { .. }
             | Self::Board { .. }
-            | Self::Counted { .. }
             | Self::Disk { .. }
             | Self::TwistFinished { .. }
             | Self::ClockKnown { .. }
@@ -745,7 +724,7 @@ impl SessionEvent {
         }
     }
 
-    /// Tells whether it comes many times a second, and is counted by [`SessionEvent::Counted`] too.
+    /// Tells whether it comes many times a second.
     #[must_use]
     pub const fn is_frequent(&self) -> bool {
         matches!(self, Self::Board { .. } | Self::Downloading { .. })

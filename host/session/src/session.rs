@@ -19,12 +19,11 @@ use recording::profile::Profile;
 
 use crate::devices::{Choice, Clock, DepthRecorder, Operator, Phone};
 use crate::error::{SessionError, Stop};
-use crate::event::{Counts, Phase, Prompt, SessionEvent, Step};
+use crate::event::{Phase, Prompt, SessionEvent, Step};
 use crate::housekeeping::Housekeeping;
 use crate::link::BoardLink;
 use crate::log::Log;
 use crate::monitors::{Monitors, take_message};
-use crate::options::seconds;
 use crate::phones::{Answers, Phones, call_off};
 use crate::tracking::Tracking;
 
@@ -60,7 +59,6 @@ pub struct Session<'a> {
     pub(crate) counts_at_reset: Option<StreamCounts>,
     /// The last frame, which is of the new run if the next event is a reset.
     frame: Option<Vec<u8>>,
-    counted: Ticks,
 }
 
 impl<'a> Session<'a> {
@@ -82,7 +80,6 @@ impl<'a> Session<'a> {
             operator,
             link,
             phones,
-            counted: log.now,
             log,
             monitors: Monitors::default(),
             housekeeping: Housekeeping::new(recorder, clock.now()),
@@ -150,7 +147,6 @@ impl<'a> Session<'a> {
         self.log.report_all(findings)?;
         let now = self.link.board.now();
         self.log.write(|writer, _| writer.tick(now))?;
-        self.count();
         self.housekeeping
             .look(self.clock, &mut self.log, self.closing)
     }
@@ -393,24 +389,5 @@ impl<'a> Session<'a> {
             Some(error) => self.take_up_link(&error),
             None => Ok(()),
         }
-    }
-
-    /// Tells the counts, once a second.
-    fn count(&mut self) {
-        if self.log.now.0.saturating_sub(self.counted.0) < seconds(1) {
-            return;
-        }
-        self.counted = self.log.now;
-        let conversation = self.link.board.conversation();
-        let counts = conversation.counts();
-        self.log.tell(SessionEvent::Counted {
-            counts: Counts {
-                pulses: counts.pulses.received,
-                samples: counts.imu.received,
-                captures: counts.captures.received,
-                lost: counts.lost(),
-                damaged: conversation.damaged_frames(),
-            },
-        });
     }
 }

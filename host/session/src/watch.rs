@@ -62,6 +62,31 @@ const COUNTERS: [Counter; 5] = [
     ),
 ];
 
+/// What is found where messages of a stream are missing; nothing where they only fill the link.
+#[must_use]
+pub fn lost(stream: Stream, count: u32) -> Option<Finding> {
+    let kind = match stream {
+        Stream::Pulses => "pulse_messages_lost",
+        Stream::Imu => "imu_gap",
+        Stream::Captures => "captures_lost",
+        Stream::Status => "status_lost",
+        Stream::Outputs => "output_pulses_lost",
+        Stream::Pps => "pps_lost",
+        Stream::Filler => return None,
+    };
+    let next_step = if stream == Stream::Imu { IMU } else { COUNTED };
+    Some(Finding::check(kind, format!("{count} {stream} lost")).next_step(next_step))
+}
+
+/// What is found where the number of a message does not follow on the one before.
+#[must_use]
+pub fn disordered(stream: Stream) -> Finding {
+    let text = format!(
+        "{stream} came twice, or with numbers that do not follow: how many are missing is not known"
+    );
+    Finding::bad("numbers_disordered", text)
+}
+
 /// The state of the watch.
 #[derive(Debug)]
 pub struct Watch {
@@ -155,32 +180,17 @@ impl Watch {
 
     /// Messages of a stream are missing.
     pub fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
-        let kind = match stream {
-            Stream::Pulses => {
-                self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
-                "pulse_messages_lost"
-            }
-            Stream::Imu => "imu_gap",
-            Stream::Captures => "captures_lost",
-            Stream::Status => "status_lost",
-            Stream::Outputs => "output_pulses_lost",
-            Stream::Pps => "pps_lost",
-            Stream::Filler => return,
-        };
-        let next_step = if stream == Stream::Imu { IMU } else { COUNTED };
-        let lost = Finding::check(kind, format!("{count} {stream} lost"));
-        findings.push(lost.next_step(next_step));
+        if stream == Stream::Pulses {
+            self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
+        }
+        findings.extend(lost(stream, count));
     }
 
     /// The number of a message does not follow on the one before; reported once a stream.
     pub fn disordered(&mut self, stream: Stream, findings: &mut Vec<Finding>) {
         if !self.disordered.contains(&stream) {
             self.disordered.push(stream);
-            let text = format!(
-                "{stream} came twice, or with numbers that do not follow: how many are missing \
-                 is not known"
-            );
-            findings.push(Finding::bad("numbers_disordered", text));
+            findings.push(disordered(stream));
         }
     }
 

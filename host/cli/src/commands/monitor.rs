@@ -21,6 +21,7 @@ use recording::finding::Finding;
 use session::devices::Connector as _;
 use session::event::{SessionEvent, Stamped};
 use session::hardware::SerialConnector;
+use session::watch;
 
 /// Interval of the plain lines where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
@@ -157,21 +158,25 @@ impl Monitor<'_> {
                 self.tell(at, SessionEvent::Board { message, sample });
             }
             Event::Lost { stream, count } => {
+                if let Some(finding) = watch::lost(stream, count) {
+                    self.tell(at, SessionEvent::Found { finding });
+                }
                 let stream = stream.to_string();
-                self.warn(at, "pulse_messages_lost", format!("{count} {stream} lost"));
                 self.tell(at, SessionEvent::Lost { stream, count });
             }
             Event::Disordered { stream } => {
-                let text = format!("{stream} came twice, or with numbers that do not follow");
-                self.warn(at, "numbers_disordered", text);
+                let finding = watch::disordered(stream);
+                self.tell(at, SessionEvent::Found { finding });
             }
             Event::Damaged(error) => {
                 let reason = error.to_string();
-                self.warn(at, "damaged", reason.clone());
+                let finding = Finding::check("damaged", reason.as_str());
+                self.tell(at, SessionEvent::Found { finding });
                 self.tell(at, SessionEvent::Damaged { reason });
             }
             Event::Restarted { .. } => {
-                self.warn(at, "restarted", String::from("the board was reset"));
+                let finding = Finding::check("restarted", "the board was reset");
+                self.tell(at, SessionEvent::Found { finding });
                 self.begun = None;
                 self.last_line = None;
             }
@@ -181,11 +186,6 @@ impl Monitor<'_> {
             Event::Frame(_) | Event::Answer(_) | Event::Expired { .. } => {}
         }
         Ok(())
-    }
-
-    fn warn(&self, at: Ticks, kind: &'static str, text: String) {
-        let finding = Finding::check(kind, text);
-        self.tell(at, SessionEvent::Found { finding });
     }
 
     fn tell(&self, at: Ticks, event: SessionEvent) {

@@ -30,7 +30,6 @@ impl Display for SessionEvent {
             }
             Self::Checked { check } => f.write_str(&check.line()),
             Self::Board { message, .. } => write!(f, "{message:?}"),
-            Self::Counted { counts } => write!(f, "{counts:?}"),
             Self::Disk { free, .. } => write!(f, "{} MB are free", free / 1_000_000),
             Self::Lost { stream, count } => write!(f, "{count} {stream} lost on the link"),
             Self::Damaged { reason } => f.write_str(reason),
@@ -260,16 +259,7 @@ impl SessionEvent {
             Self::ArrivalUnconfirmed => {
                 f.write_str("the board did not report the arrival, but its train runs on the grid")
             }
-            Self::Placed { phone, placement } => write!(
-                f,
-                "phone {}: its frames are {:+.1} ± {:.1} µs from the depth images, moving by \
-                 {:+.1} ± {:.1} µs/min (1-sigma); it cannot be shifted",
-                phone.name,
-                placement.offset_us,
-                placement.offset_sigma_us,
-                placement.drift_us_per_min,
-                placement.drift_sigma_us_per_min
-            ),
+            Self::Placed { phone, placement } => write!(f, "phone {}: {placement}", phone.name),
             Self::OutputStarted { name, output, rule } => {
                 write!(f, "{name} on output {output} runs: {rule} of the trigger")
             }
