@@ -383,7 +383,8 @@ fn a_command_that_reads_long_shows_how_far_it_is() {
         while let Ok(read @ 1..) = master.read(&mut part) {
             seen.extend_from_slice(&part[..read]);
             let seen = String::from_utf8_lossy(&seen);
-            if seen.contains("reading ") {
+            // A download has a bar of its own.
+            if seen.contains("reading ") || seen.contains("left") {
                 let pid = rustix::process::Pid::from_child(&child);
                 let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
             }
