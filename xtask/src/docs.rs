@@ -87,6 +87,7 @@ struct Page {
 
 /// Checks the pages of `source` as if they were in `docs/`, and the two at the root.
 fn check_links(source: &Path, root: &Path) -> Result<()> {
+    let root = &root.canonicalize()?;
     let docs = root.join("docs");
     let mut pages = BTreeMap::new();
     let read = |path: &Path| {
@@ -129,14 +130,13 @@ fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Opti
         return None;
     }
     let (file, fragment) = link.split_once('#').unwrap_or((link, ""));
-    let target = if file.is_empty() {
-        page.to_path_buf()
-    } else {
-        normalise(&page.parent()?.join(file))
+    let target = match file {
+        "" => page.to_path_buf(),
+        _ => page.parent()?.join(file),
     };
-    if !target.exists() {
+    let Ok(target) = target.canonicalize() else {
         return Some("no such file".to_owned());
-    }
+    };
     if fragment.is_empty() {
         return None;
     }
@@ -144,21 +144,6 @@ fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Opti
         Some(target) if !target.anchors.contains(fragment) => Some("no such heading".to_owned()),
         _ => None,
     }
-}
-
-/// `a/b/../c` as `a/c`, without looking at the disk.
-fn normalise(path: &Path) -> PathBuf {
-    let mut out = PathBuf::new();
-    for part in path.components() {
-        match part {
-            std::path::Component::ParentDir => {
-                out.pop();
-            }
-            std::path::Component::CurDir => {}
-            other => out.push(other),
-        }
-    }
-    out
 }
 
 fn parse(text: &str) -> Page {
@@ -202,14 +187,10 @@ fn slug(title: &str) -> String {
     title
         .trim()
         .chars()
-        .filter_map(|c| {
-            if c.is_alphanumeric() || c == '-' || c == '_' {
-                Some(c.to_ascii_lowercase())
-            } else if c.is_whitespace() {
-                Some('-')
-            } else {
-                None
-            }
+        .filter(|c| c.is_alphanumeric() || c.is_whitespace() || "-_".contains(*c))
+        .map(|c| match c.is_whitespace() {
+            true => '-',
+            false => c.to_ascii_lowercase(),
         })
         .collect()
 }

@@ -74,8 +74,8 @@ enum Command {
     /// Make all that a release holds, for amd64 and arm64, in `target/dist`, and try it where
     /// there is no Rust.
     Release,
-    /// Build the Python packages twist-sync and smartdepthsync-data, install them into
-    /// target/venv, and test them there.
+    /// Build the Python packages twist-sync and smartdepthsync-data, install the first into
+    /// target/venv, and test it there.
     Wheel,
     /// Build the book into target/book and check its links.
     Docs,
