@@ -72,23 +72,11 @@ mod tests {
     use super::*;
 
     fn alignment(bias_us: f64, exposure_us: f64) -> Alignment {
-        serde_json::from_value(serde_json::json!({
-            "exposure_us": exposure_us,
-            "middle_row_us": 0.0,
-            "center_offset_us": 0.0,
-            "bias_us": bias_us,
-            "frame_period_ns": 33e6,
-            "frame_period_sigma_ns": null,
-            "frame_period_source": "learnt",
-            "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0, "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
-            "anchor": 0,
-            "period_q32": 1_u64 << 32,
-            "phase_sigma_us": 1.0,
-            "drift_sigma_us_per_min": 1.0,
-            "arrival_pulse": null,
-            "arrival": null,
-        }))
-        .unwrap()
+        Alignment {
+            bias_us,
+            exposure_us,
+            ..Alignment::default()
+        }
     }
 
     #[test]

@@ -275,7 +275,7 @@ impl Video {
 }
 
 /// How the trigger was aligned; see `docs/formats.md`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Alignment {
     /// Exposure that was used, µs.
     pub exposure_us: f64,
@@ -370,10 +370,11 @@ pub struct RateChange {
 }
 
 /// Where a frame period comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FramePeriodSource {
     /// From the profile.
+    #[default]
     Learnt,
     /// From the answer to `video_start`.
     VideoStart,

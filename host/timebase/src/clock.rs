@@ -11,7 +11,7 @@ use twist_sync::{ClockRelation, Wander, WithSigma};
 use crate::{BoardSeconds, PhoneNanos, PhoneSeconds};
 
 /// The relation of board time and phone time with its uncertainty.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClockModel {
     /// The board time at which `offset` holds.
     pub reference: BoardSeconds,

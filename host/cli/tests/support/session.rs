@@ -2,9 +2,7 @@
 
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::profile::Profile;
-use recording::session_file::{
-    Alignment, FramePeriodSource, RateChange, SessionFile, SessionOutcome, Span,
-};
+use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
 use timebase::{BoardSeconds, ClockModel, Wander};
 
 /// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
@@ -32,24 +30,17 @@ pub(crate) fn session(
         exposure_us: 4_000.0,
         middle_row_us: 5_503.0,
         center_offset_us: 6_362.5,
-        bias_us: 0.0,
         constant_sigma_us: Some(100.0),
-        shift_us: 0.0,
-        constant_part: None,
-        bias_is_measured: false,
         frame_period_ns,
-        frame_period_sigma_ns: None,
-        frame_jitter_ns: None,
         frame_period_source: FramePeriodSource::VideoStart,
         clock,
-        change: RateChange::default(),
-        board_temperature_c: None,
         anchor,
         period_q32: period.0,
         phase_sigma_us: 3.0,
         drift_sigma_us_per_min: 10.0,
         arrival_pulse: Some(0),
         arrival: Some(anchor),
+        ..Alignment::default()
     });
     session.recorded = Some(Span {
         from: anchor,

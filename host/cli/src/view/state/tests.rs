@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use protocol::Period;
 use recording::session_file::Placement;
-use recording::session_file::{FramePeriodSource, RateChange};
 use session::error::SessionError;
 use session::event::{PhoneName, Step};
 use timebase::{BoardSeconds, ClockModel, Wander};
@@ -51,27 +50,15 @@ fn clock_since(reference: f64) -> ClockModel {
 fn aligned(clock: ClockModel, seconds: f64) -> Alignment {
     let anchor = BoardSeconds(seconds).ticks();
     Alignment {
-        exposure_us: 0.0,
-        middle_row_us: 0.0,
-        center_offset_us: 0.0,
-        bias_us: 0.0,
-        constant_sigma_us: None,
-        shift_us: 0.0,
-        constant_part: None,
-        bias_is_measured: false,
         frame_period_ns: 1e9 / 30.0,
-        frame_period_sigma_ns: None,
-        frame_jitter_ns: None,
-        frame_period_source: FramePeriodSource::Learnt,
         clock,
-        change: RateChange::default(),
-        board_temperature_c: None,
         anchor,
         period_q32: Period::from_ticks(1_600_000).0,
         phase_sigma_us: 3.0,
         drift_sigma_us_per_min: 1.0,
         arrival_pulse: Some(100),
         arrival: Some(anchor),
+        ..Alignment::default()
     }
 }
 
