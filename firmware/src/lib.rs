@@ -13,7 +13,6 @@
 //! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
 //! - [`die_temperature`]: the chip's temperature.
-//! - [`filler`]: load for tests of the link.
 //! - [`alive`]: which tasks have checked in.
 //! - [`retained`]: what survives a reset.
 //! - [`storage`]: what survives power-off.
@@ -27,7 +26,6 @@ pub mod boards;
 pub mod capture;
 pub mod config;
 pub mod die_temperature;
-pub mod filler;
 pub mod imu;
 pub mod load;
 pub mod nmea;

@@ -132,7 +132,7 @@ fn sentence(
 
 #[cfg(test)]
 mod tests {
-    use protocol::Baud;
+    use protocol::{Baud, NMEA_SLACK_MS};
 
     use super::*;
     use proptest::prelude::*;
@@ -196,8 +196,10 @@ mod tests {
                 ..settings()
             };
             let len = text(sentences, END_UTC - 1).len();
-            assert_eq!(len as u32, settings.longest_text());
             assert!(len <= MAX_NMEA);
+            let line_ms = (len as u32 * 10 * 1_000).div_ceil(settings.baud.hz());
+            let ends_ms = u32::from(settings.delay_ms) + NMEA_SLACK_MS + line_ms;
+            assert_eq!(settings.ends_us(), ends_ms * 1_000);
         }
     }
 
@@ -234,9 +236,8 @@ mod tests {
             assert!(matches!(refused, Err(Refusal::GnssWindowExceeded { .. })));
         }
         let slow = GnssSettings {
-            baud: Baud::B4800,
             sentences: Sentences::RmcZda,
-            delay_ms: 275,
+            delay_ms: 385,
             ..settings()
         };
         assert_eq!(check(slow), Ok(()));

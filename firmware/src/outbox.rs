@@ -10,9 +10,7 @@
 //! every drop shows as a gap too.
 
 use heapless::Deque;
-use protocol::{
-    Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, Pps, Pulse, Status,
-};
+use protocol::{Capture, DeviceToHost, Dropped, ImuSample, Pps, Pulse, Status};
 
 use crate::config;
 
@@ -56,21 +54,6 @@ pub fn counter_of(message: &DeviceToHost) -> Option<Counter> {
         }
         DeviceToHost::Filler(_) => return None,
     })
-}
-
-/// Queues `item` if there is a host, or counts it as dropped.
-fn push<T, const N: usize>(
-    queue: &mut Deque<T, N>,
-    linked: bool,
-    waiting: &mut usize,
-    item: T,
-    dropped: &mut u32,
-) {
-    if linked && queue.push_back(item).is_ok() {
-        *waiting = waiting.saturating_add(1);
-    } else {
-        *dropped = dropped.saturating_add(1);
-    }
 }
 
 /// Empties `queue` and counts what was in it.
@@ -128,91 +111,32 @@ impl Outbox {
         !self.linked || self.answers.capacity() - self.answers.len() >= config::ANSWERS_PER_COMMAND
     }
 
-    /// Queues a hello.
-    pub fn hello(&mut self, hello: Hello) {
-        self.with_answers(DeviceToHost::Hello(hello));
-    }
-
-    /// Queues an answer.
-    pub fn answer(&mut self, answer: Answer) {
-        self.with_answers(DeviceToHost::Answer(answer));
-    }
-
-    /// Queues an arrival, with the answers.
-    pub fn arrived(&mut self, arrived: Arrived) {
-        self.with_answers(DeviceToHost::Arrived(arrived));
-    }
-
-    fn with_answers(&mut self, message: DeviceToHost) {
-        push(
-            &mut self.answers,
-            self.linked,
-            &mut self.waiting,
-            message,
-            &mut self.dropped.answers,
-        );
-    }
-
-    /// Queues a pulse per second.
-    pub fn pps(&mut self, pps: Pps) {
-        self.output(OutputMessage::Pps(pps));
-    }
-
-    fn output(&mut self, message: OutputMessage) {
-        push(
-            &mut self.outputs,
-            self.linked,
-            &mut self.waiting,
-            message,
-            &mut self.dropped.outputs,
-        );
-    }
-
-    /// Queues a pulse.
-    pub fn pulse(&mut self, pulse: Pulse) {
-        if !pulse.output.is_camera() {
-            return self.output(OutputMessage::Pulse(pulse));
+    /// Queues a message if there is a host, or counts it as dropped.
+    pub fn send(&mut self, message: DeviceToHost) {
+        let counter = counter_of(&message);
+        if self.linked && self.queue(message) {
+            self.waiting = self.waiting.saturating_add(1);
+        } else if let Some(counter) = counter {
+            self.lose(counter);
         }
-        push(
-            &mut self.pulses,
-            self.linked,
-            &mut self.waiting,
-            pulse,
-            &mut self.dropped.pulses,
-        );
     }
 
-    /// Queues a capture.
-    pub fn capture(&mut self, capture: Capture) {
-        push(
-            &mut self.captures,
-            self.linked,
-            &mut self.waiting,
-            capture,
-            &mut self.dropped.captures,
-        );
-    }
-
-    /// Queues a sample.
-    pub fn imu(&mut self, sample: ImuSample) {
-        push(
-            &mut self.imu,
-            self.linked,
-            &mut self.waiting,
-            sample,
-            &mut self.dropped.imu,
-        );
-    }
-
-    /// Queues a status.
-    pub fn status(&mut self, status: Status) {
-        push(
-            &mut self.status,
-            self.linked,
-            &mut self.waiting,
-            status,
-            &mut self.dropped.status,
-        );
+    /// False if there is no place.
+    fn queue(&mut self, message: DeviceToHost) -> bool {
+        match message {
+            DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {
+                self.pulses.push_back(pulse).is_ok()
+            }
+            DeviceToHost::Pulse(pulse) => {
+                let message = OutputMessage::Pulse(pulse);
+                self.outputs.push_back(message).is_ok()
+            }
+            DeviceToHost::Pps(pps) => self.outputs.push_back(OutputMessage::Pps(pps)).is_ok(),
+            DeviceToHost::Capture(capture) => self.captures.push_back(capture).is_ok(),
+            DeviceToHost::Imu(sample) => self.imu.push_back(sample).is_ok(),
+            DeviceToHost::Status(status) => self.status.push_back(status).is_ok(),
+            message => self.answers.push_back(message).is_ok(),
+        }
     }
 
     /// What was dropped since reset.
@@ -261,46 +185,30 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::{CaptureChannel, Edge, ImuFlags, Output, Reply, Ticks};
+    use protocol::{Answer, Output, Reply};
 
-    fn answer(id: u32) -> Answer {
-        Answer {
-            id,
-            result: Ok(Reply::SayHello(())),
-        }
+    fn answer(id: u32) -> DeviceToHost {
+        let result = Ok(Reply::SayHello(()));
+        DeviceToHost::Answer(Answer { id, result })
     }
 
-    fn sample(seq: u32) -> ImuSample {
-        ImuSample {
+    fn sample(seq: u32) -> DeviceToHost {
+        DeviceToHost::Imu(ImuSample {
             seq,
-            at: Ticks(u64::from(seq)),
-            flags: ImuFlags::default(),
-            accel: [0; 3],
-            temperature: 0,
-            gyro: [0; 3],
-        }
+            ..ImuSample::default()
+        })
     }
 
-    fn pulse(seq: u32) -> Pulse {
-        Pulse {
-            output: Output::Camera,
-            seq,
-            train: 1,
-            number: u64::from(seq),
-            at: Ticks(u64::from(seq)),
-            aligned: true,
-            readback: None,
-        }
+    fn pulse(seq: u32) -> DeviceToHost {
+        pulse_of(Output::Camera, seq)
     }
 
-    fn capture(seq: u32) -> Capture {
-        Capture {
+    fn pulse_of(output: Output, seq: u32) -> DeviceToHost {
+        DeviceToHost::Pulse(Pulse {
+            output,
             seq,
-            channel: CaptureChannel::Strobe,
-            edge: Edge::Rising,
-            at: Ticks(0),
-            after_loss: false,
-        }
+            ..Pulse::default()
+        })
     }
 
     fn linked() -> Outbox {
@@ -312,18 +220,19 @@ mod tests {
     #[test]
     fn answers_go_first_then_pulses_captures_samples() {
         let mut outbox = linked();
-        outbox.imu(sample(0));
-        outbox.capture(capture(0));
-        outbox.pulse(pulse(0));
-        outbox.pulse(pulse(1));
-        outbox.answer(answer(7));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Answer(answer(7))));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(0))));
-        outbox.answer(answer(8));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Answer(answer(8))));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(1))));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Capture(capture(0))));
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Imu(sample(0))));
+        let capture = DeviceToHost::Capture(Capture::default());
+        outbox.send(sample(0));
+        outbox.send(capture.clone());
+        outbox.send(pulse(0));
+        outbox.send(pulse(1));
+        outbox.send(answer(7));
+        assert_eq!(outbox.pop(), Some(answer(7)));
+        assert_eq!(outbox.pop(), Some(pulse(0)));
+        outbox.send(answer(8));
+        assert_eq!(outbox.pop(), Some(answer(8)));
+        assert_eq!(outbox.pop(), Some(pulse(1)));
+        assert_eq!(outbox.pop(), Some(capture));
+        assert_eq!(outbox.pop(), Some(sample(0)));
         assert_eq!(outbox.pop(), None);
         assert!(outbox.is_empty());
     }
@@ -331,16 +240,16 @@ mod tests {
     #[test]
     fn pulses_of_the_camera_go_before_those_of_the_auxiliary_outputs() {
         let mut outbox = linked();
-        let auxiliary = Output::AUXILIARY.map(|output| Pulse { output, ..pulse(9) });
-        for pulse in auxiliary {
-            outbox.pulse(pulse);
+        let auxiliary = Output::AUXILIARY.map(|output| pulse_of(output, 9));
+        for pulse in auxiliary.clone() {
+            outbox.send(pulse);
         }
-        outbox.pulse(pulse(0));
+        outbox.send(pulse(0));
         for expected in [pulse(0)].into_iter().chain(auxiliary) {
-            assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(expected)));
+            assert_eq!(outbox.pop(), Some(expected));
         }
         for _ in 0..1_000 {
-            outbox.pulse(auxiliary[0]);
+            outbox.send(pulse_of(Output::Two, 9));
         }
         assert_eq!(outbox.dropped().pulses, 0);
         assert!(outbox.dropped().outputs > 0);
@@ -350,18 +259,18 @@ mod tests {
     fn a_full_queue_drops_the_newest_and_counts_it_for_that_stream_alone() {
         let mut outbox = linked();
         for seq in 0..100 {
-            outbox.imu(sample(seq));
+            outbox.send(sample(seq));
         }
-        outbox.pulse(pulse(0));
+        outbox.send(pulse(0));
         let lost = 100 - config::IMU_SAMPLES as u32;
         let expected = Dropped {
             imu: lost,
             ..Dropped::default()
         };
         assert_eq!(outbox.dropped(), expected);
-        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(0))));
+        assert_eq!(outbox.pop(), Some(pulse(0)));
         for seq in 0..config::IMU_SAMPLES as u32 {
-            assert_eq!(outbox.pop(), Some(DeviceToHost::Imu(sample(seq))));
+            assert_eq!(outbox.pop(), Some(sample(seq)));
         }
         assert_eq!(outbox.pop(), None);
     }
@@ -369,13 +278,13 @@ mod tests {
     #[test]
     fn without_a_host_everything_is_dropped_and_a_new_host_gets_nothing_old() {
         let mut outbox = Outbox::new();
-        outbox.pulse(pulse(0));
-        outbox.answer(answer(1));
+        outbox.send(pulse(0));
+        outbox.send(answer(1));
         assert!(outbox.is_empty());
         assert!(outbox.has_room_for_command());
         outbox.set_linked(true);
-        outbox.pulse(pulse(1));
-        outbox.pulse(pulse(2));
+        outbox.send(pulse(1));
+        outbox.send(pulse(2));
         outbox.set_linked(true);
         assert!(outbox.is_empty());
         assert_eq!(outbox.dropped().pulses, 3);
@@ -387,7 +296,7 @@ mod tests {
         let mut outbox = linked();
         let mut taken = 0;
         while outbox.has_room_for_command() {
-            outbox.answer(answer(taken));
+            outbox.send(answer(taken));
             taken += 1;
         }
         assert_eq!(

@@ -8,15 +8,17 @@ use embassy_stm32::peripherals::IWDG;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::uid;
 use embassy_stm32::wdg::IndependentWatchdog;
+use firmware::boards::BOARD;
 use firmware::config;
-use protocol::ResetCause;
+use heapless::String;
+use protocol::{Hello, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
 
 use crate::board::imu_bus::ImuBus;
 use crate::board::imu_clock::ImuClockOutput;
 use crate::board::{clocks, cycles, faults, flash, handover, idle, leds, outputs, stack, tim2};
 #[cfg(feature = "discovery")]
 use crate::board::{nmea_port, rng};
-use crate::state::{self, BoardInfo};
+use crate::state;
 use crate::tasks;
 
 /// What a host looks for in an image: whose it is, and for which board
@@ -83,12 +85,22 @@ fn main() -> ! {
 
     let failed = last_panic.is_some() || reset_cause == ResetCause::Watchdog;
     leds::show_failed_run(failed);
-    let info = BoardInfo {
+    let hello = Hello {
+        protocol_version: PROTOCOL_VERSION,
+        firmware_version: (
+            decimal(env!("CARGO_PKG_VERSION_MAJOR")),
+            decimal(env!("CARGO_PKG_VERSION_MINOR")),
+            decimal(env!("CARGO_PKG_VERSION_PATCH")),
+        ),
+        git_revision: String::try_from(env!("GIT_REVISION")).unwrap_or_default(),
+        git_dirty: env!("GIT_DIRTY").as_bytes() == b"1",
         board_id: uid::uid(),
+        tick_hz: TICK_HZ,
+        now: Ticks::ZERO,
         epoch,
         reset_cause,
-        resets: run.resets,
         last_panic,
+        board: BOARD.model,
         panics,
         kept_panic,
     };
@@ -98,11 +110,11 @@ fn main() -> ! {
         epoch,
         reset_cause
     );
-    if let Some(panic) = &info.last_panic {
+    if let Some(panic) = &hello.last_panic {
         defmt::warn!("the last run ended with: {=str}", panic.as_str());
     }
-    let board_id = info.board_id;
-    if state::INFO.init(info).is_err() {
+    let board_id = hello.board_id;
+    if state::INFO.init((hello, run.kept.resets)).is_err() {
         defmt::unreachable!();
     }
 
@@ -153,8 +165,21 @@ fn number(run: &faults::Begun, random: Option<u32>) -> u32 {
             faults::renumber(run, random);
             random
         }
-        _ => run.epoch,
+        _ => run.kept.run,
     }
+}
+
+/// A decimal number; digits that do not fit wrap.
+const fn decimal(digits: &str) -> u8 {
+    let mut bytes = digits.as_bytes();
+    let mut value = 0_u8;
+    while let [digit, rest @ ..] = bytes {
+        value = value
+            .wrapping_mul(10)
+            .wrapping_add(digit.wrapping_sub(b'0'));
+        bytes = rest;
+    }
+    value
 }
 
 /// Spawns a task. Each is spawned once, so its one place is free.

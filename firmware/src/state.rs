@@ -2,31 +2,18 @@
 //! of itself.
 
 use core::cell::{Cell, RefCell};
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::once_lock::OnceLock;
 use embassy_sync::waitqueue::AtomicWaker;
 use firmware::alive::Alive;
-use firmware::boards::BOARD;
 use firmware::outbox::Outbox;
-use heapless::String;
-use protocol::{Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
+use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Ticks};
 
-/// What does not change while the board runs.
-#[derive(Debug)]
-pub(crate) struct BoardInfo {
-    pub(crate) board_id: [u8; 12],
-    pub(crate) epoch: u32,
-    pub(crate) reset_cause: ResetCause,
-    pub(crate) resets: [u8; ResetCause::COUNT],
-    pub(crate) last_panic: Option<String<MAX_PANIC>>,
-    pub(crate) panics: u32,
-    pub(crate) kept_panic: Option<String<MAX_PANIC>>,
-}
-
-/// Set once, by `main`, before any task runs.
-pub(crate) static INFO: OnceLock<BoardInfo> = OnceLock::new();
+/// Who the board is, but for the time, and its resets since power came on, by cause. Set once, by
+/// `main`, before any task runs.
+pub(crate) static INFO: OnceLock<(Hello, [u8; ResetCause::COUNT])> = OnceLock::new();
 
 pub(crate) static ALIVE: Alive = Alive::new();
 
@@ -44,17 +31,10 @@ pub(crate) static LINK_CHANGED: AtomicWaker = AtomicWaker::new();
 
 /// What came in from the host.
 pub(crate) static RECEIVED: CriticalSectionMutex<Cell<LinkCounters>> =
-    CriticalSectionMutex::new(Cell::new(LinkCounters {
-        frames: 0,
-        oversize: 0,
-        cobs: 0,
-        checksum: 0,
-        message: 0,
-        lost_bytes: 0,
-    }));
+    CriticalSectionMutex::new(Cell::new(LinkCounters::ZERO));
 
-/// Filler that the host asked for, in bytes a second.
-pub(crate) static FILLER_RATE: AtomicU32 = AtomicU32::new(0);
+/// Whether the host asked for filler.
+pub(crate) static FILLER: AtomicBool = AtomicBool::new(false);
 
 /// How often a host has connected.
 pub(crate) static CONNECTS: AtomicU32 = AtomicU32::new(0);
@@ -69,9 +49,9 @@ pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
     OUTBOX.lock(|outbox| work(&mut outbox.borrow_mut()))
 }
 
-/// Works on the outbox and wakes the sender.
-pub(crate) fn send(work: impl FnOnce(&mut Outbox)) {
-    with_outbox(work);
+/// Queues a message and wakes the sender.
+pub(crate) fn send(message: DeviceToHost) {
+    with_outbox(|outbox| outbox.send(message));
     TO_SEND.wake();
 }
 
@@ -79,52 +59,22 @@ pub(crate) fn send(work: impl FnOnce(&mut Outbox)) {
 pub(crate) fn set_linked(linked: bool, now: Ticks) {
     if linked {
         CONNECTS.fetch_add(1, Ordering::Relaxed);
-        FILLER_RATE.store(0, Ordering::Relaxed);
+        FILLER.store(false, Ordering::Relaxed);
     }
     let hello = linked.then(|| hello(now));
-    send(|outbox| {
+    with_outbox(|outbox| {
         outbox.set_linked(linked);
         if let Some(hello) = hello {
-            outbox.hello(hello);
+            outbox.send(DeviceToHost::Hello(hello));
         }
     });
+    TO_SEND.wake();
     ROOM.wake();
     LINK_CHANGED.wake();
 }
 
 /// Who the board is, now.
 pub(crate) fn hello(now: Ticks) -> Hello {
-    let info = INFO.try_get();
-    Hello {
-        protocol_version: PROTOCOL_VERSION,
-        firmware_version: (
-            number(env!("CARGO_PKG_VERSION_MAJOR")),
-            number(env!("CARGO_PKG_VERSION_MINOR")),
-            number(env!("CARGO_PKG_VERSION_PATCH")),
-        ),
-        git_revision: String::try_from(env!("GIT_REVISION")).unwrap_or_default(),
-        git_dirty: env!("GIT_DIRTY").as_bytes() == b"1",
-        board_id: info.map_or([0; 12], |info| info.board_id),
-        tick_hz: TICK_HZ,
-        now,
-        epoch: info.map_or(0, |info| info.epoch),
-        reset_cause: info.map_or(ResetCause::Unknown, |info| info.reset_cause),
-        last_panic: info.and_then(|info| info.last_panic.clone()),
-        board: BOARD.model,
-        panics: info.map_or(0, |info| info.panics),
-        kept_panic: info.and_then(|info| info.kept_panic.clone()),
-    }
-}
-
-/// A decimal number; digits that do not fit wrap.
-const fn number(digits: &str) -> u8 {
-    let mut bytes = digits.as_bytes();
-    let mut value = 0_u8;
-    while let [digit, rest @ ..] = bytes {
-        value = value
-            .wrapping_mul(10)
-            .wrapping_add(digit.wrapping_sub(b'0'));
-        bytes = rest;
-    }
-    value
+    let (hello, _) = INFO.try_get().cloned().unwrap_or_default();
+    Hello { now, ..hello }
 }

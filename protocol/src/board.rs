@@ -18,7 +18,7 @@ pub const CORE_HZ: u32 = 96_000_000;
 /// Who the board is and how it last ended.
 ///
 /// `protocol_version` stays the first field of the first variant for ever.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
     /// [`crate::PROTOCOL_VERSION`] of the firmware.
     pub protocol_version: u16,
@@ -77,10 +77,11 @@ pub const MAX_CRYSTAL_PPB: u32 = 1_000_000;
 pub const IMAGE_MARK: &str = "SmartDepthSync image;";
 
 /// A board that the firmware is built for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BoardModel {
     /// STM32F4DISCOVERY (STM32F407VG).
+    #[default]
     Discovery,
     /// WeAct Black Pill (STM32F411CE): no auxiliary outputs, nothing for a lidar.
     BlackPill,
@@ -125,7 +126,7 @@ impl BoardModel {
 }
 
 /// From the reset flags of RCC_CSR (RM0090 7.3.21).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetCause {
     /// Power came on (or went below the power-on threshold).
@@ -138,11 +139,8 @@ pub enum ResetCause {
     Software,
     /// The independent watchdog.
     Watchdog,
-    /// The window watchdog (not used by this firmware).
-    WindowWatchdog,
-    /// Illegal low-power entry (not used by this firmware).
-    LowPower,
-    /// No flag was set.
+    /// None of these flags was set.
+    #[default]
     Unknown,
 }
 
@@ -152,7 +150,7 @@ impl ResetCause {
 }
 
 /// Once a second.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// Sequence number of the status stream.
     pub seq: u32,

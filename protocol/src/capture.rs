@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::units::Ticks;
 
 /// An edge on a capture input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Capture {
     /// Sequence number of the capture stream.
     pub seq: u32,
@@ -21,16 +21,18 @@ pub struct Capture {
 }
 
 /// The capture inputs that are reported edge by edge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CaptureChannel {
     /// PA2, TIM2 channel 3.
+    #[default]
     Strobe,
 }
 
 /// Direction of an edge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Edge {
     /// Low to high.
+    #[default]
     Rising,
     /// High to low.
     Falling,

@@ -198,13 +198,12 @@ pub struct StopGnss;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueryGnss;
 
-/// Send filler at up to this many payload bytes a second; 0 is off, `u32::MAX` as much as
-/// USB takes. To load the link in tests.
+/// Send as much filler as USB takes, or no more of it. To load the link in tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SendFiller {
-    /// Payload bytes a second.
-    pub bytes_per_second: u32,
-}
+pub struct SendFiller(
+    /// Whether to.
+    pub bool,
+);
 
 /// Tell the settings that the board keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -31,29 +31,14 @@ pub const MAX_MESSAGE: usize = 416;
 /// 254, and one) and the delimiter.
 pub const MAX_FRAME: usize = MAX_MESSAGE + CRC_LEN + COBS_OVERHEAD + 1;
 
-/// Why a frame was not taken.
+/// A frame that was not taken: it is longer than [`MAX_FRAME`] bytes, is not COBS, its
+/// checksum does not match, or it holds no message of this protocol version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameError {
-    /// More than [`MAX_FRAME`] bytes without a delimiter; the rest of that
-    /// frame is skipped up to its delimiter.
-    Oversize,
-    /// The bytes between two delimiters are not COBS.
-    Cobs,
-    /// The checksum does not match, or the frame is too short to have one.
-    Checksum,
-    /// The checksum matches, but the bytes are no known message (most likely
-    /// another protocol version).
-    Message,
-}
+pub struct FrameError;
 
 impl core::fmt::Display for FrameError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::Oversize => "frame longer than the protocol allows",
-            Self::Cobs => "frame is not valid COBS",
-            Self::Checksum => "checksum of a frame does not match",
-            Self::Message => "frame holds no message of this protocol version",
-        })
+        f.write_str("a frame is damaged, or of another protocol version")
     }
 }
 
@@ -64,39 +49,19 @@ impl core::error::Error for FrameError {}
 pub struct LinkCounters {
     /// Frames that became messages.
     pub frames: u32,
-    /// Frames longer than [`MAX_FRAME`].
-    pub oversize: u32,
-    /// Frames that were not COBS.
-    pub cobs: u32,
-    /// Frames whose checksum did not match.
-    pub checksum: u32,
-    /// Frames with a good checksum and no known message in them.
-    pub message: u32,
-    /// Bytes of all frames that were not taken.
+    /// Frames that were not taken.
+    pub lost_frames: u32,
+    /// Bytes of all these.
     pub lost_bytes: u32,
 }
 
 impl LinkCounters {
-    /// Frames that were lost, for whatever reason.
-    #[must_use]
-    pub const fn lost_frames(&self) -> u32 {
-        self.oversize
-            .saturating_add(self.cobs)
-            .saturating_add(self.checksum)
-            .saturating_add(self.message)
-    }
-
-    fn lose(&mut self, error: FrameError, bytes: usize) {
-        let counter = match error {
-            FrameError::Oversize => &mut self.oversize,
-            FrameError::Cobs => &mut self.cobs,
-            FrameError::Checksum => &mut self.checksum,
-            FrameError::Message => &mut self.message,
-        };
-        *counter = counter.saturating_add(1);
-        let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
-        self.lost_bytes = self.lost_bytes.saturating_add(bytes);
-    }
+    /// Before the first byte.
+    pub const ZERO: Self = Self {
+        frames: 0,
+        lost_frames: 0,
+        lost_bytes: 0,
+    };
 }
 
 /// Encodes one message as a frame, delimiter included, and returns the frame.
@@ -208,14 +173,7 @@ impl<M: DeserializeOwned> Decoder<M> {
             len: 0,
             skipping: false,
             skipped: 0,
-            counters: LinkCounters {
-                frames: 0,
-                oversize: 0,
-                cobs: 0,
-                checksum: 0,
-                message: 0,
-                lost_bytes: 0,
-            },
+            counters: LinkCounters::ZERO,
             message: PhantomData,
         }
     }
@@ -278,17 +236,18 @@ impl<M: DeserializeOwned> Decoder<M> {
     fn finish(&mut self) -> Option<Result<M, FrameError>> {
         let len = core::mem::take(&mut self.len);
         let skipped = core::mem::take(&mut self.skipped);
-        if core::mem::take(&mut self.skipping) {
-            self.counters.lose(FrameError::Oversize, skipped);
-            return Some(Err(FrameError::Oversize));
-        }
-        if len == 0 {
-            return None;
-        }
-        let result = decode(self.buffer.get_mut(..len).unwrap_or_default());
-        match result {
-            Ok(_) => self.counters.frames = self.counters.frames.saturating_add(1),
-            Err(error) => self.counters.lose(error, len),
+        let result = match core::mem::take(&mut self.skipping) {
+            true => Err(FrameError),
+            false if len == 0 => return None,
+            false => decode(self.buffer.get_mut(..len).unwrap_or_default()),
+        };
+        let counters = &mut self.counters;
+        if result.is_ok() {
+            counters.frames = counters.frames.saturating_add(1);
+        } else {
+            let bytes = u32::try_from(len.max(skipped)).unwrap_or(u32::MAX);
+            counters.lost_frames = counters.lost_frames.saturating_add(1);
+            counters.lost_bytes = counters.lost_bytes.saturating_add(bytes);
         }
         Some(result)
     }
@@ -307,7 +266,7 @@ impl<M: DeserializeOwned> Default for Decoder<M> {
 /// The frame is damaged, or no such message.
 pub fn decode_frame<M: DeserializeOwned>(frame: &[u8]) -> Result<M, FrameError> {
     let mut buffer = [0; MAX_FRAME];
-    let copy = buffer.get_mut(..frame.len()).ok_or(FrameError::Oversize)?;
+    let copy = buffer.get_mut(..frame.len()).ok_or(FrameError)?;
     copy.copy_from_slice(frame);
     decode(copy)
 }
@@ -315,7 +274,7 @@ pub fn decode_frame<M: DeserializeOwned>(frame: &[u8]) -> Result<M, FrameError> 
 fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
     match postcard::take_from_bytes(body(frame)?) {
         Ok((message, [])) => Ok(message),
-        _ => Err(FrameError::Message),
+        _ => Err(FrameError),
     }
 }
 
@@ -344,13 +303,11 @@ pub fn hello_version(frame: &[u8]) -> Option<u16> {
 
 /// Undoes COBS and checks the CRC.
 fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
-    let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Cobs)?;
-    let decoded = frame.get(..len).ok_or(FrameError::Cobs)?;
-    let (body, crc) = decoded
-        .split_last_chunk::<CRC_LEN>()
-        .ok_or(FrameError::Checksum)?;
+    let len = cobs::decode_in_place(frame).map_err(|_| FrameError)?;
+    let decoded = frame.get(..len).ok_or(FrameError)?;
+    let (body, crc) = decoded.split_last_chunk::<CRC_LEN>().ok_or(FrameError)?;
     if CRC32.checksum(body) != u32::from_le_bytes(*crc) {
-        return Err(FrameError::Checksum);
+        return Err(FrameError);
     }
     Ok(body)
 }

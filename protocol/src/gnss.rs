@@ -52,20 +52,15 @@ pub struct GnssSettings {
 }
 
 impl GnssSettings {
-    /// How long the sentences of one second are at most, in bytes.
-    #[must_use]
-    pub const fn longest_text(&self) -> u32 {
-        match self.sentences {
-            Sentences::Rmc => RMC_LEN,
-            Sentences::RmcZda => RMC_LEN + ZDA_LEN,
-        }
-    }
-
     /// When the sentences of one second have ended, in µs after its pulse.
     #[must_use]
     pub const fn ends_us(&self) -> u32 {
+        let bytes = match self.sentences {
+            Sentences::Rmc => RMC_LEN,
+            Sentences::RmcZda => RMC_LEN + ZDA_LEN,
+        };
         // A start bit, eight bits, a stop bit.
-        let bits = self.longest_text() * 10;
+        let bits = bytes * 10;
         (self.delay_ms as u32 + NMEA_SLACK_MS) * 1_000
             + (bits * 1_000).div_ceil(self.baud.hz()) * 1_000
     }
@@ -81,40 +76,21 @@ const ZDA_LEN: u32 = 38;
 /// Rates of the serial line. It takes 8 data bits, no parity, one stop bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Baud {
-    /// 4,800 Bd.
-    B4800,
     /// 9,600 Bd: Velodyne's.
     B9600,
-    /// 19,200 Bd.
-    B19200,
-    /// 38,400 Bd.
-    B38400,
-    /// 57,600 Bd.
-    B57600,
     /// 115,200 Bd.
     B115200,
 }
 
 impl Baud {
     /// All of them.
-    pub const ALL: [Self; 6] = [
-        Self::B4800,
-        Self::B9600,
-        Self::B19200,
-        Self::B38400,
-        Self::B57600,
-        Self::B115200,
-    ];
+    pub const ALL: [Self; 2] = [Self::B9600, Self::B115200];
 
     /// Bits a second.
     #[must_use]
     pub const fn hz(self) -> u32 {
         match self {
-            Self::B4800 => 4_800,
             Self::B9600 => 9_600,
-            Self::B19200 => 19_200,
-            Self::B38400 => 38_400,
-            Self::B57600 => 57_600,
             Self::B115200 => 115_200,
         }
     }
@@ -130,7 +106,7 @@ pub enum Sentences {
 }
 
 /// How the pulse per second fares. Counters count from reset and saturate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GnssStatus {
     /// What the pulse does.
     pub state: TrainState,
@@ -142,17 +118,6 @@ pub struct GnssStatus {
     pub missed: u32,
     /// Edges that came later than asked for. Must be 0.
     pub late: u32,
-}
-
-impl GnssStatus {
-    /// A pulse per second that was never started.
-    pub const IDLE: Self = Self {
-        state: TrainState::Stopped,
-        pulses: 0,
-        sentences: 0,
-        missed: 0,
-        late: 0,
-    };
 }
 
 /// Settings and state together.

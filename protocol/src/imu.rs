@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::units::Ticks;
 
 /// One sample of the IMU, as read from the registers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuSample {
     /// Sequence number of the sample stream.
     pub seq: u32,
@@ -286,7 +286,7 @@ impl Default for ImuSensor {
 }
 
 /// How the IMU fares. Counters count from reset and saturate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuStatus {
     /// What it does.
     pub state: ImuState,
@@ -305,10 +305,11 @@ pub struct ImuStatus {
 }
 
 /// State of the IMU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuState {
     /// Being set up.
+    #[default]
     Starting,
     /// Samples come.
     Running,
@@ -317,7 +318,7 @@ pub enum ImuState {
 }
 
 /// What clocks the IMU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuClock {
     /// The board's ([`ImuModel::clock_input`]): its samples are an exact division of board
@@ -326,6 +327,7 @@ pub enum ImuClock {
     /// Its own: a rate error of up to ±1 % (MPU family) or ±1.5 % (ICM-42688-P).
     Internal,
     /// Not known yet.
+    #[default]
     Unknown,
 }
 

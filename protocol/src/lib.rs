@@ -58,4 +58,4 @@ pub use units::{Period, TICK_HZ, TickDelta, Ticks};
 /// Version of the wire format. Host and board must agree on it exactly; it is
 /// the first field of [`Hello`], whose position never changes, so that a host
 /// can read the version of any board.
-pub const PROTOCOL_VERSION: u16 = 7;
+pub const PROTOCOL_VERSION: u16 = 8;

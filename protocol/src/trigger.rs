@@ -41,10 +41,11 @@ pub const MIN_START_LEAD: TickDelta = TickDelta::from_micros(100);
 pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
 
 /// A trigger output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Output {
     /// Output 1, PA5, TIM2 channel 1: the camera's, with a read-back.
+    #[default]
     Camera,
     /// PE11, TIM1 channel 2.
     Two,
@@ -130,7 +131,7 @@ pub struct AlignPlan {
 }
 
 /// State of a train.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerStatus {
     /// What the train does.
     pub state: TrainState,
@@ -155,10 +156,11 @@ pub struct TriggerStatus {
 }
 
 /// What the train does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TrainState {
     /// No pulses.
+    #[default]
     Stopped,
     /// The first edge lies ahead.
     Waiting,
@@ -169,7 +171,7 @@ pub enum TrainState {
 }
 
 /// Captures of the trigger wire behind its buffer, matched to the pulses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Readback {
     /// Pulses that were seen on the wire.
     pub seen: u32,
@@ -184,7 +186,7 @@ pub struct Readback {
 }
 
 /// How the train of one of the auxiliary outputs fares, in short.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputStatus {
     /// What the train does.
     pub state: TrainState,
@@ -196,18 +198,8 @@ pub struct OutputStatus {
     pub late: u32,
 }
 
-impl OutputStatus {
-    /// An output that was never started.
-    pub const IDLE: Self = Self {
-        state: TrainState::Stopped,
-        train: 0,
-        pulses: 0,
-        late: 0,
-    };
-}
-
 /// One pulse of a trigger output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pulse {
     /// The output.
     pub output: Output,

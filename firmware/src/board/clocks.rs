@@ -116,12 +116,8 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     // particular one first.
     if flags.wdgrstf() {
         ResetCause::Watchdog
-    } else if flags.wwdgrstf() {
-        ResetCause::WindowWatchdog
     } else if flags.sftrstf() {
         ResetCause::Software
-    } else if flags.lpwrrstf() {
-        ResetCause::LowPower
     } else if flags.porrstf() {
         ResetCause::PowerOn
     } else if flags.borrstf() {

@@ -15,14 +15,14 @@ use cortex_m::peripheral::scb::Exception;
 use cortex_m::peripheral::{DCB, SCB};
 use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_stm32::pac;
-use firmware::retained::Kept;
+use firmware::retained::{Kept, Memory};
 use heapless::String;
 use protocol::{MAX_PANIC, ResetCause};
 
 use crate::board::stack;
 
 #[unsafe(link_section = ".uninit.KEPT")]
-static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
+static mut KEPT: MaybeUninit<Memory> = MaybeUninit::uninit();
 
 #[unsafe(link_section = ".uninit.TO_ROM")]
 static mut TO_ROM: MaybeUninit<[u32; 2]> = MaybeUninit::uninit();
@@ -49,40 +49,41 @@ pub(crate) fn init() {
     unsafe { core.DCB.demcr.modify(|demcr| demcr & !VECTOR_CATCHES) };
 }
 
-fn load() -> Kept {
-    // SAFETY: every bit pattern is a value of `Kept`. The access is volatile,
+fn load() -> Memory {
+    // SAFETY: every bit pattern is a value of `Memory`. The access is volatile,
     // so that what a former run left is really read. Nothing runs in parallel:
     // this is called once at start and once with interrupts off.
-    unsafe { (&raw const KEPT).cast::<Kept>().read_volatile() }
+    unsafe { (&raw const KEPT).cast::<Memory>().read_volatile() }
 }
 
-fn store(kept: Kept) {
+fn store(kept: &Kept) {
     // SAFETY: as above.
-    unsafe { (&raw mut KEPT).cast::<Kept>().write_volatile(kept) };
+    unsafe {
+        (&raw mut KEPT)
+            .cast::<Memory>()
+            .write_volatile(kept.to_memory());
+    }
 }
 
 /// What the last run left.
 pub(crate) struct Begun {
     /// The message of the panic that ended it.
     pub(crate) last_panic: Option<String<MAX_PANIC>>,
-    /// The number of this run.
-    pub(crate) epoch: u32,
-    /// Resets since power came on, by cause.
-    pub(crate) resets: [u8; ResetCause::COUNT],
+    /// The record of this one.
+    pub(crate) kept: Kept,
     /// There was none since power-on, so the number is a guess: see [`renumber`].
     pub(crate) first: bool,
 }
 
 /// To be called once, before anything that may panic.
 pub(crate) fn begin_run(cause: ResetCause) -> Begun {
-    let kept = load();
-    let (last_panic, next) = kept.next(cause);
-    store(next);
+    let left = load();
+    let (last_panic, kept) = Kept::next(&left, cause);
+    store(&kept);
     Begun {
         last_panic,
-        epoch: next.run(),
-        resets: next.resets(),
-        first: !kept.is_valid(),
+        kept,
+        first: Kept::read(&left).is_none(),
     }
 }
 
@@ -119,16 +120,19 @@ pub(crate) fn start_rom_if_asked() {
 
 /// Gives the first run since power-on its number.
 pub(crate) fn renumber(run: &Begun, epoch: u32) {
-    store(Kept::new(epoch, run.resets));
+    store(&Kept {
+        run: epoch,
+        ..run.kept.clone()
+    });
 }
 
 /// Keeps and logs the message, and resets. A failure on the way resets at once.
 fn fail(message: fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     if !FAILED.swap(true, Ordering::Relaxed) {
-        let kept = load().panicked(message);
-        store(kept);
-        if let Some(text) = kept.panic_text() {
+        let kept = Kept::read(&load()).unwrap_or_default().panicked(message);
+        store(&kept);
+        if let Some(text) = &kept.panic {
             defmt::error!("{=str}", text.as_str());
         }
         if DCB::is_debugger_attached() {

@@ -14,7 +14,7 @@ use firmware::config;
 use firmware::nmea;
 use firmware::pulser::Pulsed;
 use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{Arrived, Output, Pps, Pulse, TickDelta};
+use protocol::{Arrived, DeviceToHost, Output, Pps, Pulse, TickDelta};
 use static_cell::StaticCell;
 
 use crate::board::cycles::HANDOVER_TIME;
@@ -61,7 +61,7 @@ fn hand_over() {
                 leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
                 send_pulse(Output::Camera, seq, &pulsed);
             }
-            Event::Capture(capture) => state::send(|outbox| outbox.capture(capture)),
+            Event::Capture(capture) => state::send(DeviceToHost::Capture(capture)),
             Event::DataReady(edge) => {
                 if DATA_READY.try_send(edge).is_err() {
                     LOST_DATA_READY.fetch_add(1, Ordering::Relaxed);
@@ -91,7 +91,7 @@ fn send_pps(seq: u32, pulsed: &Pulsed) {
         at: pulsed.at,
         utc: nmea::utc_of(state::UTC_AT_ZERO.lock(Cell::get), pulsed.at),
     };
-    state::send(|outbox| outbox.pps(pps));
+    state::send(DeviceToHost::Pps(pps));
 }
 
 fn send_pulse(output: Output, seq: u32, pulsed: &Pulsed) {
@@ -104,19 +104,16 @@ fn send_pulse(output: Output, seq: u32, pulsed: &Pulsed) {
         aligned: pulsed.aligned,
         readback: pulsed.readback,
     };
-    let arrived = pulsed.arrived.map(|command| Arrived {
-        output,
-        command,
-        train: pulsed.train,
-        pulse: pulsed.number,
-        at: pulsed.at,
-        // The plan ends on the grid itself; the edge is its floor.
-        remaining: TickDelta::ZERO,
-    });
-    state::send(|outbox| {
-        outbox.pulse(pulse);
-        if let Some(arrived) = arrived {
-            outbox.arrived(arrived);
-        }
-    });
+    state::send(DeviceToHost::Pulse(pulse));
+    if let Some(command) = pulsed.arrived {
+        state::send(DeviceToHost::Arrived(Arrived {
+            output,
+            command,
+            train: pulsed.train,
+            pulse: pulsed.number,
+            at: pulsed.at,
+            // The plan ends on the grid itself; the edge is its floor.
+            remaining: TickDelta::ZERO,
+        }));
+    }
 }

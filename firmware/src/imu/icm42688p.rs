@@ -19,7 +19,7 @@ use protocol::icm42688p::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers};
+use super::{RawSample, Registers};
 
 /// WHO_AM_I (14.58).
 pub(super) const IDENTITY: u8 = 0x47;
@@ -124,7 +124,8 @@ pub(super) const fn has(config: &ImuConfig) -> bool {
     at(config).is_some()
 }
 
-pub(super) const fn describe(config: &ImuConfig) -> Description {
+/// Delays of the gyroscope and the accelerometer in µs, and what the sensor is.
+pub(super) const fn describe(config: &ImuConfig) -> (u32, u32, ImuSensor) {
     let (bandwidth, delay) = match at(config) {
         Some(rate) => {
             let filter = nearest(rate, config.low_pass) as usize;
@@ -134,19 +135,16 @@ pub(super) const fn describe(config: &ImuConfig) -> Description {
         None => (RATES[0].bandwidths[0], RATES[0].delays[0]),
     };
     let delay_us = delay as u32 * 100;
-    Description {
-        gyro_delay_us: delay_us,
-        accel_delay_us: delay_us,
-        sensor: ImuSensor {
-            model: ImuModel::Icm42688P,
-            gyro_bandwidth_hz_times_10: bandwidth,
-            // 3.1, 3.2 (z) and 14.6.
-            gyro_noise_udps: 2_800,
-            accel_noise_ug: 70,
-            temperature_lsb_per_c_times_100: 13_248,
-            temperature_at_zero_centidegrees: 2_500,
-        },
-    }
+    let sensor = ImuSensor {
+        model: ImuModel::Icm42688P,
+        gyro_bandwidth_hz_times_10: bandwidth,
+        // 3.1, 3.2 (z) and 14.6.
+        gyro_noise_udps: 2_800,
+        accel_noise_ug: 70,
+        temperature_lsb_per_c_times_100: 13_248,
+        temperature_at_zero_centidegrees: 2_500,
+    };
+    (delay_us, delay_us, sensor)
 }
 
 /// GYRO_FS_SEL in bits 7 to 5 (14.37).

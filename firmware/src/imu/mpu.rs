@@ -13,7 +13,7 @@ use protocol::mpu9150::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers};
+use super::{RawSample, Registers};
 
 /// WHO_AM_I of the MPU-6050 and MPU-9150.
 pub(super) const IDENTITY_6050: u8 = 0x68;
@@ -84,7 +84,8 @@ const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
     }
 }
 
-pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description {
+/// Delays of the gyroscope and the accelerometer in µs, and what the sensor is.
+pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> (u32, u32, ImuSensor) {
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
     let sensor = match model {
         // PS-MPU-9250A-01, 3.1, 3.2 and 3.4.2 (noise, thermometer). The MPU-6500 is believed to
@@ -100,15 +101,12 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description
         // 36.53 °C at a count of 0.
         _ => ImuSensor::MPU_9150,
     };
-    Description {
-        gyro_delay_us,
-        accel_delay_us,
-        sensor: ImuSensor {
-            model,
-            gyro_bandwidth_hz_times_10: bandwidth,
-            ..sensor
-        },
-    }
+    let sensor = ImuSensor {
+        model,
+        gyro_bandwidth_hz_times_10: bandwidth,
+        ..sensor
+    };
+    (gyro_delay_us, accel_delay_us, sensor)
 }
 
 /// DLPF_CFG (4.3), and A_DLPF_CFG of those that have it.

@@ -462,11 +462,7 @@ fn each_model_describes_itself() {
     let status = ImuStatus {
         state: ImuState::Running,
         clock: ImuClock::Internal,
-        samples: 0,
-        late: 0,
-        overcaptures: 0,
-        recoveries: 0,
-        last_fault: None,
+        ..ImuStatus::default()
     };
     for (model, divider, low_pass, bandwidth, gyro_us, accel_us) in [
         (ImuModel::Mpu6050, 1, LowPass::Hz188, 1_880, 1_900, 2_000),

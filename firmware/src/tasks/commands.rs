@@ -4,12 +4,12 @@ use core::sync::atomic::Ordering;
 
 use firmware::boards::BOARD;
 use protocol::{
-    Answer, Command, HostToDevice, Output, Ping, Pong, Refusal, Reply, Request, SELF_TEST_KEY,
-    SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
+    Answer, Command, DeviceToHost, HostToDevice, Output, Ping, Pong, Refusal, Reply, Request,
+    SELF_TEST_KEY, SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
 };
 
 use crate::board::{flash, tim2, triggers};
-use crate::state::{self, FILLER_RATE};
+use crate::state::{self, FILLER};
 use crate::tasks::self_test::{self, Wanted};
 use crate::tasks::{gnss, imu};
 
@@ -19,7 +19,7 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     let result = match message.command {
         Command::SayHello(command) => answer(command, |_| {
             let hello = state::hello(tim2::now());
-            state::send(|outbox| outbox.hello(hello));
+            state::send(DeviceToHost::Hello(hello));
             Ok(())
         }),
         Command::Ping(command) => answer(command, |Ping { host_time }| {
@@ -47,8 +47,8 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
         Command::StartGnss(command) => answer(command, |start| gnss::start(start.0)),
         Command::StopGnss(command) => answer(command, |_| Ok(gnss::stop())),
         Command::QueryGnss(command) => answer(command, |_| Ok(gnss::report())),
-        Command::SendFiller(command) => answer(command, |SendFiller { bytes_per_second }| {
-            FILLER_RATE.store(bytes_per_second, Ordering::Relaxed);
+        Command::SendFiller(command) => answer(command, |SendFiller(on)| {
+            FILLER.store(on, Ordering::Relaxed);
             Ok(())
         }),
         Command::SelfTest(command) => answer(command, |SelfTest { key, failure }| {
@@ -71,7 +71,7 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     if let Err(refusal) = &result {
         defmt::info!("command {=u32} refused: {}", id, refusal);
     }
-    state::send(|outbox| outbox.answer(Answer { id, result }));
+    state::send(DeviceToHost::Answer(Answer { id, result }));
 }
 
 /// What came of a command, as its own reply.

@@ -20,8 +20,8 @@ use firmware::config::{
 };
 use firmware::imu::{self, Imu, RawSample};
 use protocol::{
-    ImuClock, ImuConfig, ImuFault, ImuFlags, ImuModel, ImuSample, ImuSetup, ImuState, ImuStatus,
-    Refusal,
+    DeviceToHost, ImuClock, ImuConfig, ImuFault, ImuFlags, ImuModel, ImuSample, ImuSetup, ImuState,
+    ImuStatus, Refusal,
 };
 
 use crate::board::events::{DATA_READY, DataReady, LOST_DATA_READY};
@@ -295,7 +295,7 @@ impl Sampler {
             gyro: raw.gyro,
         };
         self.seq = self.seq.wrapping_add(1);
-        state::send(|outbox| outbox.imu(sample));
+        state::send(DeviceToHost::Imu(sample));
     }
 }
 

@@ -7,7 +7,7 @@ use embassy_stm32::peripherals::{ADC1, IWDG};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_time::{Duration, Ticker};
 use firmware::config::TRIGGER_OVERDUE;
-use protocol::{Handlers, Output, Status};
+use protocol::{DeviceToHost, Handlers, Hello, Output, Status};
 
 use crate::board::thermometer::{Measured, Thermometer};
 use crate::board::{cycles, idle, masked, outputs, stack, tim2, triggers};
@@ -33,7 +33,7 @@ pub(crate) async fn run(
         let status = status(seq, cycles::between(&before, &total), thermometer.look());
         before = total;
         seq = seq.wrapping_add(1);
-        state::send(|outbox| outbox.status(status));
+        state::send(DeviceToHost::Status(status));
     }
 }
 
@@ -46,10 +46,12 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
     dropped.outputs = dropped.outputs.saturating_add(lost);
     let now = tim2::now();
     let stack = stack::fullest(seq);
+    let of_run = |(hello, resets): &(Hello, _)| (hello.epoch, *resets);
+    let (epoch, resets) = INFO.try_get().map(of_run).unwrap_or_default();
     Status {
         seq,
         at: now,
-        epoch: INFO.try_get().map_or(0, |info| info.epoch),
+        epoch,
         dropped,
         link: RECEIVED.lock(core::cell::Cell::get),
         connects: CONNECTS.load(Ordering::Relaxed),
@@ -63,9 +65,7 @@ fn status(seq: u32, handlers: Handlers, measured: Measured) -> Status {
         die_decidegrees: measured.decidegrees,
         supply_mv: measured.supply_mv,
         usb: usb::counters(),
-        resets: INFO
-            .try_get()
-            .map_or_else(Default::default, |info| info.resets),
+        resets,
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),

@@ -11,14 +11,13 @@ use core::task::Poll;
 use embassy_time::{Duration, Timer, with_timeout};
 use embassy_usb::class::cdc_acm::Sender;
 use firmware::alive::Task;
-use firmware::config::{CHECK_IN_MS, MOST_FRAMES, TICKS_PER_US, TRANSMIT_BUFFER, USB_PACKET};
-use firmware::filler::Pacer;
+use firmware::config::{CHECK_IN_MS, MOST_FRAMES, TRANSMIT_BUFFER, USB_PACKET};
 use firmware::outbox::{Counter, counter_of};
 use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
-use crate::board::{otg, tim2};
-use crate::state::{ALIVE, CONNECTS, FILLER_RATE, LINK_CHANGED, ROOM, TO_SEND, with_outbox};
+use crate::board::otg;
+use crate::state::{ALIVE, CONNECTS, FILLER, LINK_CHANGED, ROOM, TO_SEND, with_outbox};
 use crate::tasks::usb::{self, UsbDriver};
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
@@ -30,15 +29,14 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
         len: 0,
         ends: Vec::new(),
         in_core: Vec::new(),
-        filler: Pacer::new(),
         filler_seq: 0,
         connect: 0,
     };
     loop {
         ALIVE.check_in(Task::Transmit);
-        let pause = transmit.fill();
+        transmit.fill();
         if transmit.len == 0 {
-            wait(pause).await;
+            wait().await;
             continue;
         }
         transmit.write(&mut sender).await;
@@ -54,20 +52,18 @@ struct Transmit {
     /// The same of the messages that end in the packet that the core was given last: a frame takes
     /// 14 bytes at least.
     in_core: Vec<Counter, { USB_PACKET / 14 + 1 }>,
-    filler: Pacer,
     filler_seq: u32,
     /// The connection that the buffer belongs to.
     connect: u32,
 }
 
 impl Transmit {
-    /// Takes what waits, as far as the buffer holds it. Returns how long to
-    /// wait at most if that is nothing.
-    fn fill(&mut self) -> Duration {
+    /// Takes what waits, as far as the buffer holds it.
+    fn fill(&mut self) {
         self.len = 0;
         self.ends.clear();
         if !with_outbox(|outbox| outbox.is_linked()) {
-            return CHECK_IN;
+            return;
         }
         let connect = CONNECTS.load(Ordering::Relaxed);
         if connect != self.connect {
@@ -75,7 +71,6 @@ impl Transmit {
             self.connect = connect;
             self.buffer[0] = 0;
             self.len = 1;
-            self.filler = Pacer::new();
             if otg::TAKEN_BACK.swap(false, Ordering::Relaxed) {
                 with_outbox(|outbox| {
                     self.in_core
@@ -98,7 +93,17 @@ impl Transmit {
         if taken {
             ROOM.wake();
         }
-        self.fill_up()
+        while FILLER.load(Ordering::Relaxed) && self.has_room() {
+            let first = self.filler_seq as u8;
+            let message = DeviceToHost::Filler(Filler {
+                seq: self.filler_seq,
+                payload: (0..MAX_FILLER)
+                    .map(|i| first.wrapping_add(i as u8))
+                    .collect(),
+            });
+            self.filler_seq = self.filler_seq.wrapping_add(1);
+            self.put(&message);
+        }
     }
 
     fn has_room(&self) -> bool {
@@ -117,28 +122,6 @@ impl Transmit {
             }
             Err(_) => defmt::error!("a message does not fit into a frame"),
         }
-    }
-
-    /// Adds the filler that is due.
-    fn fill_up(&mut self) -> Duration {
-        let rate = FILLER_RATE.load(Ordering::Relaxed);
-        if rate == 0 {
-            return CHECK_IN;
-        }
-        self.filler.advance(tim2::now(), rate);
-        while self.has_room() && self.filler.take(MAX_FILLER as u32) {
-            let first = self.filler_seq as u8;
-            let message = DeviceToHost::Filler(Filler {
-                seq: self.filler_seq,
-                payload: (0..MAX_FILLER)
-                    .map(|i| first.wrapping_add(i as u8))
-                    .collect(),
-            });
-            self.filler_seq = self.filler_seq.wrapping_add(1);
-            self.put(&message);
-        }
-        let wait = self.filler.time_until(MAX_FILLER as u32, rate);
-        Duration::from_micros(wait.unsigned_abs() / u64::from(TICKS_PER_US) + 1).min(CHECK_IN)
     }
 
     /// Writes the buffer. A host that does not read is waited for, one that
@@ -210,10 +193,10 @@ impl Transmit {
     }
 }
 
-/// Until there is something to send, but not longer than `pause`.
-async fn wait(pause: Duration) {
+/// Until there is something to send, or it is time to check in.
+async fn wait() {
     let _ = with_timeout(
-        pause,
+        CHECK_IN,
         poll_fn(|context| {
             TO_SEND.register(context.waker());
             if with_outbox(|outbox| outbox.is_empty()) {

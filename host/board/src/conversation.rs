@@ -216,8 +216,8 @@ impl Conversation {
     pub const fn damaged_frames(&self) -> u32 {
         self.decoder
             .counters()
-            .lost_frames()
-            .saturating_sub(self.before_step.lost_frames())
+            .lost_frames
+            .saturating_sub(self.before_step.lost_frames)
     }
 
     /// Bytes received in all.
@@ -239,10 +239,9 @@ impl Conversation {
     }
 
     fn frame(&mut self, raw: Vec<u8>, result: Result<DeviceToHost, FrameError>) {
-        let error = result.as_ref().err().copied();
-        let other_version = match error {
-            Some(FrameError::Message) => hello_version(&raw),
-            _ => None,
+        let other_version = match &result {
+            Err(FrameError) => hello_version(&raw),
+            Ok(_) => None,
         };
         let result = match result {
             Ok(message) if self.unsure => match Self::run_of(&message) {

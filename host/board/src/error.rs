@@ -138,8 +138,6 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
         ResetCause::Pin => "reset pin",
         ResetCause::Software => "by the firmware itself",
         ResetCause::Watchdog => "watchdog: a task was stuck",
-        ResetCause::WindowWatchdog => "window watchdog",
-        ResetCause::LowPower => "illegal low-power entry",
         ResetCause::Unknown => "unknown cause",
     }
 }

@@ -45,7 +45,7 @@ pub fn parse_baud(text: &str) -> std::result::Result<Baud, String> {
     Baud::ALL
         .into_iter()
         .find(|baud| baud.hz().to_string() == text)
-        .ok_or_else(|| String::from("expected 4800, 9600, 19200, 38400, 57600 or 115200"))
+        .ok_or_else(|| String::from("expected 9600 or 115200"))
 }
 
 /// Unix time of the board's tick 0 by this computer's clock, to the nearest second;

@@ -431,11 +431,7 @@ mod tests {
             status: ImuStatus {
                 state: ImuState::Running,
                 clock: ImuClock::External,
-                samples: 0,
-                late: 0,
-                overcaptures: 0,
-                recoveries: 0,
-                last_fault: None,
+                ..ImuStatus::default()
             },
             sensor: ImuSensor::default(),
         }

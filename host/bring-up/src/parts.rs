@@ -238,7 +238,7 @@ impl<'a> Session<'a> {
             }
             self.board.stop_gnss()?;
         }
-        self.fill(0)
+        self.fill(false)
     }
 
     fn check(
@@ -474,7 +474,7 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    fn fill(&mut self, bytes_per_second: u32) -> Result<(), BringUpError> {
-        Ok(self.board.call(SendFiller { bytes_per_second })?)
+    fn fill(&mut self, full: bool) -> Result<(), BringUpError> {
+        Ok(self.board.call(SendFiller(full))?)
     }
 }

@@ -69,7 +69,6 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::CaptureChannel;
 
     /// Edges of a line on which a text comes, each bit so many ticks long.
     fn edges(text: &[u8], bit: u64, idle_low: bool) -> Vec<Capture> {
@@ -85,11 +84,9 @@ mod tests {
                         Edge::Rising
                     };
                     all.push(Capture {
-                        seq: 0,
-                        channel: CaptureChannel::Strobe,
                         edge,
                         at: Ticks(at),
-                        after_loss: false,
+                        ..Capture::default()
                     });
                     is_mark = mark;
                 }

@@ -162,27 +162,22 @@ impl Trains {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::CaptureChannel;
 
     fn pulse(number: u64, at: u64) -> Pulse {
         Pulse {
-            output: protocol::Output::Camera,
-            seq: 0,
             train: 1,
             number,
             at: Ticks(at),
             aligned: true,
-            readback: None,
+            ..Pulse::default()
         }
     }
 
     fn capture(edge: Edge, at: u64) -> Capture {
         Capture {
-            seq: 0,
-            channel: CaptureChannel::Strobe,
             edge,
             at: Ticks(at),
-            after_loss: false,
+            ..Capture::default()
         }
     }
 

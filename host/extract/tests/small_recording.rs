@@ -69,13 +69,12 @@ fn write_board(folder: &Path) {
         let at = Ticks(FIRST - 5_000 + number * 192_000);
         while let Some((number, at)) = pulses.next_if(|(_, edge)| *edge <= at) {
             let pulse = Pulse {
-                output: Output::Camera,
                 seq: number as u32,
                 train: 1,
                 number,
                 at,
                 aligned: true,
-                readback: None,
+                ..Pulse::default()
             };
             writer.pulse(&pulse).unwrap();
             if number % 30 == 0 {

@@ -91,7 +91,7 @@ fn part(
 
 fn board(status: &Status) -> DiagnosticStatus {
     let dropped = &status.dropped;
-    let lost_frames = status.link.lost_frames();
+    let lost_frames = status.link.lost_frames;
     let any_dropped = dropped.total() > 0 || lost_frames > 0;
     let message = if any_dropped {
         "messages were dropped"

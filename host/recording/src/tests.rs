@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 use protocol::{
-    CaptureChannel, Dropped, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, LinkCounters, Period,
-    Readback, Status, TrainState, TriggerStatus, UsbCounters,
+    CaptureChannel, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, Period, Status, TrainState,
+    TriggerStatus,
 };
 
 use super::diagnostics::BoardCounters;
@@ -45,11 +45,8 @@ fn pulse(number: u64) -> protocol::Pulse {
 
 fn status(at: Ticks) -> Status {
     Status {
-        seq: 0,
         at,
         epoch: 9,
-        dropped: Dropped::default(),
-        link: LinkCounters::default(),
         connects: 1,
         cpu_permille: 34,
         stack_used: 1,
@@ -61,36 +58,18 @@ fn status(at: Ticks) -> Status {
             width: 576,
             pulses: 3,
             next_edge: Ticks(1),
-            next_fraction: 0,
-            late: 0,
-            readback: Readback {
-                seen: 0,
-                missing: 0,
-                stray: 0,
-                delay: None,
-            },
+            ..TriggerStatus::default()
         },
         trigger_latency: 5,
-        handlers: protocol::Handlers::default(),
-        masked: protocol::Masked::default(),
         die_decidegrees: Some(312),
         supply_mv: Some(2_930),
-        usb: UsbCounters::default(),
-        resets: Default::default(),
-        strobe_overcaptures: 0,
-        strobe_floods: 0,
         imu: ImuStatus {
             state: ImuState::Running,
             clock: ImuClock::External,
             samples: 4,
-            late: 0,
-            overcaptures: 0,
-            recoveries: 0,
-            last_fault: None,
+            ..ImuStatus::default()
         },
-        outputs: [protocol::OutputStatus::IDLE; 3],
-        output_latency: 0,
-        gnss: protocol::GnssStatus::IDLE,
+        ..Status::default()
     }
 }
 

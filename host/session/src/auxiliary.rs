@@ -127,7 +127,6 @@ fn start_lidar(session: &mut Session<'_>, lidar: &Lidar) -> Result<(), Stop> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::Readback;
 
     #[test]
     fn a_joined_train_falls_on_pulses_of_the_cameras() {
@@ -140,13 +139,7 @@ mod tests {
             pulses: 77,
             next_edge: Ticks(123_456_789),
             next_fraction: 0x1234_5678,
-            late: 0,
-            readback: Readback {
-                seen: 0,
-                missing: 0,
-                stray: 0,
-                delay: None,
-            },
+            ..TriggerStatus::default()
         };
         let sensor = TriggerOutput {
             output: 2,

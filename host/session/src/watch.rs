@@ -255,13 +255,11 @@ mod tests {
 
     fn pulse(number: u64) -> Pulse {
         Pulse {
-            output: protocol::Output::Camera,
-            seq: 0,
             train: 1,
             number,
             at: GRID.period.edge(GRID.anchor, number as i64),
             aligned: true,
-            readback: None,
+            ..Pulse::default()
         }
     }
 
@@ -320,12 +318,9 @@ mod tests {
         findings.clear();
         watch.pulse(&pulse(300), &mut findings);
         let sample = ImuSample {
-            seq: 0,
             at: pulse(300).at,
             flags: ImuFlags::FIRST,
-            accel: [0; 3],
-            temperature: 0,
-            gyro: [0; 3],
+            ..ImuSample::default()
         };
         watch.imu(&sample, &mut findings);
         assert_eq!(kinds(&findings), ["pulses_back", "imu_back", "imu_gap"]);

@@ -257,8 +257,7 @@ fn run_all(seconds: u64) {
     let first = Ticks((bench.board.now().0 / second + 2) * second);
     bench.start_all(camera, periods, first);
     for second in 0..seconds {
-        let bytes_per_second = if second % 2 == 0 { u32::MAX } else { 0 };
-        bench.board.ask(SendFiller { bytes_per_second }).unwrap();
+        bench.board.ask(SendFiller(second % 2 == 0)).unwrap();
         for _ in 0..20 {
             for output in Output::AUXILIARY {
                 bench.board.send(QueryTrigger(output));

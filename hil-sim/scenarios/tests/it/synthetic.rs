@@ -297,13 +297,12 @@ fn make_train(
             break;
         }
         train.push(Pulse {
-            output: protocol::Output::Camera,
             seq: number as u32,
             train: 1,
             number: number as u64,
             at,
             aligned: moved == total,
-            readback: None,
+            ..Pulse::default()
         });
     }
     train
@@ -564,11 +563,7 @@ fn imu_info() -> recording::session_file::ImuInfo {
         status: ImuStatus {
             state: ImuState::Running,
             clock: ImuClock::External,
-            samples: 0,
-            late: 0,
-            overcaptures: 0,
-            recoveries: 0,
-            last_fault: None,
+            ..ImuStatus::default()
         },
         sensor: protocol::ImuSensor::default(),
     };

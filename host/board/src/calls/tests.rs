@@ -41,17 +41,12 @@ impl Link for Scripted {
             self.say(&DeviceToHost::Hello(Hello {
                 protocol_version: protocol::PROTOCOL_VERSION,
                 firmware_version: (0, 1, 0),
-                git_revision: Default::default(),
-                git_dirty: false,
                 board_id: [7; 12],
                 tick_hz: protocol::TICK_HZ,
                 now: Ticks(48_000_000),
                 epoch: 1,
                 reset_cause: protocol::ResetCause::PowerOn,
-                last_panic: None,
-                board: protocol::BoardModel::Discovery,
-                panics: 0,
-                kept_panic: None,
+                ..Hello::default()
             }));
             self.say(&DeviceToHost::Answer(Answer {
                 id: command.id,

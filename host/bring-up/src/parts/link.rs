@@ -52,11 +52,11 @@ const HANDLERS: [Handler; 4] = [
 impl Session<'_> {
     pub(super) fn link(&mut self) -> Result<(), BringUpError> {
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        self.fill(u32::MAX)?;
+        self.fill(true)?;
         let (from, _) = self.board.ping()?;
         let mut full = self.hear(millis(5_000))?;
         let (to, _) = self.board.ping()?;
-        self.fill(0)?;
+        self.fill(false)?;
         let rate = full.filler as f64 / (to - from).as_secs_f64();
         self.check(
             "throughput",
@@ -70,9 +70,9 @@ impl Session<'_> {
             "the cable, a hub, or a computer that is busy",
         );
         full.append(self.hear(millis(1_500))?);
-        self.fill(u32::MAX)?;
+        self.fill(true)?;
         self.board.pause(STALL);
-        self.fill(0)?;
+        self.fill(false)?;
         let stalled = self.hear(millis(3_000))?;
         let rest = self.stop(Output::Camera)?;
         let counted = stalled.dropped().zip(full.dropped());

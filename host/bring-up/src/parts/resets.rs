@@ -103,7 +103,7 @@ impl Session<'_> {
                               are lost where the board does not see it";
         let mut train = self.train_to_interrupt()?;
         for _ in 0..REPLUGS {
-            self.fill(u32::MAX)?;
+            self.fill(true)?;
             let mut heard = self.hear(millis(300))?;
             if !self.leave_bus(&mut heard, "leaving the bus")? {
                 return Ok(());

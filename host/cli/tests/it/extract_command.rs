@@ -26,13 +26,12 @@ fn recording(parent: &Path) -> PathBuf {
     for number in 0..90_u64 {
         let at = Ticks(TICK + number * 1_600_000);
         let pulse = Pulse {
-            output: protocol::Output::Camera,
             seq: number as u32,
             train: 1,
             number,
             at,
             aligned: true,
-            readback: None,
+            ..Pulse::default()
         };
         writer.pulse(&pulse).unwrap();
         for sample in 0..16 {

@@ -238,10 +238,9 @@ fn commands_to_the_board() {
     for id in 0..20 {
         let output = Output::Camera;
         let period = Period::from_ticks(1_600_000);
-        let bytes_per_second = 1_000 * id;
         for command in [
             Command::from(SayHello),
-            SendFiller { bytes_per_second }.into(),
+            SendFiller(id % 2 == 0).into(),
             SetPeriod { output, period }.into(),
             StopTrigger(output).into(),
         ] {

@@ -29,9 +29,8 @@ fn status(period: Period, width: u32) -> TriggerStatus {
         late: 0,
         readback: Readback {
             seen: 10,
-            missing: 0,
-            stray: 0,
             delay: Some(2),
+            ..Readback::default()
         },
     }
 }

@@ -175,10 +175,7 @@ pub(crate) fn imu_setup() -> ImuSetup {
             state: ImuState::Running,
             clock: ImuClock::External,
             samples: 500,
-            late: 0,
-            overcaptures: 0,
-            recoveries: 0,
-            last_fault: None,
+            ..ImuStatus::default()
         },
         sensor: ImuSensor {
             model: ImuModel::Icm42688P,

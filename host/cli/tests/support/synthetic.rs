@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use board::imu::Sample;
 use protocol::{
-    CaptureChannel, Dropped, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, LinkCounters, Output,
-    Period, Pulse, Readback, Status, TICK_HZ, Ticks, TrainState, TriggerStatus, UsbCounters,
+    Dropped, ImuClock, ImuFlags, ImuState, ImuStatus, Output, Period, Pulse, Status, TICK_HZ,
+    Ticks, TrainState, TriggerStatus,
 };
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -44,7 +44,6 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
             imu: dropped,
             ..Dropped::default()
         },
-        link: LinkCounters::default(),
         connects: 1,
         cpu_permille: 34,
         stack_used: 1,
@@ -56,36 +55,16 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
             width: 576,
             pulses,
             next_edge: Ticks(1),
-            next_fraction: 0,
-            late: 0,
-            readback: Readback {
-                seen: 0,
-                missing: 0,
-                stray: 0,
-                delay: None,
-            },
+            ..TriggerStatus::default()
         },
         trigger_latency: 5,
-        handlers: protocol::Handlers::default(),
-        masked: protocol::Masked::default(),
-        die_decidegrees: None,
-        supply_mv: None,
-        usb: UsbCounters::default(),
-        resets: Default::default(),
-        strobe_overcaptures: 0,
-        strobe_floods: 0,
         imu: ImuStatus {
             state: ImuState::Running,
             clock: ImuClock::External,
             samples,
-            late: 0,
-            overcaptures: 0,
-            recoveries: 0,
-            last_fault: None,
+            ..ImuStatus::default()
         },
-        outputs: [protocol::OutputStatus::IDLE; 3],
-        output_latency: 0,
-        gnss: protocol::GnssStatus::IDLE,
+        ..Status::default()
     }
 }
 
@@ -171,18 +150,14 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     train: 1,
                     number,
                     at,
-                    aligned: false,
-                    readback: None,
+                    ..Pulse::default()
                 };
                 writer.output_pulse(&pulse, "left").unwrap();
             }
             _ => {
                 let capture = protocol::Capture {
-                    seq: 0,
-                    channel: CaptureChannel::Strobe,
-                    edge: Edge::Rising,
                     at,
-                    after_loss: false,
+                    ..protocol::Capture::default()
                 };
                 writer.capture(&capture).unwrap();
             }

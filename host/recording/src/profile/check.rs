@@ -51,7 +51,7 @@ fn check_lidar(lidar: &Lidar, outputs: &[TriggerOutput]) -> Result<(), ProfileEr
     check_sensor_name("lidar.name", &lidar.name, outputs)?;
     let baud = lidar.baud.to_string();
     if board::gnss::parse_baud(&baud).is_err() {
-        let expected = "4800, 9600, 19200, 38400, 57600 or 115200 (Bd)";
+        let expected = "9600 or 115200 (Bd)";
         return Err(wrong("lidar.baud", baud, expected));
     }
     Ok(())

@@ -140,10 +140,7 @@ pub(super) fn status() -> Status {
         },
         link: LinkCounters {
             frames: 6,
-            oversize: 7,
-            cobs: 8,
-            checksum: 9,
-            message: 10,
+            lost_frames: 7,
             lost_bytes: 11,
         },
         connects: 12,
@@ -164,7 +161,7 @@ pub(super) fn status() -> Status {
             suspends: 1,
             stuck: 3,
         },
-        resets: [1, 0, 2, 3, 0, 0, 0, 0],
+        resets: [1, 0, 2, 3, 0, 0],
         strobe_overcaptures: 13,
         strobe_floods: 14,
         imu: imu_status(None),
@@ -209,9 +206,6 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
     let ping = Ping {
         host_time: 0x8877_6655_4433_2211,
     };
-    let filler = SendFiller {
-        bytes_per_second: u32::MAX,
-    };
     let camera_at = StartTrigger { output, start };
     let camera_soon = StartTrigger {
         output,
@@ -241,7 +235,7 @@ pub(super) fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
         ),
         ("trigger-stop".to_owned(), StopTrigger(Output::Three).into()),
         ("imu-query".to_owned(), QueryImu.into()),
-        ("filler".to_owned(), filler.into()),
+        ("filler".to_owned(), SendFiller(true).into()),
     ];
     for output in Output::ALL {
         let name = format!("trigger-query-{}", output.number());
@@ -359,8 +353,6 @@ pub(super) fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         ResetCause::Pin,
         ResetCause::Software,
         ResetCause::Watchdog,
-        ResetCause::WindowWatchdog,
-        ResetCause::LowPower,
         ResetCause::Unknown,
     ] {
         add(

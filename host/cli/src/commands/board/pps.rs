@@ -24,7 +24,7 @@ enum Action {
         /// UTC of the present second as Unix time; else by this computer's clock
         #[arg(long, value_name = "SECONDS")]
         utc: Option<i64>,
-        /// Rate of the serial line: 4800, 9600, 19200, 38400, 57600 or 115200
+        /// Rate of the serial line: 9600 or 115200
         #[arg(long, value_name = "BD", default_value = "9600", value_parser = parse_baud)]
         baud: Baud,
         /// The serial line is high when idle, as a UART's; otherwise low, as
