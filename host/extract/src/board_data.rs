@@ -16,7 +16,8 @@
 //! extraction goes over it more than once instead of keeping it in memory. What is damaged
 //! is left out and named; a file that was not closed is read to its last whole chunk.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
+use std::mem::{Discriminant, discriminant};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -78,18 +79,6 @@ pub(crate) enum Reference {
 }
 
 impl Reference {
-    /// Its place among the kinds; that of the trigger is the first.
-    const fn place(&self) -> usize {
-        match self {
-            Self::Cameras => 0,
-            Self::DepthOffset => 1,
-            Self::Lidar => 2,
-            Self::Phone => 3,
-            Self::Output(_) => 4,
-            Self::Sequences => 5,
-        }
-    }
-
     /// The sensor's name, if a sensor gets these pulses; `lidar` is that of the lidar.
     pub(crate) fn sensor<'a>(&'a self, lidar: Option<&'a str>) -> Option<&'a str> {
         match self {
@@ -146,7 +135,7 @@ struct Sorter {
     /// Samples whose temperature has not come yet.
     waiting: VecDeque<ImuRow>,
     /// How many pairs of times there were of each kind.
-    counts: [u32; 6],
+    counts: HashMap<Discriminant<Reference>, u32>,
     /// The relation of the clocks that was known last.
     clock: Option<ClockModel>,
     /// The file is of the published system.
@@ -166,7 +155,7 @@ impl BoardStream {
             sorter: Sorter {
                 events: VecDeque::new(),
                 waiting: VecDeque::new(),
-                counts: [0; 6],
+                counts: HashMap::new(),
                 clock: None,
                 published: false,
                 faults: Faults::new(MAX_FAULTS),
@@ -285,7 +274,7 @@ impl Sorter {
             "mcu_imu_temp" => self.temperature(&read(message)?),
             "mcu_cameras_ts" => {
                 let times: TimeReference = read(message)?;
-                let [number, ..] = self.counts;
+                let number = *self.count(&Reference::Cameras);
                 self.pulse(0, number.into(), stamp(&times.header));
                 self.times(Reference::Cameras, &times);
             }
@@ -347,9 +336,14 @@ impl Sorter {
         self.pair(of, stamp(&times.header), times.time_ref.nanos());
     }
 
+    fn count(&mut self, of: &Reference) -> &mut u32 {
+        self.counts.entry(discriminant(of)).or_default()
+    }
+
     fn pair(&mut self, of: Reference, stamp: BoardNanos, other: i64) {
-        let seq = self.counts[of.place()];
-        self.counts[of.place()] = seq.wrapping_add(1);
+        let count = self.count(&of);
+        let seq = *count;
+        *count = seq.wrapping_add(1);
         let pair = TimePair {
             of,
             seq,

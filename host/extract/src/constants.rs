@@ -1,5 +1,5 @@
-//! The constants of a rig that go into times, resolved once: what the user gives goes before
-//! what the session says, and that before the rig profile.
+//! The constants of a rig that go into times, resolved once: a profile that the user gives goes
+//! before what the session says, and that before its profile.
 
 use protocol::ImuSensor;
 use recording::error_budget::ErrorPart;
@@ -9,10 +9,9 @@ use serde::Serialize;
 use twist_sync::Prior;
 
 use super::gyro_clock::prior;
-use super::options::Options;
 
 /// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
-const PUBLISHED_DELAY_NS: i64 = 1_900_000;
+pub(crate) const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
 /// Constants that go into the times of a phone, the board and the depth camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -30,10 +29,10 @@ pub struct Constants {
     /// Exposure and readout of the phone are both known.
     #[serde(skip)]
     pub(crate) is_middle_known: bool,
-    /// Where the time from pulse to depth timestamp comes from.
+    /// The time from pulse to depth timestamp is known, for the mode of the profile.
     #[serde(skip)]
-    pub(crate) center_source: CenterSource,
-    /// 1-sigma of the constant between depth and phone, µs; nothing where the user gives it.
+    pub(crate) is_center_known: bool,
+    /// 1-sigma of the constant between depth and phone, µs.
     #[serde(skip)]
     pub(crate) constant_sigma_us: Option<f64>,
     /// The largest part of that.
@@ -47,64 +46,43 @@ pub struct Constants {
     pub(crate) prior: Option<Prior>,
 }
 
-/// Where the time from pulse to depth timestamp comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum CenterSource {
-    /// The user: the whole of it.
-    Given,
-    /// The session, for the mode and the settings of its profile.
-    Session,
-    /// It is not known.
-    #[default]
-    Unknown,
-}
-
 impl Constants {
-    /// Those of the phone that the trigger was aligned to. Values out of reason are left out.
-    pub(crate) fn of(session: Option<&SessionFile>, options: &Options) -> Self {
-        let given = Self {
-            board_imu_delay_ns: options.board_imu_delay_ns.unwrap_or(0),
-            phone_imu_delay_ns: options.phone_imu_delay_ns.unwrap_or(0),
-            depth_center_ns: options.depth_center_ns.unwrap_or(0),
-            center_source: match options.depth_center_ns {
-                Some(_) => CenterSource::Given,
-                None => CenterSource::Unknown,
-            },
+    /// Those of the phone that the trigger was aligned to, by the profile that is given in place
+    /// of the session's, if there is one. Values out of reason are left out.
+    pub(crate) fn of(session: Option<&SessionFile>, given: Option<&Profile>) -> Self {
+        let Some(profile) = given.or(session.map(|session| &session.profile)) else {
+            return Self::default();
+        };
+        let alignment = session.and_then(|session| session.alignment.as_ref());
+        let reference = session.and_then(SessionFile::reference);
+        let reported = reference.and_then(|phone| phone.video?.exposure_us());
+        let used = alignment.map(|alignment| alignment.exposure_us);
+        let exposure_us = used.or(reported).unwrap_or(profile.phone.exposure_us);
+        // A measured bias says that the depth image is exposed later than its nominal centre,
+        // against the phone's middle row.
+        let own = (
+            profile.phone.middle_row_us(),
+            profile.depth.center_offset_us + profile.frame_sync.bias_us,
+        );
+        let aligned = alignment.filter(|_| given.is_none());
+        let (row_us, center_us) = aligned.map_or(own, |aligned| {
+            let center_us = aligned.center_offset_us + aligned.bias_us;
+            (aligned.middle_row_us, center_us)
+        });
+        let center = nanos(center_us);
+        let imu = session.and_then(|session| session.imu.as_ref());
+        let constants = Self {
+            board_imu_delay_ns: imu.map_or(0, |imu| i64::from(imu.scale.gyro_delay_us) * 1000),
+            phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us).unwrap_or(0),
+            depth_center_ns: center.unwrap_or(0),
+            is_center_known: center.is_some(),
+            constant_sigma_us: Some(profile.constant_sigma_us(exposure_us)),
+            constant_part: profile.constant_part(exposure_us),
+            board_sensor: imu.map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
+            prior: session.and_then(SessionFile::clock).map(prior),
             ..Self::default()
         };
-        let middle_row = options.readout_ns.map(|readout| readout / 2);
-        let Some(session) = session else {
-            return given.with_middle(options.exposure_ns, middle_row);
-        };
-        let profile = &session.profile;
-        let alignment = session.alignment.as_ref();
-        let video = session.reference().and_then(|phone| phone.video);
-        let reported = video.and_then(|video| video.exposure_ns);
-        let exposure = match (alignment, reported) {
-            (Some(alignment), _) => nanos(alignment.exposure_us),
-            (None, Some(exposure)) => i64::try_from(exposure).ok(),
-            (None, None) => nanos(profile.phone.exposure_us),
-        };
-        let row_us = alignment.map_or(profile.phone.middle_row_us(), |a| a.middle_row_us);
-        let constants = Self {
-            board_imu_delay_ns: options.board_imu_delay_ns.unwrap_or_else(|| {
-                let imu = session.imu.as_ref();
-                imu.map_or(0, |imu| i64::from(imu.scale.gyro_delay_us) * 1000)
-            }),
-            phone_imu_delay_ns: (options.phone_imu_delay_ns)
-                .or(nanos(profile.phone.gyro_delay_us))
-                .unwrap_or(0),
-            board_sensor: session
-                .imu
-                .as_ref()
-                .map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
-            prior: session.clock().map(prior),
-            ..given
-        };
-        constants.with_center(alignment, profile).with_middle(
-            options.exposure_ns.or(exposure),
-            middle_row.or(nanos(row_us)),
-        )
+        constants.with_middle(nanos(exposure_us), nanos(row_us))
     }
 
     /// Those of another phone, of which the session says `said`; what is the rig's stays.
@@ -130,41 +108,9 @@ impl Constants {
         constants.with_middle(exposure, nanos(phone.middle_row_us()))
     }
 
-    /// Takes what is known of the published system's settings, which its bags do not say;
-    /// whether anything had to be taken.
-    pub(crate) fn take_published(&mut self, options: &Options) -> bool {
-        let is_open = options.board_imu_delay_ns.is_none();
-        if is_open {
-            self.board_imu_delay_ns = PUBLISHED_DELAY_NS;
-        }
-        is_open
-    }
-
     /// Puts the depth timestamp later.
     pub(crate) const fn delay_depth(&mut self, by_ns: i64) {
         self.depth_center_ns = self.depth_center_ns.saturating_add(by_ns);
-    }
-
-    fn with_center(
-        mut self,
-        alignment: Option<&recording::session_file::Alignment>,
-        profile: &Profile,
-    ) -> Self {
-        if self.center_source == CenterSource::Given {
-            return self;
-        }
-        let exposure_us = alignment.map_or(profile.phone.exposure_us, |a| a.exposure_us);
-        self.constant_sigma_us = Some(profile.constant_sigma_us(exposure_us));
-        self.constant_part = profile.constant_part(exposure_us);
-        let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
-        // A measured bias says that the depth image is exposed later than its nominal centre,
-        // against the phone's middle row.
-        let bias = alignment.map_or(profile.frame_sync.bias_us, |a| a.bias_us);
-        if let Some(center) = nanos(center + bias) {
-            self.depth_center_ns = center;
-            self.center_source = CenterSource::Session;
-        }
-        self
     }
 
     fn with_middle(self, exposure: Option<i64>, middle_row: Option<i64>) -> Self {
@@ -189,21 +135,17 @@ mod tests {
 
     #[test]
     fn the_row_is_the_profile_s_where_nothing_was_aligned() {
-        let middle = |text: &str, options: &Options| {
-            let profile = Profile::parse(text, None).unwrap();
-            let session = SessionFile::new(String::from("walk"), profile);
-            Constants::of(Some(&session), options).color_middle_ns
+        let profile = |text: &str| Profile::parse(text, None).unwrap();
+        let middle = |text: &str, given: Option<&Profile>| {
+            let session = SessionFile::new(String::from("walk"), profile(text));
+            Constants::of(Some(&session), given).color_middle_ns
         };
         let phone = "[phone]\nexposure_us = 8000\nreadout_us = 10000\nrows = 1001\n";
-        let none = Options::default();
-        assert_eq!(middle(phone, &none), 4_000_000 + 5_000_000);
+        assert_eq!(middle(phone, None), 4_000_000 + 5_000_000);
         let row = format!("{phone}middle_row = 250\n");
-        assert_eq!(middle(&row, &none), 4_000_000 + 2_500_000);
+        assert_eq!(middle(&row, None), 4_000_000 + 2_500_000);
         // The user's word goes before.
-        let given = Options {
-            readout_ns: Some(12_000_000),
-            ..Options::default()
-        };
-        assert_eq!(middle(&row, &given), 4_000_000 + 6_000_000);
+        let given = profile("[phone]\nexposure_us = 6000\nreadout_us = 12000\n");
+        assert_eq!(middle(&row, Some(&given)), 3_000_000 + 6_000_000);
     }
 }

@@ -12,14 +12,14 @@ use super::board_data::Reference;
 use super::constants::Constants;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
-    Ambiguity, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
+    Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
 use super::error::ExtractError;
 use super::gyro_clock;
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
-use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
-use twist_sync::{Options, RecordingClock};
+use super::time::{BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use twist_sync::Options;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -108,11 +108,10 @@ impl Matching<'_> {
                 let found = look(Some(hint)).map_err(not_matched)?;
                 return Ok(found.by("the camera's gyroscope"));
             }
-            let recorded = recorded_offset(self.survey)
-                .and_then(|delta| AffineMap::new(DeviceNanos(0), BoardNanos(delta), 0.0));
-            if let Some(map) = recorded {
+            if let Some(delta) = recorded_offset(self.survey) {
                 let hint = Hint::Clock {
-                    map,
+                    map: offset_map(&frames, delta),
+                    around: DeviceNanos(0),
                     sigma: RECORDED_SIGMA,
                     center: 0,
                 };
@@ -136,78 +135,8 @@ impl Matching<'_> {
         Err(not_matched(error))
     }
 
-    /// Times the frames of a camera that ran on its own clock, through its gyroscope and the
-    /// board's.
-    ///
-    /// # Errors
-    ///
-    /// The gyroscopes do not relate the clocks, it was stopped, or the board's recording
-    /// cannot be read.
-    pub(crate) fn free_running(&self) -> Result<Matched, ExtractError> {
-        let failed = |why: String| Err(not_matched(MatchError::NoGyro { why }));
-        if !self.index.has_imu {
-            let why = "the recording has no samples of the camera's IMU; record with the IMU on";
-            return failed(why.to_owned());
-        }
-        let clock = match self.camera_clock(1) {
-            Err(ExtractError::Missing(why)) => return failed(why),
-            clock => clock?,
-        };
-        let imu = &self.survey.imu;
-        let (first, last) = (BoardNanos(imu.first_ns), BoardNanos(imu.last_ns));
-        // The time of an image is its stamp's: what is put on with the tables is taken off.
-        let knots = gyro_clock::knots::<DeviceNanos>(&clock.course, first, last);
-        let map = PiecewiseMap::from_knots(knots.into_iter().map(|(device, at)| {
-            let edge = at.0.saturating_sub(self.constants.depth_center_ns);
-            (device, BoardNanos(edge))
-        }));
-        let (from, to) = clock.course.span();
-        let model = clock.course.at(0.5 * (from + to));
-        let found = DepthMatch {
-            rate_error: model.skew,
-            rate_sigma: model.covariance[1][1].max(0.0).sqrt(),
-            ..DepthMatch::by_clock(self.index.frames.len(), FrameState::FreeRunning, map)
-        };
-        let remark = format!(
-            "the depth camera ran on its own clock: its frames are timed through the gyroscopes of camera and \
-             board, ± {:.1} µs (1-sigma) and a constant of up to {:.1} ms, for the low-pass delay of the \
-             camera's gyroscope is not documented",
-            model.covariance[0][0].max(0.0).sqrt() * 1e6,
-            CAMERA_SIGMA * 1e-6
-        );
-        let matched = Matched {
-            remarks: vec![remark],
-            ..Matched::new(found)
-        };
-        Ok(matched.by("the camera's own clock"))
-    }
-
+    /// The relation of the camera's clock to the board's by their gyroscopes.
     fn camera_hint(&self) -> Result<Option<Hint>, ExtractError> {
-        // Without a relation the pulses stay ambiguous, which is what is said.
-        let clock = match self.camera_clock(EVERY) {
-            Err(error) if !error.is_fatal() => return Ok(None),
-            clock => clock?,
-        };
-        let (from, to) = clock.course.span();
-        let at = 0.5 * (from + to);
-        let model = clock.course.at(at);
-        let board = (at * 1e9).round() as i64;
-        let offset = (model.offset * 1e9).round() as i64;
-        let map = AffineMap::new(
-            DeviceNanos(board.saturating_add(offset)),
-            BoardNanos(board),
-            1.0 / (1.0 + model.skew) - 1.0,
-        );
-        Ok(map.map(|map| Hint::Clock {
-            map,
-            sigma: CAMERA_SIGMA,
-            center: self.constants.depth_center_ns,
-        }))
-    }
-
-    /// The relation of the camera's clock to the board's by their gyroscopes, from each
-    /// `every`-th window.
-    fn camera_clock(&self, every: usize) -> Result<RecordingClock, ExtractError> {
         let span = Span {
             from: BoardNanos(self.survey.imu.first_ns),
             to: BoardNanos(self.survey.imu.last_ns),
@@ -219,9 +148,22 @@ impl Matching<'_> {
                 ..Options::of_windows()
             },
             prior: None,
-            every,
+            every: EVERY,
         };
-        related(self.board, span, &camera)
+        // Without a relation the pulses stay ambiguous, which is what is said.
+        let course = match related(self.board, span, &camera) {
+            Err(error) if !error.is_fatal() => return Ok(None),
+            clock => clock?.course,
+        };
+        let (from, to) = course.span();
+        let middle = 0.5 * (from + to);
+        let device = middle + course.at(middle).offset;
+        Ok(Some(Hint::Clock {
+            map: PiecewiseMap::from_knots(gyro_clock::knots(&course, span.from, span.to)),
+            around: DeviceNanos((device * 1e9).round() as i64),
+            sigma: CAMERA_SIGMA,
+            center: self.constants.depth_center_ns,
+        }))
     }
 }
 
@@ -239,11 +181,25 @@ fn recorded_offset(survey: &Survey) -> Option<i64> {
 /// All frames by one offset. The edge-to-centre time is in the offset already, so
 /// that it is taken off here and put on again with the tables.
 fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
-    let first = frames.iter().copied().min().unwrap_or_default();
-    let knot = |at: i64| {
-        let board = at.saturating_add(delta).saturating_sub(center);
-        (DeviceNanos(at), BoardNanos(board))
+    let frame = Assignment {
+        state: FrameState::OffPulse,
+        pulse: None,
+        residual: 0,
     };
-    let clock = PiecewiseMap::from_knots([knot(first.0), knot(first.0.saturating_add(SECOND))]);
-    DepthMatch::by_clock(frames.len(), FrameState::OffPulse, clock)
+    DepthMatch {
+        frames: vec![frame; frames.len()],
+        missing: Vec::new(),
+        decision: Decision::Hint { left: 0 },
+        rate_error: 0.0,
+        rate_sigma: 0.0,
+        residual: 0.0,
+        clock: offset_map(frames, delta.saturating_sub(center)),
+    }
+}
+
+/// The map that adds `delta` to device times.
+fn offset_map(frames: &[DeviceNanos], delta: i64) -> PiecewiseMap<DeviceNanos, BoardNanos> {
+    let first = frames.iter().copied().min().unwrap_or_default();
+    let knot = |at: i64| (DeviceNanos(at), BoardNanos(at.saturating_add(delta)));
+    PiecewiseMap::from_knots([knot(first.0), knot(first.0.saturating_add(SECOND))])
 }

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::image_tables::ImagesError;
+use crate::depth::DepthError;
 use crate::inputs::InputsError;
 use crate::output_dir::OutputDirError;
 
@@ -20,16 +20,19 @@ pub enum ExtractError {
     #[error(transparent)]
     Board(#[from] recording::RecordingError),
     /// A file cannot be written.
-    #[error("writing below {path}: {error}")]
+    #[error("writing {path}: {error}")]
     Write {
-        /// The output folder.
+        /// Which, or the output folder.
         path: PathBuf,
         /// Why.
         error: io::Error,
     },
-    /// Images.
+    /// The depth recording.
     #[error(transparent)]
-    Images(#[from] ImagesError),
+    Depth(#[from] DepthError),
+    /// The phone's video.
+    #[error(transparent)]
+    Video(#[from] video::VideoError),
     /// One part is missing, in words.
     #[error("{0}")]
     Missing(String),

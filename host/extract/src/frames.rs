@@ -8,7 +8,7 @@
 //! video is too regular to tell which end is missing, that is said, and both are
 //! taken to begin together.
 
-use super::time::PhoneNanos;
+use super::time::{PhoneNanos, median_step};
 
 /// How many rows or images may be missing at the beginning.
 const MAX_SHIFT: usize = 600;
@@ -56,7 +56,7 @@ pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
         images.len(),
         stamps.len()
     );
-    let period = period(stamps);
+    let period = median_step(stamps.iter().map(|stamp| stamp.0)).unwrap_or(0) as f64;
     let mut tries: Vec<Try> = Vec::new();
     // The first image has row k, or the first row has image k.
     let first_image = images.first().copied().unwrap_or(0);
@@ -97,41 +97,14 @@ pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
             ..Alignment::in_order(images.len(), stamps.len())
         };
     }
-    let lost: Vec<String> = missing(&best.rows, stamps.len());
     Alignment {
+        remark: Some(format!(
+            "{remark}; matched by time, {} timestamps have no image and {} images no timestamp",
+            stamps.len() - best.matched,
+            images.len() - best.matched
+        )),
         rows: best.rows.clone(),
-        remark: Some(format!("{remark}; matched by time, {}", lost.join(", "))),
     }
-}
-
-/// What has no partner, in words.
-fn missing(rows: &[Option<usize>], stamps: usize) -> Vec<String> {
-    let mut has_image = vec![false; stamps];
-    for row in rows.iter().flatten() {
-        has_image[*row] = true;
-    }
-    let list = |indices: Vec<usize>| {
-        let shown: Vec<String> = indices.iter().take(20).map(ToString::to_string).collect();
-        let more = indices.len().saturating_sub(20);
-        let dots = if more > 0 {
-            format!(" and {more} more")
-        } else {
-            String::new()
-        };
-        format!("{}{dots}", shown.join(" "))
-    };
-    let rows_left: Vec<usize> = (0..stamps).filter(|&row| !has_image[row]).collect();
-    let images_left: Vec<usize> = (0..rows.len())
-        .filter(|&image| rows[image].is_none())
-        .collect();
-    let mut out = Vec::new();
-    if !rows_left.is_empty() {
-        out.push(format!("timestamps without an image: {}", list(rows_left)));
-    }
-    if !images_left.is_empty() {
-        out.push(format!("images without a timestamp: {}", list(images_left)));
-    }
-    out
 }
 
 struct Try {
@@ -169,14 +142,6 @@ fn match_at(images: &[i64], stamps: &[PhoneNanos], offset: i128, period: f64) ->
         scatter: (squares / matched.max(1) as f64).sqrt(),
         rows,
     })
-}
-
-/// Median distance of the timestamps, ns.
-fn period(stamps: &[PhoneNanos]) -> f64 {
-    let steps = stamps
-        .windows(2)
-        .map(|pair| pair[1].0.saturating_sub(pair[0].0) as f64);
-    super::depth_clock::fit::median(steps.collect())
 }
 
 #[cfg(test)]
@@ -222,7 +187,8 @@ mod tests {
             assert_eq!(row.map(|row| rows[row]), Some(kept[image]));
         }
         let remark = found.remark.unwrap();
-        assert!(remark.contains("100 101 102 203"), "{remark}");
+        let lost = "4 timestamps have no image and 0 images no timestamp";
+        assert!(remark.contains(lost), "{remark}");
     }
 
     #[test]

@@ -9,7 +9,7 @@
 
 use super::depth_clock::fit::straight;
 use super::pairs::nearest;
-use super::time::BoardNanos;
+use super::time::{BoardNanos, median_step};
 
 /// Pulses that a line is fitted through, at least.
 const MIN_PULSES: usize = 10;
@@ -30,15 +30,7 @@ pub struct GridReport {
 
 /// Measures it: frames and centres in board time, in order. `None` for too few.
 pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
-    let mut steps: Vec<i64> = frames
-        .windows(2)
-        .map(|pair| pair[1].0.saturating_sub(pair[0].0))
-        .collect();
-    let middle = steps.len() / 2;
-    if steps.is_empty() {
-        return None;
-    }
-    let period = *steps.select_nth_unstable(middle).1;
+    let period = median_step(frames.iter().map(|frame| frame.0))?;
     if period <= 0 {
         return None;
     }

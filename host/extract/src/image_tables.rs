@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 
 use rayon::prelude::*;
-use video::{Video, VideoError};
+use video::Video;
 
-use super::depth::{CameraImage, DepthError, DepthImage, DepthInput};
+use super::depth::{CameraImage, DepthImage, DepthInput};
+use super::error::ExtractError;
 use super::geometry::register::Registration;
 use super::image::{Pixels, encode_png, write_whole};
 use super::layout::Layout;
@@ -21,25 +22,6 @@ use super::layout::Layout;
 const BATCH_BYTES: usize = 16 << 20;
 /// Images in a batch at most.
 const BATCH_IMAGES: usize = 64;
-
-/// Why images were not written.
-#[derive(Debug, thiserror::Error)]
-pub enum ImagesError {
-    /// The depth recording.
-    #[error(transparent)]
-    Depth(#[from] DepthError),
-    /// The video.
-    #[error(transparent)]
-    Video(#[from] VideoError),
-    /// An image cannot be written.
-    #[error("writing {path}: {error}")]
-    Write {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        error: io::Error,
-    },
-}
 
 /// Files of one depth frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -69,7 +51,7 @@ pub(crate) struct DepthImageView<'a> {
 }
 
 /// What the depth images were like.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct DepthOutcome {
     /// Images with a place that are there.
     pub(crate) written: u64,
@@ -99,7 +81,7 @@ pub(crate) fn write_depth(
     paths: &CameraPaths,
     view: DepthImageView<'_>,
     layout: &dyn Layout,
-) -> Result<DepthOutcome, ImagesError> {
+) -> Result<DepthOutcome, ExtractError> {
     let mut outcome = DepthOutcome::default();
     let bytes = |image: &CameraImage| match image {
         CameraImage::Depth(image) => {
@@ -109,7 +91,7 @@ pub(crate) fn write_depth(
     };
     let images = input.images()?.map(|image| Ok(image?));
     in_batches(images, bytes, |batch| {
-        let written: Result<Vec<DepthOutcome>, ImagesError> = batch
+        let written: Result<Vec<DepthOutcome>, ExtractError> = batch
             .par_iter()
             .map(|image| match image {
                 CameraImage::Depth(image) => {
@@ -135,7 +117,7 @@ fn write_jpeg(
     index: usize,
     place: Option<&Path>,
     jpeg: &[u8],
-) -> Result<DepthOutcome, ImagesError> {
+) -> Result<DepthOutcome, ExtractError> {
     let mut one = DepthOutcome::default();
     let Some(path) = place else {
         return Ok(one);
@@ -174,7 +156,7 @@ fn write_one(
     place: Option<&DepthPaths>,
     view: DepthImageView<'_>,
     layout: &dyn Layout,
-) -> Result<DepthOutcome, ImagesError> {
+) -> Result<DepthOutcome, ExtractError> {
     let its = |is_so: bool| Vec::from_iter(is_so.then_some(image.index));
     let is_broken = image.depth.is_empty();
     let mut one = DepthOutcome {
@@ -202,7 +184,7 @@ fn write_one(
     Ok(one)
 }
 
-fn write_png(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
+fn write_png(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ExtractError> {
     write_missing(path, || Ok(encode_png(size.0, size.1, pixels)?.into()))
 }
 
@@ -210,20 +192,20 @@ fn write_png(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), Im
 fn write_missing<'a>(
     path: &Path,
     image: impl FnOnce() -> io::Result<Cow<'a, [u8]>>,
-) -> Result<(), ImagesError> {
+) -> Result<(), ExtractError> {
     if path.exists() {
         return Ok(());
     }
     image()
         .and_then(|image| write_whole(path, &image))
-        .map_err(|error| ImagesError::Write {
+        .map_err(|error| ExtractError::Write {
             path: path.to_owned(),
             error,
         })
 }
 
 /// What the video was like.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct VideoOutcome {
     /// Frames that were decoded.
     pub(crate) decoded: u64,
@@ -244,7 +226,7 @@ pub(crate) struct VideoOutcome {
 pub(crate) fn write_video(
     video: Video,
     places: &[Option<PathBuf>],
-) -> Result<VideoOutcome, ImagesError> {
+) -> Result<VideoOutcome, ExtractError> {
     let mut video = video;
     let size = (video.info().width, video.info().height);
     let frames = std::iter::from_fn(move || {
@@ -258,7 +240,7 @@ pub(crate) fn write_video(
     let written = in_batches(frames, bytes, |batch| {
         outcome.decoded += batch.len() as u64;
         outcome.size.get_or_insert(size);
-        let written: Result<Vec<bool>, ImagesError> = batch
+        let written: Result<Vec<bool>, ExtractError> = batch
             .par_iter()
             .map(|(index, frame)| match places.get(*index) {
                 Some(Some(path)) => write_png(path, size, Pixels::Rgb8(frame)).map(|()| true),
@@ -269,7 +251,7 @@ pub(crate) fn write_video(
         Ok(())
     });
     match written {
-        Err(ImagesError::Video(error)) => outcome.error = Some(error.to_string()),
+        Err(ExtractError::Video(error)) => outcome.error = Some(error.to_string()),
         written => written?,
     }
     Ok(outcome)
@@ -278,11 +260,11 @@ pub(crate) fn write_video(
 /// Reads in a thread of its own, and gives what it reads to `each` in batches, whose
 /// size is that of `bytes`. What was read before an error is given too.
 fn in_batches<T: Send>(
-    mut source: impl Iterator<Item = Result<T, ImagesError>> + Send,
+    mut source: impl Iterator<Item = Result<T, ExtractError>> + Send,
     bytes: impl Fn(&T) -> usize + Send,
-    mut each: impl FnMut(Vec<T>) -> Result<(), ImagesError>,
-) -> Result<(), ImagesError> {
-    let (sender, receiver) = sync_channel::<Result<Vec<T>, ImagesError>>(1);
+    mut each: impl FnMut(Vec<T>) -> Result<(), ExtractError>,
+) -> Result<(), ExtractError> {
+    let (sender, receiver) = sync_channel::<Result<Vec<T>, ExtractError>>(1);
     std::thread::scope(|scope| {
         scope.spawn(move || {
             let mut more = true;

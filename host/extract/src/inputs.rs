@@ -55,9 +55,8 @@ impl PhoneInput {
         }
     }
 
-    /// What is known of its camera for images of this size; `readout` (ns) goes before the
-    /// profile's.
-    pub(crate) fn camera(&self, size: Option<(u32, u32)>, readout: Option<i64>) -> CameraFacts {
+    /// What is known of its camera for images of this size.
+    pub(crate) fn camera(&self, size: Option<(u32, u32)>) -> CameraFacts {
         let Some(phone) = &self.profile else {
             return CameraFacts::default();
         };
@@ -66,8 +65,7 @@ impl PhoneInput {
         CameraFacts {
             intrinsics: phone.cameras.iter().find(own).cloned(),
             from_imu: phone.from_imu,
-            shutter: readout
-                .or(nanos(phone.readout_us))
+            shutter: nanos(phone.readout_us)
                 .filter(|_| last > 0)
                 .map(|readout| (readout / last, phone.readout_direction)),
         }
@@ -181,10 +179,11 @@ pub(crate) fn find(
             None
         }
     };
-    let constants = Constants::of(session.as_ref(), options);
+    let given = options.profile.as_ref();
+    let constants = Constants::of(session.as_ref(), given);
     let topic = options.depth_topic.as_deref();
     let own = folder.then_some(recording);
-    let (phone, others) = match &session {
+    let (mut phone, others) = match &session {
         Some(session) => find_phones(session, own, constants, phone, &options.phones)?,
         None => {
             known_names(&options.phones, &[])?;
@@ -197,6 +196,9 @@ pub(crate) fn find(
             (phone, Vec::new())
         }
     };
+    if let Some(given) = given {
+        phone.profile = Some(given.phone.clone());
+    }
     let depth = match depth {
         Some(path) => Some(depth_file(path, topic)?),
         None if folder => find_depth(recording, topic)?,
@@ -208,7 +210,7 @@ pub(crate) fn find(
             .map(|name| name.to_string_lossy().into_owned()),
         Err(_) => None,
     };
-    let profile = session.as_ref().map(|session| &session.profile);
+    let profile = given.or(session.as_ref().map(|session| &session.profile));
     let alignment = session.as_ref().and_then(|session| session.alignment);
     if let Some(shift_us) = alignment.map(|a| a.shift_us).filter(|&us| us != 0.0) {
         remarks.push(format!(

@@ -8,7 +8,7 @@ use super::board_data::Reference;
 use super::error::ExtractError;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
-use super::report::{ClockReport, TrackedReport};
+use super::report::ClockReport;
 use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::tables::ColorFrame;
@@ -34,8 +34,8 @@ pub(crate) struct PhoneClock {
     gyros: Option<RecordingClock>,
     /// `None` where one offset is all that is known.
     course: Option<ClockCourse>,
-    /// With exchanges of both clocks: how many, and the course without them.
-    followed: Option<(usize, ClockCourse)>,
+    /// How many exchanges with both clocks have joined it.
+    exchanges: Option<usize>,
     middle: BoardNanos,
 }
 
@@ -133,7 +133,7 @@ impl PhoneClock {
             source,
             gyros: None,
             course: None,
-            followed: None,
+            exchanges: None,
             middle: BoardNanos(0),
         }
     }
@@ -176,11 +176,10 @@ impl PhoneClock {
             (None, _) => return,
         };
         let knots = followed(exchanges, &known);
-        let Some(plain) = self.course.take_if(|_| !knots.is_empty()) else {
-            return;
-        };
-        self.course = Some(plain.clone().with_followed(&knots));
-        self.followed = Some((exchanges.len(), plain));
+        if let Some(plain) = self.course.take_if(|_| !knots.is_empty()) {
+            self.course = Some(plain.with_followed(&knots));
+            self.exchanges = Some(exchanges.len());
+        }
     }
 
     /// The relation at a board time, with its uncertainty.
@@ -188,35 +187,17 @@ impl PhoneClock {
         Some(self.course.as_ref()?.at(at.0 as f64 * 1e-9).into())
     }
 
-    /// The same without what exchanges have added.
-    fn plain_model_at(&self, at: BoardNanos) -> Option<ClockModel> {
-        match &self.followed {
-            Some((_, plain)) => Some(plain.at(at.0 as f64 * 1e-9).into()),
-            None => self.model_at(at),
-        }
-    }
-
     /// Reports the relation over these frames.
     pub(crate) fn report(&self, frames: &[ColorFrame]) -> ClockReport {
         let middle = self.model_at(self.middle);
-        let some = || frames.iter().step_by(30).map(|frame| frame.at);
-        let range = |models: &mut dyn Iterator<Item = ClockModel>| {
-            let mut sigmas = models.map(|model| model.covariance[0][0].max(0.0).sqrt() * 1e6);
-            let first = sigmas.next()?;
-            Some(sigmas.fold([first; 2], |[low, high], sigma| {
+        let some = frames.iter().step_by(30);
+        let mut sigmas = some
+            .filter_map(|frame| self.model_at(frame.at))
+            .map(|model| model.covariance[0][0].max(0.0).sqrt() * 1e6);
+        let sigma_us = sigmas.next().map(|first| {
+            sigmas.fold([first; 2], |[low, high], sigma| {
                 [low.min(sigma), high.max(sigma)]
-            }))
-        };
-        let tracked = self.followed.as_ref().map(|(exchanges, _)| {
-            let moved = some().filter_map(|at| {
-                let apart = self.model_at(at)?.offset - self.plain_model_at(at)?.offset;
-                Some(apart.abs() * 1e6)
-            });
-            TrackedReport {
-                exchanges: *exchanges,
-                sigma_us_without: range(&mut some().filter_map(|at| self.plain_model_at(at))),
-                moved_us: moved.fold(0.0, f64::max),
-            }
+            })
         });
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
         let frame_period = frame_period(&phone).ok();
@@ -232,12 +213,12 @@ impl PhoneClock {
             skew_ppm: middle.map_or(0.0, |model| model.skew * 1e6),
             skew_sigma_ppm: middle
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
-            sigma_us: range(&mut some().filter_map(|at| self.model_at(at))),
+            sigma_us,
             residual_us: (!course.is_empty()).then(|| residual_rms(&course) * 1e6),
             frame_period_ns: frame_period.map(|found| (found.period_ns, found.sigma_ns)),
             frame_jitter_ns: frame_period.map(|found| found.jitter_ns),
             course,
-            tracked,
+            exchanges: self.exchanges,
         }
     }
 }
@@ -346,15 +327,14 @@ mod tests {
             .collect();
         let report = tracked.report(&frames);
         let [_, most] = report.sigma_us.unwrap();
-        let added = report.tracked.unwrap();
-        let [_, without] = added.sigma_us_without.unwrap();
-        assert_eq!(added.exchanges, 60_000);
-        assert!(most < 20.0 && without > 2.0 * most, "{report:?}");
-        assert!((500.0..700.0).contains(&added.moved_us), "{added:?}");
+        assert_eq!(report.exchanges, Some(60_000));
+        assert!(most < 20.0, "{report:?}");
         survey.exchanges.clear();
         let plain = clock(&survey);
         assert!(error_us(&plain).abs() > 500.0);
-        assert_eq!(plain.report(&frames).tracked, None);
+        let report = plain.report(&frames);
+        assert!(report.sigma_us.unwrap()[1] > 2.0 * most, "{report:?}");
+        assert_eq!(report.exchanges, None);
     }
 
     #[test]

@@ -146,21 +146,9 @@ pub struct ClockReport {
     pub frame_jitter_ns: Option<f64>,
     /// The windows.
     pub course: Vec<WindowResult>,
-    /// What following the phone's clock while it recorded has added.
+    /// Exchanges with the clocks of phone and board, if it was followed while it recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub tracked: Option<TrackedReport>,
-}
-
-/// What following a phone's clock has added to its relation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct TrackedReport {
-    /// Exchanges with the clocks of phone and board.
-    pub exchanges: usize,
-    /// Smallest and largest 1-sigma of the offset over the frames without them, µs; nothing
-    /// without frames.
-    pub sigma_us_without: Option<[f64; 2]>,
-    /// The most that they have moved a frame, µs.
-    pub moved_us: f64,
+    pub exchanges: Option<usize>,
 }
 
 /// The depth camera's part.
@@ -220,9 +208,7 @@ pub struct PairsReport {
     pub sigma_us: Option<f64>,
     /// The largest part of that.
     pub largest: Option<ErrorPart>,
-    /// Depth − phone, all of them.
-    pub histogram: Histogram,
-    /// Those near to the median (within ten times the distance of the quartiles).
+    /// Depth − phone of those near to the median (within ten times the distance of the quartiles).
     pub central: Histogram,
     /// Depth − phone over time: board time of the phone's frame and the difference, ns, of
     /// the pairs near to the median; of many, evenly picked ones.

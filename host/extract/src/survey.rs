@@ -8,7 +8,7 @@ use super::board_data::{BoardEvent, Reference, TimePair};
 use super::depth_clock::PulseTime;
 use super::error::ExtractError;
 use super::streams::each_event;
-use super::time::{BoardNanos, SECOND};
+use super::time::{BoardNanos, SECOND, median_step};
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
 
@@ -88,16 +88,7 @@ impl ImuSpan {
 impl Survey {
     /// Median distance of pulses, ns.
     pub(crate) fn pulse_period(&self) -> Option<i64> {
-        let mut steps: Vec<i64> = self
-            .pulses
-            .windows(2)
-            .map(|pair| pair[1].at.0.saturating_sub(pair[0].at.0))
-            .collect();
-        if steps.is_empty() {
-            return None;
-        }
-        let middle = steps.len() / 2;
-        Some(*steps.select_nth_unstable(middle).1)
+        median_step(self.pulses.iter().map(|pulse| pulse.at.0))
     }
 
     /// Pulses that are missing within a train: (train, first number, how many).

@@ -1,28 +1,16 @@
 //! Times of the extraction: integers of nanoseconds, one type a clock.
 //!
 //! Design: the clocks are types of their own ([`BoardNanos`], [`DeviceNanos`],
-//! [`PhoneNanos`]), and [`AffineMap`] is the only way across. A map is made once
+//! [`PhoneNanos`]), and [`PiecewiseMap`] is the only way across. A map is made once
 //! from the floats of a fit; from then on a timestamp is converted by integer
 //! arithmetic alone, so that no timestamp ever passes through a float (an f64
 //! of seconds since 1970 resolves 238 ns only).
-//!
-//! A map is `to = to₀ + d + ⌊d · r⌉` with `d = from − from₀`. The rate error `r`
-//! is fixed point with 62 fraction bits, so that one second of distance is
-//! rounded by 10⁻¹⁰ ns and a century by less than a nanosecond. Rates are limited
-//! to ±10 %: no two clocks of a rig are further apart.
-
-use protocol::units::Ticks;
 
 pub(crate) use formats::DeviceNanos;
 pub(crate) use timebase::PhoneNanos;
 
 /// Nanoseconds in a second.
 pub(crate) const SECOND: i64 = 1_000_000_000;
-
-/// Largest rate error that a map accepts (dimensionless).
-const MAX_RATE: f64 = 0.1;
-
-const FRACTION_BITS: u32 = 62;
 
 /// An instant of board time, in nanoseconds since the board's reset.
 ///
@@ -52,49 +40,6 @@ macro_rules! clock_nanos {
 }
 
 clock_nanos!(BoardNanos DeviceNanos PhoneNanos);
-
-impl From<Ticks> for BoardNanos {
-    /// Rounds to nearest; saturates after 292 years.
-    fn from(ticks: Ticks) -> Self {
-        Self(i64::try_from(ticks.as_nanos()).unwrap_or(i64::MAX))
-    }
-}
-
-/// An affine relation of two clocks in integer arithmetic.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct AffineMap<From, To> {
-    from: From,
-    to: To,
-    /// Rate of `To` against `From`, minus one, with [`FRACTION_BITS`] fraction bits.
-    rate: i64,
-}
-
-impl<F: ClockNanos, T: ClockNanos> AffineMap<F, T> {
-    /// The map on which `from` and `to` are the same instant and `To` runs
-    /// `1 + rate_error` times as fast as `From`.
-    ///
-    /// `None` if the rate error is not a number or beyond ±[`MAX_RATE`].
-    pub(crate) fn new(from: F, to: T, rate_error: f64) -> Option<Self> {
-        if rate_error.is_nan() || rate_error.abs() > MAX_RATE {
-            return None;
-        }
-        let rate = (rate_error * (1_i64 << FRACTION_BITS) as f64) as i64;
-        Some(Self { from, to, rate })
-    }
-
-    /// The instant on the other clock. Saturates at the ends of 64 bits.
-    pub(crate) fn apply(&self, from: F) -> T {
-        let distance = i128::from(from.nanos()) - i128::from(self.from.nanos());
-        let half = 1_i128 << (FRACTION_BITS - 1);
-        let stretch = (distance * i128::from(self.rate) + half) >> FRACTION_BITS;
-        T::from_nanos(saturate(i128::from(self.to.nanos()) + distance + stretch))
-    }
-
-    /// The instant of `From` at which the map is anchored.
-    pub(crate) fn anchor(&self) -> F {
-        self.from
-    }
-}
 
 /// A relation of two clocks in pieces: straight lines between knots, in integer
 /// arithmetic. Outside of the knots the first and the last line go on.
@@ -145,6 +90,14 @@ fn saturate(value: i128) -> i64 {
     value.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
 }
 
+/// Median distance of neighbouring times, ns; `None` with fewer than two.
+pub(crate) fn median_step(times: impl Iterator<Item = i64> + Clone) -> Option<i64> {
+    let pairs = times.clone().zip(times.skip(1));
+    let mut steps: Vec<i64> = pairs.map(|(one, next)| next.saturating_sub(one)).collect();
+    let middle = steps.len() / 2;
+    (!steps.is_empty()).then(|| *steps.select_nth_unstable(middle).1)
+}
+
 /// Nanoseconds as decimal seconds with `digits` digits after the point (at most
 /// 9), rounded to nearest, by integer arithmetic: `1264.250903`.
 pub(crate) fn decimal_seconds(nanos: i64, digits: u32) -> String {
@@ -187,29 +140,6 @@ mod tests {
 
     use super::*;
 
-    type Map = AffineMap<PhoneNanos, BoardNanos>;
-
-    #[test]
-    fn a_map_is_exact_over_days() {
-        // 40 ppm over ten days: 34.56 s, to the nanosecond.
-        let day = 86_400 * SECOND;
-        let map = Map::new(
-            PhoneNanos(949_113 * SECOND),
-            BoardNanos(1_264 * SECOND),
-            40e-6,
-        )
-        .unwrap();
-        let there = map.apply(PhoneNanos(949_113 * SECOND + 10 * day));
-        assert_eq!(there.0, 1_264 * SECOND + 10 * day + 34_560_000_000);
-    }
-
-    #[test]
-    fn rates_out_of_reason_are_refused() {
-        assert!(Map::new(PhoneNanos(0), BoardNanos(0), f64::NAN).is_none());
-        assert!(Map::new(PhoneNanos(0), BoardNanos(0), 0.2).is_none());
-        assert!(Map::new(PhoneNanos(0), BoardNanos(0), -0.1).is_some());
-    }
-
     #[test]
     fn pieces_join_and_go_on_outside() {
         let map = PiecewiseMap::from_knots([
@@ -251,22 +181,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_map_of_the_inverse_rate_returns(
-            from in -SECOND * 1_000_000..SECOND * 1_000_000,
-            to in -SECOND * 1_000_000..SECOND * 1_000_000,
-            rate in -0.05..0.05f64,
-            t in -SECOND * 1_000_000..SECOND * 1_000_000,
-        ) {
-            let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
-            let inverse = AffineMap::new(BoardNanos(to), PhoneNanos(from), 1.0 / (1.0 + rate) - 1.0);
-            let back = inverse.unwrap().apply(map.apply(PhoneNanos(t)));
-            prop_assert!((back.0 - t).abs() <= 1);
-        }
-
-        #[test]
-        fn no_time_panics(from: i64, to: i64, rate in -0.1..0.1f64, t: i64) {
-            let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
-            let _ = map.apply(PhoneNanos(t));
+        fn no_time_panics(from: i64, to: i64, t: i64) {
             let _ = decimal_seconds(t, 6);
             let pieces = PiecewiseMap::from_knots([
                 (PhoneNanos(from), BoardNanos(to)),

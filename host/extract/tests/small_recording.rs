@@ -194,10 +194,7 @@ fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
         depth: None,
         format,
         out: out.clone(),
-        options: Options {
-            depth_center_ns: Some(CENTER_NS),
-            ..Options::default()
-        },
+        options: Options::default(),
         overwrite: false,
     };
     (run(&job).unwrap(), out)

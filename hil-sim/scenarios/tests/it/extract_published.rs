@@ -10,6 +10,7 @@ use extract::layout::Format;
 use extract::options::Options;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
+use recording::profile::Profile;
 use test_support::python;
 
 fn script(name: &str) -> PathBuf {
@@ -34,6 +35,12 @@ fn make_bag(folder: &Path, compression: &str) {
 }
 
 fn job(folder: &Path, format: Format) -> Job {
+    let mut profile = Profile::published().unwrap();
+    profile.phone.gyro_delay_us = 0.0;
+    if format == Format::Topics {
+        // The published layout has the stamps of the pulses.
+        profile.depth.center_offset_us = 0.0;
+    }
     Job {
         recording: folder.join("published-mcap"),
         phone: Some(folder.join("phone")),
@@ -41,14 +48,7 @@ fn job(folder: &Path, format: Format) -> Job {
         format,
         out: folder.join(format!("out-{}", format.name())),
         options: Options {
-            exposure_ns: Some(10_000_000),
-            readout_ns: Some(11_006_000),
-            // The published layout has the stamps of the pulses.
-            depth_center_ns: Some(if format == Format::Topics {
-                0
-            } else {
-                6_362_500
-            }),
+            profile: Some(profile),
             ..Options::default()
         },
         overwrite: false,
@@ -148,7 +148,6 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
         std::fs::remove_file(out.join(image)).unwrap();
     }
     std::fs::remove_file(out.join("report.json")).unwrap();
-    std::fs::remove_file(out.join(".extraction/depth.json")).unwrap();
     let (third, _) = extract(folder.path(), Format::Euroc);
     assert_eq!(first, third);
     assert_eq!(written, snapshot(&out));

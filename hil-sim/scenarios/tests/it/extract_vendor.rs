@@ -13,6 +13,8 @@ use extract::layout::Format;
 use extract::options::Options;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
+use recording::profile::Profile;
+use recording::session_file::SessionFile;
 use scenarios::whole_chain::{self, Plan};
 use test_support::python;
 
@@ -171,14 +173,17 @@ fn the_files_own_tags_decide_the_times() {
         &report,
         "in mode WFOV_UNBINNED and the profile says NFOV_UNBINNED",
     );
-    // What the user gives is the whole of it.
-    let options = Options {
-        depth_center_ns: Some(6_362_500),
+    // A profile that has the file's mode.
+    let mut profile = SessionFile::load(&case.path("recording")).unwrap().profile;
+    profile.depth.mode = String::from("WFOV_UNBINNED");
+    let with = |profile: &Profile| Options {
+        profile: Some(profile.clone()),
         ..Options::default()
     };
-    case.extract(Some(&wide), "given", options);
+    case.extract(Some(&wide), "given", with(&profile));
     let nominal = case.depth_times("given")[0];
     assert!((nominal - base[0]).abs() < 1_000_000, "{nominal}");
+    profile.depth.mode = String::from("NFOV_UNBINNED");
 
     // Delays, and colour 160 µs behind depth.
     let jpeg = case.test_picture("color.jpg", "1280x720", 1);
@@ -214,11 +219,8 @@ fn the_files_own_tags_decide_the_times() {
     assert_eq!(written, std::fs::read(&jpeg).unwrap());
 
     // A colour exposure of 20 ms begins before the pulses of depth, by SDK issue 868.
-    let options = Options {
-        camera_exposure_ns: Some(20_000_000),
-        ..Options::default()
-    };
-    case.extract(Some(&delayed), "exposed", options);
+    profile.depth.color_exposure_us = Some(20_000.0);
+    case.extract(Some(&delayed), "exposed", with(&profile));
     later(&case.depth_times("exposed"), &base, 340_000 + 3_637_500);
     let start = case.table("exposed/camera_frames.csv", &[2, 3]);
     assert!(
@@ -259,52 +261,8 @@ fn the_files_own_tags_decide_the_times() {
     let report = case.extract(Some(&alone), "alone", Options::default());
     let why = report.depth.unwrap().not_matched.unwrap();
     assert!(
-        why.contains("STANDALONE") && why.contains("--free-running"),
+        why.contains("STANDALONE") && why.contains("--external-sync sub"),
         "{why}"
-    );
-    let options = Options {
-        free_running: true,
-        ..Options::default()
-    };
-    let report = case.extract(Some(&alone), "still_alone", options);
-    let why = report.depth.unwrap().not_matched.unwrap();
-    assert!(why.contains("no samples of the camera's IMU"), "{why}");
-}
-
-#[test]
-fn a_camera_on_its_own_is_timed_by_its_own_clock() {
-    let folder = tempfile::tempdir().unwrap();
-    let recording = folder.path().join("recording");
-    std::fs::create_dir(&recording).unwrap();
-    let truth = make(
-        &recording,
-        &Synthetic {
-            seed: 6,
-            seconds: 40,
-            drop_probability: 0.0,
-            camera_imu: true,
-            ..Synthetic::default()
-        },
-    );
-    let case = Case { folder };
-    let options = Options {
-        free_running: true,
-        ..Options::default()
-    };
-    let report = case.extract(None, "out", options);
-    said(&report, "its own clock");
-    let errors: Vec<i64> = case
-        .depth_times("out")
-        .iter()
-        .zip(&truth.depth)
-        .map(|(found, truth)| found - truth.center_ns)
-        .collect();
-    // The camera's low-pass of 2 ms, which nobody knows of, is in all of them alike.
-    let mean = errors.iter().sum::<i64>() / errors.len() as i64;
-    assert!((mean.abs() - 2_000_000).abs() < 200_000, "{mean}");
-    assert!(
-        errors.iter().all(|error| (error - mean).abs() < 100_000),
-        "{mean}"
     );
 }
 

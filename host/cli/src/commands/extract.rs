@@ -15,7 +15,6 @@ use extract::options::Options;
 use extract::output_dir::OutputDirError;
 use extract::run::{Job, run as extract};
 use phone::video_files::FilesError;
-use recording::SESSION_FILE;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use report::REPORT_FILE;
@@ -71,8 +70,8 @@ pub(crate) struct Args {
 /// Options of `extract` that its short help leaves out.
 #[derive(Debug, clap::Args)]
 struct MoreArgs {
-    /// A rig profile whose constants go before those that the recording was made with: centre of
-    /// the depth exposure, bias, readout and gyroscope's delay of the phone
+    /// A rig profile that goes before the one that the recording was made with: constants and
+    /// geometry of the first phone and of the depth camera
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     profile: Option<PathBuf>,
     /// The topic of the depth images in a bag, if it has several
@@ -84,27 +83,9 @@ struct MoreArgs {
     /// Write infrared images too
     #[arg(long, hide_short_help = true)]
     infrared: bool,
-    /// Time depth frames by the camera's own clock (a camera that did not follow the trigger)
-    #[arg(long, hide_short_help = true, conflicts_with = "first_pulse")]
-    free_running: bool,
     /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
     #[arg(long, value_name = "N", hide_short_help = true)]
     first_pulse: Option<usize>,
-}
-
-/// The constants of a profile in place of a recording's.
-fn constants(profile: &Profile, has_session: bool) -> Options {
-    let nanos = |us: f64| Some((us * 1e3).round() as i64);
-    let (phone, depth) = (&profile.phone, &profile.depth);
-    Options {
-        // What the app has reported is the exposure; a recording without a session has none.
-        exposure_ns: nanos(phone.exposure_us).filter(|_| !has_session),
-        readout_ns: nanos(2.0 * phone.middle_row_us()),
-        depth_center_ns: nanos(depth.center_offset_us + profile.frame_sync.bias_us),
-        phone_imu_delay_ns: nanos(phone.gyro_delay_us),
-        camera_exposure_ns: depth.color_exposure_us.and_then(nanos),
-        ..Options::default()
-    }
 }
 
 /// Runs the command.
@@ -137,13 +118,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         );
     }
     let more = &args.more;
-    let has_session = recordings::folder_of(&recording)
-        .join(SESSION_FILE)
-        .exists();
-    let given = match &more.profile {
-        Some(path) => constants(&Profile::load(path)?, has_session),
-        None => Options::default(),
-    };
+    let profile = more.profile.as_deref().map(Profile::load).transpose()?;
     let job = Job {
         recording,
         phone: unnamed.pop(),
@@ -156,9 +131,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             all_pairs: more.all_pairs,
             infrared: more.infrared,
             view: args.register,
-            free_running: more.free_running,
+            profile,
             phones,
-            ..given
         },
         overwrite: args.overwrite,
     };
@@ -236,9 +210,9 @@ impl From<ExtractError> for Failure {
                 ExitStatus::Storage,
                 "check that the file is a recording and that it was copied in full",
             ),
-            ExtractError::Write { .. } | ExtractError::Images(_) => (
+            ExtractError::Write { .. } | ExtractError::Depth(_) | ExtractError::Video(_) => (
                 ExitStatus::Storage,
-                "make room or check the rights, and run it again: it goes on where it stopped",
+                "make room or check the rights, and run it again: it keeps what is there",
             ),
             ExtractError::Cancelled => (
                 ExitStatus::Interrupted,

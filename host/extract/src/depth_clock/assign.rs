@@ -23,8 +23,6 @@ pub(crate) enum FrameState {
     AfterLastPulse,
     /// It lies between pulses, or where a pulse is missing in the recording.
     OffPulse,
-    /// The camera ran on its own clock, which times it.
-    FreeRunning,
     /// Frames and pulses were not matched: it has no board time.
     NotMatched,
 }
@@ -38,17 +36,6 @@ pub(crate) struct Assignment {
     pub(crate) pulse: Option<usize>,
     /// Frame − pulse on the fitted clock, in ns.
     pub(crate) residual: i64,
-}
-
-impl Assignment {
-    /// Of a frame that no pulse has made.
-    pub(crate) const fn without_pulse(state: FrameState) -> Self {
-        Self {
-            state,
-            pulse: None,
-            residual: 0,
-        }
-    }
 }
 
 pub(super) fn assign(

@@ -31,7 +31,7 @@ pub(crate) mod pattern;
 
 pub(crate) use assign::{Assignment, FrameState};
 
-use crate::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap};
+use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// Fewest frames and pulses that are matched.
 pub(crate) const MIN_FRAMES: usize = 10;
@@ -51,12 +51,14 @@ pub(crate) struct PulseTime {
 }
 
 /// Something that tells shifts by whole periods apart.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Hint {
     /// A relation of the clocks found by other means.
     Clock {
         /// Device time to board time.
-        map: AffineMap<DeviceNanos, BoardNanos>,
+        map: PiecewiseMap<DeviceNanos, BoardNanos>,
+        /// Where it is known best.
+        around: DeviceNanos,
         /// Its standard deviation in ns, with all constant errors.
         sigma: f64,
         /// From pulse to centre of exposure, in ns.
@@ -99,25 +101,6 @@ pub(crate) struct DepthMatch {
     pub(crate) residual: f64,
     /// Device time to *pulse* time (add the edge-to-centre time), in pieces.
     pub(crate) clock: PiecewiseMap<DeviceNanos, BoardNanos>,
-}
-
-impl DepthMatch {
-    /// So many frames, all of this state, that have no pulse: a clock alone times them.
-    pub(crate) fn by_clock(
-        frames: usize,
-        state: FrameState,
-        clock: PiecewiseMap<DeviceNanos, BoardNanos>,
-    ) -> Self {
-        Self {
-            frames: vec![Assignment::without_pulse(state); frames],
-            missing: Vec::new(),
-            decision: Decision::Hint { left: 0 },
-            rate_error: 0.0,
-            rate_sigma: 0.0,
-            residual: 0.0,
-            clock,
-        }
-    }
 }
 
 /// Why frames and pulses were not matched.
@@ -164,20 +147,12 @@ pub(crate) enum MatchError {
     /// The camera was not told to follow the trigger.
     #[error(
         "the depth camera was recorded as {sync} (its file's K4A_WIRED_SYNC_MODE; expected SUBORDINATE): \
-         no pulse made its frames; record with `--external-sync sub`, or give --free-running to have \
-         them timed by the camera's own clock"
+         no pulse made its frames, and nothing else times them; check the sync cable and record with \
+         `--external-sync sub`"
     )]
     OtherSync {
         /// The sync mode.
         sync: String,
-    },
-    /// A camera that runs on its own clock, whose relation to the board's is not known.
-    #[error(
-        "frames of a camera that runs free are timed through its gyroscope, and that is not possible: {why}"
-    )]
-    NoGyro {
-        /// What is missing.
-        why: String,
     },
     /// Pattern and hint contradict each other.
     #[error(
@@ -270,10 +245,16 @@ fn decide(
             grid.shift_of_pulse(index).map(|shift| (shift, "the user"))
         }
         // A hint that is coarser than a sixth of a period tells nothing reliably.
-        Some(Hint::Clock { map, sigma, center }) if sigma < grid.period / 6.0 => grid
-            .shift_by_clock(&map, center)
-            .map(|shift| (shift, "the camera's gyroscope")),
-        Some(Hint::Clock { .. }) => None,
+        Some(Hint::Clock { sigma, .. }) if sigma >= grid.period / 6.0 => None,
+        Some(Hint::Clock {
+            map,
+            around,
+            center,
+            ..
+        }) => {
+            let shift = grid.shift_by_clock(&map, around, center);
+            shift.map(|shift| (shift, "the camera's gyroscope"))
+        }
     };
     let unique = found.left.len() == 1;
     match hinted {

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 
 use super::fit::{self, Smooth, median};
 use super::{DEVICE_TICK_NS, MIN_FRAMES, MatchError, PulseTime};
-use crate::time::{AffineMap, BoardNanos, DeviceNanos};
+use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// χ² by which every other shift must fit worse.
 const DECISIVE: f64 = 30.0;
@@ -258,13 +258,14 @@ impl Grid {
     }
 
     /// The shift that a clock relation means: the median over the frames nearest to
-    /// where it is anchored, as it is known best there.
+    /// where it is known best.
     pub(super) fn shift_by_clock(
         &self,
-        map: &AffineMap<DeviceNanos, BoardNanos>,
+        map: &PiecewiseMap<DeviceNanos, BoardNanos>,
+        around: DeviceNanos,
         center: i64,
     ) -> Option<i64> {
-        let at = distance(map.anchor().0, self.device_zero.0);
+        let at = distance(around.0, self.device_zero.0);
         let anchor = self.frames.partition_point(|frame| frame.1 < at);
         let start = anchor
             .saturating_sub(AT_ANCHOR / 2)
@@ -272,7 +273,7 @@ impl Grid {
         let near = self.frames.iter().skip(start).take(AT_ANCHOR);
         let shifts = near.filter_map(|&(ordinal, time)| {
             let device = DeviceNanos(self.device_zero.0.saturating_add(time as i64));
-            let board = map.apply(device).0.saturating_sub(center);
+            let board = map.apply(device)?.0.saturating_sub(center);
             let (pulse, behind) = self.nearest_pulse(distance(board, self.board_zero.0));
             let is_near = behind.abs() < self.period * 0.5;
             is_near.then(|| (self.ordinals[pulse] - ordinal) as f64)

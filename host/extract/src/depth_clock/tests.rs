@@ -216,13 +216,20 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
     // A clock known to 3 ms, with the rate 5 ppm off; the centre of exposure
     // lies 6.3625 ms after the pulse.
     let center = 6_362_500;
-    let map = AffineMap::new(
-        stamp(&pulses[1_000]),
-        BoardNanos(pulses[1_000].at.0 + center + 3_000_000),
-        1.0 / (1.0 + 305e-6) - 1.0,
-    )
-    .unwrap();
-    let clock = |sigma| Hint::Clock { map, sigma, center };
+    let around = stamp(&pulses[1_000]);
+    let board = pulses[1_000].at.0 + center + 3_000_000;
+    let clock = |sigma| Hint::Clock {
+        map: PiecewiseMap::from_knots([
+            (around, BoardNanos(board)),
+            (
+                DeviceNanos(around.0 + 1_000_305_000),
+                BoardNanos(board + 1_000_000_000),
+            ),
+        ]),
+        around,
+        sigma,
+        center,
+    };
     check(
         &match_frames(&frames, &pulses, Some(clock(3e6))).unwrap(),
         &truth,

@@ -2,14 +2,12 @@
 
 use super::geometry_part::DepthView;
 use super::{Extraction, rate_of};
-use crate::constants::{CenterSource, Constants};
+use crate::constants::Constants;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
 use crate::error::ExtractError;
-use crate::image_tables::{
-    CameraPaths, DepthImageView, DepthOutcome, DepthPaths, ImagesError, write_depth,
-};
+use crate::image_tables::{CameraPaths, DepthImageView, DepthOutcome, DepthPaths, write_depth};
 use crate::layout::{DataSetInfo, ImageKind, calibration_path, number};
 use crate::report::DepthReport;
 use crate::ros2_depth::Ros2Bag;
@@ -104,7 +102,7 @@ impl Extraction<'_> {
         }))
     }
 
-    /// Depth frames and their pulses, or their times on the camera's own clock.
+    /// Depth frames and their pulses.
     fn match_depth(
         &self,
         input: &DepthInput,
@@ -119,9 +117,6 @@ impl Extraction<'_> {
             survey,
             constants,
         };
-        if self.job.options.free_running {
-            return matching.free_running();
-        }
         if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
             let sync = sync.chars().take(32).collect();
             let error = MatchError::OtherSync { sync };
@@ -148,24 +143,18 @@ impl Extraction<'_> {
                 ),
             );
         }
-        let exposure = self.color_exposure_ns();
+        let exposure = self.inputs.color_exposure_ns;
         let path = self.output.out.join("camera_frames.csv");
         tables::write_camera(&path, frames, exposure).map_err(|error| self.failed(error))
     }
 
-    fn color_exposure_ns(&self) -> Option<i64> {
-        let given = self.job.options.camera_exposure_ns;
-        given.or(self.inputs.color_exposure_ns)
-    }
-
-    /// From the pulse to the centre of exposure. What the user gives is the whole of it.
-    /// Else it is the profile's, or the nominal one of the mode, made to fit to what the
-    /// file says: its mode, its delays, and a colour camera that exposes longer.
+    /// From the pulse to the centre of exposure: the profile's, or the nominal one of the mode,
+    /// made to fit to what the file says: its mode, its delays, and a colour camera that exposes
+    /// longer.
     fn set_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        match constants.center_source {
-            CenterSource::Given => return,
-            CenterSource::Session => self.compare_mode(index, constants),
-            CenterSource::Unknown => self.nominal_center(index, constants),
+        match constants.is_center_known {
+            true => self.compare_mode(index, constants),
+            false => self.nominal_center(index, constants),
         }
         // Without colour the recorder's library refuses a delay of depth behind it.
         let behind_color = index.depth_delay * i64::from(index.color.is_some());
@@ -191,7 +180,7 @@ impl Extraction<'_> {
     /// the train of infrared pulses makes depth later by half of the difference.
     fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let half_train = index.mode.as_deref().and_then(|mode| self.nominal(mode));
-        let (Some(exposure), Some(half_train)) = (self.color_exposure_ns(), half_train) else {
+        let (Some(exposure), Some(half_train)) = (self.inputs.color_exposure_ns, half_train) else {
             self.remarks.push(String::from(
                 "the depth camera recorded colour too: it exposes depth later by half of what the colour \
                  exposure is longer than the train of infrared pulses (12.725 ms; WFOV_UNBINNED 20.245 ms). \
@@ -312,29 +301,16 @@ impl Extraction<'_> {
             depth: frames.iter().map(paths_of).collect(),
             color: depth.color.iter().map(color_path).collect(),
         };
-        let outcome = match self.output.done::<DepthOutcome>("depth") {
-            Some(outcome) => outcome,
-            None => {
-                let view = DepthImageView {
-                    size: depth.index.size,
-                    registration,
-                };
-                let written = write_depth(&input, &paths, view, layout);
-                match written {
-                    Ok(outcome) => {
-                        self.output
-                            .keep("depth", &outcome)
-                            .map_err(|error| self.failed(error))?;
-                        outcome
-                    }
-                    Err(ImagesError::Depth(error)) => {
-                        self.lose("depth", error.to_string());
-                        self.unfinished = true;
-                        return Ok(None);
-                    }
-                    Err(error) => return Err(error.into()),
-                }
+        let view = DepthImageView {
+            size: depth.index.size,
+            registration,
+        };
+        let outcome = match write_depth(&input, &paths, view, layout) {
+            Err(ExtractError::Depth(error)) => {
+                self.lose("depth", error.to_string());
+                return Ok(None);
             }
+            written => written?,
         };
         // As the trigger starts, a camera takes up its phase in frames without depth.
         let recorded = self.inputs.recorded;

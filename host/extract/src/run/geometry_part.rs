@@ -40,9 +40,8 @@ impl Extraction<'_> {
             .ok()
             .zip(color_from_imu)
             .map(|(calibration, color)| calibration.color_from_depth.inverse().after(&color));
-        let readout = self.job.options.readout_ns;
         let mut cameras = Cameras {
-            phone: phone.camera(video, readout),
+            phone: phone.camera(video),
             ..Cameras::default()
         };
         if let Ok(calibration) = &calibration {

@@ -80,8 +80,6 @@ struct Extraction<'a> {
     output: OutputDir,
     losses: Vec<Loss>,
     remarks: Vec<String>,
-    /// Images are missing that the next run may write.
-    unfinished: bool,
 }
 
 /// Extracts.
@@ -113,7 +111,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
     let pairs = run.aligned_pairs(find_pairs(color, depth_frames, &survey), color, &input);
     let sigma = run.sigma_of_pairs(phone.as_ref(), &input);
-    let shutter = input.camera(None, job.options.readout_ns).shutter;
+    let shutter = input.camera(None).shutter;
     run.write_tables(&survey, (color, shutter), depth_frames, (&pairs, &sigma))?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
@@ -220,7 +218,6 @@ impl<'a> Extraction<'a> {
             inputs,
             output,
             losses: Vec::new(),
-            unfinished: false,
         })
     }
 }
@@ -288,8 +285,8 @@ impl Extraction<'_> {
 
     /// Takes what is known of the published system's settings, if the recording is its bag.
     fn note_published(&mut self, survey: &Survey) {
-        let constants = &mut self.inputs.phone.constants;
-        if survey.published && constants.take_published(&self.job.options) {
+        if survey.published {
+            self.inputs.phone.constants.board_imu_delay_ns = constants::PUBLISHED_DELAY_NS;
             self.remarks.push(String::from(
                 "a bag of the published system says nothing about its settings: the IMU's low-pass \
                  delay is taken as 1.9 ms, its register setting; exposure and readout of the phone are \
@@ -302,16 +299,10 @@ impl Extraction<'_> {
         for damage in &survey.damage {
             self.lose("board", damage.clone());
         }
-        for (train, first, count) in survey.missing_pulses().take(LISTED_GAPS) {
-            let last = first + count - 1;
-            self.lose(
-                "board",
-                format!("pulses {first} to {last} of train {train} are not in the recording"),
-            );
-        }
-        let more = survey.missing_pulses().skip(LISTED_GAPS).count();
-        if more > 0 {
-            self.lose("board", format!("and {more} further gaps between pulses"));
+        let missing: u64 = survey.missing_pulses().map(|(_, _, count)| count).sum();
+        if missing > 0 {
+            let what = format!("{missing} pulses are not in the recording; report.json names them");
+            self.lose("board", what);
         }
         if survey.pulses.is_empty() {
             self.lose("board", "there are no trigger pulses");
@@ -373,7 +364,6 @@ impl Extraction<'_> {
                 true => phone.constants.constant_part,
                 false => ErrorPart::Clocks,
             }),
-            histogram: pairs::histogram(pairs)?,
             central: pairs::histogram(&central)?,
             course: central.iter().step_by(step).filter_map(place).collect(),
         })

@@ -33,7 +33,7 @@ impl Extraction<'_> {
         let pairs = self.aligned_pairs(find_pairs(color, depth, survey), color, input);
         let sigma = self.sigma_of_pairs(phone.as_ref(), input);
         let folder = self.output.out.join(&input.folder);
-        let known = input.camera(None, None);
+        let known = input.camera(None);
         tables::write_phone(&folder, (color, known.shutter), (&pairs, &sigma), depth)
             .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
@@ -46,7 +46,7 @@ impl Extraction<'_> {
                 color_size: size,
                 constants,
                 cameras: Cameras {
-                    phone: input.camera(size, None),
+                    phone: input.camera(size),
                     ..Cameras::default()
                 },
                 ..DataSetInfo::default()
