@@ -27,9 +27,6 @@ const CAMERA_SIGMA: f64 = 2.5e6;
 /// 1-sigma of the published system's recorded offset, ns: set by hand to a few
 /// milliseconds.
 const RECORDED_SIGMA: f64 = 3e6;
-/// Of the windows of the camera's gyroscope, each this many is used: the relation
-/// is needed to milliseconds only.
-const EVERY: usize = 3;
 
 /// Frames with their pulses.
 #[derive(Clone, Debug, PartialEq)]
@@ -148,7 +145,6 @@ impl Matching<'_> {
                 ..Options::of_windows()
             },
             prior: None,
-            every: EVERY,
         };
         // Without a relation the pulses stay ambiguous, which is what is said.
         let course = match related(self.board, span, &camera) {

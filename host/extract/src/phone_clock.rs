@@ -82,7 +82,6 @@ pub(crate) fn find(
                     ..Options::of_windows()
                 },
                 prior,
-                every: 1,
             };
             related(board, span, &phone)
         }

@@ -45,8 +45,6 @@ pub(crate) struct OtherGyro<'a> {
     pub(crate) open: GyroOpener<'a, StreamError>,
     pub(crate) options: Options,
     pub(crate) prior: Option<Prior>,
-    /// Each window of so many is used.
-    pub(crate) every: usize,
 }
 
 /// Goes over all that the board recorded, and returns what could not be read.
@@ -109,7 +107,7 @@ pub(crate) fn related<'a>(
 ) -> Result<RecordingClock, ExtractError> {
     let open_board = || self::board(board, span);
     let (prior, options) = (other.prior, &other.options);
-    let related = estimate_course(&open_board, other.open, prior, options, other.every);
+    let related = estimate_course(&open_board, other.open, prior, options);
     related.map_err(|error| match error {
         RecordingError::Read(StreamError::Board(error)) => ExtractError::Board(error),
         error => ExtractError::Missing(error.to_string()),

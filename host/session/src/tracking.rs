@@ -159,7 +159,7 @@ pub(crate) fn start(
         },
         phone_clock,
         phone: phone.to_owned(),
-        tracker: Tracker::new(),
+        tracker: Tracker::default(),
         asking: Asking::default(),
         known: None,
         temperature: None,

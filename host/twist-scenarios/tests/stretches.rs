@@ -62,15 +62,18 @@ fn holding_late_and_letting_go_are_named_with_their_times() {
 
 #[test]
 fn slips_of_rotation_and_steps_of_time_are_told_apart() {
-    let mut errors = Vec::new();
     for seed in 0..10 {
         let slip = twist(Grip::Slip(6.0, 6.0), 1000 * seed + 37);
-        let found = left_out(&right(&slip), |why| matches!(why, Why::Slipped { .. }));
-        let Why::Slipped { by, sigma } = found[0].why else {
-            unreachable!()
-        };
-        assert!((by.to_degrees() - 6.0).abs() < 1.0, "{}", by.to_degrees());
-        errors.push((by - 6.0_f64.to_radians()) / sigma);
+        let found = right(&slip).report.left_out;
+        let longest =
+            |x: &&LeftOut, y: &&LeftOut| (x.to_s - x.from_s).total_cmp(&(y.to_s - y.from_s));
+        assert!(
+            found
+                .iter()
+                .max_by(longest)
+                .is_some_and(|l| is_apart(&l.why)),
+            "{found:?}"
+        );
 
         let mut step = twist(Grip::Firm, 1000 * seed + 41);
         let n = step.b.len();
@@ -81,9 +84,6 @@ fn slips_of_rotation_and_steps_of_time_are_told_apart() {
         };
         assert!((by_s - 0.03).abs() < 0.5e-3, "{by_s}");
     }
-    // Ten errors over their sigmas: the rms scatters by 22 %.
-    let rms = (errors.iter().map(|z| z * z).sum::<f64>() / errors.len() as f64).sqrt();
-    assert!((0.5..1.6).contains(&rms), "{rms}: {errors:?}");
 }
 
 #[test]

@@ -8,10 +8,10 @@
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::PyBytes;
 use twist_sync::{
-    ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, RecordingClock, Report, Wander,
-    Why, course_of_tracks, estimate_offset,
+    ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, RecordingClock, Refusal,
+    Report, Wander, Why, course_of_tracks, estimate_offset,
 };
 
 /// Times (f64 seconds, or i64 nanoseconds), rates of three axes (f64), whether the times are
@@ -76,17 +76,33 @@ impl Settings {
     }
 }
 
-type Dict<'py> = Bound<'py, PyDict>;
+// What goes out, in the order of the fields of the class in Python.
+type ClockOut = (f64, f64, f64, [[f64; 2]; 2]);
+type FaultOut = (
+    String,
+    String,
+    usize,
+    Option<f64>,
+    Option<f64>,
+    String,
+    Vec<usize>,
+);
+type LeftOutOut = (f64, f64, &'static str, String);
+type GateOut = (&'static str, bool, f64, f64, &'static str, String);
+type ReportOut = (
+    Option<f64>,
+    Option<f64>,
+    Option<f64>,
+    Vec<(f64, f64)>,
+    Vec<FaultOut>,
+    Vec<LeftOutOut>,
+    Vec<GateOut>,
+    Vec<String>,
+);
 
-fn clock_out<'py>(py: Python<'py>, clock: &ClockRelation) -> PyResult<Dict<'py>> {
-    let out = PyDict::new(py);
-    out.set_item("reference", clock.reference)?;
-    out.set_item("offset", clock.offset)?;
-    out.set_item("skew", clock.skew)?;
-    out.set_item("covariance", clock.covariance)?;
-    Ok(out)
+fn clock_out(clock: &ClockRelation) -> ClockOut {
+    (clock.reference, clock.offset, clock.skew, clock.covariance)
 }
-
 /// `CopiedSample` as `copied_sample`.
 fn snake(name: impl std::fmt::Debug) -> String {
     let mut out = String::new();
@@ -99,84 +115,70 @@ fn snake(name: impl std::fmt::Debug) -> String {
     out
 }
 
-fn fault_out<'py>(py: Python<'py>, fault: &Fault) -> PyResult<Dict<'py>> {
-    let out = PyDict::new(py);
-    out.set_item("stream", snake(fault.stream))?;
-    out.set_item("kind", snake(fault.kind))?;
-    out.set_item("count", fault.count)?;
-    out.set_item("period", fault.period)?;
-    out.set_item("displacement", fault.displacement_s)?;
-    out.set_item("action", snake(fault.action))?;
-    out.set_item("samples", &fault.samples)?;
-    Ok(out)
+fn fault_out(fault: &Fault) -> FaultOut {
+    (
+        snake(fault.stream),
+        snake(fault.kind),
+        fault.count,
+        fault.period,
+        fault.displacement_s,
+        snake(fault.action),
+        fault.samples.clone(),
+    )
 }
 
-fn left_out_out<'py>(py: Python<'py>, left_out: &LeftOut) -> PyResult<Dict<'py>> {
-    let out = PyDict::new(py);
+fn left_out_out(left_out: &LeftOut) -> LeftOutOut {
     let why = match left_out.why {
         Why::Apart => "apart",
-        Why::Slipped { .. } => "slipped",
         Why::TimeStep(_) => "time_step",
     };
-    out.set_item("start", left_out.from_s)?;
-    out.set_item("end", left_out.to_s)?;
-    out.set_item("why", why)?;
-    out.set_item("text", left_out.to_string())?;
-    Ok(out)
+    (left_out.from_s, left_out.to_s, why, left_out.to_string())
 }
 
-fn gate_out<'py>(py: Python<'py>, gate: &Gate) -> PyResult<Dict<'py>> {
-    let out = PyDict::new(py);
-    out.set_item("name", gate.name)?;
-    out.set_item("passed", gate.passed)?;
-    out.set_item("value", gate.value)?;
-    out.set_item("limit", gate.limit)?;
-    out.set_item("unit", gate.unit)?;
-    out.set_item("text", gate.to_string())?;
-    Ok(out)
+fn gate_out(gate: &Gate) -> GateOut {
+    let text = gate.to_string();
+    (
+        gate.name,
+        gate.passed,
+        gate.value,
+        gate.limit,
+        gate.unit,
+        text,
+    )
 }
 
-fn report_out<'py>(py: Python<'py>, report: &Report) -> PyResult<Dict<'py>> {
-    let faults = report.faults.iter().map(|fault| fault_out(py, fault));
-    let left_out = report.left_out.iter().map(|part| left_out_out(py, part));
-    let gates = report.gates.iter().map(|gate| gate_out(py, gate));
-    let warnings: Vec<String> = report.warnings.iter().map(ToString::to_string).collect();
-    let out = PyDict::new(py);
-    out.set_item("residual_rms", report.residual_rms)?;
-    out.set_item("motion_rms", report.motion_rms)?;
-    out.set_item("overlap", report.overlap_s)?;
-    out.set_item("together", &report.together)?;
-    out.set_item("faults", faults.collect::<PyResult<Vec<_>>>()?)?;
-    out.set_item("left_out", left_out.collect::<PyResult<Vec<_>>>()?)?;
-    out.set_item("gates", gates.collect::<PyResult<Vec<_>>>()?)?;
-    out.set_item("warnings", warnings)?;
-    Ok(out)
+fn report_out(report: &Report) -> ReportOut {
+    (
+        report.residual_rms,
+        report.motion_rms,
+        report.overlap_s,
+        report.together.clone(),
+        report.faults.iter().map(fault_out).collect(),
+        report.left_out.iter().map(left_out_out).collect(),
+        report.gates.iter().map(gate_out).collect(),
+        report.warnings.iter().map(ToString::to_string).collect(),
+    )
 }
 
 /// Clock, calibration and bias; none of them if it was refused.
-type Found<'py> = Option<(Dict<'py>, [[f64; 3]; 3], [f64; 3])>;
+type Found = Option<(ClockOut, [[f64; 3]; 3], [f64; 3])>;
 
 /// What was found, the reasons of a refusal, and the report.
 #[pyfunction]
-fn estimate<'py>(
-    py: Python<'py>,
+fn estimate(
+    py: Python<'_>,
     a: Stream<'_>,
     b: Stream<'_>,
     settings: Settings,
-) -> PyResult<(Found<'py>, String, Dict<'py>)> {
+) -> PyResult<(Found, String, ReportOut)> {
     let (a, b) = (track(a)?, track(b)?);
     let options = settings.over(Options::default())?;
     Ok(match py.detach(|| estimate_offset(&a, &b, &options)) {
-        Ok(e) => (
-            Some((clock_out(py, &e.clock)?, e.calibration, e.bias)),
-            String::new(),
-            report_out(py, &e.report)?,
-        ),
-        Err(refusal) => (
-            None,
-            refusal.report.failures(),
-            report_out(py, &refusal.report)?,
-        ),
+        Ok(e) => {
+            let found = (clock_out(&e.clock), e.calibration, e.bias);
+            (Some(found), String::new(), report_out(&e.report))
+        }
+        Err(Refusal { report }) => (None, report.failures(), report_out(&report)),
     })
 }
 
@@ -211,55 +213,42 @@ impl Course {
         PyBytes::new(py, &out)
     }
 
-    /// Steps of one clock against the other: from, to, by and its 1-sigma.
-    fn steps(&self) -> Vec<(f64, f64, f64, f64)> {
-        let steps = self.0.course.steps.iter();
-        steps
-            .map(|step| (step.from_s, step.to_s, step.by.value, step.by.sigma))
-            .collect()
-    }
-
-    fn unsupported(&self) -> Vec<(f64, f64)> {
-        let stretches = self.0.course.unsupported.iter();
-        stretches.map(|own| (own.from_s, own.to_s)).collect()
-    }
-
-    /// Gates that refused windows, with the number of windows.
-    fn refusals<'py>(&self, py: Python<'py>) -> PyResult<Vec<(Dict<'py>, usize)>> {
+    /// All else, in the order of the class in Python.
+    fn told(&self) -> Told {
+        let Self(RecordingClock { course, .. }) = self;
+        let steps = course.steps.iter();
+        let unsupported = course.unsupported.iter();
         let refused = self.0.refused.iter();
-        refused
-            .map(|windows| Ok((gate_out(py, &windows.gate)?, windows.count)))
-            .collect()
-    }
-
-    fn warnings(&self) -> Vec<(String, usize)> {
         let warnings = self.0.warnings.iter();
-        warnings
-            .map(|(warning, count)| (warning.to_string(), *count))
-            .collect()
-    }
-
-    fn span(&self) -> (f64, f64) {
-        self.0.course.span()
-    }
-
-    fn windows(&self) -> usize {
-        self.0.windows
-    }
-
-    fn used(&self) -> usize {
-        self.0.course.used
-    }
-
-    fn contradicting(&self) -> usize {
-        self.0.course.contradicting
-    }
-
-    fn estimates<'py>(&self, py: Python<'py>) -> PyResult<Vec<Dict<'py>>> {
-        let estimates = self.0.estimates.iter();
-        estimates.map(|clock| clock_out(py, clock)).collect()
+        (
+            self.0.estimates.iter().map(clock_out).collect(),
+            (self.0.windows, course.used, course.contradicting),
+            refused
+                .map(|own| (gate_out(&own.gate), own.count))
+                .collect(),
+            steps
+                .map(|step| (step.from_s, step.to_s, step.by.value, step.by.sigma))
+                .collect(),
+            unsupported.map(|own| (own.from_s, own.to_s)).collect(),
+            warnings
+                .map(|(own, count)| (own.to_string(), *count))
+                .collect(),
+            course.span(),
+        )
     }
 }
+
+/// Estimates; numbers of windows, of those used and of those that contradict; refusals; steps;
+/// stretches that are not supported; warnings; first and last time.
+type Told = (
+    Vec<ClockOut>,
+    (usize, usize, usize),
+    Vec<(GateOut, usize)>,
+    Vec<(f64, f64, f64, f64)>,
+    Vec<(f64, f64)>,
+    Vec<(String, usize)>,
+    (f64, f64),
+);
 
 /// The course, or the reason why there is none.
 #[pyfunction]

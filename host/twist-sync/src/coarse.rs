@@ -9,8 +9,6 @@
 //! divided by the energies in the overlap favours short overlaps. Peaks of both
 //! are returned; the fit decides between them.
 
-use rustfft::num_complex::Complex;
-
 use crate::correlate::{Correlator, Spectrum};
 use crate::interpolant::Vec3;
 
@@ -137,33 +135,19 @@ pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Ve
 /// with `y[i + l]`.
 fn scores(x: &[Vec3], y: &[Vec3], min_bins: i64) -> ([Vec<f64>; 2], i64) {
     let correlator = Correlator::new(x.len() + y.len());
-    let both = |axis: usize| {
-        let at = move |values: &[Vec3], k: usize| values.get(k).map_or(0.0, |v| v[axis]);
-        let values = (0..x.len().max(y.len())).map(move |k| Complex::new(at(x, k), at(y, k)));
-        correlator.spectra(values)
+    let spectra = |values: &[Vec3]| -> [Spectrum; 3] {
+        std::array::from_fn(|axis| correlator.spectrum(values.iter().map(|v| v[axis])))
     };
-    let spectra = [both(0), both(1), both(2)];
-    // Elements of the matrix by rows, two by two; the last one alone.
-    let pair = |element: usize| {
-        let [[of_x, _], [_, of_y]] = [element % 3, element / 3].map(|axis| &spectra[axis]);
-        (of_x, of_y)
-    };
-    let correlation: Vec<Spectrum> = (0..9)
-        .step_by(2)
-        .map(|k| correlator.correlations([pair(k), pair((k + 1).min(8))]))
-        .collect();
+    let (of_x, of_y) = (spectra(x), spectra(y));
+    let matrix = of_y.map(|y| of_x.each_ref().map(|x| correlator.correlation(x, &y)));
     let (energy_x, energy_y) = (energies(x), energies(y));
     let least = 0.05 * energy_x[x.len()].min(energy_y[y.len()]);
     let first_lag = min_bins - x.len() as i64;
     let (mut norms, mut normalised) = (Vec::new(), Vec::new());
     for lag in first_lag..=(y.len() as i64 - min_bins) {
         let at = correlator.place(lag);
-        let element = |k: usize| match k % 2 {
-            0 => correlation[k / 2][at].re,
-            _ => correlation[k / 2][at].im,
-        };
-        let m = [0, 3, 6].map(|row| [element(row), element(row + 1), element(row + 2)]);
-        let norm = nuclear_norm(&m);
+        let m = matrix.each_ref();
+        let norm = nuclear_norm(&m.map(|row| row.each_ref().map(|element| element[at])));
         let from = (-lag).max(0);
         let to = (x.len() as i64).min(y.len() as i64 - lag).max(0);
         let ex = energy_x[to as usize] - energy_x[from as usize];

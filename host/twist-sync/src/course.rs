@@ -326,15 +326,6 @@ impl ClockCourse {
         relation
     }
 
-    /// The segments between the steps: the relation in the middle of each, with first and last
-    /// time of clock a with data.
-    pub fn segments(&self) -> impl Iterator<Item = (f64, f64, ClockRelation)> {
-        self.segments.iter().map(|segment| {
-            let (from, to) = (segment.first().reference, segment.last().reference);
-            (from, to, segment.at(0.5 * (from + to)))
-        })
-    }
-
     /// The same course where all times of clock a are later by `a_s` and offsets larger by
     /// `between_s`.
     pub(crate) fn moved(mut self, a_s: f64, between_s: f64) -> Self {

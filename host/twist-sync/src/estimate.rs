@@ -40,8 +40,6 @@ const BEYOND_DOUBT: f64 = 0.99;
 const MUCH_LATER_S: f64 = 0.3e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: f64 = 8.0;
-/// Part of the samples left out above which a warning is given.
-const MANY_LEFT_OUT: f64 = 0.05;
 /// Motion about the second axis, as a part of the power about the first, below
 /// which it is motion about one axis.
 const SECOND_AXIS: f64 = 0.01;
@@ -198,19 +196,12 @@ pub enum Warning {
         /// A step in seconds.
         resolution_s: f64,
     },
-    /// The samples of a stream lie on straight lines between slower ones.
-    Interpolated {
+    /// The samples of a stream are made of slower ones.
+    Made {
         /// The stream.
         stream: Stream,
-        /// Rate of the slower ones, Hz.
-        rate_hz: f64,
-    },
-    /// The samples of a stream are slower ones, each held for a while.
-    Held {
-        /// The stream.
-        stream: Stream,
-        /// Rate of the slower ones, Hz.
-        rate_hz: f64,
+        /// How.
+        made: Made,
     },
     /// An axis comes late against the other two, to which the offset belongs.
     LateAxis {
@@ -220,13 +211,6 @@ pub enum Warning {
         axis: usize,
         /// By so much.
         by: WithSigma,
-    },
-    /// Many samples of a stream were left out.
-    ManyLeftOut {
-        /// The stream.
-        stream: Stream,
-        /// Part of its samples.
-        part: f64,
     },
 }
 
@@ -251,14 +235,16 @@ impl fmt::Display for Warning {
                 "the timestamps of {stream} have steps of {} ms; half a step is part of the sigma",
                 resolution_s * 1e3
             ),
-            Self::Interpolated { stream, rate_hz } => write!(
-                f,
-                "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
-            ),
-            Self::Held { stream, rate_hz } => write!(
-                f,
-                "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
-            ),
+            Self::Made { stream, made } => match made {
+                Made::Interpolated(rate_hz) => write!(
+                    f,
+                    "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
+                ),
+                Made::Held(rate_hz) => write!(
+                    f,
+                    "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
+                ),
+            },
             Self::LateAxis { stream, axis, by } => write!(
                 f,
                 "axis {} of {stream} comes {:.0} ± {:.0} µs later than its other two, to which \
@@ -266,11 +252,6 @@ impl fmt::Display for Warning {
                 ["x", "y", "z"][*axis % 3],
                 by.value * 1e6,
                 by.sigma * 1e6
-            ),
-            Self::ManyLeftOut { stream, part } => write!(
-                f,
-                "{:.0} % of the samples of {stream} were left out; see faults",
-                part * 100.0
             ),
         }
     }
@@ -604,14 +585,7 @@ fn warnings(pair: &Pair<'_>, fit: &Fit, late_axis: Option<LateAxis>) -> Vec<Warn
                 resolution_s,
             });
         }
-        warnings.extend(checked.made.map(|made| match made {
-            Made::Interpolated(rate_hz) => Warning::Interpolated { stream, rate_hz },
-            Made::Held(rate_hz) => Warning::Held { stream, rate_hz },
-        }));
-        let part = 1.0 - checked.usable_part();
-        if part > MANY_LEFT_OUT {
-            warnings.push(Warning::ManyLeftOut { stream, part });
-        }
+        warnings.extend(checked.made.map(|made| Warning::Made { stream, made }));
     }
     warnings
 }

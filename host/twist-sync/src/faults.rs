@@ -47,10 +47,9 @@ pub enum FaultKind {
     Outlier,
     /// Timestamps far from all others.
     TimestampFar,
-    /// A stretch in which the two gyroscopes did not move as one body.
+    /// A stretch in which the two gyroscopes did not move as one body, or were turned against
+    /// each other.
     NotOneBody,
-    /// A stretch in which the one was turned against the other.
-    Slipped,
 }
 
 /// Why a stretch of both recordings is left out.
@@ -58,15 +57,8 @@ pub enum FaultKind {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum Why {
-    /// The two did not move as one body.
+    /// The two did not move as one body, or one was turned against the other.
     Apart,
-    /// One was turned against the other; the clocks are related as before.
-    Slipped {
-        /// By this angle, rad.
-        by: f64,
-        /// 1-sigma of the angle, rad.
-        sigma: f64,
-    },
     /// The clocks are related otherwise, by so many seconds (b − a); the two are fixed
     /// to each other as before.
     TimeStep(f64),
@@ -93,12 +85,6 @@ impl fmt::Display for LeftOut {
         )?;
         match self.why {
             Why::Apart => f.write_str("the two did not move as one body"),
-            Why::Slipped { by, sigma } => write!(
-                f,
-                "one was turned against the other by {:.1}° ± {:.1}°; the clocks are as before",
-                by.to_degrees(),
-                sigma.to_degrees().max(0.1) // printed to a tenth
-            ),
             Why::TimeStep(by_s) => write!(
                 f,
                 "the clocks are {:.2} ms apart from the rest",

@@ -63,7 +63,6 @@ pub(crate) fn chosen(
     if every > 1 {
         data = data.into_iter().step_by(every).collect();
     }
-    let noise_span = (settings.fit.oversampling * settings.step_s / node_s).max(1.0);
     let quick = FitOptions {
         iterations: 8,
         settled_s: 1e-6,
@@ -105,7 +104,7 @@ pub(crate) fn chosen(
     };
     let part = parts_of
         .iter()
-        .filter_map(|tried| rigid::part(model, &data, &tried.fit, &lags, quick, noise_span))
+        .filter_map(|tried| rigid::part(model, &data, &tried.fit, &lags, quick))
         .min_by(|x, y| x.evidence().total_cmp(&y.evidence()));
     let Some(part) = part else {
         report.judge(Gate::explained(best.unexplained.sqrt()))?;

@@ -48,4 +48,5 @@ pub use recording::{
     GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
     estimate_course,
 };
+pub use samples::Made;
 pub use track::{GyroSample, GyroStream, GyroTrack};

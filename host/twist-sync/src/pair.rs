@@ -92,20 +92,16 @@ impl<'a> Pair<'a> {
     /// Leaves out the stretches that the relation does not explain.
     pub(crate) fn leave_out_unexplained(&mut self, link: &Link, stretches: &[rigid::Stretch]) {
         for stretch in stretches {
-            let kind = match stretch.why {
-                Why::Apart => FaultKind::NotOneBody,
-                Why::Slipped { .. } => FaultKind::Slipped,
-                Why::TimeStep(later_s) => {
-                    self.leave_out_step(link, (stretch.from, stretch.to), -later_s);
-                    continue;
-                }
-            };
+            if let Why::TimeStep(later_s) = stretch.why {
+                self.leave_out_step(link, (stretch.from, stretch.to), -later_s);
+                continue;
+            }
             self.note(link, (stretch.from, stretch.to), stretch.why);
             let of_model = (link.model_time(stretch.from), link.model_time(stretch.to));
             let (model, data) = (&mut self.model, &mut self.data);
             for (stream, within) in [(model, of_model), (data, (stretch.from, stretch.to))] {
                 let samples = stream.usable_within(within);
-                stream.leave_out(kind, samples, None);
+                stream.leave_out(FaultKind::NotOneBody, samples, None);
             }
         }
     }

@@ -71,7 +71,7 @@ pub enum Prior {
 pub struct RecordingClock {
     /// Offset and skew over time.
     pub course: ClockCourse,
-    /// Windows of recording a that were taken.
+    /// Windows of recording a.
     pub windows: usize,
     /// The estimates that were accepted; one may be of several windows.
     pub estimates: Vec<ClockRelation>,
@@ -115,8 +115,7 @@ impl Options {
 }
 
 /// Relates the clocks over whole recordings. `options` are of each window
-/// ([`Options::of_windows`]), its `wander` also of the course; `every` takes each
-/// n-th window only (1: all).
+/// ([`Options::of_windows`]), its `wander` also of the course.
 ///
 /// # Errors
 ///
@@ -126,7 +125,6 @@ pub fn estimate_course<E: Error + Send + 'static>(
     b: GyroOpener<'_, E>,
     prior: Option<Prior>,
     options: &Options,
-    every: usize,
 ) -> Result<RecordingClock, RecordingError<E>> {
     let mut expected = match prior {
         Some(prior) => prior,
@@ -136,7 +134,6 @@ pub fn estimate_course<E: Error + Send + 'static>(
         a: a()?.peekable(),
         b: b()?.fuse(),
         b_waiting: VecDeque::new(),
-        count: 0,
         taken: 0,
     };
     let mut found = Found::default();
@@ -144,7 +141,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
         // Until the first estimate each window is judged before the next: its
         // result makes the search of all others narrow.
         let size = if found.estimates.is_empty() { 1 } else { BATCH };
-        let (batch, ended) = windows.batch(size, every, &expected)?;
+        let (batch, ended) = windows.batch(size, &expected)?;
         let results = estimated(&batch, options);
         for (window, result) in batch.into_iter().zip(results) {
             found.take(window, result, options);
@@ -160,7 +157,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
     found.clock(windows.taken, options)
 }
 
-/// [`estimate_course`] of recordings in memory, each window taken. Times are taken to the
+/// [`estimate_course`] of recordings in memory. Times are taken to the
 /// nanosecond, samples whose time is no later than that of the one before are left out.
 ///
 /// # Errors
@@ -179,7 +176,7 @@ pub fn course_of_tracks(
         Prior::Relation(relation) => Prior::Relation(relation.moved(-a.epoch_s, -between)),
     });
     let (a_opened, b_opened) = (|| Ok(a.stream()), || Ok(b.stream()));
-    let mut clock = estimate_course(&a_opened, &b_opened, prior, options, 1)?;
+    let mut clock = estimate_course(&a_opened, &b_opened, prior, options)?;
     for estimate in &mut clock.estimates {
         *estimate = estimate.moved(a.epoch_s, between);
     }
@@ -443,36 +440,26 @@ struct Windows<'a, E> {
     /// Samples of b that a window may still need.
     b_waiting: VecDeque<GyroSample>,
     /// Windows of a so far.
-    count: usize,
-    /// Those of them that were taken.
     taken: usize,
 }
 
 impl<E> Windows<'_, E> {
-    /// The next `size` windows of those to be taken, and whether a has ended.
-    fn batch(
-        &mut self,
-        size: usize,
-        every: usize,
-        expected: &Prior,
-    ) -> Result<(Vec<Window>, bool), E> {
+    /// The next `size` windows, and whether a has ended.
+    fn batch(&mut self, size: usize, expected: &Prior) -> Result<(Vec<Window>, bool), E> {
         let mut batch = Vec::with_capacity(size);
         while batch.len() < size {
             let Some(a) = self.next_a()? else {
                 return Ok((batch, true));
             };
-            self.count += 1;
-            if (self.count - 1).is_multiple_of(every.max(1)) {
-                let search = expected.at(&a);
-                self.taken += 1;
-                let b = self.b_around(&a, (search.0, search.1.max(MOST_MARGIN_S)))?;
-                batch.push(Window {
-                    a,
-                    b,
-                    search,
-                    count: 1,
-                });
-            }
+            let search = expected.at(&a);
+            self.taken += 1;
+            let b = self.b_around(&a, (search.0, search.1.max(MOST_MARGIN_S)))?;
+            batch.push(Window {
+                a,
+                b,
+                search,
+                count: 1,
+            });
         }
         Ok((batch, false))
     }

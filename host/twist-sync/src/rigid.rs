@@ -7,9 +7,9 @@
 //! this explains, with a tolerance that becomes narrower round by round; of all windows
 //! the one counts from which most is explained.
 //!
-//! Stretches that are left out are classified by their cause: another rotation between the
-//! sensors at the same relation of the clocks ([`Why::Slipped`]), another relation of
-//! the clocks at the same rotation ([`Why::TimeStep`]), or neither ([`Why::Apart`]).
+//! Stretches that are left out are classified by their cause: another relation of the clocks
+//! at the same rotation between the sensors ([`Why::TimeStep`]), or anything else
+//! ([`Why::Apart`]), as a slip.
 //!
 //! Limits: a turn by less than about a degree cannot be distinguished from an error of the sensors.
 
@@ -153,8 +153,6 @@ struct Search<'a> {
     /// Other lags at which the two may belong together, seconds.
     rivals: &'a [f64],
     options: FitOptions,
-    /// Nodes that one independent noise value spans.
-    noise_span: f64,
     blocks: Blocks,
     /// Rms of the motion around each block.
     motion: Vec<f64>,
@@ -194,15 +192,13 @@ fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
 
 /// The largest part of the overlap that one relation near that of `whole` explains;
 /// `data` are nodes of the data, `rivals` other lags (s, data minus model) that are
-/// thought of; one independent noise value spans `noise_span` of the nodes. `None` if no
-/// window leads to one.
+/// thought of. `None` if no window leads to one.
 pub(crate) fn part(
     model: &Signal,
     data: &[(f64, Vec3)],
     whole: &Fit,
     rivals: &[f64],
     options: FitOptions,
-    noise_span: f64,
 ) -> Option<Part> {
     let blocks = blocks_of(&whole.nodes)?;
     let mean = fit::mean(whole.nodes.iter().map(|n| n.y));
@@ -218,7 +214,6 @@ pub(crate) fn part(
         data,
         rivals,
         options,
-        noise_span,
         blocks,
         moving: own.iter().map(|&m| m > MOVING * largest).collect(),
         motion,
@@ -403,8 +398,9 @@ impl Search<'_> {
         let unexplained = self.residual(&nodes, &fit.calibration);
         let noise = NOISE * self.options.noise_variance.sqrt();
         let limit = (CAUSE * motion + noise).min(0.5 * unexplained);
-        let other = self.regressed(&nodes);
-        let turned = self.residual(&nodes, &other);
+        let rates = nodes.iter().map(Node::rates);
+        let turned = calibration::regress(rates, self.options.noise_variance);
+        let turned = self.residual(&nodes, &turned);
         let steps = (STEP_REACH_S / STEP_GRID_S) as i32;
         let lag_s = -fit.link.model_time(0.0);
         let on_grid = (-steps..=steps)
@@ -430,75 +426,17 @@ impl Search<'_> {
         let stepped = stepped.map_or(f64::INFINITY, |n| self.residual(&n, &fit.calibration));
         if stepped < limit && stepped < 1.5 * turned {
             Why::TimeStep(later_s)
-        } else if turned < limit {
-            let (by, axis) = turn(&fit.calibration, &other);
-            let variance = |nodes: &[Node], calibration: &Calibration| {
-                let covariance = self.rotation_covariance(nodes, calibration);
-                axis.dot(&(covariance * axis))
-            };
-            let variance = variance(&nodes, &other) + variance(&fit.nodes, &fit.calibration);
-            let sigma = variance.sqrt().min(std::f64::consts::PI);
-            Why::Slipped { by, sigma }
         } else {
             Why::Apart
         }
     }
 
-    /// Rms of the residual in each block that has one.
-    fn residuals(&self, nodes: &[Node], calibration: &Calibration) -> Vec<f64> {
-        let residual = |n: &Node| calibration.residual(&n.x, &n.y);
-        self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))))
-    }
-
-    /// Its median: the moments in which one slips are not what it is before and after.
+    /// Median over the blocks of the residual's rms: the moments in which one slips are not
+    /// what it is before and after.
     fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
-        let mut each = self.residuals(nodes, calibration);
+        let residual = |n: &Node| calibration.residual(&n.x, &n.y);
+        let mut each = self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))));
         each.retain(|&rms| rms > 0.0);
         crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
     }
-
-    /// Covariance of the rotation that nodes give, rad², from their usual residual.
-    ///
-    /// A small turn `φ` changes the prediction `v` by `φ × v`, so that the information is
-    /// `Σ (|v|²·I − v·vᵀ)/σ²`, with `v` about its mean because the bias is fitted too.
-    fn rotation_covariance(&self, nodes: &[Node], calibration: &Calibration) -> Matrix3<f64> {
-        let rate = |n: &Node| calibration.matrix * n.x;
-        let mean = fit::mean(nodes.iter().map(rate));
-        let mut information = Matrix3::zeros();
-        for node in nodes {
-            let v = rate(node) - mean;
-            information += Matrix3::identity() * v.norm_squared() - v * v.transpose();
-        }
-        let variance = self.residual(nodes, calibration).powi(2) * self.noise_span;
-        let inverse = information.try_inverse();
-        inverse.map_or_else(|| Matrix3::identity() * f64::INFINITY, |i| i * variance)
-    }
-
-    /// The sensors' relation in most of the nodes.
-    fn regressed(&self, nodes: &[Node]) -> Calibration {
-        let regressed = |nodes: &[Node]| {
-            calibration::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
-        };
-        let mut calibration = regressed(nodes);
-        for _ in 0..3 {
-            let limit = 2.0 * self.residual(nodes, &calibration);
-            let each = self.residuals(nodes, &calibration);
-            let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
-            let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
-            calibration = regressed(&most);
-        }
-        calibration
-    }
-}
-
-/// Angle, rad, and axis between two rotations that are nearest to the matrices.
-fn turn(one: &Calibration, other: &Calibration) -> (f64, Vector3<f64>) {
-    let between = (other.matrix * one.matrix.transpose()).svd(true, true);
-    let (Some(u), Some(v_t)) = (between.u, between.v_t) else {
-        return (0.0, Vector3::zeros());
-    };
-    let r = u * v_t;
-    let angle = ((r.trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
-    let axis = Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
-    (angle, axis.try_normalize(0.0).unwrap_or_default())
 }

@@ -138,10 +138,10 @@ fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
         correlator.spectrum(bins.iter().map(|bin| bin - mean))
     };
     let (a, b) = (spectrum(a), spectrum(b));
-    let correlation = correlator.correlations([(&a, &b); 2]);
+    let correlation = correlator.correlation(&a, &b);
     let length = correlation.len();
     let mut order: Vec<usize> = (0..length).collect();
-    order.sort_unstable_by(|&x, &y| correlation[y].re.total_cmp(&correlation[x].re));
+    order.sort_unstable_by(|&x, &y| correlation[y].total_cmp(&correlation[x]));
     let lag = |place: usize| {
         if place < length / 2 {
             place as i64

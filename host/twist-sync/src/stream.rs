@@ -176,7 +176,7 @@ impl<'a> CheckedStream<'a> {
     pub(crate) fn usable_part(&self) -> f64 {
         let is_none = |f: &&Fault| match f.kind {
             FaultKind::CopiedSample => f.count * 5 > self.t.len(),
-            FaultKind::NotOneBody | FaultKind::Slipped => true,
+            FaultKind::NotOneBody => true,
             _ => false,
         };
         let none = self.faults.iter().filter(is_none).map(|f| f.samples.len());

@@ -197,12 +197,6 @@ struct Filters {
 }
 
 impl Tracker {
-    /// A tracker without data.
-    #[must_use]
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes an exchange, and gives whether it has ended a window. Those of one clock come in
     /// the order in which they were asked; what is not a number is left.
     pub fn take(&mut self, asked: Asked, exchange: Exchange) -> bool {

@@ -358,7 +358,7 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
     let link = |ranges, stream| Link::drawn(&place.links(ranges), seed.stream(stream));
     let mut board_link = link(LinkRanges::BOARD_USB, Stream::BoardLink);
     let mut phone_link = link(ranges, Stream::PhoneLink);
-    let mut tracker = Tracker::new();
+    let mut tracker = Tracker::default();
     let (mut asked, mut at) = ([begin; 2], begin);
     let (mut knows, mut steered, mut judged) = (false, video_at, video_at);
     while at < end + 60.0 {

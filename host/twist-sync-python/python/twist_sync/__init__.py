@@ -200,7 +200,7 @@ class LeftOut:
     Attributes:
         start: Its begin, s from the first sample of a.
         end: Its end, s from the first sample of a.
-        why: "apart", "slipped" or "time_step".
+        why: "apart" or "time_step".
         text: The same in words.
     """
 
@@ -334,18 +334,19 @@ class Refused(Exception):
         self.report = report
 
 
-def _clock(found: dict[str, Any]) -> Clock:
-    return Clock(**{**found, "covariance": np.array(found["covariance"])})
+def _clock(found: tuple[Any, ...]) -> Clock:
+    *numbers, covariance = found
+    return Clock(*numbers, np.array(covariance))
 
 
-def _report(found: dict[str, Any]) -> Report:
+def _report(found: tuple[Any, ...]) -> Report:
+    *numbers, faults, left_out, gates, warnings = found
     return Report(
-        **{
-            **found,
-            "faults": [Fault(**fault) for fault in found["faults"]],
-            "left_out": [LeftOut(**stretch) for stretch in found["left_out"]],
-            "gates": [Gate(**gate) for gate in found["gates"]],
-        }
+        *numbers,
+        [Fault(*fault) for fault in faults],
+        [LeftOut(*stretch) for stretch in left_out],
+        [Gate(*gate) for gate in gates],
+        warnings,
     )
 
 
@@ -448,17 +449,16 @@ class Course(_Relation):
         span: First and last time of clock a with data, s.
     """
 
-    def __init__(self, found: Any):
+    def __init__(self, found: _twist_sync.Course):
         self._found = found
-        self.estimates: list[Clock] = [_clock(e) for e in found.estimates()]
-        self.windows: int = found.windows()
-        self.used: int = found.used()
-        self.contradicting: int = found.contradicting()
-        self.refusals: list[tuple[Gate, int]] = [(Gate(**g), n) for g, n in found.refusals()]
-        self.steps: list[Step] = [Step(*step) for step in found.steps()]
-        self.unsupported: list[tuple[float, float]] = found.unsupported()
-        self.warnings: list[tuple[str, int]] = found.warnings()
-        self.span: tuple[float, float] = found.span()
+        estimates, counts, refusals, steps, unsupported, warnings, span = found.told()
+        self.estimates: list[Clock] = [_clock(e) for e in estimates]
+        self.windows, self.used, self.contradicting = counts
+        self.refusals: list[tuple[Gate, int]] = [(Gate(*g), n) for g, n in refusals]
+        self.steps: list[Step] = [Step(*step) for step in steps]
+        self.unsupported: list[tuple[float, float]] = unsupported
+        self.warnings: list[tuple[str, int]] = warnings
+        self.span: tuple[float, float] = span
 
     @property
     def refused(self) -> int:

@@ -41,7 +41,7 @@ fn pass(
     known: impl Iterator<Item = ClockRelation>,
     knots: impl Iterator<Item = f64>,
 ) -> Vec<Option<ClockRelation>> {
-    let mut tracker = Tracker::new();
+    let mut tracker = Tracker::default();
     let (mut known, mut knots) = (known.peekable(), knots.peekable());
     let mut found = Vec::new();
     let mut is_related = false;

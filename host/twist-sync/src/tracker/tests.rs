@@ -34,7 +34,7 @@ impl World {
         Self {
             random: 7,
             least: [[2e-4, 3e-4], [3e-4, 5e-4]],
-            tracker: Tracker::new(),
+            tracker: Tracker::default(),
             heard: Vec::new(),
             at: 0.0,
             computer: (30e-6, 0.0, 0.0),
@@ -199,7 +199,7 @@ fn afterwards_the_exchanges_join_the_twists_and_a_wrong_one_is_left() {
 
 #[test]
 fn what_is_no_exchange_is_left() {
-    let mut tracker = Tracker::new();
+    let mut tracker = Tracker::default();
     let nothing = format!("{tracker:?}");
     let good = Exchange {
         sent: 1.0,
