@@ -32,37 +32,6 @@ const TRAINS: [(Period, u32); 3] = [
 /// How far pulses move on the way to another phase: 100 µs.
 const SLEW: u32 = TICK_HZ / 10_000;
 
-/// An output whose wire goes to PA2, and what its checks are called.
-struct Wired {
-    output: Output,
-    name: &'static str,
-    width: &'static str,
-    beside: &'static str,
-}
-
-const OUTPUTS: [Wired; 3] = [
-    Wired {
-        output: Output::Two,
-        name: "output 2 on the strobe input",
-        width: "pulse width of output 2",
-        beside: "output 2 beside the trigger",
-    },
-    Wired {
-        output: Output::Three,
-        name: "output 3 on the strobe input",
-        width: "pulse width of output 3",
-        beside: "output 3 beside the trigger",
-    },
-    Wired {
-        output: Output::Four,
-        name: "output 4 on the strobe input",
-        width: "pulse width of output 4",
-        beside: "output 4 beside the trigger",
-    },
-];
-
-const NO_EDGES: &str = "its edges did not come on PA2 within two minutes";
-
 /// How long somebody may take to do something at the board.
 const HANDS_TIME: TickDelta = millis(120_000);
 
@@ -135,26 +104,26 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Asks for something to be done at the board, and hears what it says until that is seen;
-    /// the reason if it is not done.
+    /// Asks for something to be done at the board, and hears what it says until that is seen or
+    /// the link ends, which it says too; the reason if it is not done.
     fn by_hand(
         &mut self,
         what: Prompt,
         mut is_done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Result<Heard, &'static str>, BringUpError> {
+    ) -> Result<Result<(Heard, bool), &'static str>, BringUpError> {
         if !self.operator.is_there {
             return Ok(Err("nobody there to do it"));
         }
         (self.operator.say)(what);
         let skips = self.operator.skips;
-        let (mut done, mut skipped) = (false, false);
-        let heard = self.hear_until(HANDS_TIME, |heard| {
+        let (mut heard, mut done, mut skipped) = (Heard::default(), false, false);
+        let ended = self.link_ends(&mut heard, HANDS_TIME, |heard| {
             done = is_done(heard);
             skipped = skips();
             done || skipped
         })?;
-        Ok(match (done, skipped) {
-            (true, _) => Ok(heard),
+        Ok(match (done || ended, skipped) {
+            (true, _) => Ok((heard, ended)),
             (false, true) => Err("left out"),
             (false, false) => Err("not done within two minutes"),
         })
@@ -243,7 +212,7 @@ impl<'a> Session<'a> {
 
     fn check(
         &mut self,
-        name: &'static str,
+        name: impl Into<String>,
         good: bool,
         measured: String,
         limit: impl Into<String>,
@@ -257,7 +226,7 @@ impl<'a> Session<'a> {
         });
     }
 
-    fn skip(&mut self, name: &'static str, why: &str, reason: &'static str) {
+    fn skip(&mut self, name: impl Into<String>, why: &str, reason: &'static str) {
         self.checks.push(Check {
             part: self.part,
             finding: Finding::check(name, why).next_step(reason),
@@ -308,24 +277,30 @@ impl<'a> Session<'a> {
             format!("{SLEW} ticks, and 1 for the fraction"),
             "the firmware's way to another phase; a camera may lose frames",
         );
-        self.check(
-            "read-back",
-            trains.is_read_back(),
-            format!(
-                "{} of {} pulses seen on PA3, {} later",
-                trains.read_back, trains.pulses, trains.read_back_delay
-            ),
-            format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
-            "the wire from PA5 to PA3, or what it passes on its way",
-        );
+        let reason = "the wire from PA5 to PA3, or what it passes on its way";
+        self.read_back("read-back", &trains, reason);
         self.captures("strobe input", "pulse width", &trains);
         self.trigger_delay = trains.delay;
         self.measured.input_delay = trains.delay.0.map(|(low, _)| low);
         Ok(())
     }
 
+    /// What the read-back on PA3 says of trains.
+    fn read_back(&mut self, name: &str, trains: &Trains, reason: &'static str) {
+        self.check(
+            name,
+            trains.is_read_back(),
+            format!(
+                "{} of {} pulses seen on PA3, {} later",
+                trains.read_back, trains.pulses, trains.read_back_delay
+            ),
+            format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
+            reason,
+        );
+    }
+
     /// What captures on PA2 say of trains.
-    fn captures(&mut self, name: &'static str, width: &'static str, trains: &Trains) {
+    fn captures(&mut self, name: &str, width: &str, trains: &Trains) {
         let steady = trains.delay.spread().is_some_and(|s| s <= TICK_OF_DOUBT);
         self.check(
             name,
@@ -394,21 +369,23 @@ impl<'a> Session<'a> {
     }
 
     fn outputs(&mut self) -> Result<(), BringUpError> {
-        for wired in &OUTPUTS {
-            self.output(wired)?;
+        for output in Output::AUXILIARY {
+            self.output(output)?;
         }
         Ok(())
     }
 
     /// Asks for the wire at PA2 to be moved to a pin, and waits until as many edges come there
-    /// as `made` counts.
+    /// as `made` counts; false, with a check of this name, if they do not.
     fn wire_moved(
         &mut self,
+        (name, reason): (&str, &'static str),
         pin: &'static str,
         made: impl Fn(&Heard) -> usize,
-    ) -> Result<Result<(), &'static str>, BringUpError> {
+    ) -> Result<bool, BringUpError> {
         if !self.operator.is_there {
-            return Ok(Err("nobody there to move the wire"));
+            self.skip(name, "nobody there to move the wire", reason);
+            return Ok(false);
         }
         (self.operator.say)(Prompt::MoveStrobeWire(pin));
         // A wire that is being plugged in bounces: a second without it, in two minutes.
@@ -417,59 +394,55 @@ impl<'a> Session<'a> {
             let made = made(&heard);
             let doubt = (made / 8).min(2);
             if made > 0 && heard.strobe.len().abs_diff(made) <= doubt {
-                return Ok(Ok(()));
+                return Ok(true);
             }
             if (self.operator.skips)() {
-                return Ok(Err("left out"));
+                self.skip(name, "left out", reason);
+                return Ok(false);
             }
         }
-        Ok(Err(NO_EDGES))
+        let text = String::from("its edges did not come on PA2 within two minutes");
+        self.check(name, false, text, "its edges on PA2", reason);
+        Ok(false)
     }
 
-    fn output(&mut self, wired: &Wired) -> Result<(), BringUpError> {
+    fn output(&mut self, output: Output) -> Result<(), BringUpError> {
         const REASON: &str = "the wire to PA2; or the start delay between TIM2 and TIM1, which the \
                               board keeps: repeat the test with `--keep`";
-        let &Wired { output, name, .. } = wired;
+        let number = output.number();
+        let name = &*format!("output {number} on the strobe input");
         if !self.board.hello().board.has_outputs() {
             self.skip(name, "this board has no such output", REASON);
             return Ok(());
         }
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
-        let pin = pin_of(&format!("trigger {}", output.number()));
-        let seen = self.wire_moved(pin, |heard| 2 * heard.outputs.len())?;
-        if let Err(why) = seen {
-            self.stop(output)?;
-            match why {
-                NO_EDGES => self.check(name, false, why.to_owned(), "its edges on PA2", REASON),
-                why => self.skip(name, why, REASON),
-            }
+        let pin = pin_of(&format!("trigger {number}"));
+        let seen = self.wire_moved((name, REASON), pin, |heard| 2 * heard.outputs.len())?;
+        self.stop(output)?;
+        if !seen {
             return Ok(());
         }
-        self.stop(output)?;
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
         let mut heard = self.hear(millis(3_000))?;
         heard.append(self.stop(output)?);
         let mut trains = Trains::default();
         trains.find(&heard.outputs, MIN_OUTPUT_WIDTH, &heard.strobe);
-        self.captures(name, wired.width, &trains);
+        self.captures(name, &format!("pulse width of output {number}"), &trains);
+        let beside = format!("output {number} beside the trigger");
         // A signal that changes just when its input is sampled is seen a tick later at times;
         // one that is always a tick off is late.
         match trains.delay.0.zip(self.trigger_delay.0) {
             Some(((low, high), (first, last))) => {
                 self.measured.output_delay = Some(low - first);
                 self.check(
-                    wired.beside,
+                    beside,
                     low <= last && first <= high,
                     format!("{:+} ticks", low - first),
                     "0 ticks of the timers, beside what the two pins differ by (at most 0.1 µs)",
                     REASON,
                 );
             }
-            None => self.skip(
-                wired.beside,
-                "the trigger or the output was not captured",
-                REASON,
-            ),
+            None => self.skip(beside, "the trigger or the output was not captured", REASON),
         }
         Ok(())
     }

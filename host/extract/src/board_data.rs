@@ -174,15 +174,12 @@ impl BoardStream {
                 return Ok(Some(event));
             }
             let sorter = &mut self.sorter;
-            let more = self.walk.next_part::<RecordingError>(&mut |event| {
-                match event {
-                    Event::Message(message) => sorter.message(&message),
-                    Event::Damage(damage) if damage.is_loss() => {
-                        sorter.faults.add(damage.to_string());
-                    }
-                    _ => {}
+            let more = self.walk.next_part(&mut |event| match event {
+                Event::Message(message) => sorter.message(&message),
+                Event::Damage(damage) if damage.is_loss() => {
+                    sorter.faults.add(damage.to_string());
                 }
-                Ok(())
+                _ => {}
             })?;
             if !more {
                 sorter.release(0);

@@ -119,15 +119,12 @@ impl Ros2Images {
                 return Ok(None);
             }
             let taken = &mut self.taken;
-            let more = self.walk.next_part::<RecordingError>(&mut |event| {
-                match event {
-                    Event::Message(message) => taken.take(&message),
-                    Event::Damage(damage) if damage.is_loss() => {
-                        taken.faults.add(damage.to_string());
-                    }
-                    _ => {}
+            let more = self.walk.next_part(&mut |event| match event {
+                Event::Message(message) => taken.take(&message),
+                Event::Damage(damage) if damage.is_loss() => {
+                    taken.faults.add(damage.to_string());
                 }
-                Ok(())
+                _ => {}
             })?;
             self.ended = !more;
             let path = || self.path.clone();

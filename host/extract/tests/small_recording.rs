@@ -16,7 +16,6 @@ use extract::options::Options;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use protocol::{ImuFlags, Output, Pps, Pulse, TICK_HZ, Ticks};
-use recording::RecordingError;
 use recording::messages::camera::Image;
 use recording::messages::{Header, Time, to_cdr};
 use recording::profile::Profile;
@@ -152,7 +151,7 @@ fn write_depth(folder: &Path) {
             data: pixels.flat_map(u16::to_le_bytes).collect(),
         };
         let cdr = to_cdr(&image).unwrap();
-        bag.put(0, stamp.unsigned_abs(), &cdr).unwrap();
+        bag.put(0, None, stamp.unsigned_abs(), &cdr).unwrap();
     }
     let metadata = bag.finish("depth_0.mcap").unwrap();
     fs::write(folder.join(METADATA_FILE), metadata).unwrap();
@@ -391,13 +390,12 @@ fn content(path: &Path, ending: &str) -> Vec<u8> {
             let mut all = Vec::new();
             let mut walk = Walk::open(path).unwrap();
             while walk
-                .next_part::<RecordingError>(&mut |event| {
+                .next_part(&mut |event| {
                     if let Event::Message(message) = event {
                         all.extend(message.channel.described.topic.as_bytes());
                         all.extend(message.header.log_time.to_le_bytes());
                         all.extend(message.data);
                     }
-                    Ok(())
                 })
                 .unwrap()
             {}

@@ -1,7 +1,5 @@
 //! The state of a file as bytes: what is damaged in it, and how much can be read.
 
-use std::fmt;
-
 use protocol::Ticks;
 use serde::Serialize;
 
@@ -32,9 +30,10 @@ pub struct FileReport {
 }
 
 /// Something that is damaged.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum Damage {
     /// A chunk cannot be used.
+    #[error("the chunk at byte {at}, from {:.1} s of board time on, cannot be used: {why}", .from.as_secs_f64())]
     Chunk {
         /// Byte at which it begins.
         at: u64,
@@ -44,11 +43,13 @@ pub enum Damage {
         why: BadChunk,
     },
     /// A chunk ends within a record.
+    #[error("a chunk ends within a record: its last {bytes} bytes cannot be read")]
     ChunkEnd {
         /// Bytes after its last whole record.
         bytes: usize,
     },
     /// Bytes are no records.
+    #[error("{} bytes from byte {from} on are no records", to - from)]
     Bytes {
         /// From this byte.
         from: u64,
@@ -56,6 +57,7 @@ pub enum Damage {
         to: u64,
     },
     /// The file ends within a record, or without the records that close it.
+    #[error("the file was not closed: its last whole record ends at byte {at} of {length}")]
     CutOff {
         /// Whole records end here.
         at: u64,
@@ -65,28 +67,37 @@ pub enum Damage {
         complete: bool,
     },
     /// A record is not of its kind.
+    #[error("a record is not of its kind")]
     Record,
     /// A message stands outside of a chunk, where this program puts none.
+    #[error("a message stands outside of a chunk and is left out")]
     OutsideChunk,
     /// A topic's name is longer than any.
+    #[error("a topic's name has {bytes} bytes; up to {MAX_NAME} are read")]
     TopicName {
         /// Its bytes.
         bytes: usize,
     },
     /// A message's topic is not described.
+    #[error("a message belongs to channel {channel}, which is not described")]
     UnknownTopic {
         /// Number of its channel.
         channel: u16,
     },
     /// No topic is described: those of this program are taken.
+    #[error("the part that describes the topics is damaged; those of this program are taken")]
     TopicsAssumed,
     /// The checksum over all data is wrong.
+    #[error("the checksum over all data is wrong")]
     DataChecksum,
     /// The checksum over the index is wrong.
+    #[error("the checksum over the index at the end is wrong")]
     IndexChecksum,
     /// The record that closes the data is damaged.
+    #[error("the record that closes the data is damaged")]
     NoEndOfData,
     /// The file's statistics tell another number of messages.
+    #[error("{found} messages can be read where the file's statistics say {expected}")]
     MessageCount {
         /// Messages that can be read.
         found: u64,
@@ -146,55 +157,6 @@ impl Damage {
         match self {
             Self::Chunk { from, .. } => Some(*from),
             _ => None,
-        }
-    }
-}
-
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Chunk { at, from, why } => {
-                let seconds = from.as_secs_f64();
-                write!(
-                    f,
-                    "the chunk at byte {at}, from {seconds:.1} s of board time on, cannot be used: {why}"
-                )
-            }
-            Self::ChunkEnd { bytes } => write!(
-                f,
-                "a chunk ends within a record: its last {bytes} bytes cannot be read"
-            ),
-            Self::Bytes { from, to } => {
-                write!(f, "{} bytes from byte {from} on are no records", to - from)
-            }
-            Self::CutOff { at, length, .. } => write!(
-                f,
-                "the file was not closed: its last whole record ends at byte {at} of {length}"
-            ),
-            Self::Record => f.write_str("a record is not of its kind"),
-            Self::OutsideChunk => {
-                f.write_str("a message stands outside of a chunk and is left out")
-            }
-            Self::TopicName { bytes } => {
-                write!(
-                    f,
-                    "a topic's name has {bytes} bytes; up to {MAX_NAME} are read"
-                )
-            }
-            Self::UnknownTopic { channel } => write!(
-                f,
-                "a message belongs to channel {channel}, which is not described"
-            ),
-            Self::TopicsAssumed => f.write_str(
-                "the part that describes the topics is damaged; those of this program are taken",
-            ),
-            Self::DataChecksum => f.write_str("the checksum over all data is wrong"),
-            Self::IndexChecksum => f.write_str("the checksum over the index at the end is wrong"),
-            Self::NoEndOfData => f.write_str("the record that closes the data is damaged"),
-            Self::MessageCount { found, expected } => write!(
-                f,
-                "{found} messages can be read where the file's statistics say {expected}"
-            ),
         }
     }
 }

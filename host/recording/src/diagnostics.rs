@@ -1,9 +1,9 @@
 //! The board's status as a ROS 2 diagnostic message, and the counters that are read back of it.
 
-use std::fmt::Display;
 use std::str::FromStr;
 
-use protocol::{Dropped, GnssStatus, ImuState, ImuStatus, Status};
+use protocol::{Dropped, ImuState, Status};
+use serde_json::Value;
 
 use super::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use super::publish::header;
@@ -50,154 +50,80 @@ impl BoardCounters {
     }
 }
 
+/// The status in five parts, each with all its numbers by their names in [`Status`].
 pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
-    DiagnosticArray {
-        header: header(status.at, "board"),
-        status: [
-            board(status),
-            trigger(status),
-            imu(&status.imu),
-            outputs(status),
-            gnss(&status.gnss),
-        ]
-        .map(|part| DiagnosticStatus {
-            hardware_id: board_id.to_owned(),
-            ..part
-        })
-        .to_vec(),
-    }
-}
-
-fn part(
-    name: &str,
-    level: u8,
-    message: String,
-    values: &[(&str, &dyn Display)],
-) -> DiagnosticStatus {
-    DiagnosticStatus {
-        level,
-        name: name.to_owned(),
-        message,
-        hardware_id: String::new(),
-        values: values
-            .iter()
-            .map(|(key, value)| KeyValue {
-                key: (*key).to_owned(),
-                value: value.to_string(),
-            })
-            .collect(),
-    }
-}
-
-fn board(status: &Status) -> DiagnosticStatus {
-    let dropped = &status.dropped;
-    let lost_frames = status.link.lost_frames;
-    let any_dropped = dropped.total() > 0 || lost_frames > 0;
-    let message = if any_dropped {
+    let (trigger, imu, gnss) = (&status.trigger, &status.imu, &status.gnss);
+    let is_lossy = status.dropped.total() > 0 || status.link.lost_frames > 0;
+    let said = if is_lossy {
         "messages were dropped"
     } else {
         "ok"
     };
-    part(
-        "board",
-        u8::from(any_dropped),
-        String::from(message),
-        &[
-            ("epoch", &status.epoch),
-            ("cpu_permille", &status.cpu_permille),
-            ("stack_used", &status.stack_used),
-            ("stack_size", &status.stack_size),
-            ("supply_mv", &status.supply_mv.unwrap_or_default()),
-            ("usb_resets", &status.usb.resets),
-            ("usb_suspends", &status.usb.suspends),
-            ("usb_stuck", &status.usb.stuck),
-            ("connects", &status.connects),
-            ("dropped_answers", &dropped.answers),
-            ("dropped_pulses", &dropped.pulses),
-            ("dropped_captures", &dropped.captures),
-            ("dropped_imu", &dropped.imu),
-            ("dropped_status", &dropped.status),
-            ("dropped_outputs", &dropped.outputs),
-            ("link_lost_frames", &lost_frames),
-            ("strobe_overcaptures", &status.strobe_overcaptures),
-            ("strobe_floods", &status.strobe_floods),
-        ],
-    )
-}
-
-fn trigger(status: &Status) -> DiagnosticStatus {
-    let trigger = &status.trigger;
-    part(
-        "trigger",
-        u8::from(trigger.late > 0 || trigger.readback.missing > 0),
-        format!("{:?}", trigger.state),
-        &[
-            ("train", &trigger.train),
-            ("pulses", &trigger.pulses),
-            ("period_q32", &trigger.period.0),
-            ("late", &trigger.late),
-            ("readback_seen", &trigger.readback.seen),
-            ("readback_missing", &trigger.readback.missing),
-            ("readback_stray", &trigger.readback.stray),
-            ("latency_ticks", &status.trigger_latency),
-            ("busy_ticks", &(status.handlers.trigger.cycles / 2)),
-        ],
-    )
-}
-
-fn imu(imu: &ImuStatus) -> DiagnosticStatus {
-    let level = match imu.state {
+    let imu_level = match imu.state {
         ImuState::Running => 0,
         ImuState::Starting => 1,
         ImuState::Failed => 2,
     };
-    let last_fault = imu
-        .last_fault
-        .map_or(String::new(), |fault| format!("{fault:?}"));
-    part(
-        "imu",
-        level,
-        format!("{:?}", imu.state),
-        &[
-            ("clock", &format!("{:?}", imu.clock)),
-            ("samples", &imu.samples),
-            ("late", &imu.late),
-            ("overcaptures", &imu.overcaptures),
-            ("recoveries", &imu.recoveries),
-            ("last_fault", &last_fault),
-        ],
-    )
+    let outputs = status.outputs.map(|output| format!("{:?}", output.state));
+    let is_late = status.outputs.iter().any(|output| output.late > 0);
+    let trigger_fails = trigger.late > 0 || trigger.readback.missing > 0;
+    let gnss_fails = gnss.late > 0 || gnss.missed > 0;
+    // Its numbers always are one of JSON.
+    let mut all = serde_json::to_value(status).unwrap_or_default();
+    let parts = [
+        (
+            "trigger",
+            u8::from(trigger_fails),
+            format!("{:?}", trigger.state),
+        ),
+        ("imu", imu_level, format!("{:?}", imu.state)),
+        ("outputs", u8::from(is_late), outputs.join(", ")),
+        ("gnss", u8::from(gnss_fails), format!("{:?}", gnss.state)),
+        // All that no other part has.
+        ("board", u8::from(is_lossy), String::from(said)),
+    ];
+    let status_of = |(name, level, message): (&str, u8, String)| {
+        let own = match all.get_mut(name) {
+            Some(part) => part.take(),
+            None => all.take(),
+        };
+        let mut values = Vec::new();
+        leaves("", &own, &mut values);
+        DiagnosticStatus {
+            level,
+            name: name.to_owned(),
+            message,
+            hardware_id: board_id.to_owned(),
+            values,
+        }
+    };
+    DiagnosticArray {
+        header: header(status.at, "board"),
+        status: parts.map(status_of).to_vec(),
+    }
 }
 
-fn outputs(status: &Status) -> DiagnosticStatus {
-    let [two, three, four] = &status.outputs;
-    let states = [two, three, four].map(|output| format!("{:?}", output.state));
-    part(
-        "outputs",
-        u8::from(status.outputs.iter().any(|output| output.late > 0)),
-        states.join(", "),
-        &[
-            ("pulses_2", &two.pulses),
-            ("pulses_3", &three.pulses),
-            ("pulses_4", &four.pulses),
-            ("late_2", &two.late),
-            ("late_3", &three.late),
-            ("late_4", &four.late),
-            ("latency_ticks", &status.output_latency),
-        ],
-    )
-}
-
-fn gnss(gnss: &GnssStatus) -> DiagnosticStatus {
-    part(
-        "gnss",
-        u8::from(gnss.late > 0 || gnss.missed > 0),
-        format!("{:?}", gnss.state),
-        &[
-            ("pulses", &gnss.pulses),
-            ("sentences", &gnss.sentences),
-            ("missed", &gnss.missed),
-            ("late", &gnss.late),
-        ],
-    )
+/// All values within one, by their names from the outside in.
+fn leaves(name: &str, value: &Value, to: &mut Vec<KeyValue>) {
+    let within = |own: &str| match name {
+        "" => own.to_owned(),
+        name => format!("{name}_{own}"),
+    };
+    match value {
+        Value::Object(map) => map
+            .iter()
+            .for_each(|(own, value)| leaves(&within(own), value, to)),
+        Value::Array(list) => {
+            let numbered = list.iter().enumerate();
+            numbered.for_each(|(own, value)| leaves(&within(&own.to_string()), value, to));
+        }
+        // Not known.
+        Value::Null => {}
+        value => to.push(KeyValue {
+            key: name.to_owned(),
+            value: value
+                .as_str()
+                .map_or_else(|| value.to_string(), str::to_owned),
+        }),
+    }
 }

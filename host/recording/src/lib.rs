@@ -61,9 +61,6 @@ pub const MCAP_FILE: &str = "recording.mcap";
 /// Name of the session file in the folder.
 pub const SESSION_FILE: &str = "session.json";
 
-/// Name of the rig profile that is attached to the MCAP file.
-pub const PROFILE_FILE: &str = "profile.toml";
-
 /// Board time of a `log_time` or stamp, exactly.
 #[must_use]
 pub fn ticks_of_nanos(nanos: u64) -> Ticks {

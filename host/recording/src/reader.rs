@@ -59,23 +59,20 @@ impl Reader {
 
     fn next_part(&mut self) -> Result<bool, RecordingError> {
         let (entries, damage) = (&mut self.entries, &mut self.damage);
-        self.walk.next_part(&mut |event| {
-            match event {
-                Event::Message(message) => entries.extend(message.item().map(|item| {
-                    let item = item.map_err(|source| RecordingError::Message {
-                        topic: message.channel.described.topic.clone(),
-                        source,
-                    })?;
-                    Ok(Entry {
-                        at: message.at(),
-                        sequence: message.header.sequence,
-                        item,
-                    })
-                })),
-                Event::Damage(found) if damage.len() < MAX_DAMAGE => damage.push(found),
-                _ => {}
-            }
-            Ok(())
+        self.walk.next_part(&mut |event| match event {
+            Event::Message(message) => entries.extend(message.item().map(|item| {
+                let item = item.map_err(|source| RecordingError::Message {
+                    topic: message.channel.described.topic.clone(),
+                    source,
+                })?;
+                Ok(Entry {
+                    at: message.at(),
+                    sequence: message.header.sequence,
+                    item,
+                })
+            })),
+            Event::Damage(found) if damage.len() < MAX_DAMAGE => damage.push(found),
+            _ => {}
         })
     }
 }

@@ -93,28 +93,23 @@ impl<'a> Bag<'a> {
         Ok(())
     }
 
-    /// Adds a message in its CDR form, at a time in ns. One of a topic that was not added
-    /// is left out.
+    /// Adds a message in its CDR form, with its number on the topic if the caller has one, on
+    /// which the next follows, at a time in ns. One of a topic that was not added is left out.
     ///
     /// # Errors
     ///
     /// Writing fails.
-    pub fn put(&mut self, topic: usize, nanos: u64, cdr: &[u8]) -> Result<(), McapError> {
-        let number = self.topics.get(topic).map_or(0, |&(_, next)| next);
-        self.put_numbered(topic, number, nanos, cdr)
-    }
-
-    /// The same with a number of the caller's; the next one follows on it.
-    pub(crate) fn put_numbered(
+    pub fn put(
         &mut self,
         topic: usize,
-        number: u32,
+        number: Option<u32>,
         nanos: u64,
         cdr: &[u8],
     ) -> Result<(), McapError> {
         let Some((channel_id, next)) = self.topics.get_mut(topic) else {
             return Ok(());
         };
+        let number = number.unwrap_or(*next);
         *next = number.wrapping_add(1);
         let header = MessageHeader {
             channel_id: *channel_id,

@@ -3,15 +3,11 @@
 //!
 //! ```no_run
 //! # fn show(path: &std::path::Path) -> Result<(), recording::RecordingError> {
-//! use recording::RecordingError;
 //! use recording::walk::{Event, Walk};
 //! let mut walk = Walk::open(path)?;
-//! while walk.next_part(&mut |event| {
-//!     match event {
-//!         Event::Message(message) => println!("{}", message.channel.described.topic),
-//!         Event::Damage(damage) => println!("{damage}"),
-//!     }
-//!     Ok::<(), RecordingError>(())
+//! while walk.next_part(&mut |event| match event {
+//!     Event::Message(message) => println!("{}", message.channel.described.topic),
+//!     Event::Damage(damage) => println!("{damage}"),
 //! })? {}
 //! # Ok(())
 //! # }
@@ -109,7 +105,7 @@ struct Topics {
 }
 
 /// Takes what is read.
-type Each<'e, E> = &'e mut dyn FnMut(Event<'_>) -> Result<(), E>;
+type Each<'e> = &'e mut dyn FnMut(Event<'_>);
 
 impl Walk {
     /// Begins at the front of the recording or bag in a folder, or of an MCAP file.
@@ -133,9 +129,8 @@ impl Walk {
     ///
     /// # Errors
     ///
-    /// The file cannot be read, or is no MCAP file at all; or those of `each`. Damage is no
-    /// error.
-    pub fn next_part<E: From<RecordingError>>(&mut self, each: Each<'_, E>) -> Result<bool, E> {
+    /// The file cannot be read, or is no MCAP file at all. Damage is no error.
+    pub fn next_part(&mut self, each: Each<'_>) -> Result<bool, RecordingError> {
         if self.ended {
             return Ok(false);
         }
@@ -146,9 +141,9 @@ impl Walk {
                 why: BadChunk::Compression(name),
                 ..
             })) if name == ZSTD => {
-                return Err(bag::foreign(&self.given, "packed with Zstandard").into());
+                return Err(bag::foreign(&self.given, "packed with Zstandard"));
             }
-            Some(piece) => self.piece(piece, each)?,
+            Some(piece) => self.piece(piece, each),
             None => {
                 self.ended = true;
                 self.end(each)?;
@@ -169,56 +164,54 @@ impl Walk {
         self.topics.channels.values()
     }
 
-    fn end<E: From<RecordingError>>(&self, each: Each<'_, E>) -> Result<(), E> {
+    fn end(&self, each: Each<'_>) -> Result<(), RecordingError> {
         let (report, expected) = (&self.scan.report, self.topics.counted);
         if !self.scan.has_magic() && report.chunks == 0 {
-            return Err(RecordingError::mcap(&self.path)(mcap::McapError::BadMagic).into());
+            return Err(RecordingError::mcap(&self.path)(mcap::McapError::BadMagic));
         }
         if report.closed && !report.data_complete {
-            each(Event::Damage(Damage::NoEndOfData))?;
+            each(Event::Damage(Damage::NoEndOfData));
         }
         let found = self.topics.messages;
         if report.closed && expected != 0 && expected != found {
-            each(Event::Damage(Damage::MessageCount { found, expected }))?;
+            each(Event::Damage(Damage::MessageCount { found, expected }));
         }
         Ok(())
     }
 
-    fn piece<E>(&mut self, piece: Piece, each: Each<'_, E>) -> Result<(), E> {
+    fn piece(&mut self, piece: Piece, each: Each<'_>) {
         match piece {
             Piece::Chunk(chunk) => {
                 for (opcode, body) in chunk.records() {
-                    self.topics.record(opcode, body, each)?;
+                    self.topics.record(opcode, body, each);
                 }
                 let bytes = chunk.cut_off();
                 self.scan.reuse(chunk);
-                match bytes {
-                    0 => Ok(()),
-                    bytes => each(Event::Damage(Damage::ChunkEnd { bytes })),
+                if bytes > 0 {
+                    each(Event::Damage(Damage::ChunkEnd { bytes }));
                 }
             }
             // Whoever makes chunks packs every message into one: a message outside of them,
             // without a checksum, is most likely another record that was damaged.
             Piece::Record(op::MESSAGE, _) if self.scan.report.chunks > 0 => {
-                each(Event::Damage(Damage::OutsideChunk))
+                each(Event::Damage(Damage::OutsideChunk));
             }
             Piece::Record(opcode, body) => self.topics.record(opcode, &body, each),
             Piece::Damage(damage) => each(Event::Damage(damage)),
-            Piece::End => Ok(()),
+            Piece::End => {}
         }
     }
 }
 
 impl Topics {
-    fn record<E>(&mut self, opcode: u8, body: &[u8], each: Each<'_, E>) -> Result<(), E> {
+    fn record(&mut self, opcode: u8, body: &[u8], each: Each<'_>) {
         match parse(opcode, body) {
             Some(Record::Schema { header, .. }) => {
                 self.schemas.insert(header.id, header.name);
-                Ok(())
             }
             Some(Record::Channel(described)) if described.topic.len() > MAX_NAME => {
                 let bytes = described.topic.len();
-                each(Event::Damage(Damage::TopicName { bytes }))
+                each(Event::Damage(Damage::TopicName { bytes }));
             }
             Some(Record::Channel(described)) => {
                 let schema = self.schemas.get(&described.schema_id);
@@ -228,28 +221,21 @@ impl Topics {
                     described,
                 };
                 self.channels.insert(channel.described.id, channel);
-                Ok(())
             }
             Some(Record::Message { header, data }) => self.message(header, &data, each),
             Some(Record::Statistics(statistics)) => {
                 self.counted = statistics.message_count;
-                Ok(())
             }
             None if matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) => {
-                each(Event::Damage(Damage::Record))
+                each(Event::Damage(Damage::Record));
             }
-            _ => Ok(()),
+            _ => {}
         }
     }
 
-    fn message<E>(
-        &mut self,
-        header: MessageHeader,
-        data: &[u8],
-        each: Each<'_, E>,
-    ) -> Result<(), E> {
+    fn message(&mut self, header: MessageHeader, data: &[u8], each: Each<'_>) {
         if self.channels.is_empty() && !self.assumed {
-            self.assume(each)?;
+            self.assume(each);
         }
         let Some(channel) = self.channels.get(&header.channel_id) else {
             let channel = header.channel_id;
@@ -260,22 +246,21 @@ impl Topics {
             channel,
             header,
             data,
-        }))
+        }));
     }
 
     /// Takes the topics that this program describes, always the same ones in the same order:
     /// the chunk that describes those of the file is damaged.
-    fn assume<E>(&mut self, each: Each<'_, E>) -> Result<(), E> {
+    fn assume(&mut self, each: Each<'_>) {
         self.assumed = true;
         let Ok(known) = writer::known_topics() else {
-            return Ok(());
+            return;
         };
-        each(Event::Damage(Damage::TopicsAssumed))?;
+        each(Event::Damage(Damage::TopicsAssumed));
         for (opcode, body) in known.records() {
             if matches!(opcode, op::SCHEMA | op::CHANNEL) {
-                self.record(opcode, body, each)?;
+                self.record(opcode, body, each);
             }
         }
-        Ok(())
     }
 }

@@ -12,20 +12,17 @@
 //! round to different nanoseconds, so `round(ns · 6 / 125)` gives them back
 //! exactly.
 
-use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use mcap::Attachment;
 use protocol::{TICK_HZ, Ticks};
 
 use super::chunks::Chunk;
 use super::rosbag2::{self, Bag, options};
-use super::session_file::SessionFile;
 use super::topic::Topic;
-use super::{MCAP_FILE, PROFILE_FILE, RecordingError, SESSION_FILE};
+use super::{MCAP_FILE, RecordingError};
 
 /// The longest stretch of board time in one chunk, ticks.
 const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;
@@ -43,7 +40,6 @@ pub struct Writer {
     bag: Bag<'static>,
     file: File,
     path: PathBuf,
-    last: Ticks,
     chunk_from: Option<Ticks>,
     waits_since: Option<Duration>,
     synced: Instant,
@@ -70,7 +66,6 @@ impl Writer {
             bag: bag.map_err(RecordingError::mcap(&path))?,
             file: copy,
             path,
-            last: Ticks::ZERO,
             chunk_from: None,
             waits_since: None,
             synced: Instant::now(),
@@ -136,32 +131,14 @@ impl Writer {
         number: Option<u32>,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let (channel, nanos) = (topic as usize, at.as_nanos());
-        let put = match number {
-            Some(number) => self.bag.put_numbered(channel, number, nanos, data),
-            None => self.bag.put(channel, nanos, data),
-        };
+        let put = self.bag.put(topic as usize, number, at.as_nanos(), data);
         put.map_err(RecordingError::mcap(&self.path))?;
         self.dirty = true;
-        self.last = self.last.max(at);
         let from = *self.chunk_from.get_or_insert(at);
         if at.0.abs_diff(from.0) >= CHUNK_TICKS {
             self.flush()?;
         }
         Ok(())
-    }
-
-    /// Attaches the session and its rig profile to the file and then finishes it, as
-    /// [`Writer::finish`].
-    ///
-    /// # Errors
-    ///
-    /// As [`Writer::imu`].
-    pub fn finish_with(mut self, session: &SessionFile) -> Result<(), RecordingError> {
-        attachments(self.last.as_nanos(), session)
-            .try_for_each(|attachment| self.bag.mcap.attach(&attachment))
-            .map_err(RecordingError::mcap(&self.path))?;
-        self.finish()
     }
 
     /// Writes index and end of the file, `metadata.yaml` beside it, and pushes the file
@@ -176,34 +153,6 @@ impl Writer {
         self.sync()?;
         rosbag2::save(files::folder_of(&self.path), &summary)
     }
-}
-
-/// `session.json` and the rig profile in it.
-fn attachments(nanos: u64, session: &SessionFile) -> impl Iterator<Item = Attachment<'static>> {
-    // Neither fails: both are written to files of their own in the same way.
-    let texts = [
-        (
-            SESSION_FILE,
-            "application/json",
-            serde_json::to_string_pretty(session).ok(),
-        ),
-        (
-            PROFILE_FILE,
-            "application/toml",
-            session.profile.to_toml().ok(),
-        ),
-    ];
-    texts
-        .into_iter()
-        .filter_map(move |(name, media_type, text)| {
-            Some(Attachment {
-                log_time: nanos,
-                create_time: nanos,
-                name: name.to_owned(),
-                media_type: media_type.to_owned(),
-                data: Cow::Owned(text?.into_bytes()),
-            })
-        })
 }
 
 /// What describes the topics of every recording, as the writer makes it: records of types

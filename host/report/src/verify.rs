@@ -166,10 +166,7 @@ pub fn verify(recording: &Path) -> Result<Report, RecordingError> {
     let session = session_of(&path, &mut findings);
     let mut content = content::Content::new(session.as_ref());
     let mut walk = Walk::open(&path)?;
-    while walk.next_part(&mut |event| {
-        content.take(event, &mut findings);
-        Ok::<_, RecordingError>(())
-    })? {}
+    while walk.next_part(&mut |event| content.take(event, &mut findings))? {}
     let file = walk.report().clone();
     if let Some(session) = &session {
         check_session(session, &path, &mut findings);

@@ -196,7 +196,6 @@ fn finish(session: &mut Session<'_>, result: Result<(), Stop>) -> Result<(), Sto
     session.closing = true;
     let writer = session.log.writer.take();
     session.log.file.outcome = Some(session.log.outcome_of(&result));
-    let file = &session.log.file;
-    let finished = writer.map_or(Ok(()), |writer| writer.finish_with(file));
+    let finished = writer.map_or(Ok(()), recording::writer::Writer::finish);
     result.and(finished.map_err(Stop::from))
 }

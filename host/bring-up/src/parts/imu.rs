@@ -154,7 +154,7 @@ impl Session<'_> {
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         let failed = |h: &Heard| h.statuses.last().is_some_and(|status| !is_running(status));
         let mut heard = match self.by_hand(Prompt::UnplugSda, failed)? {
-            Ok(heard) => heard,
+            Ok((heard, _)) => heard,
             Err(why) => {
                 self.stop(Output::Camera)?;
                 self.skip(NAME, why, REASON);

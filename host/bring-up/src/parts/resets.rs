@@ -9,7 +9,7 @@ use protocol::{
     TickDelta,
 };
 
-use super::{HANDS_TIME, PERIOD, Session};
+use super::{PERIOD, Session};
 use crate::bench::{Heard, millis};
 use crate::train::{Grid, Trains};
 use crate::{BringUpError, Prompt};
@@ -20,8 +20,6 @@ const COMES_BACK: Duration = Duration::from_secs(30);
 
 /// How long a failure may take: the watchdog's 7.5 s at most, and some.
 const FAILS_WITHIN: TickDelta = millis(10_000);
-
-const NOT_DONE: &str = "left out, or not done within two minutes";
 
 /// How often the board leaves the bus by itself.
 const REPLUGS: u64 = 5;
@@ -194,24 +192,17 @@ impl Session<'_> {
         is_done: impl Fn(&Interrupted, &Heard) -> bool,
         reason: &'static str,
     ) -> Result<(), BringUpError> {
-        if !self.operator.is_there {
-            self.skip(name, "nobody there to do it", reason);
-            return Ok(());
-        }
         let mut train = self.train_to_interrupt()?;
-        (self.operator.say)(what);
-        let skips = self.operator.skips;
-        let (mut heard, mut done) = (Heard::default(), false);
-        let ended = self.link_ends(&mut heard, HANDS_TIME, |heard| {
-            done = is_done(&train, heard);
-            done || skips()
-        })?;
+        let (mut heard, ended) = match self.by_hand(what, |heard| is_done(&train, heard))? {
+            Ok(heard) => heard,
+            Err(why) => {
+                self.stop(Output::Camera)?;
+                self.skip(name, why, reason);
+                return Ok(());
+            }
+        };
         if ended {
             self.come_back(name)?;
-        } else if !done {
-            self.stop(Output::Camera)?;
-            self.skip(name, NOT_DONE, reason);
-            return Ok(());
         }
         heard.append(self.hear(millis(2_500))?);
         train.take(&heard);
@@ -266,7 +257,7 @@ impl Session<'_> {
     }
 
     /// Hears the board until the link ends; false if it does not, or `done` says so.
-    fn link_ends(
+    pub(super) fn link_ends(
         &mut self,
         heard: &mut Heard,
         within: TickDelta,
@@ -332,15 +323,9 @@ impl Session<'_> {
             ),
             ("after power-off", Prompt::SwitchPower, ResetCause::PowerOn),
         ] {
-            if !self.operator.is_there {
-                self.skip(name, "nobody there to do it", REASON);
-                continue;
-            }
             let before = self.board.hello().clone();
-            (self.operator.say)(what);
-            let skips = self.operator.skips;
-            if !self.link_ends(&mut Heard::default(), HANDS_TIME, |_| skips())? {
-                self.skip(name, NOT_DONE, REASON);
+            if let Err(why) = self.by_hand(what, |_| false)? {
+                self.skip(name, why, REASON);
                 continue;
             }
             // What a panic has left is kept, and no longer reported as the end of a run.

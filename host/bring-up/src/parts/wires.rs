@@ -7,7 +7,7 @@ use protocol::{
     TickDelta, TrainState,
 };
 
-use super::{NO_EDGES, PERIOD, Session};
+use super::{PERIOD, Session};
 use crate::BringUpError;
 use crate::bench::millis;
 use crate::serial::Line;
@@ -44,57 +44,49 @@ impl Session<'_> {
             return Ok(());
         }
         self.board.call(StartGnss(SETTINGS))?;
-        let seen = self.wire_moved(pin_of("pulse per second"), |heard| 2 * heard.pps.len())?;
-        match seen {
-            Ok(()) => {
-                let heard = self.hear(millis(4_200))?;
-                let mut trains = Trains::default();
-                for pps in &heard.pps {
-                    trains.look_for(pps.at, SETTINGS.pulse_width, &heard.strobe);
-                    trains.compared(TickDelta((pps.at.0 % u64::from(TICK_HZ)) as i64));
-                }
-                self.captures(NAME, "width of the pulse per second", &trains);
-                self.check(
-                    "whole seconds",
-                    trains.grid_error.within(0, 0) && trains.on_grid >= 3,
-                    trains.on_grid_text(),
-                    "0 ticks off the board's seconds",
-                    REASON,
-                );
+        let pin = pin_of("pulse per second");
+        if self.wire_moved((NAME, REASON), pin, |heard| 2 * heard.pps.len())? {
+            let heard = self.hear(millis(4_200))?;
+            let mut trains = Trains::default();
+            for pps in &heard.pps {
+                trains.look_for(pps.at, SETTINGS.pulse_width, &heard.strobe);
+                trains.compared(TickDelta((pps.at.0 % u64::from(TICK_HZ)) as i64));
             }
-            Err(NO_EDGES) => self.check(NAME, false, NO_EDGES.into(), "its edges on PA2", REASON),
-            Err(why) => self.skip(NAME, why, REASON),
+            self.captures(NAME, "width of the pulse per second", &trains);
+            self.check(
+                "whole seconds",
+                trains.grid_error.within(0, 0) && trains.on_grid >= 3,
+                trains.on_grid_text(),
+                "0 ticks off the board's seconds",
+                REASON,
+            );
         }
         // A second's sentence has some 300 edges, more than the strobe input takes at once; how
         // many come tells that the wire is there.
-        let moved = self.wire_moved(pin_of("sentences"), |heard| {
+        let moved = self.wire_moved((LINE, REASON), pin_of("sentences"), |heard| {
             let edges = heard.strobe.len();
             if edges > 40 { edges } else { usize::MAX }
         })?;
-        match moved {
-            Ok(()) => {
-                let heard = self.hear(millis(4_200))?;
-                let lines: Vec<(&Pps, Option<Line>)> = (heard.pps.iter())
-                    .map(|pps| (pps, Line::after(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
-                    .collect();
-                // Of the last second not everything may have come.
-                let whole = lines
-                    .get(..lines.len().saturating_sub(1))
-                    .unwrap_or_default();
-                self.line(LINE, whole, REASON);
-                let low = whole
-                    .iter()
-                    .all(|(_, line)| line.as_ref().is_some_and(|l| l.idle_low));
-                let inverted = "inverted serial line";
-                if low && !whole.is_empty() {
-                    let text = String::from("low when idle");
-                    self.check(inverted, true, text, "low when idle", GATE);
-                } else {
-                    self.skip(inverted, "high when idle, as at PC12 itself", GATE);
-                }
+        if moved {
+            let heard = self.hear(millis(4_200))?;
+            let lines: Vec<(&Pps, Option<Line>)> = (heard.pps.iter())
+                .map(|pps| (pps, Line::after(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
+                .collect();
+            // Of the last second not everything may have come.
+            let whole = lines
+                .get(..lines.len().saturating_sub(1))
+                .unwrap_or_default();
+            self.line(LINE, whole, REASON);
+            let low = whole
+                .iter()
+                .all(|(_, line)| line.as_ref().is_some_and(|l| l.idle_low));
+            let inverted = "inverted serial line";
+            if low && !whole.is_empty() {
+                let text = String::from("low when idle");
+                self.check(inverted, true, text, "low when idle", GATE);
+            } else {
+                self.skip(inverted, "high when idle, as at PC12 itself", GATE);
             }
-            Err(NO_EDGES) => self.check(LINE, false, NO_EDGES.into(), "its edges on PA2", REASON),
-            Err(why) => self.skip(LINE, why, REASON),
         }
         self.board.stop_gnss()?;
         while self.board.gnss()?.status.state != TrainState::Stopped {
@@ -134,7 +126,6 @@ impl Session<'_> {
     /// The trigger as the camera gets it: after the buffer, at the divider's tap. Both inputs
     /// are on it.
     pub(super) fn buffer(&mut self) -> Result<(), BringUpError> {
-        const NAME: &str = "read-back after the buffer";
         const REASON: &str =
             "the buffer's supply and its input; the divider, or a cable that loads it";
         self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
@@ -142,16 +133,7 @@ impl Session<'_> {
         heard.append(self.stop(Output::Camera)?);
         let mut trains = Trains::default();
         trains.find(&heard.pulses, MIN_PULSE_WIDTH, &heard.strobe);
-        self.check(
-            NAME,
-            trains.is_read_back(),
-            format!(
-                "{} of {} pulses, {} after their edge",
-                trains.read_back, trains.pulses, trains.read_back_delay
-            ),
-            format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
-            REASON,
-        );
+        self.read_back("read-back after the buffer", &trains, REASON);
         let asked = i64::from(MIN_PULSE_WIDTH);
         self.check(
             "pulse after the buffer",

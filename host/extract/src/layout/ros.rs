@@ -177,7 +177,8 @@ fn fill(
         for (event, messages) in batch.iter().zip(made) {
             let nanos = moved(event.at()).0.max(0).unsigned_abs();
             for (topic, bytes) in messages? {
-                bag.put(topic, nanos, &bytes).map_err(io::Error::other)?;
+                bag.put(topic, None, nanos, &bytes)
+                    .map_err(io::Error::other)?;
             }
         }
     }
