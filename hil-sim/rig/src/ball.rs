@@ -8,6 +8,7 @@
 //! Limits: both cameras stand at one place and have one field of view; during an exposure
 //! (0.5 ms of a row, 12.7 ms of the depth camera) it stands still.
 
+use crate::depth_camera::FrameRecord;
 use crate::oscillator::TrueTime;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
@@ -74,8 +75,12 @@ pub(crate) fn into_phone(
     });
 }
 
-/// A depth picture of [`DEPTH_SIZE`] at a time, mm.
-pub fn depth_picture(pixels: &mut [u16], at: TrueTime) {
+/// The depth picture of [`DEPTH_SIZE`] of a frame, mm.
+pub fn depth_picture(frame: &FrameRecord, pixels: &mut [u16]) {
+    depth_at(pixels, frame.center_true);
+}
+
+fn depth_at(pixels: &mut [u16], at: TrueTime) {
     let (ball, wall) = DEPTHS_MM;
     pixels.fill(wall);
     let (width, height) = (DEPTH_SIZE.0 as usize, DEPTH_SIZE.1 as usize);
@@ -100,7 +105,7 @@ mod tests {
         for tenths in 0..24 {
             let at = TrueTime::from_units(UNITS_PER_SECOND / 10 * tenths);
             let mut depth = vec![0; (DEPTH_SIZE.0 * DEPTH_SIZE.1) as usize];
-            depth_picture(&mut depth, at);
+            depth_at(&mut depth, at);
             let (width, height) = PHONE_SIZE;
             let mut phone = vec![30_u8; width * height];
             into_phone(&mut phone, width, height, |_| at);

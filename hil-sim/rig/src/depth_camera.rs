@@ -44,6 +44,7 @@ use serde::{Deserialize, Serialize};
 
 pub use config::{DepthCameraConfig, DepthMode};
 pub use family::Family;
+pub(crate) use family::micros;
 
 use crate::flash_log::{FlashLog, TrueFlash};
 use crate::oscillator::{BoardTime, Oscillator, TrueTime};
@@ -140,12 +141,9 @@ pub struct DepthCamera {
 
 impl DepthCamera {
     /// A camera that waits for pulses from power-on.
-    ///
-    /// # Errors
-    /// The configuration is none that such a camera has.
-    pub fn new(config: DepthCameraConfig, board: BoardTime, seed: Seed) -> anyhow::Result<Self> {
-        config.check()?;
-        Ok(Self {
+    #[must_use]
+    pub fn new(config: DepthCameraConfig, board: BoardTime, seed: Seed) -> Self {
+        Self {
             clock: Oscillator::new(config.clock, seed.stream(Stream::CameraClock)),
             config,
             board,
@@ -164,7 +162,7 @@ impl DepthCamera {
             dropping: 0,
             random: seed.stream(Stream::DepthCamera),
             recorder: None,
-        })
+        }
     }
 
     /// Gives each frame that reaches the computer to whoever records them too.

@@ -21,7 +21,7 @@ use anyhow::{Context, Result};
 use crate::ball;
 use crate::depth_camera::{DepthCamera, FrameRecord};
 use crate::interrupt;
-use crate::k4a_mkv::{K4aMkvWriter, K4aSettings, device_us};
+use crate::k4a_mkv::{K4aMkvWriter, K4aSettings};
 use stm32f4_sim::shared::{Shared, lock};
 
 /// Wait of either side between looks whether it should end.
@@ -106,15 +106,7 @@ pub fn record(args: &Args) -> Result<()> {
         .with_context(|| format!("no camera at {}", args.camera.display()))?;
     let file =
         File::create(&args.out).with_context(|| format!("cannot write {}", args.out.display()))?;
-    let (width, height) = ball::DEPTH_SIZE;
-    let settings = K4aSettings {
-        width,
-        height,
-        fps: args.fps,
-        ..K4aSettings::small()
-    };
-    let mut writer = K4aMkvWriter::new(BufWriter::new(file), settings)?;
-    let mut image = vec![0; width as usize * height as usize];
+    let mut writer = K4aMkvWriter::new(BufWriter::new(file), K4aSettings::of_ball(args.fps))?;
     for line in BufReader::new(camera).lines() {
         if stopped.load(Ordering::Relaxed) {
             break;
@@ -125,13 +117,7 @@ pub fn record(args: &Args) -> Result<()> {
             continue;
         }
         let frame: FrameRecord = serde_json::from_str(&line).context("what came is no frame")?;
-        image.fill(0);
-        if !frame.bad {
-            ball::depth_picture(&mut image, frame.center_true);
-        }
-        if frame.delivered {
-            writer.write_capture(device_us(frame.device_ticks), &image, None)?;
-        }
+        writer.write_frame(&frame, ball::depth_picture)?;
     }
     writer.finish()?.flush()?;
     Ok(())

@@ -7,7 +7,9 @@
 //! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
 //! model ranges has a row for each.
 
+use crate::oscillator::TrueTime;
 use crate::random::{Random, log_uniform};
+use stm32f4_sim::time::SimDuration;
 
 /// Ranges of a link's properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -163,6 +165,18 @@ impl Link {
     fn next_silence(&mut self, after: f64) -> (f64, f64) {
         let from = after + waiting(&mut self.random, self.between.1);
         (from, from + log_uniform(&mut self.random, self.silence))
+    }
+
+    /// When a question that is asked at a time is read, and when its answer is back; nothing if
+    /// it is not answered. Times do not go back.
+    pub fn exchange(&mut self, asked: TrueTime) -> Option<[TrueTime; 2]> {
+        let [there, back] = self.ways(asked.as_secs_f64())?;
+        let later = |from: TrueTime, by: f64| {
+            let by = SimDuration::from_secs_f64(by).units();
+            TrueTime::from_units(from.units().saturating_add(by))
+        };
+        let read = later(asked, there);
+        Some([read, later(read, back)])
     }
 
     /// The way there and back of a question that is asked at this time, s; nothing if it

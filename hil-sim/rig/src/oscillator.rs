@@ -196,22 +196,12 @@ impl Oscillator {
     /// An oscillator of the given kind; its wander is drawn from `random`.
     #[must_use]
     pub fn new(config: OscillatorConfig, random: Random) -> Self {
-        let fraction = if config.rate_ppm.is_finite() {
-            (config.rate_ppm * 1e-6).clamp(-MAX_FRACTION, MAX_FRACTION)
-        } else {
-            0.0
-        };
-        let wander = if config.wander.is_finite() {
-            config.wander.max(0.0)
-        } else {
-            0.0
-        };
         Self {
             config,
             track: Arc::new(Mutex::new(Track {
                 at_second: vec![0],
-                fraction,
-                wander,
+                fraction: config.rate_ppm * 1e-6,
+                wander: config.wander,
                 warming: config.warming,
                 random,
             })),

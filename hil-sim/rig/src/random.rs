@@ -4,7 +4,7 @@ pub use stm32f4_sim::random::{Random, Seed};
 
 /// Purpose of a stream of random numbers. The numbers are part of what a seed
 /// means: they are never given to something else. 19, 20, 28 and 29 are the
-/// simulated chip's.
+/// simulated chip's, 18 was a part's that has gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u64)]
 pub enum Stream {
@@ -42,8 +42,6 @@ pub enum Stream {
     ImuConfig = 16,
     /// Drawn once for a phone: its clock, mounting, biases, frame period.
     PhoneConfig = 17,
-    /// Noise of the phone's magnetometer.
-    PhoneMagnetometer = 18,
     /// Frames of the phone that are lost or doubled, and exposures.
     PhoneFrames = 21,
     /// Values in the model ranges.

@@ -12,6 +12,8 @@
 //! # Use
 //!
 //! ```no_run
+//! use rig::motion::MotionSpec;
+//! use rig::motion::gesture::Gesture;
 //! use rig::phone::PhoneConfig;
 //! use rig::random::Seed;
 //! use rig::rig_config::RigConfig;
@@ -20,7 +22,7 @@
 //!
 //! # fn main() -> anyhow::Result<()> {
 //! let seed = Seed(1);
-//! let config = RigConfig::published(seed).with_motion("twist:60,walk".parse().unwrap());
+//! let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
 //! let phone = PhoneConfig::draw(seed);
 //! let pace = Pace { speed: Some(15.0), wait_for_host: true };
 //! // Board, IMU, depth camera and phone, wired together and running.
@@ -128,7 +130,7 @@ impl RunningRig {
         phone: Option<(PhoneConfig, u16)>,
         pace: Pace,
     ) -> Result<Self> {
-        let parts = config.build()?;
+        let parts = config.build();
         let clock = TrueClock::new();
         let surroundings = Surroundings {
             clock: clock.clone(),

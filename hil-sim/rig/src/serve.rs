@@ -13,6 +13,7 @@ use crate::imu::{Fault, SensorModel, SimImu};
 use crate::interrupt;
 use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
+use crate::motion::gesture::Gesture;
 use crate::phone::{PhoneConfig, VideoMode};
 use crate::random::Seed;
 use crate::rig_config::RigConfig;
@@ -47,10 +48,9 @@ pub struct Args {
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Motion of the rig: rest, twist, walk, or a sequence such as rest:5,twist:12,walk
-    /// (seconds).
-    #[arg(long, value_name = "MOTION", default_value = "rest")]
-    motion: MotionSpec,
+    /// Motion of the rig.
+    #[arg(long, value_enum, default_value = "rest")]
+    motion: Gesture,
     /// The board.
     #[arg(long, value_enum, default_value_t)]
     board: wiring::BoardKind,
@@ -115,7 +115,7 @@ pub fn duration(text: &str) -> Result<Duration, jiff::Error> {
 pub fn run(args: &Args) -> Result<()> {
     let stopped = interrupt::watch()?;
     let mut config = RigConfig::published(Seed(args.seed))
-        .with_motion(args.motion.clone())
+        .with_motion(MotionSpec::always(args.motion))
         .with_imu(args.imu);
     config.board = args.board;
     let mut board = wiring::board_of(args.board, args.elf.as_deref());

@@ -11,16 +11,12 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use crate::oscillator::{BoardTime, TrueTime};
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::{SimDuration, SimTime};
-
-/// The most real time that [`TrueClock::run_at`] lets pass at once.
-const LONGEST_STEP: Duration = Duration::from_millis(20);
 
 /// True time has ended: the rig was stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -154,25 +150,6 @@ impl TrueClock {
     #[must_use]
     pub(crate) fn is_stopped(&self) -> bool {
         self.0.waiting().stopped
-    }
-
-    /// Lets true time pass at `speed` times real time, without a board, until
-    /// the clock is stopped. While the machine pauses, so does true time.
-    #[must_use]
-    pub fn run_at(speed: f64) -> Self {
-        let clock = Self::new();
-        let publisher = clock.clone();
-        std::thread::spawn(move || {
-            let (mut nanos, mut last) = (0.0, Instant::now());
-            while !publisher.is_stopped() {
-                let now = Instant::now();
-                nanos += (now - last).min(LONGEST_STEP).as_nanos() as f64 * speed;
-                last = now;
-                publisher.publish(TrueTime::from_nanos(nanos as u64));
-                std::thread::sleep(Duration::from_micros(500));
-            }
-        });
-        clock
     }
 }
 

@@ -48,7 +48,7 @@ impl VirtualRig {
     ///
     /// A part cannot be built, or the board's serial port does not come.
     pub fn new(config: RigConfig, board: SimBuilder, phones: Vec<PhoneConfig>) -> Result<Self> {
-        let parts = config.build()?;
+        let parts = config.build();
         let clock = TrueClock::new();
         let surroundings = Surroundings {
             clock: clock.clone(),

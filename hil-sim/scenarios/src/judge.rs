@@ -34,7 +34,7 @@ pub struct Truth {
     pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// All frames of the depth camera, in order.
     pub depth: Vec<FrameRecord>,
-    /// When the board's tick count was zero, to within [`Timebase::NEAR`].
+    /// When the board's tick count was zero.
     pub timebase: Timebase,
 }
 
@@ -81,6 +81,8 @@ pub struct Verdict {
     pub lost: u64,
     /// Length of the recorded span, seconds of board time.
     pub recorded_s: f64,
+    /// What the session said of the other phones.
+    pub others: Vec<OtherVerdict>,
 }
 
 /// Errors of what a session said of another phone.
@@ -111,60 +113,12 @@ pub struct Timebase {
 }
 
 impl Timebase {
-    /// Most ticks by which a first guess may be off: far less than the shortest period.
-    pub(crate) const NEAR: u64 = 100;
-
     /// The tick count that was zero at `zero`.
     #[must_use]
     pub fn new(zero: SimTime) -> Self {
         Self {
             clock: Clock::new(Rate::hz(TICK_HZ), zero, 0),
         }
-    }
-
-    /// The same made exact, from pulses as the board timed them and their edges
-    /// as the depth camera saw them: the board stamps an edge with its compare
-    /// value, so the difference is the same for all. This one must be right to
-    /// within [`Timebase::NEAR`].
-    ///
-    /// # Errors
-    ///
-    /// The edges are not pulses of the recording.
-    pub(crate) fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
-        let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
-        let (begin, end) = (near(pulses.first())?, near(pulses.last())?);
-        let range = begin.0.saturating_sub(Self::NEAR)..=end.0.saturating_add(Self::NEAR);
-        // Edges before and after are those of other sessions.
-        let edges: Vec<SimTime> = frames
-            .iter()
-            .filter_map(|f| match f.source {
-                Source::Pulse { edge, .. } => Some(edge),
-                Source::FreeRun => None,
-            })
-            .filter(|&edge| range.contains(&self.ticks(edge).0))
-            .collect();
-        let first = edges
-            .first()
-            .context("the depth camera has seen no pulse")?;
-        let about = self.ticks(*first).0;
-        let from = pulses.partition_point(|p| p.0 + Self::NEAR < about);
-        let exact = pulses
-            .get(from)
-            .filter(|p| p.0 <= about + Self::NEAR)
-            .and_then(|p| zero_of(*first, *p))
-            .map(Self::new)
-            .context("the depth camera's first edge is no pulse of the recording")?;
-        let strange = edges
-            .iter()
-            .filter(|e| pulses.binary_search(&exact.ticks(**e)).is_err())
-            .count();
-        if strange > 0 {
-            bail!(
-                "{strange} of {} edges that the depth camera saw are no pulses of the recording",
-                edges.len()
-            );
-        }
-        Ok(exact)
     }
 
     /// The tick count at a board time.
@@ -178,14 +132,6 @@ impl Timebase {
     pub fn time(&self, ticks: Ticks) -> SimTime {
         self.clock.time_of(ticks.0)
     }
-}
-
-/// The board time at which the count was zero, if it was `ticks` at `edge`.
-fn zero_of(edge: SimTime, ticks: Ticks) -> Option<SimTime> {
-    let units =
-        u128::from(ticks.0) * u128::from(stm32f4_sim::time::UNITS_PER_SECOND) / u128::from(TICK_HZ);
-    let units = u64::try_from(units).ok()?;
-    edge.units().checked_sub(units).map(SimTime::from_units)
 }
 
 /// All pulses of a recording, in order, and the number of its IMU samples.
@@ -223,8 +169,8 @@ impl Truth {
 
     /// True reading of the phone's clock at a tick, minus the board's time, in
     /// nanoseconds.
-    fn offset_ns(&self, phone: &Oscillator, base: &Timebase, at: Ticks) -> f64 {
-        let true_time = self.board.true_at(base.time(at));
+    fn offset_ns(&self, phone: &Oscillator, at: Ticks) -> f64 {
+        let true_time = self.board.true_at(self.timebase.time(at));
         let phone = i128::from(phone.nanos_at(true_time));
         // 125 / 6 ns a tick: whole nanoseconds and the remainder apart.
         let scaled = i128::from(at.0) * 125;
@@ -232,34 +178,49 @@ impl Truth {
     }
 
     /// Error of a stated relation at a tick.
-    fn error_of(
-        &self,
-        phone: &Oscillator,
-        model: &ClockModel,
-        base: &Timebase,
-        at: Ticks,
-    ) -> OffsetError {
+    fn error_of(&self, phone: &Oscillator, model: &ClockModel, at: Ticks) -> OffsetError {
         let stated = model.offset_at(at.into());
         OffsetError {
-            error_us: stated.value * 1e6 - self.offset_ns(phone, base, at) * 1e-3,
+            error_us: stated.value * 1e6 - self.offset_ns(phone, at) * 1e-3,
             sigma_us: stated.sigma * 1e6,
         }
     }
 
     /// Error of a twist's relation where it is known best, and of its skew.
-    fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel, base: &Timebase) -> TwistVerdict {
+    fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel) -> TwistVerdict {
         /// Half of the distance over which the true skew is taken, seconds: the
         /// clock is read in whole nanoseconds.
         const REACH_S: f64 = 1.0;
         let error_at = |from_reference: f64| {
             let at = BoardSeconds(clock.reference.0 + from_reference);
-            self.error_of(phone, clock, base, at.ticks())
+            self.error_of(phone, clock, at.ticks())
         };
         let apart_us = error_at(REACH_S).error_us - error_at(-REACH_S).error_us;
         TwistVerdict {
             offset: error_at(0.0),
             skew_error_ppm: apart_us / (2.0 * REACH_S),
             skew_sigma_ppm: clock.skew_sigma_at(clock.reference) * 1e6,
+        }
+    }
+
+    /// Checks that the edges that the depth camera saw while these pulses came are pulses of
+    /// the recording, each at its tick.
+    fn check_edges(&self, pulses: &[Ticks]) -> Result<()> {
+        let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
+        // Edges before and after are those of other sessions.
+        let range = near(pulses.first())?..=near(pulses.last())?;
+        let edges = self.depth.iter().filter_map(|frame| match frame.source {
+            Source::Pulse { edge, .. } => Some(self.timebase.ticks(edge)),
+            Source::FreeRun => None,
+        });
+        let edges: Vec<Ticks> = edges.filter(|at| range.contains(at)).collect();
+        let strange = edges.iter().filter(|at| pulses.binary_search(at).is_err());
+        match (edges.len(), strange.count()) {
+            (0, _) => bail!("the depth camera has seen no pulse"),
+            (_, 0) => Ok(()),
+            (all, strange) => bail!(
+                "{strange} of {all} edges that the depth camera saw are no pulses of the recording"
+            ),
         }
     }
 
@@ -271,7 +232,7 @@ impl Truth {
     pub fn judge(&self, folder: &Path) -> Result<Verdict> {
         let session = SessionFile::load(folder)?;
         let (pulses, imu_samples) = read_streams(folder)?;
-        let base = self.timebase.refined(&pulses, &self.depth)?;
+        self.check_edges(&pulses)?;
         let alignment = session
             .alignment
             .context("the session has aligned nothing")?;
@@ -289,7 +250,7 @@ impl Truth {
             .0;
         let twist = last_twist(&reference.twists, span).context("no twist related the clocks")?;
         let video = video_at(&self.videos, phase_ns)?;
-        let phases = self.phases(&self.phone, video, &base, span);
+        let phases = self.phases(&self.phone, video, span);
         let phase = summarise(&phases).context("the recorded span has no frames")?;
         // A pair further apart than a quarter of a frame is none.
         let quarter_us = video.frames.period_ns() * 0.25e-3;
@@ -299,9 +260,10 @@ impl Truth {
             .count();
         let lost = session.counts.lost() + unpaired as u64;
         Ok(Verdict {
-            twist: self.judge_twist(&self.phone, &twist, &base),
-            offset_start: self.error_of(&self.phone, &alignment.clock, &base, span.from),
-            offset_end: self.error_of(&self.phone, &clock, &base, span.to),
+            others: self.judge_others(&session, span)?,
+            twist: self.judge_twist(&self.phone, &twist),
+            offset_start: self.error_of(&self.phone, &alignment.clock, span.from),
+            offset_end: self.error_of(&self.phone, &clock, span.to),
             phase,
             phases,
             pulses: pulses.len() as u64,
@@ -312,14 +274,8 @@ impl Truth {
     }
 
     /// Phase errors of a phone's frames in the recorded span.
-    fn phases(
-        &self,
-        phone: &Oscillator,
-        video: &VideoTruth,
-        base: &Timebase,
-        span: Span,
-    ) -> Vec<PhaseError> {
-        let phone_ns = |at: Ticks| phone.nanos_at(self.board.true_at(base.time(at)));
+    fn phases(&self, phone: &Oscillator, video: &VideoTruth, span: Span) -> Vec<PhaseError> {
+        let phone_ns = |at: Ticks| phone.nanos_at(self.board.true_at(self.timebase.time(at)));
         let from = phone_ns(span.from);
         // A frame that had begun before may belong to the way to the grid.
         let mut first = video.frames.complete_at(from);
@@ -333,24 +289,12 @@ impl Truth {
         phase_errors(&video.frames, first..count, phone, &self.depth)
     }
 
-    /// Judges what the recording in `folder` says of the other phones.
-    ///
-    /// # Errors
-    ///
-    /// The recording cannot be read, or a part that is judged is missing in it.
-    pub fn judge_others(&self, folder: &Path) -> Result<Vec<OtherVerdict>> {
-        let session = SessionFile::load(folder)?;
-        let (pulses, _) = read_streams(folder)?;
-        let base = self.timebase.refined(&pulses, &self.depth)?;
-        let span = session
-            .recorded
-            .context("the session has recorded nothing")?;
-        session
-            .other_phones()
-            .iter()
-            .zip(&self.others)
+    /// Judges what the session says of the other phones.
+    fn judge_others(&self, session: &SessionFile, span: Span) -> Result<Vec<OtherVerdict>> {
+        let others = session.other_phones().iter().zip(&self.others);
+        others
             .map(|(said, (clock, videos))| {
-                self.judge_other(said, (clock, videos), &base, span)
+                self.judge_other(said, (clock, videos), span)
                     .with_context(|| format!("phone {}", said.name))
             })
             .collect()
@@ -360,7 +304,6 @@ impl Truth {
         &self,
         said: &PhoneRecord,
         (phone, videos): (&Oscillator, &[VideoTruth]),
-        base: &Timebase,
         span: Span,
     ) -> Result<OtherVerdict> {
         let before = last_twist(&said.twists, span).context("no twist related its clock")?;
@@ -369,7 +312,7 @@ impl Truth {
         let phase_ns = said.video.context("it has started no video")?;
         let phase_ns = phase_ns.on_boot_clock().0;
         let video = video_at(videos, phase_ns)?;
-        let mut phases = self.phases(phone, video, base, span);
+        let mut phases = self.phases(phone, video, span);
         let period_us = video.frames.period_ns() * 1e-3;
         let near = |value: f64| value - (value / period_us).round() * period_us;
         // A frame that falls behind is paired with the next depth frame some time.
@@ -387,8 +330,8 @@ impl Truth {
         let stated = placed.offset_us + placed.drift_us_per_min * minutes;
         Ok(OtherVerdict {
             name: said.name.clone(),
-            offset_start: self.error_of(phone, &before, base, span.from),
-            offset_end: self.error_of(phone, &clock, base, span.to),
+            offset_start: self.error_of(phone, &before, span.from),
+            offset_end: self.error_of(phone, &clock, span.to),
             // The truth is depth minus phone.
             placement: OffsetError {
                 error_us: near(stated + truth.start_us),
@@ -437,34 +380,7 @@ mod tests {
         }
     }
 
-    #[test]
-    fn the_timebase_is_made_exact_though_the_camera_misses_pulses() {
-        let zero = SimTime::from_nanos(2_345_678);
-        let base = Timebase::new(zero);
-        let pulses: Vec<Ticks> = (0..300u64)
-            .map(|k| Ticks(5_000_000_000 + k * 1_600_000))
-            .collect();
-        let frames: Vec<FrameRecord> = pulses[2..290]
-            .iter()
-            .map(|&p| frame(base.time(p)))
-            .collect();
-        for off_ns in [0, 1_500, -1_500] {
-            let about = SimTime::from_nanos(2_345_678u64.saturating_add_signed(off_ns));
-            let found = Timebase::new(about).refined(&pulses, &frames).unwrap();
-            for &pulse in &pulses {
-                assert_eq!(found.ticks(base.time(pulse)), pulse);
-            }
-        }
-        // Pulses that the camera saw and the recording has not.
-        let gap = [&pulses[..50], &pulses[55..]].concat();
-        assert!(base.refined(&gap, &frames).is_err());
-        // Frames of another session do not matter.
-        assert!(base.refined(&pulses[5..100], &frames).is_ok());
-        assert!(base.refined(&pulses, &[]).is_err());
-    }
-
-    #[test]
-    fn a_true_relation_has_no_error() {
+    fn truth(depth: Vec<FrameRecord>) -> Truth {
         let config = |offset_ns, rate_ppm| OscillatorConfig {
             offset_ns,
             rate_ppm,
@@ -472,25 +388,46 @@ mod tests {
             ..OscillatorConfig::default()
         };
         let random = || rig::random::Seed(1).stream(rig::random::Stream::Test);
-        let truth = Truth {
+        Truth {
             board: BoardTime::new(config(0, 20.0), random()),
             phone: Oscillator::new(config(4_000_000_000_000, -30.0), random()),
             videos: Vec::new(),
             others: Vec::new(),
-            depth: Vec::new(),
+            depth,
             timebase: Timebase::new(SimTime::from_nanos(1_000_000)),
-        };
-        let base = truth.timebase;
+        }
+    }
+
+    #[test]
+    fn edges_that_the_camera_saw_are_looked_for_among_the_pulses() {
+        let base = truth(Vec::new()).timebase;
+        let pulses: Vec<Ticks> = (0..300u64)
+            .map(|k| Ticks(5_000_000_000 + k * 1_600_000))
+            .collect();
+        let frames = pulses[2..290].iter().map(|&p| frame(base.time(p)));
+        let seen = truth(frames.collect());
+        assert!(seen.check_edges(&pulses).is_ok());
+        // Pulses that the camera saw and the recording has not.
+        let gap = [&pulses[..50], &pulses[55..]].concat();
+        assert!(seen.check_edges(&gap).is_err());
+        // Frames of another session do not matter.
+        assert!(seen.check_edges(&pulses[5..100]).is_ok());
+        assert!(truth(Vec::new()).check_edges(&pulses).is_err());
+    }
+
+    #[test]
+    fn a_true_relation_has_no_error() {
+        let truth = truth(Vec::new());
         let at = Ticks(48_000_000 * 100);
         let skew = (1.0 - 30e-6) / (1.0 + 20e-6) - 1.0;
         let model = ClockModel {
             reference: Ticks(48_000_000 * 40).into(),
-            offset: truth.offset_ns(&truth.phone, &base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
+            offset: truth.offset_ns(&truth.phone, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 0.0]],
             wander: timebase::Wander(0.0),
         };
-        let error = truth.error_of(&truth.phone, &model, &base, at);
+        let error = truth.error_of(&truth.phone, &model, at);
         // 3 µs of error were put in.
         assert!((error.error_us - 3.0).abs() < 0.01, "{error:?}");
         assert!((error.sigma_us - 1.0).abs() < 1e-6, "{error:?}");

@@ -1,11 +1,9 @@
 //! Properties of a depth camera, as plain data.
 
-use anyhow::{Result, bail, ensure};
-
 use crate::oscillator::OscillatorConfig;
 use crate::rolling_shutter::FlashTrain;
 use crate::wiring;
-use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
+use stm32f4_sim::time::SimDuration;
 
 /// Longest pulse that does not count (Azure Kinect: it needs more than 8 µs).
 pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
@@ -15,8 +13,6 @@ pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 pub enum DepthMode {
     /// Narrow field of view, unbinned: up to 30 fps.
     NfovUnbinned,
-    /// Wide field of view, unbinned: up to 15 fps.
-    WfovUnbinned,
     /// No flashes of its own, but a shutter: one exposure of this length.
     Shutter {
         /// Time for which it is open.
@@ -30,7 +26,6 @@ impl DepthMode {
     pub fn flashes(self) -> FlashTrain {
         match self {
             Self::NfovUnbinned => FlashTrain::NFOV,
-            Self::WfovUnbinned => FlashTrain::WFOV,
             Self::Shutter { exposure } => FlashTrain {
                 count: 1,
                 pitch_ns: 0,
@@ -123,47 +118,5 @@ impl DepthCameraConfig {
     /// From a pulse, or where one was expected, to where it is known whether one came.
     pub(super) fn earliest_flash(&self) -> SimDuration {
         self.tolerance + self.shortest_pulse + SimDuration::from_micros(1)
-    }
-
-    pub(super) fn check(&self) -> Result<()> {
-        match (self.fps, self.mode) {
-            (5 | 15, _) | (30, DepthMode::NfovUnbinned | DepthMode::Shutter { .. }) => {}
-            (30, DepthMode::WfovUnbinned) => {
-                bail!("WFOV unbinned runs at 15 or 5 fps, not at 30")
-            }
-            (other, _) => bail!("{other} fps: the camera has 30, 15 and 5"),
-        }
-        ensure!(
-            self.first_frame > 0,
-            "the first frame cannot come on pulse 0: pulses count from 1"
-        );
-        let period = UNITS_PER_SECOND / u64::from(self.fps);
-        if self.tolerance.units() >= period / 4 {
-            bail!(
-                "a tolerance of {} ns is a quarter of a frame or more",
-                self.tolerance.as_nanos()
-            );
-        }
-        let known_after = self.earliest_flash();
-        if self.free_runs && self.flash_delay < known_after {
-            bail!(
-                "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
-                 as the camera must know that no pulse comes before it flashes on its own",
-                self.flash_delay.as_nanos(),
-                self.tolerance.as_nanos(),
-                known_after.as_nanos()
-            );
-        }
-        let train = self.mode.flashes();
-        let length = i64::from(train.count - 1) * train.pitch_ns + train.duration_ns;
-        if self.flash_delay.as_nanos() + length.unsigned_abs()
-            >= 1_000_000_000 / u64::from(self.fps)
-        {
-            bail!(
-                "a flash delay of {} ns leaves no time for {length} ns of flashes within a frame",
-                self.flash_delay.as_nanos()
-            );
-        }
-        Ok(())
     }
 }

@@ -98,6 +98,7 @@ fn shutter(camera: DepthCameraConfig, begins_us: f64, exposure_us: f64) -> Depth
     }
 }
 
-fn micros(us: f64) -> SimDuration {
-    SimDuration::from_nanos((us * 1e3) as u64)
+/// So many microseconds, in whole nanoseconds.
+pub(crate) fn micros(us: f64) -> SimDuration {
+    SimDuration::from_nanos((us * 1e3).round() as u64)
 }

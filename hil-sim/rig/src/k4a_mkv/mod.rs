@@ -23,6 +23,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 
 use elements::*;
 
+use crate::ball;
 use crate::depth_camera::{FrameRecord, TIMESTAMP_HZ};
 
 /// Nanoseconds in a unit of the file's time.
@@ -76,6 +77,18 @@ impl Default for K4aSettings {
 }
 
 impl K4aSettings {
+    /// Depth images of the [`ball`](crate::ball) alone.
+    #[must_use]
+    pub fn of_ball(fps: u32) -> Self {
+        let (width, height) = ball::DEPTH_SIZE;
+        Self {
+            width,
+            height,
+            fps,
+            ..Self::small()
+        }
+    }
+
     /// Small depth images alone, where what is in them is not looked at.
     #[must_use]
     pub fn small() -> Self {
@@ -109,8 +122,8 @@ pub fn device_us(ticks: u64) -> u64 {
     u64::try_from(us).unwrap_or(u64::MAX)
 }
 
-/// Writes what the simulated camera delivered as a recording. `pixels` fills the
-/// depth image of a frame (by its number); bad frames are black.
+/// Writes what the simulated camera delivered as a recording without infrared. `pixels` fills
+/// the depth image of a frame.
 ///
 /// # Errors
 ///
@@ -119,18 +132,11 @@ pub fn write_frames<W: Write + Seek>(
     out: W,
     settings: K4aSettings,
     frames: &[FrameRecord],
-    mut pixels: impl FnMut(u64, &mut [u16]),
+    mut pixels: impl FnMut(&FrameRecord, &mut [u16]),
 ) -> io::Result<W> {
-    let mut image = vec![0; settings.width as usize * settings.height as usize];
-    let infrared = settings.infrared;
     let mut writer = K4aMkvWriter::new(out, settings)?;
-    for frame in frames.iter().filter(|frame| frame.delivered) {
-        image.fill(0);
-        if !frame.bad {
-            pixels(frame.number, &mut image);
-        }
-        let us = device_us(frame.device_ticks);
-        writer.write_capture(us, &image, infrared.then_some(&image))?;
+    for frame in frames {
+        writer.write_frame(frame, &mut pixels)?;
     }
     writer.finish()
 }
@@ -212,6 +218,27 @@ impl<W: Write + Seek> K4aMkvWriter<W> {
             start_us: None,
             cues: Vec::new(),
         })
+    }
+
+    /// Adds a frame of the simulated camera, if it was delivered; `pixels` fills its depth
+    /// image. A bad one is black.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails, or there is a track for infrared.
+    pub fn write_frame(
+        &mut self,
+        frame: &FrameRecord,
+        pixels: impl FnOnce(&FrameRecord, &mut [u16]),
+    ) -> io::Result<()> {
+        if !frame.delivered {
+            return Ok(());
+        }
+        let mut image = vec![0; self.settings.width as usize * self.settings.height as usize];
+        if !frame.bad {
+            pixels(frame, &mut image);
+        }
+        self.write_capture(device_us(frame.device_ticks), &image, None)
     }
 
     /// Adds a capture at a device time in µs. Pixels row by row; `depth` in mm.

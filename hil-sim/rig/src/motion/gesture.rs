@@ -29,7 +29,7 @@ use crate::random::Random;
 pub const FADE: f64 = 0.7;
 
 /// A kind of motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Gesture {
     /// Lies still and level.
     Rest,

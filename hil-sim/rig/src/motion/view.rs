@@ -105,13 +105,14 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::{MotionSpec, gesture};
+    use crate::motion::MotionSpec;
+    use crate::motion::gesture::{FADE, Gesture};
     use crate::random::{Seed, Stream};
 
     #[test]
     fn the_view_is_the_motion() {
-        for name in ["rest", "twist", "walk"] {
-            let spec: MotionSpec = name.parse().unwrap();
+        for gesture in [Gesture::Rest, Gesture::Twist, Gesture::Walk] {
+            let spec = MotionSpec::always(gesture);
             let motion = spec.build(Seed(3).stream(Stream::Motion));
             let mut view = MotionView::new(Arc::clone(&motion));
             let mut random = Seed(3).stream(Stream::Test);
@@ -122,7 +123,7 @@ mod tests {
                     n => f64::from(n) * 1.7e-3 + random.uniform(-0.1, 0.1),
                 };
                 let near_a_seam = |seam: f64| (t - seam).abs() < 2.0 * STEP;
-                let seam = near_a_seam(0.0) || near_a_seam(gesture::FADE);
+                let seam = near_a_seam(0.0) || near_a_seam(FADE);
                 let limit = if seam { 1e-5 } else { 2e-7 };
                 for (seen, real) in [
                     (view.angular_rate(t), motion.angular_rate(t)),
@@ -130,7 +131,7 @@ mod tests {
                 ] {
                     for axis in 0..3 {
                         let error = (seen[axis] - real[axis]).abs();
-                        assert!(error < limit, "{name} {t}: {error}");
+                        assert!(error < limit, "{gesture:?} {t}: {error}");
                     }
                 }
                 assert!(view.rate.values.len() <= 2 * KEPT);
@@ -140,7 +141,7 @@ mod tests {
 
     #[test]
     fn what_is_seen_does_not_depend_on_the_order_of_looks() {
-        let spec: MotionSpec = "twist".parse().unwrap();
+        let spec = MotionSpec::always(Gesture::Twist);
         let motion = spec.build(Seed(3).stream(Stream::Motion));
         let mut a = MotionView::new(Arc::clone(&motion));
         let mut b = MotionView::new(motion);

@@ -114,15 +114,6 @@ pub(super) struct SensorRecording {
     to: i64,
 }
 
-/// Something that the app does by itself later.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Due {
-    /// It has been in the background for long enough: recordings end.
-    Background,
-    /// The capture session of the `number`th recording closes.
-    Closed { number: usize, at: TrueTime },
-}
-
 /// One recording of the phone, for the ground truth.
 #[derive(Clone, Debug)]
 pub struct VideoTruth {
@@ -174,10 +165,6 @@ pub(super) struct State {
     since_opened: usize,
     pub(super) recorder: Recorder,
     sensors_busy: bool,
-    /// Sensors that are ticked in the settings.
-    pub(super) ticked: [bool; 3],
-    /// When the app went to the background; none in the foreground.
-    pub(super) background: Option<TrueTime>,
     /// Files being written in the background.
     pub(super) saving: usize,
     /// Error while saving.
@@ -208,8 +195,8 @@ pub(super) struct App {
     /// Number of times that the app was opened again.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
-    /// Work for later, where the app has no threads.
-    agenda: Mutex<Option<Vec<(TrueTime, Due)>>>,
+    /// When which recordings close, where the app has no threads.
+    agenda: Mutex<Option<Vec<(TrueTime, usize)>>>,
 }
 
 impl App {
@@ -226,8 +213,6 @@ impl App {
             since_opened: 0,
             recorder: Recorder::Idle,
             sensors_busy: false,
-            ticked: config.app.ticked,
-            background: None,
             saving: 0,
             trouble: None,
         };
@@ -253,16 +238,17 @@ impl App {
         self
     }
 
-    /// Lets something happen at a time.
-    pub(super) fn later(self: &Arc<Self>, at: TrueTime, due: Due) {
+    /// Closes the capture session of the `number`th recording at a time.
+    pub(super) fn close_at(self: &Arc<Self>, at: TrueTime, number: usize) {
         if let Some(agenda) = &mut *lock(&self.agenda) {
-            agenda.push((at, due));
+            agenda.push((at, number));
             return;
         }
         let app = Arc::clone(self);
         std::thread::spawn(move || {
-            let reached = app.wait_until(at).is_ok();
-            app.happen(due, reached);
+            // Where the rig is stopped before, it is closed all the same.
+            let _ = app.wait_until(at);
+            app.end_recording(number, at);
         });
     }
 
@@ -274,23 +260,12 @@ impl App {
                 let first = (0..agenda.len()).min_by_key(at)?;
                 at(&first)
                     .is_some_and(|at| self.has_come(at))
-                    .then(|| agenda.swap_remove(first).1)
+                    .then(|| agenda.swap_remove(first))
             });
             match next {
-                Some(due) => self.happen(due, true),
+                Some((at, number)) => self.end_recording(number, at),
                 None => return,
             }
-        }
-    }
-
-    /// Something is due, or the rig was stopped before.
-    fn happen(self: &Arc<Self>, due: Due, reached: bool) {
-        match due {
-            Due::Background if reached && self.state().background.is_some() => {
-                self.stop_recording(0.0);
-            }
-            Due::Background => {}
-            Due::Closed { number, at } => self.end_recording(number, at),
         }
     }
 
@@ -381,7 +356,7 @@ impl App {
         let Some(duration_ms) = request.duration_ms else {
             return Progress::Done(Reply::Crash);
         };
-        let ticked = {
+        {
             let mut state = self.state();
             // The sensors of a video run until its session is closed (EAI:237). Without
             // its sync recording the app does not know of them (EAI:183).
@@ -389,19 +364,15 @@ impl App {
             if of_video || state.sensors_busy {
                 return Progress::Done(Reply::Error("Error in IMU recording".to_owned()));
             }
-            if self.config.app.imu_rewrites_ticks {
-                state.ticked = request.wants;
-            }
             state.sensors_busy = true;
-            state.ticked
-        };
+        }
         let mut names = self.names();
         let from = self.now_ns();
         let to = from.saturating_add(duration_ms.saturating_mul(1_000_000));
         for kind in Kind::ALL {
             // A file that cannot be made is left out, as one that is not ticked is
             // (`RawSensorInfo.java`:229). A sensor that the phone lacks has one.
-            if kind.one_of(ticked) {
+            if kind.one_of(self.config.app.ticked) {
                 let _ = names.make_sensor(kind);
             }
         }
@@ -427,7 +398,6 @@ impl App {
             to,
         } = recording;
         self.state().sensors_busy = false;
-        let to = self.heard_until(to);
         let mut body = String::new();
         for kind in Kind::ALL {
             let Some(path) = names.sensor(kind).filter(|_| request.wants(kind)) else {
@@ -446,16 +416,6 @@ impl App {
             body.push_str("sensor_end\n");
         }
         Reply::Success(body)
-    }
-
-    /// Until when sensors are heard that run until `to`: in the background not for long.
-    fn heard_until(&self, to: i64) -> i64 {
-        let background = self.state().background;
-        background.map_or(to, |since| {
-            let more = self.config.app.background_ms * 1e6;
-            let end = self.oscillator.nanos_at(since).saturating_add(more as i64);
-            to.min(end)
-        })
     }
 
     /// The names of a recording that begins now.
@@ -494,24 +454,11 @@ impl App {
     }
 
     fn tell_phase(&self, phase: &Phase) -> Reply {
-        let camera = &self.config.camera;
         let mut body = format!("{}\n{}\n", phase.stamp_ns, java::double(phase.period_ns));
         if self.config.version != "v.0.1" {
-            let known = if camera.reports_exposure {
-                phase.exposure_ns
-            } else {
-                0
-            };
-            body.push_str(&format!("{known}\n"));
+            body.push_str(&format!("{}\n", phase.exposure_ns));
         }
         Reply::Success(body)
-    }
-
-    /// The app leaves the foreground: it goes on for a moment, then ends recordings.
-    pub(super) fn to_background(self: &Arc<Self>) {
-        self.state().background = Some(self.clock.now());
-        let end = self.in_ms(self.config.app.background_ms);
-        self.later(end, Due::Background);
     }
 
     /// The process ends, as by a crash or by hand, and the app is as if just opened.
@@ -522,7 +469,6 @@ impl App {
         let mut state = self.state();
         state.recorder = Recorder::Idle;
         state.since_opened = state.recordings.len();
-        state.background = None;
         drop(state);
         self.changed.notify_all();
     }

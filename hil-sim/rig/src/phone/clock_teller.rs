@@ -17,7 +17,6 @@ use crate::link_delay::{Link, LinkRanges};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
 use stm32f4_sim::shared::lock;
-use stm32f4_sim::time::SimDuration;
 
 /// Tells the clocks until it is dropped.
 #[derive(Debug)]
@@ -89,6 +88,19 @@ fn serve(
     }
 }
 
+impl App {
+    /// What the program on the phone tells of its clocks at a time.
+    pub(super) fn told(&self, nonce: u64, at: TrueTime) -> Answer {
+        let boot_ns = self.oscillator.nanos_at(at);
+        Answer {
+            nonce,
+            boot_ns,
+            monotonic_ns: boot_ns - self.config.slept_ns,
+            temperature: Some(314),
+        }
+    }
+}
+
 /// Answers until the host is gone, or the rig has stopped.
 fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
@@ -99,25 +111,12 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
         let Some(nonce) = read_question(&question) else {
             return Ok(());
         };
-        let asked = clock.now();
-        let Some([there, back]) = link.ways(asked.as_secs_f64()) else {
+        let Some([read, back]) = link.exchange(clock.now()) else {
             continue;
         };
-        let later = |from: TrueTime, by: f64| {
-            let by = SimDuration::from_secs_f64(by).units();
-            TrueTime::from_units(from.units().saturating_add(by))
-        };
-        let read_at = later(asked, there);
-        if clock.wait_until(later(read_at, back)).is_err() {
+        if clock.wait_until(back).is_err() {
             return Ok(());
         }
-        let now_ns = app.oscillator.nanos_at(read_at);
-        let answer = Answer {
-            nonce,
-            boot_ns: now_ns,
-            monotonic_ns: now_ns - app.config.slept_ns,
-            temperature: Some(314),
-        };
-        stream.write_all(&answer.bytes())?;
+        stream.write_all(&app.told(nonce, read).bytes())?;
     }
 }

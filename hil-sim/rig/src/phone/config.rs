@@ -19,8 +19,6 @@ pub struct PhoneConfig {
     pub gyroscope: SensorConfig,
     /// The accelerometer; values in m/s².
     pub accelerometer: SensorConfig,
-    /// The magnetometer; values in µT. A phone may lack one: its file is empty then.
-    pub magnetometer: Option<SensorConfig>,
     /// The camera.
     pub camera: CameraConfig,
     /// The app's settings, and how long it takes for things.
@@ -44,20 +42,11 @@ pub struct AppConfig {
     /// as recording, and the sensors run (`CameraController2.java`:5277, EAI:237). How
     /// long that takes is the phone's; [`PhoneConfig::draw`] takes 0 to 2 s.
     pub stop_ms: f64,
-    /// From the background to the end of all recordings, milliseconds
-    /// (`MainActivity.java`, `onPause`).
-    pub background_ms: f64,
     /// The sensors that are ticked in the settings: accelerometer, gyroscope,
     /// magnetometer. They alone get files (EAI:297).
     pub ticked: [bool; 3],
-    /// Up to v1.48.2.9 each `imu?` rewrites the ticks for good; later versions have the
-    /// lines as comments (RRH:70).
-    pub imu_rewrites_ticks: bool,
     /// Access to the storage.
     pub storage: StorageAccess,
-    /// The rest of an answer waits for the next one, as Nagle's algorithm has it on a
-    /// network with latency. If not, each answer leaves as soon as it is there.
-    pub gathers: bool,
 }
 
 /// Access of the app to its files.
@@ -171,8 +160,6 @@ pub struct CameraConfig {
     /// True if the app gets timestamps of frames at all (its sync recording is
     /// switched on). Without them `video_start` fails after 10 s.
     pub reports_frames: bool,
-    /// True if exposure times are reported. If not, the app says 0.
-    pub reports_exposure: bool,
     /// Grey level of the scene.
     pub ambient: f64,
     /// Grey levels that a whole flash adds to a row.
@@ -249,30 +236,13 @@ impl PhoneConfig {
             step: 0.244e-3 * crate::motion::STANDARD_GRAVITY,
             ..gyroscope.clone()
         };
-        let magnetometer = SensorConfig {
-            rate_hz: 100.0 * (1.0 + r.uniform(-0.01, 0.01)),
-            channel: ChannelConfig {
-                rotation,
-                scale_error: each(r, 0.02),
-                bias: each(r, 5.0),
-                bias_walk: 0.0,
-                noise_density: 0.05,
-            },
-            low_pass: LowPass {
-                bandwidth_hz: 40.0,
-                delay_s: 5e-3,
-            },
-            step: 0.15,
-            ..gyroscope.clone()
-        };
+        // Unused, and drawn all the same: a seed keeps its phone.
+        let _ = [0; 7].map(|_| r.bits());
         let camera = CameraConfig::draw(r);
         let app = AppConfig {
             stop_ms: r.uniform(0.0, 2_000.0),
-            background_ms: r.uniform(0.0, 1_000.0),
             ticked: [true; 3],
-            imu_rewrites_ticks: false,
             storage: StorageAccess::Files,
-            gathers: false,
         };
         Self {
             seed,
@@ -280,7 +250,6 @@ impl PhoneConfig {
             clock,
             gyroscope,
             accelerometer,
-            magnetometer: Some(magnetometer),
             camera,
             app,
             video: VideoMode::OnRequest,
@@ -320,7 +289,6 @@ impl CameraConfig {
             first_frame_ms: (250.0, 700.0),
             pipeline_ms: 40.0,
             reports_frames: true,
-            reports_exposure: true,
             ambient: 30.0,
             flash_amplitude: 60.0,
             read_noise: 1.0,

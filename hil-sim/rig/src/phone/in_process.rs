@@ -174,6 +174,12 @@ impl AskedPhone {
         self.app.videos()
     }
 
+    /// What our program on the phone tells of its clocks at a time.
+    #[must_use]
+    pub fn told(&self, nonce: u64, at: TrueTime) -> phone_agent::Answer {
+        self.app.told(nonce, at)
+    }
+
     /// The ground truth about its clock.
     #[must_use]
     pub fn oscillator(&self) -> &Oscillator {

@@ -14,7 +14,8 @@
 //! that clock. What it answers is a function of its configuration, the rig's
 //! motion, the flashes, and the true times at which it was asked.
 //!
-//! Limits: the app's own latencies are constants of one phone; the sensors' low-pass is the
+//! Limits: the app stays in the foreground, its phone has no magnetometer (whose files are
+//! empty); its own latencies are constants of one phone; the sensors' low-pass is the
 //! one of [`crate::inertial_channel`]; the camera sees even light only; the
 //! phone never runs out of space or battery.
 
@@ -172,13 +173,6 @@ impl SimPhone {
         self.app.press_record(true);
     }
 
-    /// Sends the app to the background: it goes on for a moment, then ends recordings,
-    /// and its server ends.
-    pub fn send_to_background(&self) {
-        self.app.to_background();
-        self.link.pause(&self.app);
-    }
-
     /// Ends the app, if it has not ended itself, and opens it again.
     ///
     /// # Errors
@@ -186,7 +180,6 @@ impl SimPhone {
     /// Someone else has taken its port.
     pub fn reopen_app(&self) -> std::io::Result<()> {
         self.app.reopen();
-        self.link.forget_background();
         self.link.cut();
         self.link.join()
     }

@@ -4,7 +4,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::app::{App, Due, Phase, Recorder, Recording, State, VideoTruth};
+use super::app::{App, Phase, Recorder, Recording, State, VideoTruth};
 use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
@@ -62,10 +62,6 @@ impl App {
     }
 
     fn start_recording(&self, state: &mut State, by_hand: bool) {
-        // Without a camera there is no video.
-        if state.background.is_some() {
-            return;
-        }
         let start_ns = self.now_ns();
         let number = u32::try_from(state.recordings.len()).unwrap_or(u32::MAX);
         let frames = FrameTimes::new(&self.config, number, start_ns);
@@ -73,7 +69,8 @@ impl App {
         let mut names = self.names();
         let made = names.make_video(&taken);
         // All that are ticked, the magnetometer too (EAI:187).
-        let sensors = state
+        let app = &self.config.app;
+        let sensors = app
             .ticked
             .map(|ticked| ticked && self.config.camera.reports_frames);
         let made = Kind::ALL
@@ -122,11 +119,10 @@ impl App {
         if self.has_come(closed) {
             self.close_session(number);
         }
-        self.later(closed, Due::Closed { number, at: closed });
+        self.close_at(closed, number);
     }
 
-    /// The `number`th recording ends at a time, and is saved. Where the rig was stopped
-    /// before, its session is closed all the same.
+    /// The `number`th recording ends at a time, and is saved.
     pub(super) fn end_recording(&self, number: usize, at: TrueTime) {
         self.close_session(number);
         // A panic while saving must not leave others waiting for its end.

@@ -9,9 +9,8 @@
 //! the filtered noise of two samples on either side of a block's border is not
 //! correlated, once in some seconds.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::config::{PhoneConfig, SensorConfig, StampErrors};
@@ -20,20 +19,16 @@ use crate::inertial_channel::{Channel, ChannelConfig};
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
-use stm32f4_sim::shared::lock;
 
 /// Samples that share one stream of random numbers.
 const BLOCK: u64 = 2048;
-
-/// The Earth's magnetic field at mid latitudes in µT, world axes (x north, y
-/// west, z up).
-const EARTH_FIELD: [f64; 3] = [20.0, 0.0, -43.0];
 
 /// The sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Accelerometer,
     Gyroscope,
+    /// This phone has none: its file is empty.
     Magnetometer,
 }
 
@@ -58,14 +53,6 @@ impl Kind {
             Self::Magnetometer => magnetometer,
         }
     }
-
-    const fn stream(self) -> Stream {
-        match self {
-            Self::Accelerometer => Stream::PhoneAccel,
-            Self::Gyroscope => Stream::PhoneGyro,
-            Self::Magnetometer => Stream::PhoneMagnetometer,
-        }
-    }
 }
 
 /// One sample as the app gets it.
@@ -83,10 +70,8 @@ pub(super) struct Sensors {
     seed: Seed,
     accelerometer: SensorConfig,
     gyroscope: SensorConfig,
-    magnetometer: Option<SensorConfig>,
     oscillator: Oscillator,
     motion: Arc<Motion>,
-    heading: Heading,
 }
 
 impl Sensors {
@@ -95,26 +80,18 @@ impl Sensors {
             seed: config.seed,
             accelerometer: config.accelerometer.clone(),
             gyroscope: config.gyroscope.clone(),
-            magnetometer: config.magnetometer.clone(),
             oscillator,
-            heading: Heading::new(Arc::clone(&motion)),
             motion,
-        }
-    }
-
-    fn config(&self, kind: Kind) -> Option<&SensorConfig> {
-        match kind {
-            Kind::Accelerometer => Some(&self.accelerometer),
-            Kind::Gyroscope => Some(&self.gyroscope),
-            Kind::Magnetometer => self.magnetometer.as_ref(),
         }
     }
 
     /// The samples taken in `from_ns..to_ns` of the boot clock. (What a fault
     /// does to a timestamp does not move a sample into or out of the range.)
     pub(super) fn samples(&self, kind: Kind, from_ns: i64, to_ns: i64) -> Vec<Sample> {
-        let Some(config) = self.config(kind) else {
-            return Vec::new();
+        let (config, stream) = match kind {
+            Kind::Accelerometer => (&self.accelerometer, Stream::PhoneAccel),
+            Kind::Gyroscope => (&self.gyroscope, Stream::PhoneGyro),
+            Kind::Magnetometer => return Vec::new(),
         };
         let period_ns = 1e9 / config.rate_hz;
         let zero = self.oscillator.config().offset_ns;
@@ -126,10 +103,7 @@ impl Sensors {
         if end <= first {
             return Vec::new();
         }
-        if kind == Kind::Magnetometer {
-            self.heading.reach(end as f64 * period_ns * 1.01e-9 + 1.0);
-        }
-        let walk = BiasWalk::new(config, substream(self.seed, kind.stream(), u64::MAX));
+        let walk = BiasWalk::new(config, substream(self.seed, stream, u64::MAX));
         let stamps = substream(self.seed, Stream::PhoneTimestamps, u64::MAX - kind as u64);
         let errors = Errors::new(config.stamps, stamps);
         (first / BLOCK..=(end - 1) / BLOCK)
@@ -137,7 +111,8 @@ impl Sensors {
             .map(|block| {
                 let begin = (first.max(block * BLOCK) - block * BLOCK) as usize;
                 let stop = (end.min((block + 1) * BLOCK) - block * BLOCK) as usize;
-                let samples = self.block(kind, config, block, stop, (&walk, &errors));
+                let noise = substream(self.seed, stream, block);
+                let samples = self.block(kind, config, (block, noise), stop, (&walk, &errors));
                 samples.get(begin..).unwrap_or_default().to_vec()
             })
             .collect::<Vec<_>>()
@@ -149,7 +124,7 @@ impl Sensors {
         &self,
         kind: Kind,
         config: &SensorConfig,
-        block: u64,
+        (block, noise): (u64, Random),
         count: usize,
         (walk, errors): (&BiasWalk, &Errors),
     ) -> Vec<Sample> {
@@ -161,7 +136,6 @@ impl Sensors {
             bias_walk: 0.0,
             ..config.channel
         };
-        let noise = substream(self.seed, kind.stream(), block);
         let mut channel = Channel::new(still, config.low_pass, period_s, noise);
         let (walk_from, walk_to) = walk.over(block);
         let mut out = Vec::with_capacity(count);
@@ -172,17 +146,10 @@ impl Sensors {
                 Some(at) => at.as_secs_f64(),
                 None => 0.0,
             };
-            let measured = match kind {
-                Kind::Accelerometer => {
-                    channel.sample(at, i as u64, period_s, |t| self.motion.specific_force(t))
-                }
-                Kind::Gyroscope => {
-                    channel.sample(at, i as u64, period_s, |t| self.motion.angular_rate(t))
-                }
-                Kind::Magnetometer => {
-                    channel.sample(at, i as u64, period_s, |t| self.heading.field(t))
-                }
-            };
+            let measured = channel.sample(at, i as u64, period_s, |t| match kind {
+                Kind::Gyroscope => self.motion.angular_rate(t),
+                _ => self.motion.specific_force(t),
+            });
             let part = i as f64 / BLOCK as f64;
             let mut values = [0.0f32; 3];
             for (axis, value) in values.iter_mut().enumerate() {
@@ -286,64 +253,17 @@ impl BiasWalk {
     }
 }
 
-/// Orientation of the rig in the world: the integral of its angular rate.
-#[derive(Debug)]
-struct Heading {
-    motion: Arc<Motion>,
-    /// Orientation every [`Heading::STEP`] seconds from power-on.
-    turned: Mutex<Vec<UnitQuaternion<f64>>>,
-}
-
-impl Heading {
-    const STEP: f64 = 0.005;
-
-    fn new(motion: Arc<Motion>) -> Self {
-        Self {
-            motion,
-            turned: Mutex::new(vec![UnitQuaternion::identity()]),
-        }
-    }
-
-    /// The turn from `t` over `step` seconds by the rate in the middle.
-    fn turn(&self, t: f64, step: f64) -> UnitQuaternion<f64> {
-        let rate = Vector3::from(self.motion.angular_rate(t + 0.5 * step));
-        UnitQuaternion::from_scaled_axis(rate * step)
-    }
-
-    /// Integrates as far as `until` seconds.
-    fn reach(&self, until: f64) {
-        let mut turned = lock(&self.turned);
-        while (turned.len() as f64) * Self::STEP <= until {
-            let at = (turned.len() - 1) as f64 * Self::STEP;
-            let last = turned.last().copied().unwrap_or_default();
-            turned.push(last * self.turn(at, Self::STEP));
-        }
-    }
-
-    /// The Earth's field along the rig's axes at `t` seconds, µT.
-    fn field(&self, t: f64) -> [f64; 3] {
-        let (known, before) = {
-            let turned = lock(&self.turned);
-            let known = ((t.max(0.0) / Self::STEP) as usize).min(turned.len() - 1);
-            (known, turned.get(known).copied().unwrap_or_default())
-        };
-        let at = known as f64 * Self::STEP;
-        let now = before * self.turn(at, t.max(0.0) - at);
-        now.inverse_transform_vector(&Vector3::from(EARTH_FIELD))
-            .into()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::motion::MotionSpec;
+    use crate::motion::gesture::Gesture;
 
     fn sensors(edit: impl FnOnce(&mut PhoneConfig)) -> (Sensors, i64) {
         let mut config = PhoneConfig::draw(Seed(3));
         edit(&mut config);
         let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
-        let spec: MotionSpec = "walk".parse().unwrap();
+        let spec = MotionSpec::always(Gesture::Walk);
         let motion = spec.build(config.seed.stream(Stream::Motion));
         let zero = config.clock.offset_ns;
         (Sensors::new(&config, oscillator, motion), zero)
@@ -352,7 +272,7 @@ mod tests {
     #[test]
     fn a_sample_does_not_depend_on_the_request() {
         let (sensors, zero) = sensors(|_| ());
-        for kind in Kind::ALL {
+        for kind in [Kind::Accelerometer, Kind::Gyroscope] {
             let whole = sensors.samples(kind, zero, zero + 12_000_000_000);
             let part = sensors.samples(kind, zero + 3_000_000_000, zero + 9_000_000_000);
             let at = whole.iter().position(|s| *s == part[0]).unwrap();
@@ -423,7 +343,7 @@ mod tests {
             let rate = sensors
                 .motion
                 .angular_rate(at.as_secs_f64() - config.low_pass.delay_s);
-            let turned = config.channel.rotation * Vector3::from(rate);
+            let turned = config.channel.rotation * nalgebra::Vector3::from(rate);
             for axis in 0..3 {
                 let expected = turned[axis] * (1.0 + config.channel.scale_error[axis])
                     + config.channel.bias[axis];
@@ -433,25 +353,5 @@ mod tests {
                 assert!((steps - steps.round()).abs() < 1e-3);
             }
         }
-    }
-
-    #[test]
-    fn the_field_turns_with_the_rig_and_keeps_its_size() {
-        let (sensors, zero) = sensors(|c| {
-            if let Some(m) = &mut c.magnetometer {
-                m.channel.bias = [0.0; 3];
-                m.channel.scale_error = [0.0; 3];
-            }
-        });
-        let samples = sensors.samples(Kind::Magnetometer, zero, zero + 30_000_000_000);
-        let size = Vector3::from(EARTH_FIELD).norm();
-        let mut spread = 0.0f64;
-        for sample in &samples {
-            let field = Vector3::from(sample.values.map(f64::from));
-            assert!((field.norm() - size).abs() < 2.0, "{}", field.norm());
-            let first = Vector3::from(samples[0].values.map(f64::from));
-            spread = spread.max((field - first).norm());
-        }
-        assert!(spread > 5.0, "{spread}");
     }
 }

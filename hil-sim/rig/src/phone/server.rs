@@ -5,23 +5,6 @@
 //! that leaves is one too, even without its end, and so is all that a client has left
 //! after which nobody served before. (`RemoteRpcServer.java`:153: `readLine` until
 //! there is no more; what cannot be sent is dropped in silence by its `PrintStream`.)
-//!
-//! In the background the server ends: within a second, or after the next line of the
-//! client that it serves. Until then it has the port, and a new one does not get it
-//! (lines 134, 137, 153 and 169).
-//!
-//! # When answers leave
-//!
-//! The app writes an answer in pieces, the end of its last line apart, on a
-//! socket with Nagle's algorithm. So what is left of an answer when its last
-//! full segment has gone waits for the acknowledgement, and if the next request
-//! is there already (the published client sends an empty line after each
-//! `imu?…`), its answer joins it. That client depends on it: it reads in
-//! blocks, takes the stray answer with the end of the one it wants, and throws
-//! it away. With [`gathers`](super::AppConfig::gathers) the same is made certain:
-//! while another request is waiting, the last [`TAIL`] bytes of an answer are held back for [`GATHER`], which
-//! gives the client time to take what came before, and leave in one piece with
-//! the next answer.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -31,21 +14,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::app::{App, Reply};
-use crate::oscillator::TrueTime;
 use stm32f4_sim::shared::lock;
-
-/// Bytes of an answer that wait for the next one: less than a segment.
-const TAIL: usize = 1_024;
-
-/// Least time that they wait.
-const GATHER: Duration = Duration::from_millis(50);
 
 /// Time in which the server sees that it shall stop.
 const POLL: Duration = Duration::from_millis(20);
-
-/// Time in which a server in the background sees that it is to end, in milliseconds of true
-/// time (`RemoteRpcServer.java`:41).
-const ACCEPT_MS: f64 = 1_000.0;
 
 /// Longest request that is kept, in bytes; a longer one ends the connection.
 const MAX_REQUEST: usize = 64 * 1024;
@@ -78,22 +50,9 @@ pub(super) struct Link {
     listener: Mutex<Option<TcpListener>>,
     fault: Mutex<Option<LinkFault>>,
     client: Mutex<Option<TcpStream>>,
-    /// In the background: when the server looks at it at last.
-    ending: Mutex<Option<TrueTime>>,
 }
 
 impl Link {
-    /// The app is in the background: its server is to end, at the latest then unless it
-    /// serves a client.
-    pub(super) fn pause(&self, app: &App) {
-        *lock(&self.ending) = Some(app.in_ms(ACCEPT_MS));
-    }
-
-    /// The app's process has ended, or is opened again.
-    pub(super) fn forget_background(&self) {
-        *lock(&self.ending) = None;
-    }
-
     pub(super) fn set_fault(&self, fault: Option<LinkFault>) {
         *lock(&self.fault) = fault;
     }
@@ -110,7 +69,6 @@ impl Link {
             listener: Mutex::new(Some(listener)),
             fault: Mutex::default(),
             client: Mutex::default(),
-            ending: Mutex::default(),
         })
     }
 
@@ -152,14 +110,8 @@ fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
 /// Serves clients until the app closes.
 pub(super) fn serve(app: &Arc<App>, link: &Link) {
     while !app.closing.load(Ordering::SeqCst) {
-        let ending = *lock(&link.ending);
-        if ending.is_some_and(|at| app.has_come(at)) {
-            lock(&link.listener).take();
-        }
         let accepted = lock(&link.listener).as_ref().map(TcpListener::accept);
         match accepted {
-            // Accepted by a server that is to end: closed at once.
-            Some(Ok(_)) if ending.is_some() => drop(lock(&link.listener).take()),
             Some(Ok((stream, _))) => {
                 if stream.set_nonblocking(false).is_ok() {
                     *lock(&link.client) = stream.try_clone().ok();
@@ -180,7 +132,6 @@ struct Client<'a> {
     input: Vec<u8>,
     /// The last request ended with `\r`: a `\n` that follows belongs to it.
     after_return: bool,
-    held: Vec<u8>,
     /// The client will send no more.
     ended: bool,
     /// The client does not listen any more.
@@ -204,7 +155,6 @@ impl<'a> Client<'a> {
             link,
             input: Vec::new(),
             after_return: false,
-            held: Vec::new(),
             ended: false,
             deaf: false,
         }
@@ -213,10 +163,6 @@ impl<'a> Client<'a> {
     fn serve(mut self) {
         while let Ok(line) = self.next_request() {
             if self.answer(&line).is_err() {
-                break;
-            }
-            if lock(&self.link.ending).is_some() {
-                lock(&self.link.listener).take();
                 break;
             }
         }
@@ -228,7 +174,6 @@ impl<'a> Client<'a> {
             if let Some(line) = self.take_line() {
                 return Ok(line);
             }
-            self.flush()?;
             let too_long = self.input.len() > MAX_REQUEST;
             if self.ended && !self.input.is_empty() {
                 let line = std::mem::take(&mut self.input);
@@ -237,13 +182,13 @@ impl<'a> Client<'a> {
             if self.ended || too_long || self.app.closing.load(Ordering::SeqCst) {
                 return Err(Gone);
             }
-            self.receive(POLL)?;
+            self.receive()?;
         }
     }
 
-    /// Reads what has come, waiting for at most `patience`.
-    fn receive(&mut self, patience: Duration) -> Result<(), Gone> {
-        self.stream.set_read_timeout(Some(patience))?;
+    /// Reads what has come, waiting for a moment.
+    fn receive(&mut self) -> Result<(), Gone> {
+        self.stream.set_read_timeout(Some(POLL))?;
         let mut buffer = [0u8; 4096];
         match self.stream.read(&mut buffer) {
             Ok(0) => {
@@ -276,17 +221,6 @@ impl<'a> Client<'a> {
         Some(String::from_utf8_lossy(&line).into_owned())
     }
 
-    /// True if another request is waiting, one that is answered at once.
-    fn has_quick_request(&self) -> bool {
-        let skip = usize::from(self.after_return && self.input.first() == Some(&b'\n'));
-        let rest = self.input.get(skip..).unwrap_or_default();
-        let Some(end) = rest.iter().position(|b| matches!(b, b'\n' | b'\r')) else {
-            return false;
-        };
-        let line = rest.get(..end).unwrap_or_default();
-        !line.starts_with(b"imu?") && line != b"video_start" && line != b"get_video"
-    }
-
     fn answer(&mut self, line: &str) -> Result<(), Gone> {
         let reply = self.app.handle(line).map_err(|_| Gone)?;
         let fault = self.link.fault();
@@ -307,7 +241,7 @@ impl<'a> Client<'a> {
             return Ok(());
         }
         match file {
-            None => self.send_and_hold(head.as_bytes()),
+            None => self.send(head.as_bytes()),
             Some((path, size)) => {
                 self.send(head.as_bytes())?;
                 self.send_file(&path, size, fault)
@@ -343,53 +277,24 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// Sends an answer; holds its end back if another request is waiting.
-    fn send_and_hold(&mut self, bytes: &[u8]) -> Result<(), Gone> {
-        if !self.app.config.app.gathers {
-            return self.send(bytes);
-        }
-        // The next request may be on its way.
-        self.receive(Duration::from_millis(1))?;
-        if !self.has_quick_request() {
-            return self.send(bytes);
-        }
-        let (head, tail) = bytes.split_at(bytes.len().saturating_sub(TAIL));
-        if !head.is_empty() {
-            self.send(head)?;
-        }
-        std::thread::sleep(GATHER);
-        self.held.extend_from_slice(tail);
-        Ok(())
-    }
-
-    /// Sends what was held back.
-    fn flush(&mut self) -> Result<(), Gone> {
-        if self.held.is_empty() {
-            return Ok(());
-        }
-        self.send(&[])
-    }
-
-    /// Sends what was held back and `bytes`, in one piece.
+    /// Sends, with what the fault does to it.
     fn send(&mut self, bytes: &[u8]) -> Result<(), Gone> {
-        let mut all = std::mem::take(&mut self.held);
-        all.extend_from_slice(bytes);
         match self.link.fault() {
-            Some(LinkFault::CutAfter(most)) if (all.len() as u64) > most => {
-                let part = all.get(..most as usize).unwrap_or(&all);
+            Some(LinkFault::CutAfter(most)) if (bytes.len() as u64) > most => {
+                let part = bytes.get(..most as usize).unwrap_or(bytes);
                 self.stream.write_all(part)?;
                 Err(Gone)
             }
             Some(LinkFault::CutAfter(most)) => {
-                let left = most - all.len() as u64;
+                let left = most - bytes.len() as u64;
                 self.link.set_fault(Some(LinkFault::CutAfter(left)));
-                self.put(&all);
+                self.put(bytes);
                 Ok(())
             }
             Some(LinkFault::Slow(rate)) => {
                 // Ten pieces a second.
                 let piece = (rate as usize / 10).max(1);
-                for piece in all.chunks(piece) {
+                for piece in bytes.chunks(piece) {
                     self.put(piece);
                     if self.deaf {
                         break;
@@ -402,7 +307,7 @@ impl<'a> Client<'a> {
                 Ok(())
             }
             _ => {
-                self.put(&all);
+                self.put(bytes);
                 Ok(())
             }
         }

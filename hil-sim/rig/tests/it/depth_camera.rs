@@ -36,7 +36,7 @@ fn camera(first_frame: u32) -> Shared<DepthCamera> {
         clock: clock(CAMERA_PPM),
         ..DepthCameraConfig::default()
     };
-    Arc::new(Mutex::new(DepthCamera::new(config, board, seed).unwrap()))
+    Arc::new(Mutex::new(DepthCamera::new(config, board, seed)))
 }
 
 /// The board's outputs reach 2.5 V at a supply of 2.9 V: no camera without the gate, not even
@@ -50,7 +50,7 @@ fn a_camera_without_a_gate_is_refused() {
         };
         let seed = Seed(3);
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let camera = DepthCamera::new(config, board, seed).unwrap();
+        let camera = DepthCamera::new(config, board, seed);
         let board = wiring::board().chip(|chip| chip.die.supply = supply);
         let built = board.model(camera).build();
         built.map(drop).map_err(|error| error.to_string())

@@ -5,6 +5,7 @@ use crate::board_host::UNITS_PER_TICK;
 use crate::imu_bench::Bench;
 use protocol::*;
 use rig::imu::{Fault, SensorModel};
+use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
 use rig::random::{Seed, Stream};
 use rig::wiring::{self, BoardKind};
@@ -65,7 +66,7 @@ fn the_firmware_writes_no_other_plain_register() {
 /// at its data-ready's tick and with its registers' values, 96,000 ticks apart every time.
 #[test]
 fn samples_are_exact_over_a_wrap_of_the_counter() {
-    let walk: MotionSpec = "walk".parse().unwrap();
+    let walk = MotionSpec::always(Gesture::Walk);
     let mut bench = Bench::new(walk.build(Seed(7).stream(Stream::Motion)), &[]);
     // Until the host had opened the port.
     let dropped = bench.board.next_status().dropped;
@@ -244,7 +245,7 @@ fn missing_acknowledges_at_every_byte_are_recovered() {
 #[test]
 fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
     let seed = Seed(7);
-    let twist: MotionSpec = "twist".parse().unwrap();
+    let twist = MotionSpec::always(Gesture::Twist);
     let motion = twist.build(seed.stream(Stream::Motion));
     use BoardKind::{BlackPill, Discovery};
     for (board, model, found, takes_clock) in [

@@ -12,6 +12,5 @@ mod model_ranges_page;
 mod outputs;
 mod phone_bench;
 mod phone_rude;
-mod phone_server;
 mod trigger;
 mod trigger_rig;

@@ -1,6 +1,6 @@
 //! The book's page of model ranges, and its drawings, against what they are about.
 
-use rig::model_ranges::MODEL_RANGES;
+use rig::model_ranges::{Draw, MODEL_RANGES};
 
 const PAGE: &str = include_str!("../../ranges.md");
 
@@ -14,7 +14,14 @@ fn drawn_rows_have_the_same_names_values_and_ranges() {
         let name = cells[1].trim_start_matches("* ");
         let range = MODEL_RANGES.iter().find(|range| range.name == name);
         let range = range.unwrap_or_else(|| panic!("nothing draws {name:?}"));
-        assert_eq!(cells[5], range.range_text(), "{name}: the range");
+        let (least, most) = range.range;
+        let sign = if range.draw == Draw::EitherSign {
+            "±"
+        } else {
+            ""
+        };
+        let text = format!("{sign}{least} to {most} {}", range.unit);
+        assert_eq!(cells[5], text.trim_end(), "{name}: the range");
         let nominal = format!("{} {}", range.nominal, range.unit);
         assert_eq!(cells[3], nominal.trim_end(), "{name}: the value");
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use rig::flash_log::Dark;
 use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
 use rig::oscillator::TrueTime;
 use rig::phone::{Answer, AskedPhone, PhoneConfig, RequestId, Surroundings};
 use rig::random::{Seed, Stream};
@@ -18,7 +19,7 @@ pub(crate) fn on_a_walk(
 ) -> (PhoneConfig, Surroundings) {
     let mut config = PhoneConfig::draw(Seed(seed));
     edit(&mut config);
-    let spec: MotionSpec = "walk".parse().unwrap();
+    let spec = MotionSpec::always(Gesture::Walk);
     let surroundings = Surroundings {
         clock: clock.clone(),
         motion: spec.build(Seed(seed).stream(Stream::Motion)),

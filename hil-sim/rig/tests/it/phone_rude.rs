@@ -92,10 +92,7 @@ fn a_number_that_is_too_large_ends_the_app() {
 /// sensor that the phone lacks).
 #[test]
 fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one() {
-    let mut bench = Bench::new(58, |c| {
-        c.app.ticked = [false, true, true];
-        c.magnetometer = None;
-    });
+    let mut bench = Bench::new(58, |c| c.app.ticked = [false, true, true]);
     let answer = bench.ask("imu?duration=500&accel=1&gyro=1&magnetic=1");
     let names: Vec<&str> = answer
         .iter()
@@ -106,23 +103,6 @@ fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one(
     let magnetic = answer.len() - 2;
     assert!(answer[magnetic].ends_with("magnetic.csv"));
     assert_eq!(answer[magnetic + 1], "sensor_end");
-    // Up to v1.48.2.9 the request ticks them (RRH:70, before it became a comment).
-    let mut bench = Bench::new(58, |c| {
-        without_pictures(c);
-        c.app.ticked = [false, true, true];
-        c.app.imu_rewrites_ticks = true;
-    });
-    let answer = bench.ask("imu?duration=500&accel=1&gyro=0&magnetic=0");
-    assert!(answer[2].ends_with("accel.csv"), "{}", answer[2]);
-    bench.ask("video_start");
-    bench.ask("video_stop");
-    bench.pass(3.0);
-    let timestamps = bench.phone.videos()[0].timestamps.clone();
-    let beside = |suffix: &str| {
-        let name = timestamps.to_str().unwrap();
-        std::path::Path::new(&name.replace("_imu_timestamps", suffix)).exists()
-    };
-    assert!(beside("accel") && !beside("gyro") && !beside("magnetic"));
 }
 
 /// RRH:128 gives no reason.

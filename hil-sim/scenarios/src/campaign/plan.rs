@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use rig::random::{Random, Seed, Stream};
+use rig::random::{Random, Seed, Stream, log_uniform};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// A fault. Those with an end last for the length of their [`Event`].
@@ -203,8 +203,8 @@ impl Plan {
     fn place(fault: Fault, random: &mut Random) -> Event {
         let for_us = fault.lasts().map_or(0, |(shortest, longest)| {
             // As many short ones as long ones.
-            let (low, high) = ((shortest as f64).ln(), (longest as f64).ln());
-            (random.uniform(low, high).exp() * 1000.0) as u64
+            let ms = log_uniform(random, (shortest as f64, longest as f64));
+            (ms * 1000.0) as u64
         });
         Event {
             fault,

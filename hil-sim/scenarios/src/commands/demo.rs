@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use scenarios::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
+use scenarios::demo::{self, DemoOptions};
 use scenarios::whole_chain::several::{self, SeveralPlan};
 
 /// The rig that is shown.
@@ -18,45 +18,23 @@ enum RigKind {
 /// Options of `demo`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The one seed of all randomness: clocks, mounting, motion, noise.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    #[command(flatten)]
+    options: DemoOptions,
     /// The published rig, or one of two phones, four cameras and a lidar.
     #[arg(long, value_enum, default_value_t = RigKind::Published)]
     rig: RigKind,
-    /// Seconds of board time to record.
-    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_SECONDS,
-          value_parser = clap::value_parser!(u32).range(i64::from(*SECONDS.start())..=i64::from(*SECONDS.end())))]
-    seconds: u32,
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Show a session on an uncalibrated rig, without one before it that
-    /// teaches.
-    #[arg(long)]
-    fresh: bool,
-    /// Folder for the recording, the phone's files and the report.
-    #[arg(long, value_name = "DIR", default_value = "target/demo")]
-    out: PathBuf,
     #[command(flatten)]
     sessions: super::Sessions,
-    /// The phone does not hang on a cable: its clock is not followed.
-    #[arg(long)]
-    without_cable: bool,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     if args.rig == RigKind::Multi {
         return run_several(args);
     }
-    let done = demo::run(&DemoOptions {
-        seed: args.seed,
-        out: args.out.clone(),
-        programs: args.sessions.programs()?,
-        has_cable: !args.without_cable,
-        seconds: args.seconds,
-        fresh: args.fresh,
-    })?;
+    let done = demo::run(&args.options, &args.sessions.programs()?)?;
     println!("\n{}", done.figures.table());
     println!("{}", done.data.figures.table());
     println!("recording  {}", done.recording.display());
@@ -81,11 +59,11 @@ fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
 fn run_several(args: &Args) -> Result<()> {
     let programs = args.sessions.programs()?;
     let plan = SeveralPlan {
-        seed: args.seed,
-        seconds: args.seconds,
+        seed: args.options.seed,
+        seconds: args.options.seconds,
         small: false,
     };
-    let out = args.out.join("multi");
+    let out = args.options.out.join("multi");
     let figures = several::run(&plan, &programs, &out, |step| println!("{step} ..."))?;
     println!("\n{}", figures.table());
     let (recording, data) = (&figures.recording, &figures.data);

@@ -12,15 +12,8 @@ use scenarios::whole_chain::ranges;
 pub(crate) struct Args {
     #[command(subcommand)]
     what: What,
-    /// Rigs as modelled, and rigs that are drawn.
-    #[arg(long, default_value_t = 10, global = true, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    rigs: u32,
-    /// The first rig's seed; the others follow it.
-    #[arg(long, default_value_t = 1, global = true)]
-    first_seed: u64,
-    /// How many rigs run at the same time.
-    #[arg(long, default_value_t = 2, global = true, value_parser = clap::value_parser!(u32).range(1..=64))]
-    jobs: u32,
+    #[command(flatten)]
+    options: StudyOptions,
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE", global = true)]
     json: Option<PathBuf>,
@@ -64,11 +57,7 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let options = StudyOptions {
-        first_seed: args.first_seed,
-        rigs: args.rigs,
-        jobs: args.jobs,
-    };
+    let options = &args.options;
     let show_failed = |rig: &RigResult| {
         if rig.figures.is_err() {
             println!("{rig}");
@@ -82,11 +71,11 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             let rigs = Rigs::of_models(*exposure_locked);
             let rigs = if *causes { rigs } else { rigs.without_causes() };
             let sessions = |rig: &Specimen| Ok(models::sessions(rig.seed, &rig.values)?.figures());
-            study::run(&options, &rigs, sessions, show_failed)
+            study::run(options, &rigs, sessions, show_failed)
         }
         What::Tracking { seconds } => {
             let sessions = |rig: &Specimen<_>| tracking::figures(rig.seed, rig.values, *seconds);
-            study::run(&options, &tracking::rigs(), sessions, show_failed)
+            study::run(options, &tracking::rigs(), sessions, show_failed)
         }
         What::Chain { seconds, out, keep } => {
             let programs = args.sessions.programs()?;
@@ -101,7 +90,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             };
             // Each is minutes.
             let rigs = Rigs::of_models(false).without_causes();
-            study::run(&options, &rigs, sessions, |rig| println!("{rig}"))
+            study::run(options, &rigs, sessions, |rig| println!("{rig}"))
         }
     };
     println!("\n{}", study.table());

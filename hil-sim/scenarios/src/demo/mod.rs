@@ -28,33 +28,32 @@ use session::options::{Track, seconds};
 use crate::judge::{Truth, Verdict};
 use crate::programs::{Programs, ask};
 use crate::virtual_session::Bench;
-use report::Figures;
-
-/// Seconds of board time that are recorded unless asked otherwise.
-pub const DEFAULT_SECONDS: u32 = 60;
-
-/// Longest and shortest recording, seconds.
-pub const SECONDS: std::ops::RangeInclusive<u32> = 5..=3600;
+use report::{Figures, SessionFigures};
 
 /// Length of the session that teaches, seconds: two twists that are a minute
 /// apart, the least that `smartdepthsync profile learn` takes a skew from.
 const TEACHING_SECONDS: u32 = 60;
 
 /// Settings of a demo.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct DemoOptions {
-    /// The one seed of all randomness.
+    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Folder for recordings, the phone's files and the profile.
-    pub out: PathBuf,
-    /// The programs that extract.
-    pub programs: Programs,
-    /// The phone hangs on a cable, so its clock is followed.
-    pub has_cable: bool,
     /// Seconds of board time to record.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60,
+          value_parser = clap::value_parser!(u32).range(5..=3_600))]
     pub seconds: u32,
-    /// Show the session with nothing learnt alone.
+    /// Show a session on an uncalibrated rig, without one before it that
+    /// teaches.
+    #[arg(long)]
     pub fresh: bool,
+    /// Folder for the recording, the phone's files and the report.
+    #[arg(long, value_name = "DIR", default_value = "target/demo")]
+    pub out: PathBuf,
+    /// The phone does not hang on a cable: its clock is not followed.
+    #[arg(long)]
+    pub without_cable: bool,
 }
 
 /// Files of a run.
@@ -78,9 +77,9 @@ pub struct Demo {
 ///
 /// A part of it cannot be started, a session fails, or what it left cannot be
 /// judged.
-pub fn run(options: &DemoOptions) -> Result<Demo> {
+pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     let begun = Instant::now();
-    let (out, programs) = (&options.out, &options.programs);
+    let out = &options.out;
     let seed = Seed(options.seed);
     let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::WeakTwist));
     let mut phone = PhoneConfig::draw(seed);
@@ -91,10 +90,10 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
     let board = wiring::board_of(config.board, programs.elf.as_deref());
     let mut bench = Bench::new(config, board, vec![phone], &[], out)?;
     (bench.has_recorder, bench.shows_ball) = (true, true);
-    bench.phone_link = options.has_cable.then_some(LinkRanges::PHONE_USB);
+    bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
     let taught = match options.fresh {
         true => None,
-        false => Some(teach(&mut bench, options)?),
+        false => Some(teach(&mut bench, options, programs)?),
     };
     let recording = session(&mut bench, options, "recording", options.seconds)?;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
@@ -104,13 +103,13 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         .map(|recording| truth.judge(&recording))
         .transpose()?;
     let data = data_set::make(truth, &recording, storage, programs).context("the data set")?;
-    let figures = Figures::new(
-        &verdict,
-        before.as_ref(),
+    let figures = Figures {
+        session: SessionFigures::of(&verdict),
         virtual_s,
-        begun.elapsed().as_secs_f64(),
-        options.seed,
-    );
+        wall_s: begun.elapsed().as_secs_f64(),
+        seed: options.seed,
+        before_learning: before.as_ref().map(SessionFigures::of),
+    };
     let report = options.out.join("report.html");
     std::fs::write(&report, report::page(&figures, &verdict, &data))
         .with_context(|| format!("cannot write {}", report.display()))?;
@@ -128,21 +127,21 @@ fn session(bench: &mut Bench, options: &DemoOptions, name: &str, length: u32) ->
     let mut wishes = bench.options(&free_name(&options.out, name));
     wishes.duration = Some(seconds(length.into()));
     (wishes.second_twist, wishes.fetch_video) = (true, true);
-    wishes.track = match options.has_cable {
-        true => Track::Always,
-        false => Track::Never,
+    wishes.track = match options.without_cable {
+        true => Track::Never,
+        false => Track::Always,
     };
     Ok(bench.run(&wishes).good()?.folder)
 }
 
 /// Records with nothing learnt, and lets the profile learn from it.
-fn teach(bench: &mut Bench, options: &DemoOptions) -> Result<PathBuf> {
+fn teach(bench: &mut Bench, options: &DemoOptions, programs: &Programs) -> Result<PathBuf> {
     let recording = session(bench, options, "teaching", TEACHING_SECONDS)?;
     let profile = bench.write_profile()?;
     let video = bench.with(|rig| rig.phones.first()?.videos().pop());
     let timestamps = video.context("the phone has recorded no video")?.timestamps;
     ask(
-        &options.programs,
+        programs,
         &["profile", "learn", "--profile", &profile.to_string_lossy()],
         &[Path::new("--timestamps"), &timestamps, &recording],
     )?;

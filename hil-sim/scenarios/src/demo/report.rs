@@ -19,14 +19,6 @@ pub struct Figures {
     /// The session that is shown.
     #[serde(flatten)]
     pub session: SessionFigures,
-    /// Error of the clock offset at the end, µs.
-    pub offset_error_end_us: f64,
-    /// Its stated 1-sigma, µs.
-    pub offset_sigma_end_us: f64,
-    /// Pulses in the recording.
-    pub pulses: u64,
-    /// IMU samples in the recording.
-    pub imu_samples: u64,
     /// Virtual time of the whole run, seconds.
     pub virtual_s: f64,
     /// Wall time of the whole run, seconds.
@@ -52,6 +44,14 @@ pub struct SessionFigures {
     pub drift_us_per_min: f64,
     /// The phase of 95 % of the frames is within this of zero, µs.
     pub phase_held_us: f64,
+    /// Error of the clock offset at the end, µs.
+    pub offset_error_end_us: f64,
+    /// Its stated 1-sigma, µs.
+    pub offset_sigma_end_us: f64,
+    /// Pulses in the recording.
+    pub pulses: u64,
+    /// IMU samples in the recording.
+    pub imu_samples: u64,
     /// Losses.
     pub lost: u64,
     /// Length of the recorded span, seconds of board time.
@@ -74,6 +74,10 @@ impl SessionFigures {
                 with_sigma(self.offset_error_us, self.offset_sigma_us),
             ),
             (
+                "clock offset at the end, error",
+                with_sigma(self.offset_error_end_us, self.offset_sigma_end_us),
+            ),
+            (
                 "phase between the middles of exposure at the start",
                 format!("{:+.2} µs", self.phase_error_us),
             ),
@@ -87,10 +91,13 @@ impl SessionFigures {
                 "recorded span, board time",
                 format!("{:.1} s", self.recorded_s),
             ),
+            ("trigger pulses recorded", self.pulses.to_string()),
+            ("IMU samples recorded", self.imu_samples.to_string()),
         ]
     }
 
-    fn of(verdict: &Verdict) -> Self {
+    /// Those of a judged session.
+    pub(super) fn of(verdict: &Verdict) -> Self {
         let sizes: Vec<f64> = verdict.phases.iter().map(|p| p.error_us.abs()).collect();
         Self {
             offset_error_us: verdict.offset_start.error_us,
@@ -98,6 +105,10 @@ impl SessionFigures {
             phase_error_us: verdict.phase.start_us,
             drift_us_per_min: verdict.phase.drift_us_per_min,
             phase_held_us: quantile(&sizes, 0.95).unwrap_or(f64::NAN),
+            offset_error_end_us: verdict.offset_end.error_us,
+            offset_sigma_end_us: verdict.offset_end.sigma_us,
+            pulses: verdict.pulses,
+            imu_samples: verdict.imu_samples,
             lost: verdict.lost,
             recorded_s: verdict.recorded_s,
         }
@@ -105,37 +116,10 @@ impl SessionFigures {
 }
 
 impl Figures {
-    /// The figures of a judged run; `before` is the session that has taught the
-    /// profile.
-    #[must_use]
-    pub fn new(
-        verdict: &Verdict,
-        before: Option<&Verdict>,
-        virtual_s: f64,
-        wall_s: f64,
-        seed: u64,
-    ) -> Self {
-        Self {
-            session: SessionFigures::of(verdict),
-            offset_error_end_us: verdict.offset_end.error_us,
-            offset_sigma_end_us: verdict.offset_end.sigma_us,
-            pulses: verdict.pulses,
-            imu_samples: verdict.imu_samples,
-            virtual_s,
-            wall_s,
-            seed,
-            before_learning: before.map(SessionFigures::of),
-        }
-    }
-
     /// Name and value of each line of the table.
     fn lines(&self) -> Facts {
         let mut lines = self.session.lines();
-        let at_end = with_sigma(self.offset_error_end_us, self.offset_sigma_end_us);
-        lines.insert(1, ("clock offset at the end, error", at_end));
         lines.extend([
-            ("trigger pulses recorded", self.pulses.to_string()),
-            ("IMU samples recorded", self.imu_samples.to_string()),
             (
                 "whole run, virtual time",
                 format!("{:.1} s", self.virtual_s),
@@ -284,12 +268,23 @@ mod tests {
             imu_samples: 150_000,
             lost: 0,
             recorded_s: 300.0,
+            others: Vec::new(),
+        }
+    }
+
+    fn figures(verdict: &Verdict, before: Option<&Verdict>) -> Figures {
+        Figures {
+            session: SessionFigures::of(verdict),
+            virtual_s: 320.0,
+            wall_s: 20.0,
+            seed: 7,
+            before_learning: before.map(SessionFigures::of),
         }
     }
 
     #[test]
     fn the_figures_have_the_documented_keys() {
-        let figures = Figures::new(&verdict(), None, 320.0, 20.0, 7);
+        let figures = figures(&verdict(), None);
         let json = serde_json::to_value(&figures).unwrap();
         for key in [
             "offset_error_us",
@@ -316,7 +311,7 @@ mod tests {
     #[test]
     fn the_page_holds_all_it_needs() {
         let verdict = verdict();
-        let figures = Figures::new(&verdict, Some(&verdict), 320.0, 20.0, 7);
+        let figures = figures(&verdict, Some(&verdict));
         let data = DataSet {
             folder: "demo/recording-euroc".into(),
             figures: ExtractionFigures {

@@ -22,13 +22,16 @@ use serde::Serialize;
 use crate::workers;
 
 /// Size of a study.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, clap::Args)]
 pub struct StudyOptions {
-    /// The first seed; the others follow it.
-    pub first_seed: u64,
     /// Rigs as modelled, and rigs that are drawn.
+    #[arg(long, default_value_t = 10, global = true, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub rigs: u32,
-    /// Number of rigs that run at the same time.
+    /// The first rig's seed; the others follow it.
+    #[arg(long, default_value_t = 1, global = true)]
+    pub first_seed: u64,
+    /// How many rigs run at the same time.
+    #[arg(long, default_value_t = 2, global = true, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub jobs: u32,
 }
 

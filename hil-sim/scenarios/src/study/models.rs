@@ -215,7 +215,7 @@ impl Rig {
         let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
         values.apply(&mut config, &mut phone);
-        let parts = config.build()?;
+        let parts = config.build();
         let settings = parts.config.imu.context("the rig has no IMU")?;
         let motion = std::sync::Arc::clone(&parts.motion);
         let mut imu = Bench::new(SimImu::new(settings, motion, parts.board.clone(), seed));

@@ -7,11 +7,10 @@ use std::time::Duration;
 use ::phone::PhoneError;
 use ::phone::agent::PhoneExchange;
 use ::session::devices::{PhoneClock, PhoneClockStarter};
-use phone_agent::Answer;
 use rig::link_delay::{Link, LinkRanges};
-use rig::oscillator::TrueTime;
 use rig::random::Stream;
-use stm32f4_sim::time::{SimDuration, SimTime};
+use rig::virtual_rig::VirtualRig;
+use stm32f4_sim::time::SimTime;
 
 use super::SharedRig;
 
@@ -65,27 +64,12 @@ impl VirtualClock {
         let board = self.rig.with(|rig| rig.parts().board.clone());
         let nanos = u64::try_from(sent.as_nanos()).unwrap_or(u64::MAX);
         let asked = board.true_at(SimTime::from_nanos(nanos));
-        let [there, back] = self.link.ways(asked.as_secs_f64())?;
-        let after = |from: TrueTime, by: f64| {
-            let by = SimDuration::from_secs_f64(by).units();
-            TrueTime::from_units(from.units().saturating_add(by))
-        };
-        let read = after(asked, there);
-        let received = board.board_at(after(read, back));
-        let (now_ns, slept_ns) = self.rig.with(|rig| {
-            let phone = rig.phones.first()?;
-            let slept_ns = phone.handset().config.slept_ns;
-            Some((phone.oscillator().nanos_at(read), slept_ns))
-        })?;
+        let [read, back] = self.link.exchange(asked)?;
+        let told = |rig: &mut VirtualRig| Some(rig.phones.first()?.told(nonce, read));
         Some(PhoneExchange {
             sent,
-            received: Duration::from_nanos(received.as_nanos()),
-            answer: Answer {
-                nonce,
-                boot_ns: now_ns,
-                monotonic_ns: now_ns - slept_ns,
-                temperature: Some(314),
-            },
+            received: Duration::from_nanos(board.board_at(back).as_nanos()),
+            answer: self.rig.with(told)?,
         })
     }
 }

@@ -42,7 +42,7 @@ use clock::ClockReader;
 use phone::VirtualPhone;
 pub use recorder::RecorderFate;
 use recorder::VirtualRecorder;
-pub(crate) use recorder::write_frames;
+pub(crate) use recorder::{naming_pixel, write_frames};
 
 /// The longest that a board may take from power-on to its serial port.
 const BOOT: Duration = Duration::from_secs(5);

@@ -77,32 +77,25 @@ impl VirtualRecorder {
 
 /// Writes images of the ball where it is.
 fn write_ball(path: &Path, frames: &[FrameRecord]) -> std::io::Result<()> {
-    let (width, height) = ball::DEPTH_SIZE;
-    let settings = K4aSettings {
-        width,
-        height,
-        ..K4aSettings::small()
-    };
     let file = BufWriter::new(File::create(path)?);
-    let first = frames.first().map_or(0, |frame| frame.number);
-    k4a_mkv::write_frames(file, settings, frames, |number, pixels| {
-        let frame = usize::try_from(number - first).ok();
-        if let Some(frame) = frame.and_then(|place| frames.get(place)) {
-            ball::depth_picture(pixels, frame.center_true);
-        }
-    })?;
+    k4a_mkv::write_frames(file, K4aSettings::of_ball(30), frames, ball::depth_picture)?;
     Ok(())
 }
 
 /// Writes small images that name their frame.
 pub(crate) fn write_frames(path: &Path, frames: &[FrameRecord]) -> std::io::Result<()> {
     let file = BufWriter::new(File::create(path)?);
-    k4a_mkv::write_frames(file, K4aSettings::small(), frames, |number, pixels| {
-        for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
-            *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
+    k4a_mkv::write_frames(file, K4aSettings::small(), frames, |frame, pixels| {
+        for (index, pixel) in (0_u64..).zip(pixels) {
+            *pixel = naming_pixel(frame, index);
         }
     })?;
     Ok(())
+}
+
+/// A pixel of an image that names its frame, mm.
+pub(crate) fn naming_pixel(frame: &FrameRecord, index: u64) -> u16 {
+    (500 + (frame.number * 131 + index * 7) % 12_000) as u16
 }
 
 impl DepthRecorder for VirtualRecorder {

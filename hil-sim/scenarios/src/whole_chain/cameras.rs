@@ -14,6 +14,7 @@ use rig::depth_camera::{Family, FrameRecord};
 use rig::k4a_mkv::device_us;
 
 use crate::programs::{Programs, ask};
+use crate::virtual_session::naming_pixel;
 
 /// Size of an image.
 const SIZE: (u32, u32) = (16, 12);
@@ -60,7 +61,6 @@ pub(super) fn write_bag(folder: &Path, frames: &[FrameRecord]) -> Result<()> {
     for (sequence, frame) in (0..).zip(frames.iter().filter(|frame| frame.delivered)) {
         let us = device_us(frame.device_ticks);
         let (width, height) = SIZE;
-        let pixel = |index: u64| (500 + (frame.number * 131 + index * 7) % 12_000) as u16;
         let image = Image {
             header: Header {
                 stamp: Time::from_nanos(i64::try_from(us)? * 1000),
@@ -72,7 +72,7 @@ pub(super) fn write_bag(folder: &Path, frames: &[FrameRecord]) -> Result<()> {
             is_bigendian: 0,
             step: 2 * width,
             data: (0..u64::from(width * height))
-                .flat_map(|index| pixel(index).to_le_bytes())
+                .flat_map(|index| naming_pixel(frame, index).to_le_bytes())
                 .collect(),
         };
         let header = MessageHeader {

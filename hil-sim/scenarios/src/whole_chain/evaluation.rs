@@ -99,7 +99,7 @@ fn true_bias(recorded: &Recorded) -> Result<f64> {
 pub fn phase_at(recorded: &Recorded, at: Ticks) -> Result<f64> {
     let video = recorded.truth.videos.last().context("no video")?;
     let truth = &recorded.truth;
-    let at = truth.board.true_at(recorded.base.time(at));
+    let at = truth.board.true_at(recorded.truth.timebase.time(at));
     let middle = video.frames.complete_at(truth.phone.nanos_at(at));
     let first = middle.saturating_sub(FRAMES / 2);
     Ok(mean_phase(recorded, video, first..first + FRAMES))
@@ -117,7 +117,7 @@ fn drift(recorded: &Recorded, programs: &Programs) -> Result<Measured> {
     let count = video.count.context("the video was not stopped")?;
     let span = recorded.session.recorded.context("nothing was recorded")?;
     let phone_ns = |at| {
-        let board = recorded.base.time(at);
+        let board = recorded.truth.timebase.time(at);
         let truth = &recorded.truth;
         truth.phone.nanos_at(truth.board.true_at(board))
     };

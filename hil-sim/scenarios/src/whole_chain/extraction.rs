@@ -241,7 +241,7 @@ fn pulse_of(recorded: &Recorded, frame: &FrameRecord) -> Option<usize> {
     match frame.source {
         Source::Pulse { edge, .. } => recorded
             .pulses
-            .binary_search(&recorded.base.ticks(edge))
+            .binary_search(&recorded.truth.timebase.ticks(edge))
             .ok(),
         Source::FreeRun => None,
     }

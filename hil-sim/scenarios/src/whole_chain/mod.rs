@@ -25,7 +25,7 @@ use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use serde_json::Value;
 
-use crate::judge::{Timebase, Truth, read_streams};
+use crate::judge::{Truth, read_streams};
 use crate::programs::Programs;
 use crate::virtual_session::{Bench, write_frames};
 use rig::depth_camera::Family;
@@ -136,8 +136,6 @@ pub struct Recorded {
     pub session: SessionFile,
     /// The truth.
     pub truth: Truth,
-    /// The relation of board time to the recording's ticks, exact.
-    pub base: Timebase,
     /// All pulses of the recording, in order.
     pub pulses: Vec<Ticks>,
 }
@@ -153,7 +151,6 @@ impl Recorded {
         let (pulses, _) = read_streams(&folder)?;
         Ok(Self {
             session: SessionFile::load(&folder)?,
-            base: truth.timebase.refined(&pulses, &truth.depth)?,
             folder,
             phone,
             profile,
@@ -243,7 +240,7 @@ fn number(json: &Value, key: &str) -> Result<f64> {
 impl Recorded {
     /// Board time as the recording counts it, ns, of an instant of board time.
     fn nanos(&self, at: SimTime) -> i64 {
-        let zero = self.base.time(Ticks(0));
+        let zero = self.truth.timebase.time(Ticks(0));
         let units = i128::from(at.units()) - i128::from(zero.units());
         i64::try_from(units / i128::from(UNITS_PER_NANO)).unwrap_or(i64::MAX)
     }

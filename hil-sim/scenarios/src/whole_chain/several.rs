@@ -251,7 +251,7 @@ pub fn run(
     // As its recorder would have been stopped with the session.
     let span = recorded.session.recorded.context("nothing was recorded")?;
     let end = span.to.0 + RECORDER_STOPS;
-    let base = &recorded.base;
+    let base = recorded.truth.timebase;
     recorded
         .truth
         .depth
@@ -283,7 +283,7 @@ pub fn run(
         seed: plan.seed,
         recorded_s: verdict.recorded_s,
         phones: figures.phones(&verdict)?,
-        session: recorded.truth.judge_others(&recorded.folder)?,
+        session: verdict.others,
         phase_us: verdict.phase.start_us,
         depth: Errors::of(depth_frames(&recorded, &data)?.0.into_iter()),
         outputs: figures.outputs(&lock(&pins))?,
@@ -384,7 +384,11 @@ impl Judge<'_> {
             let edges: Vec<i64> = pins
                 .rising(pin)
                 .into_iter()
-                .map(|at| Ok(i64::try_from(self.recorded.base.ticks(at).as_nanos())?))
+                .map(|at| {
+                    Ok(i64::try_from(
+                        self.recorded.truth.timebase.ticks(at).as_nanos(),
+                    )?)
+                })
                 .collect::<Result<_>>()?;
             let mut found = Vec::new();
             for row in table(&path, &[0])? {
@@ -413,7 +417,7 @@ impl Judge<'_> {
         for (index, row) in rows.iter().enumerate() {
             let (at, utc) = (whole(row[0])?, whole(row[1])?);
             let second = seconds.iter().find(|second| {
-                i64::try_from(self.recorded.base.ticks(second.pulse).as_nanos()) == Ok(at)
+                i64::try_from(self.recorded.truth.timebase.ticks(second.pulse).as_nanos()) == Ok(at)
             });
             match second.map(|second| second.utc) {
                 Some(Some(sent)) if sent * 1_000_000_000 == utc => {}

@@ -6,6 +6,7 @@ use std::process::Command;
 
 use crate::support;
 use crate::whole_rig::{SPEED, WholeRig};
+use rig::motion::MotionSpec;
 use serde_json::Value;
 
 /// Runs it; gives the exit code and each check by its name.
@@ -57,7 +58,7 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
 #[test]
 fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
     let rig = WholeRig::with(21, SPEED, |config, _| {
-        config.motion = "rest".parse().unwrap();
+        config.motion = MotionSpec::default();
     });
     let (code, checks) = Doctor::new(&rig).run();
     assert_eq!(code, 0, "{checks}");

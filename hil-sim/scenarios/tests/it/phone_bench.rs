@@ -5,10 +5,12 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rig::flash_log::Dark;
 use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::oscillator::TrueTime;
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
 use rig::random::{Seed, Stream};
 use rig::true_clock::TrueClock;
@@ -19,14 +21,17 @@ use crate::support::smartdepthsync;
 pub(crate) struct Bench {
     pub(crate) phone: SimPhone,
     pub(crate) clock: TrueClock,
+    /// Until it is dropped true time passes.
+    _passes: Arc<()>,
 }
 
 impl Bench {
     pub(crate) fn new(seed: u64, speed: f64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
         let mut config = PhoneConfig::draw(Seed(seed));
         edit(&mut config);
-        let spec: MotionSpec = "walk".parse().unwrap();
-        let clock = TrueClock::run_at(speed);
+        let spec = MotionSpec::always(Gesture::Walk);
+        let clock = TrueClock::new();
+        let passes = let_pass(&clock, speed);
         let surroundings = Surroundings {
             clock: clock.clone(),
             motion: spec.build(Seed(seed).stream(Stream::Motion)),
@@ -35,18 +40,12 @@ impl Bench {
         Self {
             phone: SimPhone::start(config, surroundings, 0).unwrap(),
             clock,
+            _passes: passes,
         }
     }
 
     pub(crate) fn address(&self) -> String {
         self.phone.address().to_string()
-    }
-
-    /// Waits until the phone waits for a time: it has taken a request.
-    pub(crate) fn wait_for_waiter(&self) {
-        while self.clock.waiters() == 0 {
-            std::thread::sleep(Duration::from_millis(1));
-        }
     }
 
     /// Another client, which was answered and stays connected.
@@ -75,4 +74,23 @@ impl Drop for Bench {
     fn drop(&mut self) {
         self.clock.stop();
     }
+}
+
+/// Lets true time pass at `speed` times real time until what this gives is dropped. While the
+/// machine pauses for more than 20 ms, so does true time.
+fn let_pass(clock: &TrueClock, speed: f64) -> Arc<()> {
+    const LONGEST_STEP: Duration = Duration::from_millis(20);
+    let (clock, passes) = (clock.clone(), Arc::new(()));
+    let goes_on = Arc::downgrade(&passes);
+    std::thread::spawn(move || {
+        let (mut nanos, mut last) = (0.0, Instant::now());
+        while goes_on.upgrade().is_some() {
+            let now = Instant::now();
+            nanos += (now - last).min(LONGEST_STEP).as_nanos() as f64 * speed;
+            last = now;
+            clock.publish(TrueTime::from_nanos(nanos as u64));
+            std::thread::sleep(Duration::from_micros(500));
+        }
+    });
+    passes
 }

@@ -240,21 +240,6 @@ fn a_gyroscope_without_a_file_is_an_error() {
 }
 
 #[test]
-fn a_recording_that_the_background_cut_short_is_an_error() {
-    let bench = Bench::new(81, 2.0, |c| c.app.background_ms = 200.0);
-    let folder = tempfile::tempdir().unwrap();
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            bench.wait_for_waiter();
-            wait_s(&bench, 0.7);
-            bench.phone.send_to_background();
-        });
-        let output = bench.command(&["imu", "--duration", "10s"], folder.path());
-        says(&output, PHONE, &["of the 10.0 s", "in the foreground"]);
-    });
-}
-
-#[test]
 fn a_long_answer_on_a_slow_network_is_waited_for() {
     // 30 s of the gyroscope are 0.8 MB: 16 s at this rate, with 3 s of patience.
     let bench = Bench::new(82, 30.0, |_| ());

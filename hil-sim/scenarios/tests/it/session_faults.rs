@@ -9,6 +9,7 @@ use recording::finding::Severity;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, SESSION_FILE};
+use rig::motion::MotionSpec;
 use rig::random::{Seed, Stream};
 use scenarios::virtual_session::Run;
 use session::devices::{Choice, Wish};
@@ -316,7 +317,7 @@ fn a_person_tries_again_marks_and_leaves() {
 #[test]
 fn a_twist_that_is_needed_cannot_be_left_out() {
     // At rest no twist relates the clocks.
-    let mut rig = Twisted::with(15, |config, _| config.motion = "rest".parse().unwrap());
+    let mut rig = Twisted::with(15, |config, _| config.motion = MotionSpec::default());
     rig.bench.seat_person();
     let again = asks(Prompt::TwistAgain);
     let is_again = move |event: &SessionEvent| again(event);

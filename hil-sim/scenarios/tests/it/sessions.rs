@@ -208,9 +208,8 @@ fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
 
     let truth = Truth::of(rig.bench.stop().unwrap()).unwrap();
     let verdict = truth.judge(&folder).unwrap();
-    let others = truth.judge_others(&folder).unwrap();
-    let [other] = others.as_slice() else {
-        panic!("{others:?}");
+    let [other] = verdict.others.as_slice() else {
+        panic!("{:?}", verdict.others);
     };
     for offset in [verdict.offset_start, other.offset_start, other.offset_end] {
         assert!(offset.error_us.abs() < 5.0 * offset.sigma_us, "{offset:?}");

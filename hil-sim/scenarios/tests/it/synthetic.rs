@@ -20,7 +20,8 @@ use recording::session_file::SessionFile;
 use recording::writer::Writer;
 use rig::inertial_channel::{Channel, ChannelConfig, LowPass};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
-use rig::motion::{Motion, MotionSpec, MotionView};
+use rig::motion::gesture::Gesture;
+use rig::motion::{Motion, MotionSpec, MotionView, Step};
 use rig::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use rig::random::{Random, Seed, Stream, rotation};
 use rig::wiring::UNITS_PER_TICK;
@@ -182,7 +183,13 @@ impl Rig {
             wander: 1e-9,
             ..OscillatorConfig::default()
         };
-        let spec: MotionSpec = "rest:3,twist:9,rest:2,walk".parse().unwrap();
+        let step = |gesture, seconds| Step { gesture, seconds };
+        let spec = MotionSpec(vec![
+            step(Gesture::Rest, Some(3.0)),
+            step(Gesture::Twist, Some(9.0)),
+            step(Gesture::Rest, Some(2.0)),
+            step(Gesture::Walk, None),
+        ]);
         Self {
             seed,
             board: BoardTime::new(board, seed.stream(Stream::BoardClock)),

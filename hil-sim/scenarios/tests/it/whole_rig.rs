@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 
 use crate::support;
 use rig::jumpers::Jumpers;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
 use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
@@ -63,7 +65,8 @@ impl WholeRig {
         wire: impl FnOnce(SimBuilder) -> SimBuilder,
     ) -> Self {
         let folder = support::folder_in_memory();
-        let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
+        let mut config =
+            RigConfig::published(Seed(seed)).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(Seed(seed));
         // A small picture: videos are not what is tested here.
         (phone.camera.rows, phone.camera.columns) = (120, 16);

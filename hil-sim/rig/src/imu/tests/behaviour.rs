@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn a_burst_read_never_mixes_two_samples() {
-    let mut bench = running(SimImuConfig::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Twist);
     bench.run(SimDuration::from_secs(2));
     bench.model.take_log();
     let mut bursts = Vec::new();
@@ -31,7 +31,7 @@ fn a_burst_read_never_mixes_two_samples() {
 
 #[test]
 fn a_sample_during_a_transaction_shows_after_its_stop() {
-    let mut bench = running(SimImuConfig::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Twist);
     bench.run(SimDuration::from_secs(2));
     bench.start(ADDRESS, Direction::Write);
     bench.write_byte(ACCEL_XOUT_H);
@@ -59,7 +59,7 @@ fn the_interrupt_pin_follows_its_configuration() {
         (0x40, Drive::Low, Drive::Floating),
         (0xc0, Drive::Floating, Drive::Low),
     ] {
-        let mut bench = running(SimImuConfig::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
         bench.write(ADDRESS, INT_PIN_CFG, &[config]).unwrap();
         bench.run(SimDuration::from_millis(100));
         bench.driven.clear();
@@ -74,7 +74,7 @@ fn the_interrupt_pin_follows_its_configuration() {
 #[test]
 fn a_latched_interrupt_stays_until_it_is_cleared() {
     // Only by INT_STATUS.
-    let mut bench = running(SimImuConfig::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
     bench.write(ADDRESS, INT_PIN_CFG, &[0x20]).unwrap();
     bench.run(SimDuration::from_millis(100));
     assert_eq!(bench.times(Pin::PA1, Drive::High).len(), 1);
@@ -108,7 +108,7 @@ fn full_scales_change_counts_and_saturate() {
     config.gyro.bias = [7.0, -7.0, 0.5];
     let mut counts = Vec::new();
     for setting in [0x00, 0x08, 0x10, 0x18] {
-        let mut bench = running(config, "rest");
+        let mut bench = running(config, Gesture::Rest);
         bench
             .write(ADDRESS, GYRO_CONFIG, &[setting, setting])
             .unwrap();
@@ -134,7 +134,7 @@ fn standby_and_temperature_switches_hold_values() {
     config.temperature_c = 20.0;
     config.self_heating_c = 10.0;
     config.warm_up_s = 1.0;
-    let mut bench = running(config, "twist");
+    let mut bench = running(config, Gesture::Twist);
     bench.run(SimDuration::from_secs(3));
     let warm = bench.model.log().iter().last().unwrap().values.temperature;
     // 20 + 10 · (1 - e^-3.02) °C.
@@ -162,7 +162,7 @@ fn standby_and_temperature_switches_hold_values() {
 
 #[test]
 fn a_device_reset_forgets_everything() {
-    let mut bench = running(SimImuConfig::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Twist);
     bench.run(SimDuration::from_secs(1));
     bench.write(ADDRESS, PWR_MGMT_1, &[0x80]).unwrap();
     assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
@@ -176,7 +176,7 @@ fn a_device_reset_forgets_everything() {
 
 #[test]
 fn ignored_settings_are_named() {
-    let mut bench = running(SimImuConfig::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
     assert!(bench.model.unmodelled().is_empty());
     bench.write(ADDRESS, 0x23, &[0x78]).unwrap(); // FIFO_EN
     bench.write(ADDRESS, GYRO_CONFIG, &[0xe0]).unwrap(); // self-test

@@ -5,7 +5,7 @@ use stm32f4_sim::pin::Level;
 
 /// Awake on its own clock at 500 Hz, low-pass 1, with CLKIN at 19.2 MHz all the same.
 fn mpu(model: SensorModel, config: SimImuConfig) -> Bench<SimImu> {
-    running_on(1, config.of(model), "rest")
+    running_on(1, config.of(model), Gesture::Rest)
 }
 
 #[test]
@@ -16,7 +16,7 @@ fn each_sensor_has_its_identity_and_wakes_as_its_map_says() {
         (SensorModel::Mpu6500, 0x70, 0x01),
         (SensorModel::Mpu9250, 0x71, 0x01),
     ] {
-        let mut bench = asleep(SimImuConfig::ideal().of(model), "rest");
+        let mut bench = asleep(SimImuConfig::ideal().of(model), Gesture::Rest);
         bench.run(SimDuration::from_millis(11));
         assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [identity]);
         assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [power]);
@@ -62,7 +62,7 @@ fn thermometers_differ() {
 const ICM: SensorModel = SensorModel::Icm42688P;
 
 fn icm(config: SimImuConfig, writes: &[(u8, u8)]) -> Bench<SimImu> {
-    let mut bench = asleep(config.of(ICM), "rest");
+    let mut bench = asleep(config.of(ICM), Gesture::Rest);
     bench.run(SimDuration::from_millis(2));
     write_all(&mut bench, writes);
     bench

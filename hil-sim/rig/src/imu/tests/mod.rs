@@ -7,6 +7,7 @@ use super::mpu::PULSE;
 use super::mpu::address::*;
 use super::*;
 use crate::motion::MotionSpec;
+use crate::motion::gesture::Gesture;
 use crate::oscillator::OscillatorConfig;
 use crate::random::Stream;
 use stm32f4_sim::i2c::Direction;
@@ -15,12 +16,12 @@ use stm32f4_sim::time::SimDuration;
 
 /// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
 /// at 500 Hz, low-pass 1, interrupt as a pulse.
-fn running(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
+fn running(config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
     running_on(5, config, motion)
 }
 
 /// The same on the clock of another CLKSEL.
-fn running_on(source: u8, config: SimImuConfig, motion: &str) -> Bench<SimImu> {
+fn running_on(source: u8, config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
     let mut bench = asleep(config, motion);
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_millis(20));
@@ -44,12 +45,9 @@ fn write_all(bench: &mut Bench<SimImu>, writes: &[(u8, u8)]) {
     }
 }
 
-fn asleep(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
+fn asleep(config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
     let seed = Seed(42);
-    let motion = motion
-        .parse::<MotionSpec>()
-        .unwrap()
-        .build(seed.stream(Stream::Motion));
+    let motion = MotionSpec::always(motion).build(seed.stream(Stream::Motion));
     let board = BoardTime::new(
         OscillatorConfig {
             rate_ppm: 17.0,
@@ -69,7 +67,7 @@ const TICK: u64 = stm32f4_sim::time::UNITS_PER_SECOND / 48_000_000;
 
 #[test]
 fn registers_have_their_reset_values_and_keep_what_is_written() {
-    let mut bench = asleep(SimImuConfig::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), Gesture::Rest);
     bench.run(SimDuration::from_millis(11));
     // The address does not move on from FIFO_R_W.
     let mut all = bench.read(ADDRESS, 0, 0x75).unwrap();
@@ -98,7 +96,7 @@ fn registers_have_their_reset_values_and_keep_what_is_written() {
 
 #[test]
 fn nothing_answers_before_the_start_up_time_nor_at_other_addresses() {
-    let mut bench = asleep(SimImuConfig::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), Gesture::Rest);
     assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
     bench.run_until(SimTime::from_nanos(11_000_000));
     assert_eq!(bench.read(0x69, WHO_AM_I, 1), Err(0));
@@ -107,7 +105,7 @@ fn nothing_answers_before_the_start_up_time_nor_at_other_addresses() {
 
 #[test]
 fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
-    let mut bench = asleep(SimImuConfig::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), Gesture::Rest);
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_secs(1));
     assert!(bench.model.log().is_empty());
@@ -134,7 +132,7 @@ fn the_divider_and_the_reference_set_the_rate() {
         // A wrong reference within the lock range: 1 % fast, 1 % short.
         (1, 100, 19_392_000, 48_000 * 101 * 100 / 101),
     ] {
-        let mut bench = running(SimImuConfig::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
         bench.set_clock(Pin::PA8, Some(Rate::hz(hz)));
         bench
             .write(ADDRESS, SMPLRT_DIV, &[divider, config])
@@ -156,7 +154,7 @@ fn the_divider_and_the_reference_set_the_rate() {
 #[test]
 fn without_a_usable_external_clock_there_is_no_data_ready() {
     for rate in [None, Some(Rate::hz(24_000_000)), Some(Rate::hz(8_000_000))] {
-        let mut bench = running(SimImuConfig::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
         bench.run(SimDuration::from_millis(100));
         bench.set_clock(Pin::PA8, rate);
         bench.driven.clear();
@@ -179,7 +177,7 @@ fn the_own_clock_has_its_rate_error_in_true_time() {
         },
         ..SimImuConfig::ideal()
     };
-    let mut bench = running(config, "rest");
+    let mut bench = running(config, Gesture::Rest);
     bench.write(ADDRESS, PWR_MGMT_1, &[1]).unwrap();
     bench.run(SimDuration::from_secs(1));
     bench.model.take_log();
@@ -193,17 +191,14 @@ fn the_own_clock_has_its_rate_error_in_true_time() {
 
 #[test]
 fn values_are_those_of_an_independent_calculation() {
-    let mut bench = running(SimImuConfig::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), Gesture::Twist);
     for (register, value) in [(GYRO_CONFIG, 0x08), (ACCEL_CONFIG, 0x08)] {
         bench.write(ADDRESS, register, &[value]).unwrap();
     }
     bench.run(SimDuration::from_millis(50));
     bench.model.take_log();
     bench.run(SimDuration::from_secs(5));
-    let motion = "twist"
-        .parse::<MotionSpec>()
-        .unwrap()
-        .build(Seed(42).stream(Stream::Motion));
+    let motion = MotionSpec::always(Gesture::Twist).build(Seed(42).stream(Stream::Motion));
     // The low-pass as an integral over a fine grid of an untruncated Gaussian.
     let filtered = |f: &dyn Fn(f64) -> [f64; 3], hz: f64, delay: f64, t: f64, axis: usize| {
         let sigma = (2.0f64.ln()).sqrt() / (core::f64::consts::TAU * hz);
@@ -235,7 +230,7 @@ fn values_are_those_of_an_independent_calculation() {
 
 #[test]
 fn a_typical_sensor_is_as_noisy_as_its_data_sheet_says() {
-    let mut bench = running(SimImuConfig::typical(Seed(5)), "rest");
+    let mut bench = running(SimImuConfig::typical(Seed(5)), Gesture::Rest);
     bench.write(ADDRESS, CONFIG, &[2]).unwrap(); // 98 Hz
     bench.run(SimDuration::from_secs(20));
     let n = bench.model.log().len() as f64;

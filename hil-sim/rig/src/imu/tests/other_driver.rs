@@ -52,7 +52,7 @@ fn a_driver_that_others_wrote_reads_what_the_mpu_6050_measures() {
     let mut config = SimImuConfig::ideal().of(SensorModel::Mpu6050);
     config.temperature_c = 30.0;
     config.gyro.bias = [0.5, -1.5, 0.0];
-    let mut board = Board(Rc::new(RefCell::new(asleep(config, "rest"))));
+    let mut board = Board(Rc::new(RefCell::new(asleep(config, Gesture::Rest))));
     board.delay_ms(20);
     let mut sensor = Mpu6050::new(board.clone(), Address::default()).unwrap();
     sensor.reset(&mut board).unwrap();
