@@ -353,20 +353,11 @@ fn every_format_is_as_it_was() {
 
 /// Of each folder and ending, how many files there are and a checksum over them.
 fn checksums(out: &Path) -> BTreeMap<(String, String), (u32, u32)> {
-    let mut paths = Vec::new();
-    let mut folders = vec![out.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => paths.push(path),
-            }
-        }
-    }
-    paths.sort();
     let mut sums = BTreeMap::new();
-    for path in paths {
+    for path in test_support::below(out) {
+        if path.is_dir() {
+            continue;
+        }
         let name = path.strip_prefix(out).unwrap();
         // What it was made from has times of change; the report says how, not what.
         if name.starts_with(".extraction") || name == Path::new("report.json") {

@@ -195,37 +195,7 @@ fn camera_value(camera: &Intrinsics) -> Value {
 mod tests {
     use super::*;
     use crate::profile::DEFAULT;
-
-    /// As PyYAML writes it in both of its styles, long lines broken.
-    const CHAIN: &str = "cam0:
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, 0.0212]
-  - [0.0, 0.0, -1.0,
-    -0.031]
-  - [1.0, 0.0, 0.0, 1.5e-3]
-  - [0.0, 0.0, 0.0, 1.0]
-  cam_overlaps: [1]
-  camera_model: pinhole
-  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.7e-05]
-  distortion_model: radtan
-  intrinsics: [1412.5, 1410.25, 958.0, 541.5]
-  resolution: [1920, 1080]
-  rostopic: /cam0/image_raw
-  timeshift_cam_imu: -0.0021
-cam1:
-  T_cam_imu:
-  - - 1.0
-    - 0.0
-    - 0.0
-    - -0.05
-  - - 0.0
-    - 1.0
-    - 0.0
-    - 0.0
-  - [0.0, 0.0, 1.0, 0.0]
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-";
+    use test_support::calibrations::CHAIN;
 
     #[test]
     fn a_chain_becomes_part_of_the_profile() {

@@ -1,5 +1,5 @@
 //! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
-//! images of firmware, and processes that are interrupted.
+//! images of firmware, calibrations, folders, and processes that are interrupted.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -8,10 +8,12 @@
 )]
 
 pub mod browser;
+pub mod calibrations;
 pub mod documents;
 pub mod interrupts;
 pub mod python;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// An image of firmware for `dfu-util`: what goes into the flash, and the suffix by its document
@@ -29,6 +31,33 @@ pub fn dfu_image(flash: Vec<u8>) -> Vec<u8> {
     }
     bytes.extend(crc.to_le_bytes());
     bytes
+}
+
+/// All files and folders below a folder, in order.
+#[must_use]
+pub fn below(folder: &Path) -> Vec<PathBuf> {
+    let mut all = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(next).unwrap() {
+            let entry = entry.unwrap();
+            if entry.file_type().unwrap().is_dir() {
+                folders.push(entry.path());
+            }
+            all.push(entry.path());
+        }
+    }
+    all.sort();
+    all
+}
+
+/// The bytes of all files below a folder, by their path in it.
+#[must_use]
+pub fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let files = below(folder).into_iter().filter(|path| path.is_file());
+    let name = |path: &Path| path.strip_prefix(folder).unwrap().to_owned();
+    let named = files.map(|path| (name(&path), std::fs::read(path).unwrap()));
+    named.collect()
 }
 
 /// The workspace's folder.

@@ -11,7 +11,7 @@ use extract::options::Options;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use recording::profile::Profile;
-use test_support::python;
+use test_support::{contents, python};
 
 fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -132,25 +132,21 @@ fn whole_twist() -> f64 {
 fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "none");
-    let before = snapshot(folder.path());
+    let before = contents(folder.path());
     let (first, out) = extract(folder.path(), Format::Euroc);
-    let written = snapshot(&out);
+    let written = contents(&out);
     let (second, _) = extract(folder.path(), Format::Euroc);
     assert_eq!(first, second);
-    assert_eq!(written, snapshot(&out));
+    assert_eq!(written, contents(&out));
     // A run that was stopped in the middle of the images: the next one ends alike.
-    let images: Vec<PathBuf> = written
-        .iter()
-        .map(|(path, _)| path.clone())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "png"))
-        .collect();
-    for image in images.iter().step_by(3) {
+    let is_image = |path: &&PathBuf| path.extension().is_some_and(|it| it == "png");
+    for image in written.keys().filter(is_image).step_by(3) {
         std::fs::remove_file(out.join(image)).unwrap();
     }
     std::fs::remove_file(out.join("report.json")).unwrap();
     let (third, _) = extract(folder.path(), Format::Euroc);
     assert_eq!(first, third);
-    assert_eq!(written, snapshot(&out));
+    assert_eq!(written, contents(&out));
     // One that is stopped at every place, later each time, and taken up again.
     std::fs::remove_dir_all(&out).unwrap();
     let mut stops = 0;
@@ -163,26 +159,7 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     };
     assert!(stops > 3, "{stops}");
     assert_eq!(first, last);
-    assert_eq!(written, snapshot(&out));
+    assert_eq!(written, contents(&out));
     std::fs::remove_dir_all(&out).unwrap();
-    assert_eq!(before, snapshot(folder.path()));
-}
-
-/// All files below a folder with their bytes.
-fn snapshot(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut files = Vec::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let bytes = std::fs::read(&path).unwrap();
-                files.push((path.strip_prefix(folder).unwrap().to_owned(), bytes));
-            }
-        }
-    }
-    files.sort();
-    files
+    assert_eq!(before, contents(folder.path()));
 }

@@ -12,7 +12,7 @@ use test_support::python;
 /// another form is refused with the command that makes one of it that is read.
 #[test]
 fn depth_of_a_driver_s_bag_finds_its_pulses() {
-    let case = Case::new(&Synthetic {
+    let (case, _) = Case::new(&Synthetic {
         seed: 13,
         seconds: 20,
         slew: true,

@@ -2,59 +2,12 @@
 //! minutes of hand-held motion, clocks that wander, a depth camera 300 ppm off
 //! that drops frames. All figures here are of simulated recordings.
 
-use std::path::{Path, PathBuf};
-
-use crate::synthetic::{Synthetic, Truth, make};
+use crate::extract_vendor::Case;
+use crate::synthetic::{Synthetic, Truth};
 use extract::layout::Format;
 use extract::options::Options;
 use extract::report::ExtractReport;
-use extract::run::{Job, run};
 use test_support::browser;
-
-struct Case {
-    folder: tempfile::TempDir,
-    truth: Truth,
-}
-
-impl Case {
-    fn new(config: &Synthetic) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let recording = folder.path().join("recording");
-        std::fs::create_dir(&recording).unwrap();
-        let truth = make(&recording, config);
-        Self { folder, truth }
-    }
-
-    fn out(&self) -> PathBuf {
-        self.folder.path().join("out")
-    }
-
-    fn extract(&self, options: Options) -> ExtractReport {
-        let job = Job {
-            recording: self.folder.path().join("recording"),
-            phone: None,
-            depth: None,
-            format: Format::Euroc,
-            out: self.out(),
-            options,
-            overwrite: false,
-        };
-        run(&job).unwrap()
-    }
-}
-
-/// Columns of a CSV table as integers; empty cells are `None`.
-fn table(path: &Path, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
-    let text = std::fs::read_to_string(path).unwrap();
-    let row = |line: &str| {
-        let cells: Vec<&str> = line.split(',').collect();
-        columns
-            .iter()
-            .map(|&column| cells[column].parse().ok())
-            .collect()
-    };
-    text.lines().skip(1).map(row).collect()
-}
 
 /// Largest error and root mean square, µs.
 fn errors(pairs: impl Iterator<Item = (i64, i64)>) -> (f64, f64) {
@@ -68,14 +21,9 @@ fn errors(pairs: impl Iterator<Item = (i64, i64)>) -> (f64, f64) {
     (largest, (squares / f64::from(count.max(1))).sqrt())
 }
 
-fn check_depth(case: &Case) -> (f64, f64) {
-    let rows = table(&case.out().join("depth_frames.csv"), &[2, 5]);
-    let delivered: Vec<_> = case
-        .truth
-        .depth
-        .iter()
-        .filter(|frame| frame.delivered)
-        .collect();
+fn check_depth(case: &Case, truth: &Truth) -> (f64, f64) {
+    let rows = case.table("out/depth_frames.csv", &[2, 5]);
+    let delivered: Vec<_> = truth.depth.iter().filter(|frame| frame.delivered).collect();
     assert_eq!(rows.len(), delivered.len());
     for (row, frame) in rows.iter().zip(&delivered) {
         assert_eq!(
@@ -94,14 +42,13 @@ fn check_depth(case: &Case) -> (f64, f64) {
 // One recording, judged from all sides: it is too dear to be made for each.
 #[test]
 fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
-    let case = Case::new(&Synthetic {
+    let (case, truth) = Case::new(&Synthetic {
         seed: 7,
         seconds: 600,
         ..Synthetic::default()
     });
-    let truth = &case.truth;
-    let report = case.extract(Options::default());
-    let color = table(&case.out().join("phone_frames.csv"), &[2, 3]);
+    let report = case.extract(None, "out", Options::default());
+    let color = case.table("out/phone_frames.csv", &[2, 3]);
     assert_eq!(color.len(), truth.color_start_ns.len());
     let start = errors(
         color
@@ -115,7 +62,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
             .map(|row| row[1].unwrap())
             .zip(truth.color_middle_ns.iter().copied()),
     );
-    let depth = check_depth(&case);
+    let depth = check_depth(&case, &truth);
     println!(
         "simulated, 10 min: phone frames at most {:.2} µs (rms {:.2}), middles {:.2} (rms {:.2}), depth frames at most {:.2} µs (rms {:.2})",
         start.0, start.1, middle.0, middle.1, depth.0, depth.1
@@ -153,7 +100,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
     assert!((rate - 300.0).abs() < 40.0 && sigma < 0.1, "{rate} {sigma}");
 
     // Every pair is the true one: middles that were aligned to each other.
-    let pairs = table(&case.out().join("pairs.csv"), &[0, 2, 4]);
+    let pairs = case.table("out/pairs.csv", &[0, 2, 4]);
     let depth_of: Vec<_> = truth.depth.iter().filter(|frame| frame.delivered).collect();
     let mut expected = Vec::new();
     for (index, frame) in depth_of.iter().enumerate() {
@@ -201,9 +148,9 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
 
     // And as people see it.
     let pairs = format!("{} pairs of frames", expected.len());
-    report::extraction::write(&case.out(), &report, &case.folder.path().join("recording")).unwrap();
+    report::extraction::write(&case.path("out"), &report, &case.path("recording")).unwrap();
     browser::check(
-        &case.out().join(report::REPORT_FILE),
+        &case.path("out").join(report::REPORT_FILE),
         "extract",
         &[
             "Extraction of recording",
@@ -228,19 +175,19 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
         camera_imu: true,
         ..Synthetic::default()
     };
-    let case = Case::new(&config);
-    let report = case.extract(Options::default());
-    let (largest, _) = check_depth(&case);
+    let (case, truth) = Case::new(&config);
+    let report = case.extract(None, "out", Options::default());
+    let (largest, _) = check_depth(&case, &truth);
     assert!(largest <= 6.0, "{largest}");
     let decided = report.depth.unwrap().decided_by;
     assert!(decided.starts_with("the camera's gyroscope"), "{decided}");
 
     // The same without the camera's IMU: not guessed.
-    let case = Case::new(&Synthetic {
+    let (case, truth) = Case::new(&Synthetic {
         camera_imu: false,
         ..config
     });
-    let report = case.extract(Options::default());
+    let report = case.extract(None, "out", Options::default());
     let depth = report.depth.unwrap();
     let why = depth.not_matched.unwrap();
     assert!(
@@ -248,7 +195,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
         "{why}"
     );
     assert_eq!(depth.images, 0);
-    assert!(!case.out().join("mav0/depth0").exists());
+    assert!(!case.path("out/mav0/depth0").exists());
     let loss = report
         .losses
         .iter()
@@ -257,33 +204,36 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
     assert!(loss.what.contains("--first-pulse"), "{}", loss.what);
 
     // The user knows it: frame 0 was made by pulse 2.
-    std::fs::remove_dir_all(case.out()).unwrap();
-    let first = case
-        .truth
+    std::fs::remove_dir_all(case.path("out")).unwrap();
+    let first = truth
         .depth
         .iter()
         .find(|frame| frame.delivered)
         .unwrap()
         .pulse;
-    let report = case.extract(Options {
-        first_pulse: Some(first as usize),
-        ..Options::default()
-    });
+    let report = case.extract(
+        None,
+        "out",
+        Options {
+            first_pulse: Some(first as usize),
+            ..Options::default()
+        },
+    );
     assert!(report.depth.unwrap().decided_by.starts_with("the user"));
-    check_depth(&case);
+    check_depth(&case, &truth);
 }
 
 #[test]
 fn damaged_and_missing_parts_leave_the_rest() {
-    let case = Case::new(&Synthetic {
+    let (case, truth) = Case::new(&Synthetic {
         seed: 3,
         seconds: 40,
         crashed: true,
         marks: vec![20, 30],
         ..Synthetic::default()
     });
-    let recording = case.folder.path().join("recording");
-    let whole = case.extract(Options::default());
+    let recording = case.path("recording");
+    let whole = case.extract(None, "out", Options::default());
     let said = |report: &ExtractReport, part: &str, what: &str| {
         let found = report
             .losses
@@ -295,14 +245,14 @@ fn damaged_and_missing_parts_leave_the_rest() {
     said(&whole, "depth", "did not close the file");
     said(&whole, "phone", "video");
     assert!(whole.depth.as_ref().unwrap().images > 1000);
-    check_depth(&case);
+    check_depth(&case, &truth);
     let folders: Vec<&str> = whole
         .sequences
         .iter()
         .map(|part| part.folder.as_str())
         .collect();
     assert_eq!(folders, ["seq_0", "seq_1", "seq_2"]);
-    assert!(case.out().join("seq_1/mav0/depth0/data.csv").exists());
+    assert!(case.path("out/seq_1/mav0/depth0/data.csv").exists());
 
     // The board's file cut off in the middle, and a chunk of it damaged.
     let mcap = recording.join("recording.mcap");
@@ -312,44 +262,36 @@ fn damaged_and_missing_parts_leave_the_rest() {
     damaged[middle] ^= 0xFF;
     std::fs::write(&mcap, &damaged).unwrap();
     std::fs::remove_file(recording.join("depth.mkv")).unwrap();
-    std::fs::remove_dir_all(case.out()).unwrap();
-    let part = case.extract(Options::default());
+    std::fs::remove_dir_all(case.path("out")).unwrap();
+    let part = case.extract(None, "out", Options::default());
     said(&part, "board", "was not closed");
     said(&part, "board", "the chunk at byte");
     said(&part, "depth", "there is no depth recording");
     let (all, left) = (whole.board.imu.samples, part.board.imu.samples);
     assert!(left > all / 2 && left < all * 2 / 3, "{left} of {all}");
-    assert!(case.out().join("seq_1/mav0/imu1/data.csv").exists());
+    assert!(case.path("out/seq_1/mav0/imu1/data.csv").exists());
 
     // Without the phone's gyroscope the session's relation has to do.
     let gyro = recording.join("phone/20260131_140327/VID_20260131_140327gyro.csv");
     std::fs::remove_file(gyro).unwrap();
-    std::fs::remove_dir_all(case.out()).unwrap();
-    let session = case.extract(Options::default());
+    std::fs::remove_dir_all(case.path("out")).unwrap();
+    let session = case.extract(None, "out", Options::default());
     assert_eq!(session.clock.as_ref().unwrap().source, "session");
     said(&session, "phone", "gyroscope");
-    let color = table(&case.out().join("phone_frames.csv"), &[2]);
+    let color = case.table("out/phone_frames.csv", &[2]);
     let worst = errors(
         color
             .iter()
             .map(|row| row[0].unwrap())
-            .zip(case.truth.color_start_ns.iter().copied()),
+            .zip(truth.color_start_ns.iter().copied()),
     );
     assert!(worst.0 < 100.0, "{worst:?}");
 
     // Nothing of the board: an error that says what was expected.
     std::fs::remove_file(&mcap).unwrap();
-    std::fs::remove_dir_all(case.out()).unwrap();
-    let job = Job {
-        recording,
-        phone: None,
-        depth: None,
-        format: Format::Tum,
-        out: case.out(),
-        options: Options::default(),
-        overwrite: false,
-    };
-    let error = run(&job).unwrap_err().to_string();
+    std::fs::remove_dir_all(case.path("out")).unwrap();
+    let tum = case.try_extract(Format::Tum, None, "out", Options::default());
+    let error = tum.unwrap_err().to_string();
     assert!(
         error.contains("expected a folder with recording.mcap"),
         "{error}"

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::json;
 
-use crate::synthetic::{Synthetic, make};
+use crate::synthetic::{Synthetic, Truth, make};
 use crate::whole_chain::programs;
 use extract::error::ExtractError;
 use extract::layout::Format;
@@ -30,12 +30,12 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    pub(crate) fn new(config: &Synthetic) -> Self {
+    pub(crate) fn new(config: &Synthetic) -> (Self, Truth) {
         let folder = tempfile::tempdir().unwrap();
         let recording = folder.path().join("recording");
         std::fs::create_dir(&recording).unwrap();
-        make(&recording, config);
-        Self { folder }
+        let truth = make(&recording, config);
+        (Self { folder }, truth)
     }
 
     /// A recording of the whole chain, with the phone's files in its folder.
@@ -155,7 +155,7 @@ fn later(found: &[i64], base: &[i64], by: i64) {
 
 #[test]
 fn the_files_own_tags_decide_the_times() {
-    let case = Case::new(&Synthetic {
+    let (case, _) = Case::new(&Synthetic {
         seed: 5,
         seconds: 25,
         ..Synthetic::default()
@@ -264,51 +264,4 @@ fn the_files_own_tags_decide_the_times() {
         why.contains("STANDALONE") && why.contains("--external-sync sub"),
         "{why}"
     );
-}
-
-/// A calibration as the camera has it, with made-up numbers of the usual size: depth, and
-/// colour 32 mm beside it and tilted by 6°.
-pub(crate) fn calibration() -> serde_json::Value {
-    // cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1.
-    let depth = [
-        0.502, 0.498, 0.4926, 0.4927, 0.65, 0.04, -0.004, 0.99, 0.15, -0.02, 0.0, 0.0, -8e-5, 1e-4,
-    ];
-    let color = [
-        0.498, 0.502, 0.475, 0.634, 0.6, -2.8, 1.6, 0.48, -2.6, 1.5, 0.0, 0.0, -2e-4, 3e-4,
-    ];
-    let (sin, cos) = 6.0_f64.to_radians().sin_cos();
-    let camera =
-        |place: &str, lens: [f64; 14], rotation: [f64; 9], way: [f64; 3], side: [u32; 2]| {
-            json!({
-                "Location": format!("CALIBRATION_CameraLocation{place}"),
-                "Intrinsics": {
-                    "ModelParameterCount": 14,
-                    "ModelParameters": lens,
-                    "ModelType": "CALIBRATION_LensDistortionModelBrownConrady",
-                },
-                "MetricRadius": 1.74,
-                "Rt": { "Rotation": rotation, "Translation": way },
-                "SensorWidth": side[0],
-                "SensorHeight": side[1],
-            })
-        };
-    let imu = |kind: &str| {
-        json!({
-            "SensorType": format!("CALIBRATION_InertialSensorType_{kind}"),
-            "BiasTemperatureModel": vec![0.0; 12], "BiasUncertainty": vec![1e-4; 3],
-            "MixingMatrixTemperatureModel": vec![0.0; 36], "ModelTypeMask": 16,
-            "Noise": vec![1e-3; 6], "SecondOrderScaling": vec![0.0; 9],
-            "Rt": { "Rotation": [0, -1, 0, 0, 0, 1, -1, 0, 0], "Translation": [0, 0, 0] },
-            "TemperatureBounds": [5, 60], "TemperatureC": 40.0,
-        })
-    };
-    let (straight, none) = ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0; 3]);
-    let tilted = [1.0, 0.0, 0.0, 0.0, cos, sin, 0.0, -sin, cos];
-    json!({ "CalibrationInformation": {
-        "Cameras": [
-            camera("D0", depth, straight, none, [1024, 1024]),
-            camera("PV0", color, tilted, [-0.032, -0.002, 0.004], [4096, 3072]),
-        ],
-        "InertialSensors": [imu("Gyro"), imu("Accelerometer")],
-    } })
 }

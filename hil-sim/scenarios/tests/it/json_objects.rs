@@ -1,11 +1,13 @@
 //! Every command prints one object with `--json`, on a rig where all of them can.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use crate::support;
 use crate::whole_rig::WholeRig;
 use serde_json::Value;
+use test_support::below;
+use test_support::calibrations::CHAIN;
 
 /// Runs a command and gives what it prints. It may end with loss or refusal, as long as
 /// it prints its object.
@@ -21,21 +23,6 @@ fn print(folder: &Path, arguments: &[&str]) -> Value {
     assert!(value.is_object(), "{arguments:?}: {value:#}");
     assert_eq!(value["error"], Value::Null, "{arguments:?}: {value:#}");
     value
-}
-
-/// A file below a folder whose name ends so.
-fn find(folder: &Path, ending: &str) -> Option<PathBuf> {
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            if let Some(found) = find(&path, ending) {
-                return Some(found);
-            }
-        } else if path.to_string_lossy().ends_with(ending) {
-            return Some(path);
-        }
-    }
-    None
 }
 
 #[test]
@@ -100,7 +87,10 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let storage = folder.join("phone");
     let extract = ["extract", recording, "--phone", storage.to_str().unwrap()];
     print(folder, &extract);
-    let timestamps = find(&storage, "_timestamps.csv").unwrap();
+    let timestamps = below(&storage)
+        .into_iter()
+        .find(|path| path.to_string_lossy().ends_with("_timestamps.csv"))
+        .unwrap();
     print(folder, &["profile", "init", "rig.toml"]);
     let learn = [
         "profile",
@@ -127,26 +117,6 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         phone(arguments);
     }
 }
-
-/// Output of Kalibr for two cameras.
-pub(crate) const CHAIN: &str = "cam0:
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, 0.02]
-  - [0.0, 0.0, -1.0, -0.03]
-  - [1.0, 0.0, 0.0, 0.001]
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-  distortion_coeffs: [0.1, -0.2, 0.001, 0.002]
-  distortion_model: radtan
-  intrinsics: [50.0, 51.0, 31.5, 23.5]
-  resolution: [320, 180]
-cam1:
-  T_cam_imu:
-  - [1.0, 0.0, 0.0, -0.05]
-  - [0.0, 1.0, 0.0, 0.0]
-  - [0.0, 0.0, 1.0, 0.0]
-  - [0.0, 0.0, 0.0, 1.0]
-";
 
 #[test]
 fn objects_of_commands_that_need_nothing() {

@@ -1,28 +1,8 @@
 //! Sessions in one thread on virtual time: a seed is one recording, to the byte.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use test_support::contents;
 
 use crate::bench::Twisted;
-
-/// All files below a folder.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in std::fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(folder).unwrap().to_owned();
-                    found.insert(name, std::fs::read(path).unwrap());
-                }
-            }
-        }
-    }
-    found
-}
 
 #[test]
 fn a_seed_is_one_recording_to_the_byte() {
@@ -36,7 +16,7 @@ fn a_seed_is_one_recording_to_the_byte() {
         let mut options = rig.options("recording", 5);
         options.fetch_video = true;
         let ended = rig.bench.run(&options).good().unwrap();
-        let files = files(&ended.folder);
+        let files = contents(&ended.folder);
         std::fs::remove_dir_all(ended.folder).unwrap();
         files
     };

@@ -80,10 +80,11 @@ def check(messages, what):
             with Image.open(path) as image:
                 assert (message.width, message.height) == image.size, (what, topic)
             if name == "cam0":
-                assert list(either(message, "k")) == [50, 0, 31.5, 0, 51, 23.5, 0, 0, 1]
-                assert list(either(message, "p")) == [50, 0, 31.5, 0, 0, 51, 23.5, 0, 0, 0, 1, 0]
+                x, y = [1412.5, 0, 958], [0, 1410.25, 541.5]
+                assert list(either(message, "k")) == [*x, *y, 0, 0, 1]
+                assert list(either(message, "p")) == [*x, 0, *y, 0, 0, 0, 1, 0]
                 assert message.distortion_model == "plumb_bob"
-                assert list(either(message, "d")) == [0.1, -0.2, 0.001, 0.002, 0]
+                assert list(either(message, "d")) == [-0.28, 0.07, 0.0002, 1.7e-05, 0]
             elif name == "depth0":
                 assert message.distortion_model == "rational_polynomial"
                 assert len(either(message, "d")) == 8 and either(message, "k")[0] > 100

@@ -16,6 +16,7 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
+use test_support::calibrations::{self, CHAIN};
 use test_support::root;
 
 use crate::support::synthetic;
@@ -123,24 +124,6 @@ fn profiles() {
     run("profile", fuzz_bodies::profile, seeds, 1_000);
 }
 
-/// Both styles of a list.
-const CHAIN: &str = "cam0:
-  T_cam_imu:
-  - [0.0, -1.0, 0.0, 0.02]
-  - [0.0, 0.0, -1.0,
-    -0.03]
-  - - 1.0
-    - 0.0
-    - 0.0
-    - 1.5e-3
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.7e-05]
-  distortion_model: radtan
-  intrinsics: [1412.5, 1410.25, 958.0, 541.5]
-  resolution: [1920, 1080]
-";
-
 #[test]
 fn chains_of_kalibr() {
     let seed = CHAIN.as_bytes();
@@ -162,24 +145,7 @@ fn chains_of_kalibr() {
 
 #[test]
 fn calibrations_of_depth_cameras() {
-    let camera = |place: &str, side: [u32; 2]| {
-        serde_json::json!({
-            "Location": format!("CALIBRATION_CameraLocation{place}"),
-            "Intrinsics": {
-                "ModelParameterCount": 14,
-                "ModelParameters": [0.5, 0.5, 0.49, 0.49, 0.6, 0.04, -0.004, 0.99, 0.15, -0.02,
-                    0.0, 0.0, -8e-5, 1e-4],
-                "ModelType": "CALIBRATION_LensDistortionModelBrownConrady",
-            },
-            "MetricRadius": 1.74,
-            "Rt": { "Rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "Translation": [-0.03, 0, 0] },
-            "SensorWidth": side[0],
-            "SensorHeight": side[1],
-        })
-    };
-    let cameras = [camera("D0", [1024, 1024]), camera("PV0", [4096, 3072])];
-    let seed = serde_json::json!({ "CalibrationInformation": { "Cameras": cameras } });
-    let seed = seed.to_string().into_bytes();
+    let seed = calibrations::k4a().to_string().into_bytes();
     extract::geometry::check_calibration(&seed, "NFOV_UNBINNED", Some((1280, 720))).unwrap();
     run("calibration", fuzz_bodies::calibration, vec![seed], 2_000);
 }

@@ -17,6 +17,7 @@ use serde_json::Value;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, frame, hello, text};
 use test_support::interrupts::PATIENCE;
+use test_support::{below, contents};
 
 /// What a command may use of the machine: bytes of address space, seconds of processor.
 const MEMORY: u64 = 1 << 30;
@@ -66,24 +67,6 @@ fn with_session(parent: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
     folder
 }
 
-/// Everything below a folder, with the length of each file.
-fn tree(folder: &Path) -> Vec<(PathBuf, u64)> {
-    let mut all = Vec::new();
-    let mut open = vec![folder.to_owned()];
-    while let Some(folder) = open.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
-            let entry = entry.unwrap();
-            let meta = entry.path().symlink_metadata().unwrap();
-            if meta.is_dir() {
-                open.push(entry.path());
-            }
-            all.push((entry.path(), meta.len()));
-        }
-    }
-    all.sort();
-    all
-}
-
 #[test]
 fn names_in_a_session_lead_nowhere() {
     for (what, change) in [
@@ -109,17 +92,14 @@ fn names_in_a_session_lead_nowhere() {
         fs::create_dir(&outside).unwrap();
         fs::write(outside.join("VID_1_timestamps.csv"), "1000000000\n").unwrap();
         fs::write(outside.join("VID_1gyro.csv"), "0,0,0,1000000000\n").unwrap();
-        let before = tree(&outside);
+        let before = contents(&outside);
         let out = parent.path().join("deep/er/out");
         let output = limited(&["extract", utf8(&folder), "--out", utf8(&out)]);
         assert_eq!(code(&output), 4, "{what}: {output:?}");
         let said = text(&output.stdout);
-        assert_eq!(tree(&outside), before, "{what}");
-        let strays = tree(&parent.path().join("deep"));
-        let strays: Vec<_> = strays
-            .iter()
-            .filter(|(p, _)| !p.starts_with(&out))
-            .collect();
+        assert_eq!(contents(&outside), before, "{what}");
+        let mut strays = below(&parent.path().join("deep"));
+        strays.retain(|path| !path.starts_with(&out));
         assert_eq!(strays.len(), 1, "{what}: only `er`: {strays:?}");
         assert!(!said.contains("VID_1"), "{what}: nothing was read: {said}");
         assert_eq!(code(&limited(&["verify", utf8(&folder)])), 4, "{what}");
@@ -180,9 +160,9 @@ fn a_playlist_reads_no_other_file() {
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
         let losses = report["losses"].as_array().unwrap();
         assert!(losses.iter().any(|loss| loss["part"] == "video"), "{name}");
-        let images = tree(&parent.path().join("walk-euroc"));
+        let images = below(&parent.path().join("walk-euroc"));
         let is_image = |path: &Path| path.extension().is_some_and(|ending| ending == "png");
-        assert!(!images.iter().any(|(path, _)| is_image(path)), "{name}");
+        assert!(!images.iter().any(|path| is_image(path)), "{name}");
         let output = limited(&["evaluate", "precision", utf8(&video)]);
         assert_eq!(code(&output), 2, "{name}: {output:?}");
     }
@@ -252,33 +232,6 @@ fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
         fs::write(&file, bytes).unwrap();
         let output = limited(&["verify", utf8(&file)]);
         assert!([4, 13].contains(&code(&output)), "{kind}: {output:?}");
-    }
-}
-
-#[test]
-fn a_test_picture_is_no_train_of_flashes() {
-    let parent = tempfile::tempdir().unwrap();
-    for source in [
-        "testsrc",
-        "testsrc2",
-        "smptebars",
-        "rgbtestsrc",
-        "mandelbrot",
-    ] {
-        let video = parent.path().join(format!("{source}.mp4"));
-        let made = Command::new("ffmpeg")
-            .args(["-v", "error", "-f", "lavfi", "-i"])
-            .arg(format!("{source}=size=320x240:rate=30"))
-            .args(["-frames:v", "60", "-pix_fmt", "yuv420p"])
-            .arg(&video)
-            .status()
-            .unwrap();
-        assert!(made.success());
-        let output = command(&["evaluate", "precision", utf8(&video)])
-            .output()
-            .unwrap();
-        let result = text(&output.stdout) + &text(&output.stderr);
-        assert!([1, 3].contains(&code(&output)), "{source}: {result}");
     }
 }
 
