@@ -212,7 +212,8 @@ fn assert_severities(report: &Report, expected: &[(&str, Severity)]) {
 #[test]
 fn a_board_in_order_passes_with_somebody_at_its_wires() {
     let mut bench = Bench::new(31, Jumpers::default());
-    let report = bench.measure_attended(&plan(&Part::ALL));
+    // What follows them is measured where it is taped (`wrong_boards`).
+    let report = bench.measure_attended(&plan(&Part::ALL[..5]));
     for check in &report.checks {
         assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
     }

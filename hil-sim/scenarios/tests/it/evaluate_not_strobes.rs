@@ -215,7 +215,7 @@ fn drawn<'a>(
 ) -> Drawn<'a> {
     Drawn {
         rate,
-        frames: draw.one(&[40, 40, 160]),
+        frames: draw.one(&[40, 40, 80]),
         applied_us: 0.0,
         camera,
         draw: Box::new(paint),

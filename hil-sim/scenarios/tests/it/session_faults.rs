@@ -121,7 +121,7 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
     let states = STATES[1..].iter().copied();
     for (state, is_it) in states.chain([("second twist", is_second_twist as _)]) {
         rig.soon_after(is_it, |rig| rig.phones[0].leave_network());
-        let mut options = rig.options(state, 15);
+        let mut options = rig.options(state, 5);
         options.second_twist = true;
         let run = rig.bench.run(&options);
         rig.bench.with(|rig| rig.phones[0].join_network());
@@ -171,7 +171,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
             let back = rig.now() + ms(500);
             rig.at(back, |rig| rig.sim.usb_plug());
         });
-        let options = rig.options(state, 10);
+        let options = rig.options(state, 4);
         let run = rig.bench.run(&options);
         let is_back = |event: &SessionEvent| matches!(event, SessionEvent::LinkBack { .. });
         assert!(run.time_of(is_back).is_some(), "{state}");
@@ -181,7 +181,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
         // Board time went on: the recording has the length that was asked for.
         let span = file.recorded.unwrap();
         let length = (span.to - span.from).as_secs_f64();
-        assert!((10.0..10.5).contains(&length), "{state}: {length}");
+        assert!((4.0..4.5).contains(&length), "{state}: {length}");
         rig.all_is_stopped(state);
     }
 }
@@ -423,7 +423,7 @@ fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
 /// A kill leaves of the files what the system was given of them: their copies at that moment.
 #[test]
 fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
-    const KILLS: usize = 50;
+    const KILLS: usize = 20;
     let mut rig = Twisted::with(11, |_, phone| {
         phone.camera.first_frame_ms = (20.0, 50.0);
     });
@@ -453,7 +453,7 @@ fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
     let left = left.borrow();
     assert_eq!(left.len(), KILLS);
     let recorded = left.iter().filter(|(killed, _)| *killed > recorded_s);
-    assert!(recorded.count() >= 5);
+    assert!(recorded.count() >= 2);
     let zero = rig.bench.stop().unwrap().zero.unwrap().as_secs_f64();
     let begun_s = left
         .iter()
@@ -478,7 +478,7 @@ fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
 /// An app takes a while to close its video; its sensors are busy until then.
 #[test]
 fn a_session_ends_well_whatever_time_a_stop_takes() {
-    for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
+    for (seed, stop_ms) in [(84, 0.0), (87, 2_000.0)] {
         let mut rig = Twisted::with(seed, |_, phone| phone.app.stop_ms = stop_ms);
         let mut options = rig.options("whole", 3);
         options.second_twist = true;
