@@ -160,33 +160,6 @@ mod tests {
         );
     }
 
-    #[test]
-    fn days_of_the_calendar_follow_one_another() {
-        let days_in = |year: u32, month: u32| match month {
-            4 | 6 | 9 | 11 => 30,
-            2 if year.is_multiple_of(4)
-                && (!year.is_multiple_of(100) || year.is_multiple_of(400)) =>
-            {
-                29
-            }
-            2 => 28,
-            _ => 31,
-        };
-        let (mut year, mut month, mut day) = (1970, 1, 1);
-        for days in 0..80_000_i64 {
-            let utc = Utc::from_unix(days * 86_400 + 86_399);
-            assert_eq!((utc.year, utc.month, utc.day), (year, month, day));
-            assert_eq!((utc.hour, utc.minute, utc.second), (23, 59, 59));
-            day += 1;
-            if day > days_in(year, month) {
-                (day, month) = (1, month + 1);
-            }
-            if month > 12 {
-                (month, year) = (1, year + 1);
-            }
-        }
-    }
-
     /// The length that the window is worked out from is the length of the text.
     #[test]
     fn the_longest_text_is_told_right() {

@@ -150,28 +150,6 @@ fn set_up(sensor: &mut Imu<Mock>, config: &ImuConfig) -> Result<(), ImuFault> {
 }
 
 #[test]
-fn the_default_is_written_after_a_reset() {
-    let mut sensor = imu(Mock::new());
-    let mut delay = Delay::default();
-    now(sensor.set_up(&IMU_DEFAULT, &mut delay)).unwrap();
-    // Its own clock first: every other setting is made while it surely runs.
-    let expected = [
-        (0x6B, 0x80),
-        (0x6B, 0x01),
-        (0x19, 1),
-        (0x1A, 1),
-        (0x1B, 0x08),
-        (0x1C, 0x08),
-        (0x37, 0x10),
-        (0x38, 0x01),
-    ];
-    assert_eq!(sensor.registers.bus.log, expected);
-    now(sensor.start(ImuClock::External, &mut delay)).unwrap();
-    assert_eq!(sensor.registers.bus.log[expected.len()..], [(0x6B, 0x05)]);
-    assert_eq!(delay.0, 100_000_000);
-}
-
-#[test]
 fn every_setting_reaches_its_field() {
     for (low_pass, dlpf) in [
         (LowPass::Hz188, 1),
@@ -275,24 +253,6 @@ fn a_register_that_does_not_keep_its_value_is_named() {
         read: 0,
     };
     assert_eq!(fault, Err(expected));
-}
-
-#[test]
-fn a_sample_is_fourteen_bytes_in_one_transfer() {
-    let mut sensor = imu(Mock::new());
-    let words: [i16; 7] = [1, -2, i16::MAX, -521, 3000, -4000, 5];
-    for (index, word) in words.iter().enumerate() {
-        sensor.registers.bus.registers[0][0x3B + 2 * index..][..2]
-            .copy_from_slice(&word.to_be_bytes());
-    }
-    let sample = now(sensor.read_sample()).unwrap();
-    let expected = RawSample {
-        accel: [1, -2, i16::MAX],
-        temperature: -521,
-        gyro: [3000, -4000, 5],
-    };
-    assert_eq!(sample, expected);
-    assert_eq!(sensor.registers.bus.transfers, 1);
 }
 
 #[test]
@@ -427,22 +387,6 @@ fn an_icm_42688_p_that_was_left_in_another_bank_is_found() {
         set_up(&mut sensor, &IMU_DEFAULT).unwrap();
         assert_eq!(sensor.model(), ImuModel::Icm42688P);
     }
-}
-
-#[test]
-fn a_sample_of_an_icm_42688_p_begins_with_its_temperature() {
-    let mut sensor = imu(icm_mock());
-    set_up(&mut sensor, &IMU_DEFAULT).unwrap();
-    for (index, word) in [-1_i16, 2, -3, 4, -5, 6, -7].iter().enumerate() {
-        sensor.registers.bus.registers[0][0x1D + 2 * index..][..2]
-            .copy_from_slice(&word.to_be_bytes());
-    }
-    let expected = RawSample {
-        accel: [2, -3, 4],
-        temperature: -1,
-        gyro: [-5, 6, -7],
-    };
-    assert_eq!(now(sensor.read_sample()), Ok(expected));
 }
 
 /// A rate that was taken while the sensor was not known, and that it does not have.

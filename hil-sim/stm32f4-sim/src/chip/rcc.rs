@@ -372,15 +372,6 @@ mod tests {
     }
 
     #[test]
-    fn without_a_crystal_its_oscillator_never_gets_ready() {
-        let mut rcc = Rcc::new(None);
-        rcc.write(0x00, 0x83 | CR_HSEON, SimTime::ZERO);
-        let later = SimTime::from_nanos(10_000_000_000);
-        assert_eq!(rcc.read(0x00, later).unwrap() & (1 << 17), 0);
-        assert_eq!(rcc.next_ready(SimTime::ZERO), SimTime::NEVER);
-    }
-
-    #[test]
     fn a_source_that_is_not_ready_is_not_selected() {
         let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
         rcc.write(0x08, 2, SimTime::ZERO);
