@@ -16,7 +16,7 @@ const RIGS: [(f64, f64, f64); 2] = [(0.3, 8.0, 9.0), (9.5, 2.0, 12.0)];
 
 #[test]
 fn what_nobody_has_measured_is_in_what_is_stated() {
-    for (number, (flash_ms, gyro_ms, readout_ms)) in (1..).zip(RIGS) {
+    for (number, (flash_ms, gyro_ms, readout_ms)) in [1, 3].into_iter().zip(RIGS) {
         let mut rig = Twisted::with(number, |config, phone| {
             if let Some(depth) = &mut config.depth_camera {
                 depth.flash_delay = SimDuration::from_secs_f64(flash_ms * 1e-3);

@@ -7,7 +7,6 @@ use std::process::Command;
 
 use crate::support;
 use test_support::documents::{Code, arguments, pages};
-use test_support::root;
 
 /// Help of a command.
 #[derive(Debug, Default)]
@@ -159,39 +158,6 @@ fn options_that_stand_by_themselves_are_in_a_help() {
     }
     assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
     assert!(checked >= 35, "only {checked} options");
-}
-
-#[test]
-fn examples_and_fuzz_targets_are_there() {
-    let mut checked = 0;
-    for (page, text) in pages() {
-        for line in Code::of(&text).all() {
-            let words: Vec<&str> = line.split_whitespace().collect();
-            for pair in words.windows(2) {
-                let found = match pair {
-                    ["--example", name] if line.contains("cargo ") => {
-                        ["host/twist-scenarios", "hil-sim/scenarios"]
-                            .iter()
-                            .any(|package| {
-                                let file = format!("{package}/examples/{name}.rs");
-                                root().join(file).is_file()
-                            })
-                    }
-                    ["run", name] if line.contains("cargo +nightly fuzz") => {
-                        ["host", "protocol"].iter().any(|package| {
-                            let file = format!("{package}/fuzz/Cargo.toml");
-                            let text = std::fs::read_to_string(root().join(file));
-                            text.is_ok_and(|text| text.contains(&format!("name = \"{name}\"")))
-                        })
-                    }
-                    _ => continue,
-                };
-                assert!(found, "{}: {line}", page.display());
-                checked += 1;
-            }
-        }
-    }
-    assert!(checked >= 2, "{checked}");
 }
 
 #[test]

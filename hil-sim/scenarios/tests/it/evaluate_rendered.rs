@@ -142,39 +142,6 @@ fn fifty_seeds_of_drift_lie_within_the_stated_uncertainty() {
     assert!((0.3..1.8).contains(&mean_square), "{mean_square}");
 }
 
-/// The drift of the published rig.
-#[test]
-fn drift_of_the_published_rig_is_measured() {
-    let scene = Scene {
-        bias_us: -20.0,
-        drift_us_per_min: 16.34,
-        frame_rate: 2.0,
-        frames: 360,
-        lit_from: 0,
-        ..scene(125.0, 10.2, 40.0, 3)
-    };
-    let scene = Scene {
-        camera: RollingShutter {
-            columns: 32,
-            ..scene.camera.clone()
-        },
-        bias_us: -20.0,
-        ..scene
-    };
-    let settings = hint(&scene);
-    let recording = scene.recording(&settings).unwrap();
-    let drift::EvaluatedDrift {
-        result, line_us, ..
-    } = drift::evaluate(recording, &settings).unwrap();
-    let error = (result.drift_us_per_min - 16.34).abs();
-    println!(
-        "drift error: {error:.4} ± {:.4} µs/min",
-        result.drift_sigma_us_per_min
-    );
-    assert!(error < 0.05);
-    assert!((line_us[0] + 20.0).abs() < 0.3);
-}
-
 #[test]
 fn flashes_on_every_second_frame_leave_the_others_as_reference() {
     let scene = Scene {

@@ -232,7 +232,7 @@ fn a_gyroscope_without_a_file_is_an_error() {
         &["no file of its gyroscope", "Enabled sensors"],
     );
     // Two recordings within one second have other names, and are taken.
-    let bench = Bench::new(80, 10.0, |_| ());
+    let bench = Bench::new(80, 10.0, |c| c.app.storage = StorageAccess::Documents);
     for _ in 0..3 {
         let output = bench.command(&["imu", "--duration", "0.01s"], folder.path());
         says(&output, 0, &[]);

@@ -5,7 +5,6 @@ use std::path::Path;
 use protocol::{ImuClock, ImuModel, Period};
 use recording::MCAP_FILE;
 use recording::finding::Severity;
-use recording::profile::Profile;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::{SampleRecord, SensorModel};
@@ -161,7 +160,7 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
 }
 
 #[test]
-fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
+fn two_phones_are_related_by_one_twist() {
     let mut rig = Twisted::with_phones(31, &TWO, |_, _| {});
     let mut options = rig.options("two", 10);
     options.second_twist = true;
@@ -205,29 +204,6 @@ fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
         sources,
         [source("twist 1"), source("twists at begin and end")]
     );
-
-    let truth = Truth::of(rig.bench.stop().unwrap()).unwrap();
-    let verdict = truth.judge(&folder).unwrap();
-    let [other] = verdict.others.as_slice() else {
-        panic!("{:?}", verdict.others);
-    };
-    for offset in [verdict.offset_start, other.offset_start, other.offset_end] {
-        assert!(offset.error_us.abs() < 5.0 * offset.sigma_us, "{offset:?}");
-        assert!(
-            offset.sigma_us < 30.0 && offset.error_us.abs() < 50.0,
-            "{offset:?}"
-        );
-    }
-    // Where its frames were said to lie, and how they move, within what was said.
-    assert!(
-        other.placement.error_us.abs() < 5.0 * other.placement.sigma_us.hypot(1.5),
-        "{other:?}"
-    );
-    assert!(
-        other.drift_error_us_per_min.abs() < 5.0 * other.drift_sigma_us_per_min,
-        "{other:?}"
-    );
-    assert!(other.drift_error_us_per_min.abs() < 300.0, "{other:?}");
 }
 
 #[test]
@@ -250,81 +226,6 @@ fn a_session_is_aligned_with_an_imu_on_its_own_clock() {
     assert!(
         start.sigma_us < 30.0 && start.error_us.abs() < 50.0,
         "{start:?}"
-    );
-}
-
-const AUXILIARY: &str = r#"
-[[outputs]]
-output = 2
-name = "left"
-every = 6
-
-[[outputs]]
-output = 4
-name = "right"
-every = 1
-delay_us = 160.0
-
-[lidar]
-name = "VLP-16"
-"#;
-
-#[test]
-fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
-    let mut rig = Twisted::new(5);
-    let further = Profile::parse(AUXILIARY, None).unwrap();
-    rig.bench.profile.outputs = further.outputs;
-    rig.bench.profile.lidar = further.lidar;
-    rig.record("further", 12);
-
-    let folder = rig.recording("further");
-    let session = SessionFile::load(&folder).unwrap();
-    assert_eq!(session.counts.lost(), 0);
-    assert!(session.counts.outputs.received > 100);
-    assert!(session.counts.pps.received >= 9);
-
-    let mut trigger = Vec::new();
-    let mut left = Vec::new();
-    let mut right = Vec::new();
-    let mut seconds = Vec::new();
-    for entry in Reader::open(&folder).unwrap() {
-        let entry = entry.unwrap();
-        match entry.item {
-            Item::Pulse(pulse) => trigger.push(pulse.ticks),
-            Item::Output(pulse) => match pulse.header.frame_id.as_str() {
-                "left" => left.push(pulse.ticks),
-                "right" => right.push(pulse.ticks),
-                other => panic!("{other}"),
-            },
-            Item::Gnss(pulse) => {
-                assert_eq!(pulse.source, "VLP-16");
-                seconds.push((entry.at, pulse.time_ref.nanos()));
-            }
-            _ => {}
-        }
-    }
-    // Every sixth pulse of the trigger, each at its very tick.
-    let begin = trigger.iter().position(|&at| at == left[0]).unwrap();
-    let sixths: Vec<u64> = trigger[begin..].iter().step_by(6).copied().collect();
-    assert!(left.len() > 10, "{}", left.len());
-    assert_eq!(sixths[..left.len()], left[..]);
-    // 160 µs after each pulse: 7,680 ticks.
-    let begin = trigger
-        .iter()
-        .position(|&at| at + 7_680 == right[0])
-        .unwrap();
-    let later = trigger[begin..].iter().map(|at| at + 7_680);
-    assert!(later.zip(&right).all(|(expected, &at)| at == expected));
-    assert!(right.len() > 60, "{}", right.len());
-    // One relation of board time and the pretended GNSS time, on whole seconds.
-    let offset = |&(at, utc): &(protocol::Ticks, i64)| {
-        assert_eq!(at.0 % 48_000_000, 0);
-        utc - (at.0 / 48_000_000) as i64 * 1_000_000_000
-    };
-    assert!(
-        seconds
-            .iter()
-            .all(|second| offset(second) == offset(&seconds[0]))
     );
 }
 

@@ -33,16 +33,6 @@ fn info_says_who_the_board_is() {
 }
 
 #[test]
-fn a_path_that_is_no_port_says_so() {
-    let missing = run(&["board", "info", "--port", "/dev/ttyACM-not-there"]);
-    assert_eq!(code(&missing), 5);
-
-    let file = tempfile::NamedTempFile::new().unwrap();
-    let no_port = run(&["board", "info", "--port", &file.path().to_string_lossy()]);
-    assert_eq!(code(&no_port), 8, "{no_port:?}");
-}
-
-#[test]
 fn a_silent_port_gives_no_answer() {
     let silent = StandIn::new(|_: HostToDevice| Vec::new());
     let output = run(&["board", "info", "--port", &silent.path]);
@@ -131,22 +121,6 @@ fn a_board_that_goes_away_is_a_lost_link() {
     drop(board);
     let output = child.wait_with_output().unwrap();
     assert_eq!(code(&output), 11, "{output:?}");
-}
-
-#[test]
-fn ports_is_a_list() {
-    let output = run(&["board", "list", "--json"]);
-    assert_eq!(code(&output), 0);
-    let ports: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert!(ports["ports"].is_array(), "{ports}");
-}
-
-#[test]
-fn a_wrong_command_line_has_the_code_of_usage() {
-    assert_eq!(code(&run(&[])), 2);
-    assert_eq!(code(&run(&["board", "info", "--no-such-option"])), 2);
-    assert_eq!(code(&run(&["--version"])), 0);
-    assert_eq!(code(&run(&["help", "board", "info"])), 0);
 }
 
 #[test]
