@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 use twist_scenarios::{RealMotion, TwistSpec};
-use twist_sync::{Estimate, FaultKind, GyroTrack, Made, Options, Stream, Warning, estimate_offset};
+use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Stream, Warning, estimate_offset};
 
 /// Noise of a sample of either, rad/s.
 const NOISE: f64 = 1.4e-3;
@@ -47,7 +47,7 @@ fn is_held(estimate: &Estimate, hz: f64) -> bool {
     let is_near = |rate_hz: f64| (rate_hz - hz).abs() < 0.048 * hz;
     warned(
         estimate,
-        |w| matches!(w, Warning::Made { made: Made::Held(rate_hz), .. } if is_near(*rate_hz)),
+        |w| matches!(w, Warning::Held { rate_hz, .. } if is_near(*rate_hz)),
     )
 }
 
@@ -140,7 +140,7 @@ fn cases() -> Vec<Case> {
             |e| {
                 warned(
                     e,
-                    |w| matches!(w, Warning::Made { made: Made::Interpolated(rate_hz), .. } if (rate_hz - 120.0).abs() < 6.0),
+                    |w| matches!(w, Warning::Interpolated { rate_hz, .. } if (rate_hz - 120.0).abs() < 6.0),
                 ) && has_no(e, FaultKind::DisplacedClass)
             },
             raised(120.0, 286.0, |a, b, x| a + (b - a) * x),

@@ -85,16 +85,10 @@ fn a_jump_below_a_millisecond_is_found_or_in_the_sigma() {
             );
         }
         let (from, to) = course.span();
-        let mut ends = vec![from];
-        ends.extend(
-            course
-                .steps
-                .iter()
-                .flat_map(|step| [step.from_s, step.to_s]),
-        );
-        ends.push(to);
-        for segment in ends.chunks(2) {
-            let relation = course.at(0.5 * (segment[0] + segment[1]));
+        let begins = std::iter::once(from).chain(course.steps.iter().map(|step| step.to_s));
+        let ends = course.steps.iter().map(|step| step.from_s).chain([to]);
+        for (begin, end) in begins.zip(ends) {
+            let relation = course.at(0.5 * (begin + end));
             let z = (relation.skew - twist.skew) / relation.covariance[1][1].sqrt();
             assert!(
                 z.abs() < 4.0,

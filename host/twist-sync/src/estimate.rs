@@ -196,12 +196,19 @@ pub enum Warning {
         /// A step in seconds.
         resolution_s: f64,
     },
-    /// The samples of a stream are made of slower ones.
-    Made {
+    /// The samples of a stream lie on straight lines between slower ones.
+    Interpolated {
         /// The stream.
         stream: Stream,
-        /// How.
-        made: Made,
+        /// Rate of the slower ones, Hz.
+        rate_hz: f64,
+    },
+    /// The samples of a stream are slower ones, each held for a while.
+    Held {
+        /// The stream.
+        stream: Stream,
+        /// Rate of the slower ones, Hz.
+        rate_hz: f64,
     },
     /// An axis comes late against the other two, to which the offset belongs.
     LateAxis {
@@ -235,16 +242,14 @@ impl fmt::Display for Warning {
                 "the timestamps of {stream} have steps of {} ms; half a step is part of the sigma",
                 resolution_s * 1e3
             ),
-            Self::Made { stream, made } => match made {
-                Made::Interpolated(rate_hz) => write!(
-                    f,
-                    "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
-                ),
-                Made::Held(rate_hz) => write!(
-                    f,
-                    "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
-                ),
-            },
+            Self::Interpolated { stream, rate_hz } => write!(
+                f,
+                "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
+            ),
+            Self::Held { stream, rate_hz } => write!(
+                f,
+                "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
+            ),
             Self::LateAxis { stream, axis, by } => write!(
                 f,
                 "axis {} of {stream} comes {:.0} ± {:.0} µs later than its other two, to which \
@@ -585,7 +590,10 @@ fn warnings(pair: &Pair<'_>, fit: &Fit, late_axis: Option<LateAxis>) -> Vec<Warn
                 resolution_s,
             });
         }
-        warnings.extend(checked.made.map(|made| Warning::Made { stream, made }));
+        warnings.extend(checked.made.map(|made| match made {
+            Made::Interpolated(rate_hz) => Warning::Interpolated { stream, rate_hz },
+            Made::Held(rate_hz) => Warning::Held { stream, rate_hz },
+        }));
     }
     warnings
 }

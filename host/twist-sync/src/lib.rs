@@ -48,5 +48,4 @@ pub use recording::{
     GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
     estimate_course,
 };
-pub use samples::Made;
 pub use track::{GyroSample, GyroStream, GyroTrack};

@@ -398,9 +398,7 @@ impl Search<'_> {
         let unexplained = self.residual(&nodes, &fit.calibration);
         let noise = NOISE * self.options.noise_variance.sqrt();
         let limit = (CAUSE * motion + noise).min(0.5 * unexplained);
-        let rates = nodes.iter().map(Node::rates);
-        let turned = calibration::regress(rates, self.options.noise_variance);
-        let turned = self.residual(&nodes, &turned);
+        let turned = self.residual(&nodes, &self.regressed(&nodes));
         let steps = (STEP_REACH_S / STEP_GRID_S) as i32;
         let lag_s = -fit.link.model_time(0.0);
         let on_grid = (-steps..=steps)
@@ -431,12 +429,32 @@ impl Search<'_> {
         }
     }
 
-    /// Median over the blocks of the residual's rms: the moments in which one slips are not
-    /// what it is before and after.
-    fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
+    /// Rms of the residual in each block that has one.
+    fn residuals(&self, nodes: &[Node], calibration: &Calibration) -> Vec<f64> {
         let residual = |n: &Node| calibration.residual(&n.x, &n.y);
-        let mut each = self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))));
+        self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))))
+    }
+
+    /// Its median: the moments in which one slips are not what it is before and after.
+    fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
+        let mut each = self.residuals(nodes, calibration);
         each.retain(|&rms| rms > 0.0);
         crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
+    }
+
+    /// The sensors' relation in most of the nodes.
+    fn regressed(&self, nodes: &[Node]) -> Calibration {
+        let regressed = |nodes: &[Node]| {
+            calibration::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
+        };
+        let mut calibration = regressed(nodes);
+        for _ in 0..3 {
+            let limit = 2.0 * self.residual(nodes, &calibration);
+            let each = self.residuals(nodes, &calibration);
+            let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
+            let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
+            calibration = regressed(&most);
+        }
+        calibration
     }
 }

@@ -40,9 +40,9 @@ const CLIPPED_SIGMAS: f64 = 4.0;
 const LOOKED_AT: usize = 64;
 const LOOKED_AT_IN_ALL: usize = 1024;
 
-/// How samples that were not taken one by one were made of slower ones, of such a rate, Hz.
+/// Samples that were not taken one by one, and the rate of those that were, Hz.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Made {
+pub(crate) enum Made {
     /// By straight lines between them.
     Interpolated(f64),
     /// By holding each for a while.
