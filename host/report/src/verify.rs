@@ -120,8 +120,8 @@ pub struct Report {
     pub file: FileReport,
     /// First and last board time, s.
     pub board_time_s: Option<[f64; 2]>,
-    /// Frames that came damaged over the link, by the session.
-    pub damaged_frames: u32,
+    /// Frames that came damaged over the link, by the log.
+    pub damaged_frames: u64,
     /// The board's streams, by name.
     pub streams: BTreeMap<&'static str, StreamReport>,
     /// The pulses against their grid; nothing without `session.json`.
@@ -192,13 +192,6 @@ fn check_session(session: &SessionFile, path: &Path, findings: &mut Findings) {
     if session.outcome.is_some() && !has_recorded(session) {
         findings.check("nothing_recorded", None, || {
             String::from("nothing was recorded between begin and end")
-        });
-    }
-    let damaged = session.damaged_frames;
-    if damaged > 0 {
-        let many = (None, damaged.into());
-        findings.add(Severity::Check, "frame_damaged", many, || {
-            String::from("frames of the link were damaged when they came")
         });
     }
     if let Some(problem) = session.problems.first() {

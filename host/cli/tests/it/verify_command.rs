@@ -5,11 +5,15 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use board::imu::Scale;
+use protocol::ImuFlags;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use recording::finding::Severity;
 use recording::reader::{Entry, Reader};
+use recording::session_file::{ImuInfo, SessionFile};
 use report::verify::{Report, verify};
 
+use crate::support::imu_setup;
 use crate::support::synthetic::{SECONDS, Wrong, make};
 
 const MCAP: &str = "recording.mcap";
@@ -189,6 +193,29 @@ fn a_pulse_off_its_grid_by_one_tick_is_found() {
     assert_eq!(report.severity, Severity::Bad);
     assert_eq!(kinds(&report), ["off_grid"]);
     assert_eq!(report.grid.unwrap().worst_ticks, 1);
+}
+
+#[test]
+fn a_silence_of_the_imu_is_found_and_must_have_a_reason() {
+    for (flags, severity, kind) in [
+        (ImuFlags::AFTER_LOSS, Severity::Check, "imu_gap"),
+        (ImuFlags(0), Severity::Bad, "imu_gap_unexplained"),
+    ] {
+        let parent = tempfile::tempdir().unwrap();
+        let wrong = Wrong {
+            imu_silence: Some((700, flags)),
+            ..Wrong::default()
+        };
+        let folder = make(parent.path(), wrong);
+        let mut session = SessionFile::load(&folder).unwrap();
+        let setup = imu_setup();
+        let scale = Scale::of(&setup).unwrap();
+        session.imu = Some(ImuInfo { setup, scale });
+        session.save(&folder).unwrap();
+        let report = verify(&folder).unwrap();
+        assert_eq!(report.severity, severity);
+        assert_eq!(kinds(&report), [kind]);
+    }
 }
 
 #[test]

@@ -31,6 +31,8 @@ pub(crate) struct Wrong {
     pub(crate) board_knows: bool,
     /// This pulse comes this much late.
     pub(crate) pulse_late: Option<(u64, u64)>,
+    /// Before this IMU sample two intervals pass, and it has these flags.
+    pub(crate) imu_silence: Option<(u64, ImuFlags)>,
     /// There is an auxiliary output, and these of its pulses never come.
     pub(crate) outputs_lost: &'static [u64],
 }
@@ -85,7 +87,9 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
     // All events in the order of their times.
     let mut events: Vec<(u64, u8, u64)> = Vec::new();
     for number in 0..SECONDS * 500 {
-        events.push((ANCHOR.0 + 5_000 + number * 96_000, 0, number));
+        let late = wrong.imu_silence.is_some_and(|(from, _)| number >= from);
+        let steps = number + u64::from(late);
+        events.push((ANCHOR.0 + 5_000 + steps * 96_000, 0, number));
     }
     for number in 0..SECONDS * 30 {
         let mut at = PERIOD.edge(ANCHOR, number as i64).0;
@@ -115,7 +119,10 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                 }
                 let sample = Sample {
                     at,
-                    flags: ImuFlags(0),
+                    flags: match wrong.imu_silence {
+                        Some((first, flags)) if first == number => flags,
+                        _ => ImuFlags(0),
+                    },
                     gyro: [(number % 600) as f64 * 1e-3, 0.1, 0.2],
                     accel: [0.0, 0.0, 9.8],
                     temperature: 31.0,

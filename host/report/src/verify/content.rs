@@ -16,6 +16,9 @@ use super::numbers::{Numbers, stream_of};
 use super::pulses::Pulses;
 use super::{FORM, Findings, Report};
 
+/// Kind of the log's entry for a frame that came damaged.
+const DAMAGED: &str = "damaged";
+
 /// Whether messages of a topic come in the order of their times. Pulses of several
 /// outputs may fall on one tick.
 const fn in_order(topic: Topic) -> bool {
@@ -31,16 +34,20 @@ pub(super) struct Content {
     span: Option<[Ticks; 2]>,
     numbers: Numbers,
     pulses: Pulses,
+    /// Something is missing in the file here.
+    after_gap: bool,
 }
 
 impl Content {
     /// Before the first message.
     pub(super) fn new(session: Option<&SessionFile>) -> Self {
+        let imu = session.and_then(|session| session.imu.as_ref());
         Self {
             last: BTreeMap::new(),
             span: None,
-            numbers: Numbers::default(),
+            numbers: Numbers::new(imu.map(|imu| imu.setup.interval.into())),
             pulses: Pulses::new(session),
+            after_gap: false,
         }
     }
 
@@ -52,6 +59,7 @@ impl Content {
         session: Option<&SessionFile>,
         mut findings: Findings,
     ) -> Report {
+        let damaged_frames = self.numbers.damaged_frames();
         let streams = self.numbers.finish(&mut findings);
         Report {
             form: FORM,
@@ -59,7 +67,7 @@ impl Content {
             severity: findings.worst(),
             file,
             board_time_s: self.span.map(|span| span.map(|at| at.as_secs_f64())),
-            damaged_frames: session.map_or(0, |session| session.damaged_frames),
+            damaged_frames,
             grid: self.pulses.report(),
             streams,
             findings: findings.0,
@@ -74,7 +82,13 @@ impl Content {
     pub(super) fn take(&mut self, event: Event<'_>, findings: &mut Findings) {
         match event {
             Event::Message(message) => self.message(&message, findings),
-            Event::Damage(damage) => findings.damage(&damage),
+            Event::Damage(damage) => {
+                findings.damage(&damage);
+                if damage.is_gap() {
+                    self.after_gap = true;
+                    self.numbers.forget();
+                }
+            }
         }
     }
 
@@ -92,6 +106,7 @@ impl Content {
         if let Some(topic) = topic.filter(|&topic| in_order(topic)) {
             self.time(topic.name(), message.at(), findings);
         }
+        self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log | Topic::ImuFlags));
     }
 
     /// Times of a topic go on.
@@ -112,16 +127,21 @@ impl Content {
     fn item(&mut self, item: &Item, message: &Message<'_>, findings: &mut Findings) {
         let at = message.at();
         match item {
+            Item::Imu(_) => self.numbers.sample(message, self.after_gap, findings),
             Item::Pulse(pulse) => self.pulses.pulse(pulse, findings),
             Item::Capture(capture) if capture.after_loss => {
                 findings.check("captures_lost", Some(at), || {
                     String::from("an edge on the strobe input was lost, as the board says")
                 });
             }
+            Item::ImuFlags(flags) => self.numbers.flags(at, flags),
             Item::Status(status) => {
                 if let Some(counters) = BoardCounters::of(status) {
                     self.numbers.status(counters, at, findings);
                 }
+            }
+            Item::Log(log) if log.function == DAMAGED => {
+                self.numbers.damaged(&log.msg, at, findings);
             }
             Item::Period(period) => self.pulses.follow(period),
             _ => {}

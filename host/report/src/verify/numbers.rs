@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 
 use board::{Stream, follow};
-use protocol::Ticks;
+use protocol::{TICK_HZ, Ticks};
 use recording::Topic;
 use recording::diagnostics::BoardCounters;
 use recording::finding::Severity;
+use recording::messages::ImuFlags;
+use recording::walk::Message;
 
 use super::{Findings, StreamReport};
 
@@ -33,17 +35,43 @@ struct Numbered {
 #[derive(Default)]
 pub(super) struct Numbers {
     streams: [Numbered; Stream::ALL.len()],
+    /// Nominal ticks from sample to sample.
+    imu_interval: Option<u64>,
+    last_imu: Option<(Ticks, u32)>,
+    /// Time of a sample that the board gives a reason for a silence before.
+    has_reason: Option<Ticks>,
     epoch: Option<u32>,
     /// The first and the last status.
     statuses: Option<(BoardCounters, BoardCounters)>,
+    damaged_frames: u64,
 }
 
 impl Numbers {
+    pub(super) fn new(imu_interval: Option<u64>) -> Self {
+        Self {
+            imu_interval,
+            ..Self::default()
+        }
+    }
+
     /// Takes the counters of a status.
     pub(super) fn status(&mut self, status: BoardCounters, at: Ticks, findings: &mut Findings) {
         self.life(status.epoch, at, findings);
         let first = self.statuses.map_or(status, |(first, _)| first);
         self.statuses = Some((first, status));
+    }
+
+    /// A frame of the link came damaged, for the reason `why`.
+    pub(super) fn damaged(&mut self, why: &str, at: Ticks, findings: &mut Findings) {
+        self.damaged_frames += 1;
+        findings.check("frame_damaged", Some(at), || {
+            format!("a frame of the link was damaged when it came: {why}")
+        });
+    }
+
+    /// Something is missing in the file here.
+    pub(super) fn forget(&mut self) {
+        self.last_imu = None;
     }
 
     /// The board has this epoch. A recording is of one life of the board.
@@ -60,6 +88,7 @@ impl Numbers {
                 stream.expected = None;
             }
             self.statuses = None;
+            self.forget();
         }
     }
 
@@ -75,6 +104,45 @@ impl Numbers {
             Some(gap) => stream.report.missing += u64::from(gap),
         }
         stream.report.received += 1;
+    }
+
+    /// Takes what the board says of the sample that comes next.
+    pub(super) fn flags(&mut self, at: Ticks, flags: &ImuFlags) {
+        self.has_reason = Some(at).filter(|_| flags.after_loss || flags.first);
+    }
+
+    /// Silence between samples must have a reason.
+    pub(super) fn sample(
+        &mut self,
+        message: &Message<'_>,
+        after_gap: bool,
+        findings: &mut Findings,
+    ) {
+        let (at, number) = (message.at(), message.header.sequence);
+        let has_reason = self.has_reason.take() == Some(at);
+        let last = self.last_imu.replace((at, number));
+        let (Some((last, before)), Some(interval)) = (last, self.imu_interval) else {
+            return;
+        };
+        let steps = u64::from(number.wrapping_sub(before));
+        let silence = at.0.saturating_sub(last.0);
+        if silence <= interval.saturating_mul(steps).saturating_add(interval / 2) || after_gap {
+            return;
+        }
+        let ms = silence as f64 * 1e3 / f64::from(TICK_HZ);
+        if has_reason {
+            findings.check("imu_gap", Some(at), || {
+                format!("{ms:.1} ms without IMU samples, as the board itself says")
+            });
+        } else {
+            findings.bad("imu_gap_unexplained", Some(at), || {
+                format!("{ms:.1} ms without IMU samples, and the board does not say why")
+            });
+        }
+    }
+
+    pub(super) const fn damaged_frames(&self) -> u64 {
+        self.damaged_frames
     }
 
     /// What came of it, by the streams' names.
