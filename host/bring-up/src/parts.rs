@@ -35,6 +35,9 @@ const SLEW: u32 = TICK_HZ / 10_000;
 /// How long somebody may take to do something at the board.
 const HANDS_TIME: TickDelta = millis(120_000);
 
+/// Why a part by hand was left out.
+const NOBODY: &str = "nobody there to do it";
+
 const fn period(picos: u64) -> Period {
     match Period::from_picos(picos) {
         Some(period) => period,
@@ -112,7 +115,7 @@ impl<'a> Session<'a> {
         mut is_done: impl FnMut(&Heard) -> bool,
     ) -> Result<Result<(Heard, bool), &'static str>, BringUpError> {
         if !self.operator.is_there {
-            return Ok(Err("nobody there to do it"));
+            return Ok(Err(NOBODY));
         }
         (self.operator.say)(what);
         let skips = self.operator.skips;

@@ -9,7 +9,7 @@ use protocol::{
     TickDelta,
 };
 
-use super::{PERIOD, Session};
+use super::{NOBODY, PERIOD, Session};
 use crate::bench::{Heard, millis};
 use crate::train::{Grid, Trains};
 use crate::{BringUpError, Prompt};
@@ -192,6 +192,10 @@ impl Session<'_> {
         is_done: impl Fn(&Interrupted, &Heard) -> bool,
         reason: &'static str,
     ) -> Result<(), BringUpError> {
+        if !self.operator.is_there {
+            self.skip(name, NOBODY, reason);
+            return Ok(());
+        }
         let mut train = self.train_to_interrupt()?;
         let (mut heard, ended) = match self.by_hand(what, |heard| is_done(&train, heard))? {
             Ok(heard) => heard,
