@@ -119,7 +119,7 @@ fn match_at(images: &[i64], stamps: &[PhoneNanos], offset: i128, period: f64) ->
         return None;
     }
     let mut rows = Vec::with_capacity(images.len());
-    let mut next = 0;
+    let (mut next, mut used) = (0, None);
     let (mut matched, mut squares) = (0_usize, 0.0);
     for &image in images {
         let at = i128::from(image) + offset;
@@ -128,8 +128,8 @@ fn match_at(images: &[i64], stamps: &[PhoneNanos], offset: i128, period: f64) ->
             next += 1;
         }
         let is_near = next < stamps.len() && (distance(next) as f64) < period * 0.4;
-        let free = rows.last().copied().flatten() != Some(next);
-        if is_near && free {
+        if is_near && used != Some(next) {
+            used = Some(next);
             matched += 1;
             squares += (distance(next) as f64).powi(2);
             rows.push(Some(next));
@@ -197,6 +197,18 @@ mod tests {
         let found = align(&presentation(&rows[..299]), &rows);
         assert!(found.remark.unwrap().contains("too regular"));
         assert_eq!(found.rows, Alignment::in_order(299, 300).rows);
+    }
+
+    /// Images without a timestamp between two that belong together.
+    #[test]
+    fn each_timestamp_has_one_image_at_most() {
+        let stamps = [0, 33_300_000].map(PhoneNanos);
+        let found = align(&[0, 1, 2, 3, 4, 33_300_000], &stamps);
+        let matched = found.rows.iter().flatten();
+        assert_eq!(matched.collect::<Vec<_>>(), [&0, &1], "{found:?}");
+        let remark = found.remark.unwrap();
+        let lost = "0 timestamps have no image and 4 images no timestamp";
+        assert!(remark.contains(lost), "{remark}");
     }
 
     #[test]
