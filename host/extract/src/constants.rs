@@ -1,5 +1,6 @@
-//! The constants of a rig that go into times, resolved once: a profile that the user gives goes
-//! before what the session says, and that before its profile.
+//! The constants of a rig that go into times, resolved once: those of the profile that the user
+//! gives, or else what the session was aligned by, or else its profile. The exposure that was used
+//! or reported goes before any profile's; the delay of the board's IMU is what the board set.
 
 use protocol::ImuSensor;
 use recording::error_budget::ErrorPart;
@@ -92,20 +93,15 @@ impl Constants {
         said: Option<&PhoneRecord>,
         profile: &Profile,
     ) -> Self {
-        let reported = said
-            .and_then(|said| said.video?.exposure_ns)
-            .filter(|&exposure| exposure > 0)
-            .and_then(|exposure| i64::try_from(exposure).ok());
-        let exposure = reported.or_else(|| nanos(phone.exposure_us));
-        let exposure_us = exposure.unwrap_or_default() as f64 * 1e-3;
-        let sigma_us = profile.other_constant_sigma_us(phone, exposure_us);
+        let reported = said.and_then(|said| said.video?.exposure_us());
+        let exposure_us = reported.unwrap_or(phone.exposure_us);
         let constants = Self {
             phone_imu_delay_ns: nanos(phone.gyro_delay_us).unwrap_or(0),
             prior: said.and_then(|said| said.clock).map(prior),
-            constant_sigma_us: self.constant_sigma_us.map(|_| sigma_us),
+            constant_sigma_us: Some(profile.other_constant_sigma_us(phone, exposure_us)),
             ..self
         };
-        constants.with_middle(exposure, nanos(phone.middle_row_us()))
+        constants.with_middle(nanos(exposure_us), nanos(phone.middle_row_us()))
     }
 
     /// Puts the depth timestamp later.

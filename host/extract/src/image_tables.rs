@@ -51,7 +51,7 @@ pub(crate) struct DepthImageView<'a> {
 }
 
 /// What the depth images were like.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct DepthOutcome {
     /// Images with a place that are there.
     pub(crate) written: u64,
@@ -205,7 +205,7 @@ fn write_missing<'a>(
 }
 
 /// What the video was like.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct VideoOutcome {
     /// Frames that were decoded.
     pub(crate) decoded: u64,

@@ -14,7 +14,7 @@ use recording::RecordingError;
 use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::folder::{depth_recordings, is_mkv};
-use recording::profile::{Intrinsics, Phone, Pose};
+use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 
 /// A phone and its files.
@@ -87,13 +87,13 @@ pub(crate) struct Inputs {
     pub(crate) depth: Option<DepthInput>,
     /// The board's unique ID.
     pub(crate) board_id: Option<String>,
-    /// What the lidar is called, if there is a session.
+    /// What the lidar is called, if there is a profile.
     pub(crate) lidar: Option<String>,
     /// What is done in the recording, if the rig profile says it.
     pub(crate) task: Option<String>,
-    /// Model of the depth camera; the published rig's where no session names it.
+    /// Model of the depth camera; the published rig's where no profile names it.
     pub(crate) camera: Option<&'static Model>,
-    /// The depth camera's mode in the rig profile, if there is a session.
+    /// The depth camera's mode in the rig profile, if there is one.
     pub(crate) depth_mode: Option<String>,
     /// Exposure of the depth camera's colour images, ns, where the profile has it.
     pub(crate) color_exposure_ns: Option<i64>,
@@ -184,7 +184,10 @@ pub(crate) fn find(
     let topic = options.depth_topic.as_deref();
     let own = folder.then_some(recording);
     let (mut phone, others) = match &session {
-        Some(session) => find_phones(session, own, constants, phone, &options.phones)?,
+        Some(session) => {
+            let profile = given.unwrap_or(&session.profile);
+            find_phones(session, profile, own, constants, phone, &options.phones)?
+        }
         None => {
             known_names(&options.phones, &[])?;
             let files = find_phone(own, phone)?;
@@ -254,9 +257,10 @@ fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), Inpu
     }
 }
 
-/// The phones of a session, each with its files.
+/// The phones of a session, each with its files; `profile` has the constants of the rig.
 fn find_phones(
     session: &SessionFile,
+    profile: &Profile,
     recording: Option<&Path>,
     constants: Constants,
     phone: Option<&Path>,
@@ -295,7 +299,7 @@ fn find_phones(
         others.push(PhoneInput {
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
-            constants: constants.of_other(phone, said, &session.profile),
+            constants: constants.of_other(phone, said, profile),
             profile: Some(phone.clone()),
             boot_minus_frames_ns: behind_ns(said),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),

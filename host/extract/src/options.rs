@@ -6,7 +6,7 @@ use recording::profile::Profile;
 
 use super::geometry::View;
 
-/// Values that the user gives; they go before those of the session.
+/// What the user gives.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Options {
     /// In place of the recording's own, but for its other phones.

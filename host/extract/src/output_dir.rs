@@ -1,8 +1,9 @@
-//! The output folder: whose it is.
+//! The output folder: whose it is, and what was already done in it.
 //!
 //! A hidden folder `.extraction` holds the inputs and options that the output was
-//! made from (names, sizes, times of change, no paths). A second run on the same inputs
-//! keeps the images that are there; a run on others is refused rather than mixed in.
+//! made from (names, sizes, times of change, no paths), and the outcome of the
+//! long steps. A second run on the same inputs goes on where the first stopped; a
+//! run on others is refused rather than mixed in.
 
 use std::fs;
 use std::io;
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::image::write_whole;
 
@@ -159,6 +161,25 @@ impl OutputDir {
             out: out.to_owned(),
         })
     }
+
+    /// The outcome of a step that an earlier run finished.
+    pub(crate) fn done<T: DeserializeOwned>(&self, step: &str) -> Option<T> {
+        let text = fs::read(self.step_path(step)).ok()?;
+        serde_json::from_slice(&text).ok()
+    }
+
+    /// Keeps the outcome of a finished step.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub(crate) fn keep<T: Serialize>(&self, step: &str, outcome: &T) -> io::Result<()> {
+        write_whole(&self.step_path(step), &serde_json::to_vec(outcome)?)
+    }
+
+    fn step_path(&self, step: &str) -> PathBuf {
+        self.out.join(FOLDER).join(format!("{step}.json"))
+    }
 }
 
 /// Makes sure that `out` does not lie within the recording's folder.
@@ -198,11 +219,15 @@ mod tests {
         let input = folder.path().join("input");
         fs::write(&input, "x").unwrap();
         let files = [FileMark::of(&input).unwrap()];
-        OutputDir::open(&out, &files, 1, false).unwrap();
-        fs::create_dir(out.join("mav0")).unwrap();
-        fs::write(out.join("mav0/data.csv"), "old").unwrap();
-        OutputDir::open(&out, &files, 1, true).unwrap();
-        assert!(out.join("mav0/data.csv").exists());
+        let output = OutputDir::open(&out, &files, 1, false).unwrap();
+        assert_eq!(output.done::<u32>("depth"), None);
+        output.keep("depth", &7).unwrap();
+        assert_eq!(
+            OutputDir::open(&out, &files, 1, true)
+                .unwrap()
+                .done::<u32>("depth"),
+            Some(7)
+        );
         assert!(matches!(
             OutputDir::open(&out, &files, 2, false),
             Err(OutputDirError::Other { .. })
@@ -214,7 +239,10 @@ mod tests {
         // Only a former extraction is replaced, and all of it.
         let taken = OutputDir::open(folder.path(), &files, 1, true);
         assert!(matches!(taken, Err(OutputDirError::NotEmpty { .. })));
-        OutputDir::open(&out, &files, 2, true).unwrap();
+        fs::create_dir(out.join("mav0")).unwrap();
+        fs::write(out.join("mav0/data.csv"), "old").unwrap();
+        let output = OutputDir::open(&out, &files, 2, true).unwrap();
+        assert_eq!(output.done::<u32>("depth"), None);
         assert!(!out.join("mav0").exists());
         assert!(OutputDir::open(&out, &files, 2, false).is_ok());
     }

@@ -144,6 +144,7 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
         std::fs::remove_file(out.join(image)).unwrap();
     }
     std::fs::remove_file(out.join("report.json")).unwrap();
+    std::fs::remove_file(out.join(".extraction/depth.json")).unwrap();
     let (third, _) = extract(folder.path(), Format::Euroc);
     assert_eq!(first, third);
     assert_eq!(written, contents(&out));

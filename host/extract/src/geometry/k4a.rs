@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn what_is_wrong_is_named_and_nothing_panics() {
         let good = file();
         for (from, to, told) in [
             (
@@ -289,5 +289,25 @@ mod tests {
                 .contains("OFF")
         );
         assert!(read(good.as_bytes(), Some("NFOV_UNBINNED"), Some((7, 7))).is_err());
+        let mut state = 1_u64;
+        let mut dice = |end: usize| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as usize % end
+        };
+        for _ in 0..3_000 {
+            let mut bad = good.clone().into_bytes();
+            for _ in 0..=dice(4) {
+                let at = dice(bad.len());
+                bad[at] = b"0123456789e-.,[]{}\"x"[dice(20)];
+            }
+            if let Ok(found) = read(&bad, Some("NFOV_UNBINNED"), Some((1280, 720))) {
+                for pixel in [[0.0, 0.0], [639.0, 575.0]] {
+                    let ray = found.depth.lens.unproject(pixel);
+                    let _ = ray.and_then(|ray| found.depth.lens.project(ray));
+                }
+            }
+        }
     }
 }

@@ -9,6 +9,7 @@ mod euroc;
 mod kalibr;
 mod noise;
 mod offset;
+mod parts;
 mod ros;
 mod topics;
 mod tum;
@@ -174,6 +175,8 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) times: Vec<&'a TimePair>,
     /// Names for the files of those that have one of their own.
     pub(crate) names: BTreeMap<&'a Reference, String>,
+    /// Whether the next run writes images that this one could not.
+    pub(crate) unfinished: bool,
 }
 
 /// A format.

@@ -10,7 +10,7 @@
 //! | `/cam0/camera_info`, … | with each image, where the intrinsics are known |
 //! | `/imu0`, `/imu1` | the IMUs of board and phone |
 //!
-//! Images are files below `.parts` first, so that an extraction that was stopped goes on.
+//! Images are files first ([`parts`]).
 
 use std::fs;
 use std::io;
@@ -24,7 +24,7 @@ use recording::profile::{DistortionModel, Intrinsics};
 use recording::rosbag2::{Bag, METADATA_FILE};
 
 use super::offset::{moved, write_offset};
-use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::board_data::ImuRow;
 use crate::image::{Decoded, WholeFile, read_png, write_whole};
 use crate::time::BoardNanos;
@@ -66,11 +66,9 @@ impl Layout for Ros2 {
         super::auxiliary::write(folder, tables)?;
         write_offset(folder)?;
         let path = folder.join("ros2").join(MCAP_FILE);
-        write_bag(&path, folder, tables, facts)?;
-        match fs::remove_dir_all(folder.join(".parts")) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-            removed => removed,
-        }
+        parts::join(folder, &path, tables, || {
+            write_bag(&path, folder, tables, facts)
+        })
     }
 }
 

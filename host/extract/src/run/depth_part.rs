@@ -301,16 +301,28 @@ impl Extraction<'_> {
             depth: frames.iter().map(paths_of).collect(),
             color: depth.color.iter().map(color_path).collect(),
         };
-        let view = DepthImageView {
-            size: depth.index.size,
-            registration,
-        };
-        let outcome = match write_depth(&input, &paths, view, layout) {
-            Err(ExtractError::Depth(error)) => {
-                self.lose("depth", error.to_string());
-                return Ok(None);
+        let outcome = match self.output.done::<DepthOutcome>("depth") {
+            Some(outcome) => outcome,
+            None => {
+                let view = DepthImageView {
+                    size: depth.index.size,
+                    registration,
+                };
+                match write_depth(&input, &paths, view, layout) {
+                    Ok(outcome) => {
+                        self.output
+                            .keep("depth", &outcome)
+                            .map_err(|error| self.failed(error))?;
+                        outcome
+                    }
+                    Err(ExtractError::Depth(error)) => {
+                        self.lose("depth", error.to_string());
+                        self.unfinished = true;
+                        return Ok(None);
+                    }
+                    Err(error) => return Err(error),
+                }
             }
-            written => written?,
         };
         // As the trigger starts, a camera takes up its phase in frames without depth.
         let recorded = self.inputs.recorded;

@@ -107,7 +107,10 @@ impl Extraction<'_> {
             let path = layout.image_path(kind, at)?;
             Some(ImageRow { at, own, path })
         };
-        let mut tables = SequenceTables::default();
+        let mut tables = SequenceTables {
+            unfinished: self.unfinished,
+            ..SequenceTables::default()
+        };
         // Places in this sequence's lists, by place in the whole tables.
         let mut color_places = vec![None; written.color.len()];
         let mut depth_places = vec![None; written.depth.len()];

@@ -52,7 +52,7 @@ const LISTED_GAPS: usize = 1_000;
 const DRAWN_PAIRS: usize = 1_000;
 
 /// Version of the report's form.
-const REPORT_VERSION: u32 = 3;
+const REPORT_VERSION: u32 = 4;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,6 +80,8 @@ struct Extraction<'a> {
     output: OutputDir,
     losses: Vec<Loss>,
     remarks: Vec<String>,
+    /// Images are missing that the next run may write.
+    unfinished: bool,
 }
 
 /// Extracts.
@@ -218,6 +220,7 @@ impl<'a> Extraction<'a> {
             inputs,
             output,
             losses: Vec::new(),
+            unfinished: false,
         })
     }
 }
@@ -299,9 +302,13 @@ impl Extraction<'_> {
         for damage in &survey.damage {
             self.lose("board", damage.clone());
         }
-        let missing: u64 = survey.missing_pulses().map(|(_, _, count)| count).sum();
+        // Numbers come from the file.
+        let counts = survey.missing_pulses().map(|(_, _, count)| count);
+        let missing = counts.fold(0, u64::saturating_add);
         if missing > 0 {
-            let what = format!("{missing} pulses are not in the recording; report.json names them");
+            let what = format!(
+                "{missing} pulses are not in the recording; report.json names the first {LISTED_GAPS} gaps"
+            );
             self.lose("board", what);
         }
         if survey.pulses.is_empty() {
@@ -354,7 +361,6 @@ impl Extraction<'_> {
         let central = pairs::central(pairs, &spread);
         let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
         let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
-        // How well a user knows what is given instead is not said.
         let constant = phone.constants.constant_sigma_us;
         let parts = clock.and_then(|clock| clock.sigma_us).zip(constant);
         Some(PairsReport {

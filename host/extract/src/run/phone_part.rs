@@ -182,19 +182,37 @@ impl Extraction<'_> {
                 *slot = path.map(|path| folder.join(path));
             }
         }
-        let outcome = match Video::open(&video, Pixels::Rgb) {
-            Ok(decoder) => write_video(decoder, &paths)?,
-            Err(error @ VideoError::Missing(_)) => {
-                let again = "run the extraction again: it keeps what is there";
-                self.lose("video", input.about(&format!("{error}, and {again}")));
-                return Ok(None);
-            }
-            Err(error) => VideoOutcome {
-                error: Some(error.to_string()),
-                ..VideoOutcome::default()
+        let step = match input.other_name() {
+            Some(name) => format!("video-{name}"),
+            None => String::from("video"),
+        };
+        let outcome = match self.output.done::<VideoOutcome>(&step) {
+            Some(outcome) => outcome,
+            None => match Video::open(&video, Pixels::Rgb) {
+                Ok(decoder) => {
+                    let outcome = write_video(decoder, &paths)?;
+                    // With an error the next run tries again.
+                    if outcome.error.is_none() {
+                        self.output
+                            .keep(&step, &outcome)
+                            .map_err(|error| self.failed(error))?;
+                    }
+                    outcome
+                }
+                Err(error @ VideoError::Missing(_)) => {
+                    let again = "run the extraction again: it goes on where it stopped";
+                    self.lose("video", input.about(&format!("{error}, and {again}")));
+                    self.unfinished = true;
+                    return Ok(None);
+                }
+                Err(error) => VideoOutcome {
+                    error: Some(error.to_string()),
+                    ..VideoOutcome::default()
+                },
             },
         };
         if let Some(error) = &outcome.error {
+            self.unfinished = true;
             self.lose("video", input.about(error));
         }
         let expected = phone.stamps as u64;
