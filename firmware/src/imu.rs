@@ -24,7 +24,9 @@ use embedded_hal::i2c::{Error, ErrorKind};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
 use protocol::mpu9150::{ADDRESS, WHO_AM_I};
-use protocol::{ImuClock, ImuConfig, ImuFault, ImuModel, ImuSetup, ImuStatus, Refusal, TICK_HZ};
+use protocol::{
+    ImuClock, ImuConfig, ImuFault, ImuModel, ImuSensor, ImuSetup, ImuStatus, Refusal, TICK_HZ,
+};
 
 /// Highest rate, in Hz: what [`ImuConfig::divider`] divides.
 const BASE_RATE_HZ: u32 = 1_000;
@@ -66,6 +68,13 @@ const fn family(model: ImuModel) -> Family {
     }
 }
 
+/// What a family says of one setting.
+struct Description {
+    gyro_delay_us: u32,
+    accel_delay_us: u32,
+    sensor: ImuSensor,
+}
+
 const fn interval_ticks(config: &ImuConfig) -> u32 {
     (config.divider as u32 + 1) * (TICK_HZ / BASE_RATE_HZ)
 }
@@ -97,7 +106,11 @@ pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
 /// found yet is described as an MPU-6050.
 #[must_use]
 pub const fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
-    let (gyro_delay_us, accel_delay_us, sensor) = match family(model) {
+    let Description {
+        gyro_delay_us,
+        accel_delay_us,
+        sensor,
+    } = match family(model) {
         Family::Mpu => mpu::describe(model, &config),
         Family::Icm42688P => icm42688p::describe(&config),
     };

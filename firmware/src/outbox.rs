@@ -42,6 +42,7 @@ pub type Counter = fn(&mut Dropped) -> &mut u32;
 
 /// Where a message counts if it is lost; filler nowhere.
 #[must_use]
+#[inline(always)]
 pub fn counter_of(message: &DeviceToHost) -> Option<Counter> {
     Some(match message {
         DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => |dropped| &mut dropped.pulses,
@@ -112,6 +113,10 @@ impl Outbox {
     }
 
     /// Queues a message if there is a host, or counts it as dropped.
+    ///
+    /// Inlined, as is what it calls, because each caller knows the kind of its message: neither
+    /// the choice of the queue nor a copy of the largest kind of message is left there.
+    #[inline(always)]
     pub fn send(&mut self, message: DeviceToHost) {
         let counter = counter_of(&message);
         if self.linked && self.queue(message) {
@@ -122,6 +127,7 @@ impl Outbox {
     }
 
     /// False if there is no place.
+    #[inline(always)]
     fn queue(&mut self, message: DeviceToHost) -> bool {
         match message {
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {

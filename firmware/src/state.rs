@@ -49,7 +49,8 @@ pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
     OUTBOX.lock(|outbox| work(&mut outbox.borrow_mut()))
 }
 
-/// Queues a message and wakes the sender.
+/// Queues a message and wakes the sender. Inlined as [`Outbox::send`] is.
+#[inline(always)]
 pub(crate) fn send(message: DeviceToHost) {
     with_outbox(|outbox| outbox.send(message));
     TO_SEND.wake();

@@ -22,16 +22,23 @@ use crate::board::masked;
 use crate::board::tim1::{self, Channel, Match};
 use crate::board::tim2::{self, TIMEBASE};
 
-/// A line: one of the trigger outputs 2 to 4, or the pulse per second.
-pub(crate) type Line = Option<Output>;
+/// A line, in the order of the channels. The camera's output is none of them.
+#[derive(Clone, Copy)]
+pub(crate) enum Line {
+    Pps,
+    Two,
+    Three,
+    Four,
+}
 
-pub(crate) const PPS: Line = None;
-
-/// Its channel, from 0: the outputs' numbers, and the one that the camera's leaves.
-const fn channel(line: Line) -> usize {
-    match line {
-        Some(output) => output as usize,
-        None => 0,
+impl Line {
+    const fn output(self) -> Option<Output> {
+        match self {
+            Self::Pps => None,
+            Self::Two => Some(Output::Two),
+            Self::Three => Some(Output::Three),
+            Self::Four => Some(Output::Four),
+        }
     }
 }
 
@@ -47,7 +54,7 @@ impl Driven {
         Self {
             line,
             pulser: Pulser::new(Limits::OUTPUT),
-            channel: Channel::new(channel(line)),
+            channel: Channel::new(line as usize),
         }
     }
 }
@@ -64,10 +71,10 @@ struct Shared {
 
 static SHARED: IrqPriorityMutex<RefCell<Shared>> = IrqPriorityMutex::new(RefCell::new(Shared {
     lines: [
-        Driven::new(PPS),
-        Driven::new(Some(Output::Two)),
-        Driven::new(Some(Output::Three)),
-        Driven::new(Some(Output::Four)),
+        Driven::new(Line::Pps),
+        Driven::new(Line::Two),
+        Driven::new(Line::Three),
+        Driven::new(Line::Four),
     ],
     events: None,
     pps_seq: 0,
@@ -129,7 +136,7 @@ pub(crate) fn counters() -> (u32, u32) {
 pub(crate) fn set_pps_inverted(inverted: bool) {
     SHARED.lock(|shared| {
         let mut shared = shared.borrow_mut();
-        shared.line(PPS).channel.set_inverted(inverted);
+        shared.line(Line::Pps).channel.set_inverted(inverted);
     });
 }
 
@@ -145,7 +152,7 @@ fn TIM5() {
 
 impl Shared {
     fn line(&mut self, line: Line) -> &mut Driven {
-        &mut self.lines[channel(line)]
+        &mut self.lines[line as usize]
     }
 
     fn handle(&mut self) {
@@ -175,7 +182,8 @@ impl Shared {
     }
 
     /// Hands a pulse over to the handler below.
-    fn tell(&mut self, output: Line, pulsed: Pulsed) {
+    fn tell(&mut self, line: Line, pulsed: Pulsed) {
+        let output = line.output();
         let counter = match output {
             Some(_) => &mut self.pulse_seq,
             None => &mut self.pps_seq,

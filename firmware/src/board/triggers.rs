@@ -4,7 +4,8 @@ use firmware::pulser::{CompareOutput, Pulser};
 use firmware::timebase::Timebase;
 use protocol::{AlignPlan, Output, OutputStatus, Refusal, TickDelta, TriggerAlign, TriggerStatus};
 
-use crate::board::{outputs, tim2};
+use crate::board::outputs::{self, Line};
+use crate::board::tim2;
 
 /// Works on an output while no edge of its timer is due soon: to be kept short.
 pub(crate) fn with_pulser<R>(
@@ -13,7 +14,9 @@ pub(crate) fn with_pulser<R>(
 ) -> R {
     match output {
         Output::Camera => tim2::with_pulser(|pulser, channel, time| work(pulser, channel, time)),
-        other => outputs::with_line(Some(other), work),
+        Output::Two => outputs::with_line(Line::Two, work),
+        Output::Three => outputs::with_line(Line::Three, work),
+        Output::Four => outputs::with_line(Line::Four, work),
     }
 }
 
@@ -61,5 +64,5 @@ pub(crate) fn is_any_running() -> bool {
 fn is_any(is_so: impl Fn(&Pulser) -> bool) -> bool {
     let mut outputs = Output::ALL.into_iter();
     outputs.any(|output| with_pulser(output, |pulser, _, _| is_so(pulser)))
-        || outputs::with_line(outputs::PPS, |pulser, _, _| is_so(pulser))
+        || outputs::with_line(Line::Pps, |pulser, _, _| is_so(pulser))
 }

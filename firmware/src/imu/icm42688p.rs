@@ -19,7 +19,7 @@ use protocol::icm42688p::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{RawSample, Registers};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I (14.58).
 pub(super) const IDENTITY: u8 = 0x47;
@@ -124,8 +124,7 @@ pub(super) const fn has(config: &ImuConfig) -> bool {
     at(config).is_some()
 }
 
-/// Delays of the gyroscope and the accelerometer in µs, and what the sensor is.
-pub(super) const fn describe(config: &ImuConfig) -> (u32, u32, ImuSensor) {
+pub(super) const fn describe(config: &ImuConfig) -> Description {
     let (bandwidth, delay) = match at(config) {
         Some(rate) => {
             let filter = nearest(rate, config.low_pass) as usize;
@@ -144,7 +143,11 @@ pub(super) const fn describe(config: &ImuConfig) -> (u32, u32, ImuSensor) {
         temperature_lsb_per_c_times_100: 13_248,
         temperature_at_zero_centidegrees: 2_500,
     };
-    (delay_us, delay_us, sensor)
+    Description {
+        gyro_delay_us: delay_us,
+        accel_delay_us: delay_us,
+        sensor,
+    }
 }
 
 /// GYRO_FS_SEL in bits 7 to 5 (14.37).

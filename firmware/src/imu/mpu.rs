@@ -13,7 +13,7 @@ use protocol::mpu9150::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{RawSample, Registers};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I of the MPU-6050 and MPU-9150.
 pub(super) const IDENTITY_6050: u8 = 0x68;
@@ -84,8 +84,7 @@ const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
     }
 }
 
-/// Delays of the gyroscope and the accelerometer in µs, and what the sensor is.
-pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> (u32, u32, ImuSensor) {
+pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description {
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
     let sensor = match model {
         // PS-MPU-9250A-01, 3.1, 3.2 and 3.4.2 (noise, thermometer). The MPU-6500 is believed to
@@ -106,7 +105,11 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> (u32, u32, 
         gyro_bandwidth_hz_times_10: bandwidth,
         ..sensor
     };
-    (gyro_delay_us, accel_delay_us, sensor)
+    Description {
+        gyro_delay_us,
+        accel_delay_us,
+        sensor,
+    }
 }
 
 /// DLPF_CFG (4.3), and A_DLPF_CFG of those that have it.

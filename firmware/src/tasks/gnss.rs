@@ -20,7 +20,7 @@ use protocol::{
     GnssReport, GnssSettings, GnssStatus, Period, Refusal, TICK_HZ, TickDelta, Ticks, TriggerStart,
 };
 
-use crate::board::outputs::{self, PPS};
+use crate::board::outputs::{self, Line};
 use crate::board::{nmea_port, tim2};
 use crate::state::{ALIVE, UTC_AT_ZERO};
 
@@ -82,7 +82,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         Some(_) => return Err(Refusal::GnssRunning),
         None => {}
     }
-    let stopped = outputs::with_line(PPS, |pulser, _, _| pulser.running().is_none());
+    let stopped = outputs::with_line(Line::Pps, |pulser, _, _| pulser.running().is_none());
     if state.open || !stopped {
         return Err(Refusal::GnssStopping);
     }
@@ -94,7 +94,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         first_fraction: 0,
     };
     outputs::set_pps_inverted(settings.pulse_inverted);
-    outputs::with_line(PPS, |pulser, output, time| {
+    outputs::with_line(Line::Pps, |pulser, output, time| {
         pulser.start(output, time, train)
     })
     .map_err(|refusal| match refusal {
@@ -113,7 +113,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
 
 /// Stops it. The pulse and the sentences under way are finished.
 pub(crate) fn stop() -> GnssReport {
-    outputs::with_line(PPS, |pulser, output, time| pulser.stop(output, time));
+    outputs::with_line(Line::Pps, |pulser, output, time| pulser.stop(output, time));
     let now = tim2::now();
     update(|state| {
         if state.settings.take().is_some() {
@@ -133,7 +133,7 @@ pub(crate) fn report() -> GnssReport {
 
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
-    let pulses = outputs::with_line(PPS, |pulser, _, _| pulser.summary(tim2::now()));
+    let pulses = outputs::with_line(Line::Pps, |pulser, _, _| pulser.summary(tim2::now()));
     GnssStatus {
         state: pulses.state,
         pulses: pulses.pulses,
