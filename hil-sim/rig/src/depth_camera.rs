@@ -242,7 +242,7 @@ impl DepthCamera {
 
     /// Nominal frame period, in units of the camera's clock.
     fn period(&self) -> u64 {
-        UNITS_PER_SECOND / u64::from(self.config.fps)
+        UNITS_PER_SECOND / u64::from(DepthCameraConfig::FPS)
     }
 
     /// Board time at which the camera's clock has counted `own` units.

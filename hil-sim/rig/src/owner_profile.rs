@@ -4,6 +4,7 @@
 
 use anyhow::{Context, Result};
 
+use crate::depth_camera::DepthCameraConfig;
 use crate::phone::Handset;
 use crate::rig_config::RigConfig;
 
@@ -16,7 +17,6 @@ use crate::rig_config::RigConfig;
 pub fn owner_profile(config: &RigConfig, phones: &[Handset<'_>]) -> Result<String> {
     const NO_CAMERA: &str = "the rig has no depth camera, so it has no profile";
     let (first, others) = phones.split_first().context("the rig has no phone")?;
-    let depth = config.depth_camera.context(NO_CAMERA)?;
     let center = config.center_offset_us().context(NO_CAMERA)?;
     let mut text = format!(
         "# Constants of a simulated rig, as its owner would have measured them.\n\
@@ -25,7 +25,7 @@ pub fn owner_profile(config: &RigConfig, phones: &[Handset<'_>]) -> Result<Strin
          [depth]\nfps = {fps}\ncenter_offset_us = {center:.4}\ncenter_offset_sigma_us = 0.1\n",
         seed = config.seed.0,
         phone = constants(first),
-        fps = depth.fps,
+        fps = DepthCameraConfig::FPS,
     );
     for phone in others {
         text += &format!("\n[[phones]]\n{}", constants(phone));

@@ -148,7 +148,7 @@ impl TrueClock {
 
     /// True if the rig was stopped.
     #[must_use]
-    pub(crate) fn is_stopped(&self) -> bool {
+    pub fn is_stopped(&self) -> bool {
         self.0.waiting().stopped
     }
 }

@@ -10,7 +10,7 @@
 //! them: all edges must be on the arithmetic of one train whose period changes, at any edges,
 //! to some of those that were asked for, in that order.
 //!
-//! When tick 0 of the board was holds for all edges on all pins.
+//! One time of the board's tick 0 holds for all edges on all pins ([`BoardTruth::at_zero`]).
 
 use std::collections::VecDeque;
 
@@ -81,8 +81,6 @@ pub(crate) struct Compared {
     /// Samples of the IMU, each equal to the sensor's registers and its
     /// data-ready edge.
     pub samples: u64,
-    /// Samples marked as late, of which only the time was compared.
-    pub late_samples: u64,
     /// Samples that differ from the registers, but whose transfer a fault hit.
     pub disturbed: u64,
     /// Edges of data-ready for which no sample was delivered, so far.
@@ -331,8 +329,8 @@ impl BoardTruth {
                 self.compared.samples_missing += 1;
                 continue;
             }
+            // Of one that is marked as late only the time is compared.
             if sample.flags.has(ImuFlags::LATE) {
-                self.compared.late_samples += 1;
                 return Ok(());
             }
             let values = record.values;

@@ -98,9 +98,7 @@ pub struct OtherVerdict {
     /// Position of its frames at the beginning of the recorded span: what was said
     /// minus the truth.
     pub placement: OffsetError,
-    /// Their drift, by the ground truth, µs/min.
-    pub drift_us_per_min: f64,
-    /// Stated drift minus the true one, µs/min.
+    /// Stated drift of its frames minus the true one, µs/min.
     pub drift_error_us_per_min: f64,
     /// Stated 1-sigma of it, µs/min.
     pub drift_sigma_us_per_min: f64,
@@ -339,7 +337,6 @@ impl Truth {
                     .offset_sigma_us
                     .hypot(placed.drift_sigma_us_per_min * minutes),
             },
-            drift_us_per_min: -truth.drift_us_per_min,
             drift_error_us_per_min: placed.drift_us_per_min + truth.drift_us_per_min,
             drift_sigma_us_per_min: placed.drift_sigma_us_per_min,
         })

@@ -38,8 +38,6 @@ impl DepthMode {
 /// Properties of a depth camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthCameraConfig {
-    /// Frames a second: 30, 15 or 5.
-    pub fps: u32,
     /// Depth mode.
     pub mode: DepthMode,
     /// Longest pulse that does *not* count.
@@ -77,12 +75,16 @@ pub struct DepthCameraConfig {
     pub input_high: f64,
 }
 
+impl DepthCameraConfig {
+    /// Frames a second.
+    pub const FPS: u32 = 30;
+}
+
 impl Default for DepthCameraConfig {
     /// A camera in NFOV unbinned at 30 fps, 300 ppm fast, that takes its first
     /// frame on pulse 2.
     fn default() -> Self {
         Self {
-            fps: 30,
             mode: DepthMode::NfovUnbinned,
             shortest_pulse: PULSE_TOO_SHORT,
             free_runs: true,

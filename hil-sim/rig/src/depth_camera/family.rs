@@ -76,7 +76,7 @@ impl Family {
             Self::Oak => {
                 let exposure_us = draw(EXPOSURE_US);
                 let before_us = draw((50.0, 1_000.0));
-                let begins_us = 1e6 / f64::from(camera.fps) - before_us - exposure_us;
+                let begins_us = 1e6 / f64::from(DepthCameraConfig::FPS) - before_us - exposure_us;
                 shutter(other, begins_us, exposure_us)
             }
         }

@@ -249,7 +249,7 @@ fn a_transmitter_that_stops_is_started_again() {
 /// A megabyte of anything: no panic, no reset, and every command is
 /// answered afterwards.
 #[test]
-fn a_megabyte_of_random_bytes_change_nothing() {
+fn a_megabyte_of_random_bytes_changes_nothing() {
     let mut board = Board::boot(wiring::board());
     let epoch = board.hellos[0].epoch;
     let mut random = Seed(99).stream(Stream::Test);

@@ -126,6 +126,10 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
         let pulses = &bench.board.pulses;
         assert_eq!(frames.len(), pulses.len() - (first_frame as usize - 1));
         assert_eq!(bench.board.captures.len(), EDGES * frames.len());
+        for (index, capture) in bench.board.captures.iter().enumerate() {
+            assert_eq!(capture.seq as usize, index);
+            assert!(!capture.after_loss);
+        }
         let flashes = bench.board.captures.chunks(EDGES);
         for ((frame, pulse), edges) in frames
             .iter()

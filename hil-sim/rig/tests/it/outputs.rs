@@ -331,6 +331,15 @@ fn a_flood_on_the_strobe_input_starves_no_output() {
     bench.check_count();
     let status = bench.board.next_status();
     assert!(status.strobe_floods > 100, "{status:?}");
+    // What was taken is marked where edges are missing before it.
+    let captures = bench.board.captures.iter();
+    let marked = captures.filter(|capture| capture.after_loss).count() as u32;
+    let unseen = status.dropped.captures + 1;
+    assert!(
+        marked + unseen >= status.strobe_floods,
+        "{marked} marked, {unseen} unseen, {} floods",
+        status.strobe_floods
+    );
     let latency = f64::from(status.output_latency) / 48.0;
     println!("worst edge to end of handling under a flood: {latency:.2} us, simulated");
 }

@@ -212,8 +212,14 @@ fn assert_severities(report: &Report, expected: &[(&str, Severity)]) {
 #[test]
 fn a_board_in_order_passes_with_somebody_at_its_wires() {
     let mut bench = Bench::new(31, Jumpers::default());
-    // What follows them is measured where it is taped (`wrong_boards`).
-    let report = bench.measure_attended(&plan(&Part::ALL[..5]));
+    // The others in order are replayed from their tapes (`wrong_boards`).
+    let report = bench.measure_attended(&plan(&[
+        Part::Trigger,
+        Part::Outputs,
+        Part::Lidar,
+        Part::Imu,
+        Part::Link,
+    ]));
     for check in &report.checks {
         assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
     }

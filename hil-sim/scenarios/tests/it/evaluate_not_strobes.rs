@@ -10,7 +10,7 @@ use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Profile;
-use recording::session_file::SessionFile;
+use recording::session_file::{Alignment, SessionFile};
 use rig::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
 use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
 
@@ -98,16 +98,11 @@ fn figure(folder: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError
 fn session(folder: &Path, applied_us: f64) {
     std::fs::create_dir_all(folder).unwrap();
     let mut session = SessionFile::new(String::from("drawn"), Profile::published().unwrap());
-    let alignment = serde_json::json!({
-        "exposure_us": 250.0, "middle_row_us": 0.0, "center_offset_us": 0.0,
-        "bias_us": applied_us, "frame_period_ns": 33e6, "frame_period_sigma_ns": null,
-        "frame_period_source": "learnt",
-        "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
-            "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
-        "anchor": 0, "period_q32": 1_u64 << 32, "phase_sigma_us": 1.0,
-        "drift_sigma_us_per_min": 1.0, "arrival_pulse": null, "arrival": null,
+    session.alignment = Some(Alignment {
+        exposure_us: 250.0,
+        bias_us: applied_us,
+        ..Alignment::default()
     });
-    session.alignment = Some(serde_json::from_value(alignment).unwrap());
     session.save(folder).unwrap();
 }
 

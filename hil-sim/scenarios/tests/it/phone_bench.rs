@@ -21,8 +21,6 @@ use crate::support::smartdepthsync;
 pub(crate) struct Bench {
     pub(crate) phone: SimPhone,
     pub(crate) clock: TrueClock,
-    /// Until it is dropped true time passes.
-    _passes: Arc<()>,
 }
 
 impl Bench {
@@ -31,7 +29,7 @@ impl Bench {
         edit(&mut config);
         let spec = MotionSpec::always(Gesture::Walk);
         let clock = TrueClock::new();
-        let passes = let_pass(&clock, speed);
+        let_pass(&clock, speed);
         let surroundings = Surroundings {
             clock: clock.clone(),
             motion: spec.build(Seed(seed).stream(Stream::Motion)),
@@ -40,7 +38,6 @@ impl Bench {
         Self {
             phone: SimPhone::start(config, surroundings, 0).unwrap(),
             clock,
-            _passes: passes,
         }
     }
 
@@ -76,15 +73,14 @@ impl Drop for Bench {
     }
 }
 
-/// Lets true time pass at `speed` times real time until what this gives is dropped. While the
+/// Lets true time pass at `speed` times real time until the clock is stopped. While the
 /// machine pauses for more than 20 ms, so does true time.
-fn let_pass(clock: &TrueClock, speed: f64) -> Arc<()> {
+fn let_pass(clock: &TrueClock, speed: f64) {
     const LONGEST_STEP: Duration = Duration::from_millis(20);
-    let (clock, passes) = (clock.clone(), Arc::new(()));
-    let goes_on = Arc::downgrade(&passes);
+    let clock = clock.clone();
     std::thread::spawn(move || {
         let (mut nanos, mut last) = (0.0, Instant::now());
-        while goes_on.upgrade().is_some() {
+        while !clock.is_stopped() {
             let now = Instant::now();
             nanos += (now - last).min(LONGEST_STEP).as_nanos() as f64 * speed;
             last = now;
@@ -92,5 +88,4 @@ fn let_pass(clock: &TrueClock, speed: f64) -> Arc<()> {
             std::thread::sleep(Duration::from_micros(500));
         }
     });
-    passes
 }

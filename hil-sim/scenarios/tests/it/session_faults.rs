@@ -423,7 +423,7 @@ fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
 /// A kill leaves of the files what the system was given of them: their copies at that moment.
 #[test]
 fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
-    const KILLS: usize = 20;
+    const KILLS: usize = 50;
     let mut rig = Twisted::with(11, |_, phone| {
         phone.camera.first_frame_ms = (20.0, 50.0);
     });
@@ -453,7 +453,7 @@ fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
     let left = left.borrow();
     assert_eq!(left.len(), KILLS);
     let recorded = left.iter().filter(|(killed, _)| *killed > recorded_s);
-    assert!(recorded.count() >= 2);
+    assert!(recorded.count() >= 5);
     let zero = rig.bench.stop().unwrap().zero.unwrap().as_secs_f64();
     let begun_s = left
         .iter()
@@ -478,7 +478,7 @@ fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
 /// An app takes a while to close its video; its sensors are busy until then.
 #[test]
 fn a_session_ends_well_whatever_time_a_stop_takes() {
-    for (seed, stop_ms) in [(84, 0.0), (87, 2_000.0)] {
+    for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
         let mut rig = Twisted::with(seed, |_, phone| phone.app.stop_ms = stop_ms);
         let mut options = rig.options("whole", 3);
         options.second_twist = true;

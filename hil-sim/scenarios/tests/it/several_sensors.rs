@@ -32,13 +32,25 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
         let largest = phone.middle.largest_us.max(phone.grid_error_us.abs());
         assert!(largest < 50.0, "{phone:?}");
     }
-    // What the session had predicted of the phone that is not followed.
+    // What the session had said of the phone that is not followed.
     let said = &figures.session[0];
+    for offset in [said.offset_start, said.offset_end] {
+        assert!(offset.error_us.abs() < 5.0 * offset.sigma_us, "{said:?}");
+        assert!(
+            offset.sigma_us < 30.0 && offset.error_us.abs() < 50.0,
+            "{said:?}"
+        );
+    }
     assert!(
         said.placement.error_us.abs() < 5.0 * said.placement.sigma_us.hypot(1.5),
         "{said:?}"
     );
     assert!(said.placement.error_us.abs() < 100.0, "{said:?}");
+    assert!(
+        said.drift_error_us_per_min.abs() < 5.0 * said.drift_sigma_us_per_min,
+        "{said:?}"
+    );
+    assert!(said.drift_error_us_per_min.abs() < 300.0, "{said:?}");
     let report = std::fs::read(figures.data.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let named = |name: &str| {
