@@ -42,6 +42,8 @@ pub struct Footage {
     pub(crate) applied: Option<Applied>,
     /// Layout of the rows in the image.
     pub(crate) reducer: RowReducer,
+    /// The middle row's number in the sensor, from 0.
+    pub(crate) middle_row: f64,
     /// The used rows relative to the middle row.
     pub(crate) rows: RowGrid,
     /// Kept frames.
@@ -94,9 +96,9 @@ impl Footage {
             settings.region,
             info.white,
         )?;
-        let middle = 0.5 * (reducer.sensor_rows() as f64 - 1.0);
+        let middle_row = 0.5 * (reducer.sensor_rows() as f64 - 1.0);
         let rows = RowGrid {
-            first: reducer.first_row() as f64 - middle,
+            first: reducer.first_row() as f64 - middle_row,
             step: 1.0,
             len: reducer.used_rows(),
         };
@@ -139,6 +141,7 @@ impl Footage {
             path: info.path,
             applied: None,
             reducer,
+            middle_row,
             rows,
             frames: store.into_frames(),
             read,

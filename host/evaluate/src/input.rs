@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use phone::video_files::{self, FilesError};
 use recording::SESSION_FILE;
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;
+
+/// Endings of the videos that phones make.
+const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,41 +34,51 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
         .is_dir();
     let folder = if is_folder { Some(path) } else { path.parent() };
     let session = folder.filter(|folder| folder.join(SESSION_FILE).is_file());
+    let session = session.map(SessionFile::load).transpose()?;
+    let reference = |session: &SessionFile| session.phone_folder(&session.profile.phone.name);
     Ok(Input {
-        path: if is_folder {
-            video_in(path)?
-        } else {
-            path.to_owned()
+        path: match is_folder {
+            true => video_in(&path.join(session.as_ref().map_or_else(PathBuf::new, reference)))?,
+            false => path.to_owned(),
         },
-        applied: session.map(applied).transpose()?.flatten(),
+        applied: session.and_then(|s| s.alignment).map(|alignment| Applied {
+            bias_us: alignment.bias_us + alignment.shift_us,
+            exposure_us: alignment.exposure_us,
+        }),
     })
 }
 
-fn applied(folder: &Path) -> Result<Option<Applied>, EvaluateError> {
-    let session = SessionFile::load(folder)?;
-    Ok(session.alignment.map(|alignment| Applied {
-        bias_us: alignment.bias_us + alignment.shift_us,
-        exposure_us: alignment.exposure_us,
-    }))
-}
-
 fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
-    let wrong = |found: &str| {
-        let folder = folder.display();
-        let step = "give the phone's video itself";
-        EvaluateError::Setting(format!("{folder}: {found} in this folder; {step}"))
-    };
-    let files = video_files::find(folder, None).map_err(|error| match error {
-        FilesError::Io { path, error } => EvaluateError::io(&path)(error),
-        FilesError::Several { .. } => wrong("more than one video"),
-    })?;
-    let video = files.and_then(|files| files.video);
-    video.ok_or_else(|| wrong("no video"))
+    let io = EvaluateError::io(folder);
+    let mut videos = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let file = entry.map_err(io)?.path();
+        let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("");
+        if VIDEO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str()) && file.is_file() {
+            videos.push(file);
+        }
+    }
+    if videos.len() > 1 {
+        // The depth recorder's own file is not the phone's.
+        videos.retain(|v| v.extension().is_some_and(|e| e != "mkv"));
+    }
+    match (videos.pop(), videos.len()) {
+        (Some(video), 0) => Ok(video),
+        (video, _) => Err(EvaluateError::Setting(format!(
+            "{}: {} in this folder; give the phone's video itself",
+            folder.display(),
+            if video.is_some() {
+                "more than one video"
+            } else {
+                "no video"
+            }
+        ))),
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use recording::profile::Profile;
+    use recording::profile::{Phone, Profile};
     use recording::session_file::Alignment;
 
     use super::*;
@@ -112,5 +124,31 @@ mod tests {
         assert_eq!(resolve(&path("VID_1.mp4")).unwrap().applied, None);
         std::fs::write(path(SESSION_FILE), "{").unwrap();
         assert!(resolve(&path("VID_1.mp4")).is_err());
+    }
+
+    #[test]
+    fn the_video_is_that_of_the_phone_to_which_the_trigger_was_aligned() {
+        let dir = tempfile::tempdir().unwrap();
+        let profile = Profile::published().unwrap();
+        let mut session = SessionFile::new(String::from("walk"), profile);
+        let other = Phone {
+            name: String::from("other"),
+            ..session.profile.phone.clone()
+        };
+        session.profile.phones.push(other);
+        session.save(dir.path()).unwrap();
+        let video = |name: &str| dir.path().join(session.phone_folder(name)).join("VID.MOV");
+        for name in ["other", &session.profile.phone.name] {
+            assert!(resolve(dir.path()).is_err());
+            std::fs::create_dir_all(video(name).parent().unwrap()).unwrap();
+            std::fs::write(video(name), "").unwrap();
+        }
+        let found = resolve(dir.path()).unwrap().path;
+        assert_eq!(found, video(&session.profile.phone.name));
+
+        // Nor is it below a folder of which nothing is said.
+        std::fs::remove_file(dir.path().join(SESSION_FILE)).unwrap();
+        let e = resolve(dir.path()).unwrap_err().to_string();
+        assert!(e.contains("no video"), "{e}");
     }
 }

@@ -187,7 +187,7 @@ fn measure(
             biases.len()
         ));
     }
-    let middle = middle_row(&footage);
+    let middle = footage.middle_row;
     let amplitudes: Vec<f64> = track.points.iter().map(|p| p.amplitude).collect();
     let joint = &track.joint;
     let result = RecordingResult {
@@ -260,11 +260,6 @@ fn settled(
     // All frames count as evidence, those too in which the train was still moved.
     found.evidence = found.evidence.or(evidence);
     Ok((footage, found))
-}
-
-/// The middle row's number in the sensor, from 0.
-pub(crate) fn middle_row(footage: &Footage) -> f64 {
-    footage.reducer.first_row() as f64 - footage.rows.first
 }
 
 /// Evaluates recordings one after the other; only one is in memory at a time.

@@ -3,7 +3,6 @@
 use super::Settings;
 use super::footage::{Footage, Picture};
 use super::frame::RowReducer;
-use super::precision::middle_row;
 use super::track::Track;
 
 /// Profiles of the sensor's rows, and a frame. Rows are counted from 0 in read-out order,
@@ -30,7 +29,7 @@ pub struct Shown {
 impl Shown {
     pub(crate) fn new(footage: &Footage, track: &Track, settings: &Settings) -> Self {
         let first_row = footage.reducer.first_row() as f64;
-        let middle_row = middle_row(footage);
+        let middle_row = footage.middle_row;
         let train = settings.train;
         let shown = first_row..first_row + footage.rows.len as f64;
         let flashes = |bias_us: f64| {
