@@ -1,5 +1,6 @@
 //! The Python packages `twist-sync` and `smartdepthsync-data`: both are built, the first is
-//! installed into the Python environment and tested. The second one's tests need recordings: they are among `hil-sim`'s.
+//! installed into the Python environment and tested. The second one's tests need recordings:
+//! they are among `hil-sim`'s.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

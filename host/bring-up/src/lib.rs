@@ -30,7 +30,7 @@ use recording::session_file::BoardInfo;
 use serde::Serialize;
 
 /// Version of the JSON form of [`Report`].
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -2,6 +2,7 @@
 //! beside those of the rig ([`session::checks`]).
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
@@ -122,9 +123,19 @@ fn check_disk(checks: &mut Checks, free: Option<u64>) {
 }
 
 fn check_ffmpeg(checks: &mut Checks) {
-    match files::program("ffmpeg") {
-        Some(program) => checks.good("ffmpeg", program.display().to_string()),
-        None => checks.warn(
+    let version = Command::new("ffmpeg")
+        .arg("-version")
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output();
+    match version {
+        Ok(output) if output.status.success() => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            let first = text.lines().next().unwrap_or_default();
+            let short: Vec<&str> = first.split_whitespace().take(3).collect();
+            checks.good("ffmpeg", short.join(" "));
+        }
+        _ => checks.warn(
             "ffmpeg",
             "not found",
             "extract and evaluate need it: install ffmpeg",

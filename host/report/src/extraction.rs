@@ -50,11 +50,14 @@ fn page(
     if let Some(pairs) = &report.pairs {
         page.section("Time difference of the pairs");
         let histogram = &pairs.central;
-        let caption = "Middle of exposure of the depth image minus that of the phone's frame it \
-                       is paired with, both in board time; the furthest are not shown.";
         let [first, bin] = [histogram.first_ns, histogram.bin_ns].map(|ns| ns as f64 / 1000.0);
         let labels = ["depth − phone, µs", "pairs"];
-        page.histogram(labels, (first, bin), &histogram.counts, caption);
+        page.histogram(
+            labels,
+            (first, bin),
+            &histogram.counts,
+            &pairs_caption(pairs),
+        );
         page.figure(
             &pairs_svg(&pairs.course, session),
             "The same over time, as measured, with 1-sigma of what was predicted while recording \
@@ -296,6 +299,26 @@ fn depth_line(depth: &DepthReport) -> String {
         let _ = write!(line, ", {count} {what}");
     }
     line
+}
+
+/// What the histogram shows, and how many pairs it does not.
+fn pairs_caption(pairs: &PairsReport) -> String {
+    let mut caption = String::from(
+        "Middle of exposure of the depth image minus that of the phone's frame it is paired \
+         with, both in board time.",
+    );
+    let shown: u64 = pairs.central.counts.iter().sum();
+    let outside = (pairs.spread.count as u64).saturating_sub(shown);
+    if outside > 0 {
+        let [least, most] = pairs.spread.range_ns.map(|ns| ns as f64 / 1e6);
+        let _ = write!(
+            caption,
+            " {outside} of {} pairs are further off than is shown ({least:.3} to {most:.3} ms \
+             in all), as pairs are before the trigger has arrived on the phone's frames.",
+            pairs.spread.count
+        );
+    }
+    caption
 }
 
 /// Frames that nothing is known of.

@@ -216,7 +216,8 @@ impl From<EvaluateError> for Failure {
             E::Io { source, .. } => (ExitStatus::Storage, file_step(source.kind())),
             E::Timestamps { .. } => (
                 ExitStatus::Usage,
-                "give the app's `..._timestamps.csv`: one integer of nanoseconds a line",
+                "fetch the app's `..._timestamps.csv` again: one integer of nanoseconds a line; without \
+                 it beside the video its frames count as evenly spaced",
             ),
             E::NoFrames { .. } => (
                 ExitStatus::Error,

@@ -137,7 +137,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
                 refuse_to_overwrite(path, imu.overwrite)?;
             }
         }
-
         Request::Start | Request::Stop => {}
     }
     let address = match &args.connection.phone {

@@ -257,11 +257,9 @@ fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<
 
 /// Lines of a text as wide as the screen; those after the first stand further to the right.
 fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
-    let lines = broken(
-        &format!("{first}{text}"),
-        first.chars().count(),
-        width.into(),
-    );
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let line = format!("{first}{}", words.join(" "));
+    let lines = broken(&line, first.chars().count(), width.into());
     lines.lines().map(str::to_owned).collect()
 }
 
@@ -588,6 +586,18 @@ mod tests {
 
     fn screen(width: u16, height: u16, state: &State, help: bool) -> String {
         shown(width, height, |frame| draw(frame, state, help))
+    }
+
+    #[test]
+    fn a_text_of_several_lines_is_filled_up_and_indented() {
+        let text = "error: no board\n  -> plug it in,\n     then go on";
+        assert_eq!(
+            wrapped(" ! 1.0 s: ", text, 34),
+            [
+                " ! 1.0 s: error: no board -> plug",
+                "          it in, then go on"
+            ]
+        );
     }
 
     #[test]

@@ -89,6 +89,13 @@ fn a_period_in_microseconds_reaches_the_board() {
     assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
     let report: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["period_ns"], "33330652.540");
+    assert_eq!(report["period_ticks"], 1_599_871);
+    assert_eq!(report["next_edge_fraction"], 1_u32 << 31);
+    assert_eq!(report["width_us"], 12.5);
+    assert_eq!(
+        (&report["period"], &report["width"]),
+        (&Value::Null, &Value::Null)
+    );
     assert_eq!(report["readback_state"], "ok");
     assert_eq!(report["readback"]["delay"], 2);
 }

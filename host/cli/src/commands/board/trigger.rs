@@ -2,7 +2,7 @@
 
 use clap::Subcommand;
 use protocol::{
-    Output, Period, Readback, TICK_HZ, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
+    Output, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
 };
 use serde::Serialize;
 
@@ -141,7 +141,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         Action::Stop => board.stop_trigger(output)?,
         Action::Status => board.output(output)?,
     };
-    context.show(&Train::new(output, status))?;
+    context.show(&Train::new(output, &status))?;
     let lossy = status.late > 0 || status.readback.missing > 0;
     Ok(ExitStatus::of_loss(lossy))
 }
@@ -149,35 +149,45 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
 /// State of a train.
 #[derive(Debug, Serialize)]
 struct Train {
-    #[serde(flatten)]
-    status: TriggerStatus,
+    state: TrainState,
+    train: u32,
     period_ns: String,
+    period_ticks: u32,
+    period_fraction: u32,
     fps: f64,
     width_us: f64,
+    pulses: u64,
+    next_edge_ticks: u64,
+    next_edge_fraction: u32,
+    late: u32,
     readback_state: String,
+    readback: Readback,
 }
 
 impl Train {
-    fn new(output: Output, status: TriggerStatus) -> Self {
-        let seconds = status.period.as_secs_f64();
-        let Readback {
-            seen,
-            missing,
-            stray,
-            ..
-        } = status.readback;
+    fn new(output: Output, status: &TriggerStatus) -> Self {
+        let (period, readback) = (status.period, status.readback);
+        let seconds = period.as_secs_f64();
         Self {
-            status,
-            period_ns: status.period.to_string().replace(" ns", ""),
+            state: status.state,
+            train: status.train,
+            period_ns: period.to_string().trim_end_matches(" ns").to_owned(),
+            period_ticks: period.ticks(),
+            period_fraction: period.fraction(),
             fps: if seconds > 0.0 { 1.0 / seconds } else { 0.0 },
             width_us: f64::from(status.width) * 1e6 / f64::from(TICK_HZ),
-            readback_state: match (seen, missing, stray) {
+            pulses: status.pulses,
+            next_edge_ticks: status.next_edge.0,
+            next_edge_fraction: status.next_fraction,
+            late: status.late,
+            readback_state: match (readback.seen, readback.missing, readback.stray) {
                 _ if !output.is_camera() => String::from("none on this output"),
                 (0, 0, 0) => String::from("not wired"),
                 (_, 0, 0) => String::from("ok"),
                 (_, 0, stray) => format!("stray {stray}"),
                 (_, missing, _) => format!("missing {missing}"),
             },
+            readback,
         }
     }
 }
