@@ -129,13 +129,12 @@ mod tests {
     #[test]
     fn the_video_is_that_of_the_phone_to_which_the_trigger_was_aligned() {
         let dir = tempfile::tempdir().unwrap();
-        let profile = Profile::published().unwrap();
-        let mut session = SessionFile::new(String::from("walk"), profile);
-        let other = Phone {
+        let mut profile = Profile::published().unwrap();
+        profile.phones.push(Phone {
             name: String::from("other"),
-            ..session.profile.phone.clone()
-        };
-        session.profile.phones.push(other);
+            ..profile.phone.clone()
+        });
+        let session = SessionFile::new(String::from("walk"), profile);
         session.save(dir.path()).unwrap();
         let video = |name: &str| dir.path().join(session.phone_folder(name)).join("VID.MOV");
         for name in ["other", &session.profile.phone.name] {
