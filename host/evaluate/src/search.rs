@@ -130,26 +130,23 @@ impl CombSearch {
         let own = products.first().map(Vec::as_slice).unwrap_or_default();
         let whole = own.iter().copied().fold(0.0, f64::max);
         let count = train.count as usize;
-        let comb = |values: &[f64], first: isize, flashes: usize| -> f64 {
-            let places = places(first, per_pitch, flashes);
-            places.filter_map(|i| values.get(i)).sum()
+        let sum = |values: &[f64], first: isize, flashes: usize| -> f64 {
+            comb(values, first, per_pitch, flashes).sum()
         };
         let lowest = -((count.saturating_sub(2) * per_pitch) as isize);
         let candidates = (lowest..steps as isize)
             .filter_map(|first| {
                 // At least two flashes in view, each with half of its light.
-                let seen = places(first, per_pitch, count)
-                    .filter(|&i| own.get(i).is_some_and(|&e| e >= 0.5 * whole))
-                    .count();
-                if seen < 2 {
+                let flashes = comb(own, first, per_pitch, count);
+                if flashes.filter(|&&e| e >= 0.5 * whole).count() < 2 {
                     return None;
                 }
-                let mut energy = comb(own, first, count);
+                let mut energy = sum(own, first, count);
                 for (j, values) in products.iter().enumerate().skip(1) {
-                    energy += 2.0 * comb(values, first, count.saturating_sub(j));
+                    energy += 2.0 * sum(values, first, count.saturating_sub(j));
                 }
                 for values in &on_smooth {
-                    energy -= comb(values, first, count).powi(2);
+                    energy -= sum(values, first, count).powi(2);
                 }
                 (energy > 1e-3 * whole).then_some((first, energy))
             })
@@ -173,14 +170,13 @@ impl CombSearch {
     /// `near_us` is taken. `None` when no bright comb fits at all.
     pub(crate) fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
         debug_assert_eq!(y.len(), self.rows.len);
+        let count = self.train.count as usize;
         let single: Vec<f64> = self.reach.iter().map(|r| on_rows(r, y)).collect();
         let scored: Vec<(f64, f64)> = self
             .candidates
             .iter()
             .map(|&(first, energy)| {
-                let sum: f64 = places(first, self.per_pitch, self.train.count as usize)
-                    .filter_map(|i| single.get(i))
-                    .sum();
+                let sum: f64 = comb(&single, first, self.per_pitch, count).sum();
                 let bias = self.start_us
                     + first as f64 * self.step_us
                     + self.train.center_index() * self.train.pitch_us;
@@ -211,9 +207,18 @@ impl CombSearch {
     }
 }
 
-/// Places of a comb's flashes on the grid, but for those before it.
-fn places(first: isize, per_pitch: usize, flashes: usize) -> impl Iterator<Item = usize> {
-    (0..flashes).filter_map(move |k| usize::try_from(first + (k * per_pitch) as isize).ok())
+/// The grid's values at a comb's flashes; those that are not on the grid are left out.
+fn comb(
+    values: &[f64],
+    first: isize,
+    per_pitch: usize,
+    flashes: usize,
+) -> impl Iterator<Item = &f64> {
+    let before = first.min(0).unsigned_abs().div_ceil(per_pitch);
+    let from = first + (before * per_pitch) as isize;
+    let on_grid = values.get(from as usize..).unwrap_or_default();
+    let flashes = flashes.saturating_sub(before);
+    on_grid.iter().step_by(per_pitch).take(flashes)
 }
 
 fn on_rows((from, light): &(usize, Vec<f64>), y: &[f64]) -> f64 {
@@ -223,10 +228,9 @@ fn on_rows((from, light): &(usize, Vec<f64>), y: &[f64]) -> f64 {
 
 fn shared(a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)) -> f64 {
     let from = a.0.max(b.0);
-    let until = (a.0 + a.1.len()).min(b.0 + b.1.len());
-    (from..until)
-        .filter_map(|r| Some(a.1.get(r - a.0)? * b.1.get(r - b.0)?))
-        .sum()
+    let others = b.1.iter().skip(from - b.0);
+    let both = a.1.iter().skip(from - a.0).zip(others);
+    both.map(|(a, b)| a * b).sum()
 }
 
 /// Shapes that a wide search hands on.
