@@ -130,6 +130,26 @@ mod tests {
     }
 
     #[test]
+    fn noise_is_no_record_and_flips_leave_no_other() {
+        let mut state = 1_u64;
+        let mut byte = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 56) as u8
+        };
+        let good = Kept::default().panicked(format_args!("abc")).to_memory();
+        for _ in 0..100_000 {
+            let noise: Memory = core::array::from_fn(|_| byte());
+            assert_eq!(Kept::read(&noise), None, "{noise:?}");
+            // One bit in sixteen.
+            let worn = good.map(|kept| kept ^ (byte() & byte() & byte() & byte()));
+            let read = Kept::read(&worn);
+            assert!(read.is_none() || read == Kept::read(&good), "{worn:?}");
+        }
+    }
+
+    #[test]
     fn long_messages_are_cut_between_characters() {
         let long = "ä".repeat(100);
         let longest = Kept {

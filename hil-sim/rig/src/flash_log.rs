@@ -14,23 +14,6 @@ pub struct TrueFlash {
     pub end: TrueTime,
 }
 
-/// Something that knows when there was light.
-pub trait FlashSource: Send + Sync {
-    /// The flashes that overlap `from..to`, in order. Complete for times that
-    /// have been published as passed.
-    fn flashes(&self, from: TrueTime, to: TrueTime) -> Vec<TrueFlash>;
-}
-
-/// A source without light.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Dark;
-
-impl FlashSource for Dark {
-    fn flashes(&self, _from: TrueTime, _to: TrueTime) -> Vec<TrueFlash> {
-        Vec::new()
-    }
-}
-
 /// All flashes since power-on. Clones share them. (16 bytes a flash: at 30
 /// exposures of 9 flashes a second, 16 MB an hour.)
 #[derive(Clone, Debug, Default)]
@@ -41,10 +24,11 @@ impl FlashLog {
     pub fn push(&self, flash: TrueFlash) {
         lock(&self.0).push(flash);
     }
-}
 
-impl FlashSource for FlashLog {
-    fn flashes(&self, from: TrueTime, to: TrueTime) -> Vec<TrueFlash> {
+    /// The flashes that overlap `from..to`, in order. Complete for times that
+    /// have been published as passed.
+    #[must_use]
+    pub fn flashes(&self, from: TrueTime, to: TrueTime) -> Vec<TrueFlash> {
         let all = lock(&self.0);
         let begin = all.partition_point(|f| f.end <= from);
         all.iter()

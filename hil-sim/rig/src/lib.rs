@@ -19,7 +19,7 @@ pub mod link_delay;
 pub mod model_ranges;
 pub mod motion;
 pub mod oscillator;
-pub mod owner_profile;
+mod owner_profile;
 pub mod phone;
 pub mod pin_log;
 pub mod pty;

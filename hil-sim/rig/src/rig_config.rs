@@ -10,7 +10,9 @@ use crate::flash_log::FlashLog;
 use crate::imu::{SensorModel, SimImu, SimImuConfig};
 use crate::motion::{Motion, MotionSpec};
 use crate::oscillator::{BoardTime, OscillatorConfig};
+use crate::phone::Surroundings;
 use crate::random::{Seed, Stream};
+use crate::true_clock::TrueClock;
 use crate::wiring::BoardKind;
 use stm32f4_sim::shared::Shared;
 use stm32f4_sim::sim::SimBuilder;
@@ -133,6 +135,15 @@ pub struct RigParts {
 }
 
 impl RigParts {
+    /// What a phone on the rig has around it, from power-on on.
+    pub(crate) fn surroundings(&self) -> Surroundings {
+        Surroundings {
+            clock: TrueClock::new(),
+            motion: Arc::clone(&self.motion),
+            light: self.flashes.clone(),
+        }
+    }
+
     /// Wires all parts to the board, and gives it the seed.
     #[must_use]
     pub fn wire(&self, mut board: SimBuilder) -> SimBuilder {

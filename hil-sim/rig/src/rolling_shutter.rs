@@ -55,12 +55,6 @@ impl FlashTrain {
         pitch_ns: 1_575_000,
         duration_ns: 125_000,
     };
-    /// Azure Kinect, WFOV unbinned: 9 flashes of 125 µs, 2,390 µs apart.
-    pub const WFOV: Self = Self {
-        count: 9,
-        pitch_ns: 2_515_000,
-        duration_ns: 125_000,
-    };
 
     /// From the start of the first flash to the middle of the middle one: the
     /// centre of the depth camera's exposure.
@@ -386,7 +380,6 @@ mod tests {
     #[test]
     fn geometry_of_the_modes() {
         assert_eq!(FlashTrain::NFOV.center_offset_ns(), 6_362_500);
-        assert_eq!(FlashTrain::WFOV.center_offset_ns(), 10_122_500);
         let last = FlashTrain::NFOV.starting_at(0).last().unwrap();
         assert_eq!(last.start_ns + last.duration_ns, 12_725_000);
     }

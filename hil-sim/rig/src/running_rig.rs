@@ -47,7 +47,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::owner_profile::owner_profile;
-use crate::phone::{PhoneConfig, SimPhone, Surroundings};
+use crate::phone::{PhoneConfig, SimPhone};
 use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
 use crate::run_truth::Noted;
@@ -131,12 +131,8 @@ impl RunningRig {
         pace: Pace,
     ) -> Result<Self> {
         let parts = config.build();
-        let clock = TrueClock::new();
-        let surroundings = Surroundings {
-            clock: clock.clone(),
-            motion: Arc::clone(&parts.motion),
-            light: Arc::new(parts.flashes.clone()),
-        };
+        let surroundings = parts.surroundings();
+        let clock = surroundings.clock.clone();
         let phone = phone.map(|(config, port)| SimPhone::start(config, surroundings, port));
         let phone = phone.transpose()?;
         let folder = tempfile::Builder::new()
@@ -207,8 +203,9 @@ impl RunningRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self) -> Result<String> {
-        let phones: Vec<_> = self.phone.iter().map(SimPhone::handset).collect();
-        owner_profile(&self.parts.config, &phones)
+        let phones = self.phone.iter();
+        let phones = phones.map(|phone| (phone.address().to_string(), &phone.app.config));
+        owner_profile(&self.parts.config, phones, &[])
     }
 
     /// The parts and their clocks.
@@ -234,7 +231,7 @@ impl RunningRig {
     pub(crate) fn clocks_now(&self) -> Option<(u64, i64)> {
         let now = self.now();
         let ticks = lock(&self.shared.noted).ticks(now)?;
-        let phone = self.phone.as_ref()?.oscillator();
+        let phone = &self.phone.as_ref()?.app.oscillator;
         Some((ticks, phone.nanos_at(self.parts.board.true_at(now))))
     }
 
@@ -263,9 +260,10 @@ impl RunningRig {
         let mut phones = Vec::new();
         if let Some(phone) = &self.phone {
             phone
+                .app
                 .wait_saved()
                 .map_err(|e| anyhow!("the simulated phone: {e}"))?;
-            phones.push((phone.oscillator().clone(), phone.videos()));
+            phones.push((phone.app.oscillator.clone(), phone.app.videos()));
         }
         ended?;
         let noted = std::mem::take(&mut *lock(&self.shared.noted));

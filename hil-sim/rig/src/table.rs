@@ -59,7 +59,7 @@ impl Table {
         }
         // Shells and TOML take it from wherever they are.
         let storage =
-            std::path::absolute(phone.storage()).context("where is the phone's storage?")?;
+            std::path::absolute(phone.app.storage()).context("where is the phone's storage?")?;
         let teller = phone.tell_clock(&LinkRanges::PHONE_USB);
         let teller = teller.context("no port for the phone's clock")?;
         write_adb(&programs.join("adb"), &storage, teller.port())?;

@@ -3,23 +3,25 @@
 //! socket in it, so a seed gives the same bytes on any machine.
 
 use std::cmp::Reverse;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow};
 
 use crate::depth_camera::FrameRecord;
-use crate::owner_profile::owner_profile_of;
-use crate::phone::{AskedPhone, PhoneConfig, Surroundings};
+use crate::owner_profile::owner_profile;
+use crate::phone::{AskedPhone, PhoneConfig};
 use crate::rig_config::{RigConfig, RigParts};
 use crate::run_truth::{Noted, RunTruth};
-use crate::true_clock::{BoardClockwork, TrueClock};
+use crate::true_clock::BoardClockwork;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
 /// Virtual time between two looks.
 const STEP: SimDuration = SimDuration::from_millis(1);
+
+/// The address of its phones: nobody connects to it.
+const ADDRESS: &str = "192.0.2.1:6969";
 
 /// Something that happens to a rig.
 pub type Happening = Box<dyn FnOnce(&mut VirtualRig)>;
@@ -49,19 +51,14 @@ impl VirtualRig {
     /// A part cannot be built, or the board's serial port does not come.
     pub fn new(config: RigConfig, board: SimBuilder, phones: Vec<PhoneConfig>) -> Result<Self> {
         let parts = config.build();
-        let clock = TrueClock::new();
-        let surroundings = Surroundings {
-            clock: clock.clone(),
-            motion: Arc::clone(&parts.motion),
-            light: Arc::new(parts.flashes.clone()),
-        };
+        let surroundings = parts.surroundings();
         let phones = phones
             .into_iter()
             .map(|config| AskedPhone::start(config, surroundings.clone()))
             .collect::<Result<_>>()?;
         let mut sim = parts
             .wire(board)
-            .model(BoardClockwork::new(parts.board.clone(), clock))
+            .model(BoardClockwork::new(parts.board.clone(), surroundings.clock))
             .build()?;
         sim.usb_open(false);
         let noted = Noted::default();
@@ -91,8 +88,9 @@ impl VirtualRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self, names: &[&str]) -> Result<String> {
-        let phones = self.phones.iter().map(AskedPhone::handset);
-        owner_profile_of(&self.parts.config, phones, names)
+        let phones = self.phones.iter();
+        let phones = phones.map(|phone| (ADDRESS.to_owned(), &phone.app.config));
+        owner_profile(&self.parts.config, phones, names)
     }
 
     /// Virtual time.
@@ -242,7 +240,7 @@ impl VirtualRig {
             return Err(anyhow!("the simulated board: {failure}"));
         }
         let phones = self.phones.iter();
-        let phones = phones.map(|phone| (phone.oscillator().clone(), phone.videos()));
+        let phones = phones.map(|phone| (phone.app.oscillator.clone(), phone.app.videos()));
         let phones: Vec<_> = phones.collect();
         Ok(self.noted.into_truth(self.parts, phones, self.sim.now()))
     }

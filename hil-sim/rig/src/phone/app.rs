@@ -7,14 +7,18 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
+use anyhow::{Context as _, Result};
+
+use super::Surroundings;
 use super::camera::FrameTimes;
 use super::config::{PhoneConfig, StorageAccess, VideoMode};
 use super::files::{Names, csv_line, name_of};
 use super::java;
 use super::request::ImuRequest;
 use super::sensors::{Kind, Sensors};
-use crate::flash_log::FlashSource;
+use crate::flash_log::FlashLog;
 use crate::oscillator::{Oscillator, TrueTime};
+use crate::random::Stream;
 use crate::true_clock::{RigStopped, TrueClock};
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
@@ -117,8 +121,6 @@ pub(super) struct SensorRecording {
 /// One recording of the phone, for the ground truth.
 #[derive(Clone, Debug)]
 pub struct VideoTruth {
-    /// It was begun by hand, not by a request.
-    pub by_hand: bool,
     /// Its frames.
     pub frames: FrameTimes,
     /// Number of frames in the video; `None` while it is being recorded.
@@ -182,13 +184,17 @@ impl State {
 }
 
 /// The app on the phone.
-pub(super) struct App {
-    pub(super) config: PhoneConfig,
+pub struct App {
+    /// The phone's configuration.
+    pub config: PhoneConfig,
     pub(super) clock: TrueClock,
-    pub(super) oscillator: Oscillator,
+    /// The ground truth about the phone's clock.
+    pub oscillator: Oscillator,
     pub(super) sensors: Sensors,
-    pub(super) light: Arc<dyn FlashSource>,
+    pub(super) light: FlashLog,
     storage: PathBuf,
+    /// Removed with the phone.
+    _folder: Option<tempfile::TempDir>,
     state: Mutex<State>,
     pub(super) changed: Condvar,
     pub(super) render: Mutex<()>,
@@ -200,14 +206,27 @@ pub(super) struct App {
 }
 
 impl App {
-    pub(super) fn new(
-        config: PhoneConfig,
-        clock: TrueClock,
-        oscillator: Oscillator,
-        sensors: Sensors,
-        light: Arc<dyn FlashSource>,
-        storage: PathBuf,
-    ) -> Self {
+    /// The app of a phone that is switched on.
+    pub(super) fn new(config: PhoneConfig, surroundings: Surroundings) -> Result<Self> {
+        let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
+        let (storage, _folder) = match &config.storage {
+            Some(path) => {
+                std::fs::create_dir_all(path).with_context(|| {
+                    format!(
+                        "the simulated phone has no folder for its files at {}",
+                        path.display()
+                    )
+                })?;
+                (path.clone(), None)
+            }
+            None => {
+                let folder = tempfile::Builder::new()
+                    .prefix("simulated-phone-")
+                    .tempdir()
+                    .context("the simulated phone has no folder for its files")?;
+                (folder.path().to_owned(), Some(folder))
+            }
+        };
         let state = State {
             recordings: Vec::new(),
             since_opened: 0,
@@ -216,20 +235,21 @@ impl App {
             saving: 0,
             trouble: None,
         };
-        Self {
+        Ok(Self {
+            sensors: Sensors::new(&config, oscillator.clone(), surroundings.motion),
             config,
-            clock,
+            clock: surroundings.clock,
             oscillator,
-            sensors,
-            light,
+            light: surroundings.light,
             storage,
+            _folder,
             state: Mutex::new(state),
             changed: Condvar::new(),
             render: Mutex::default(),
             opened: AtomicU64::new(0),
             closing: AtomicBool::new(false),
             agenda: Mutex::default(),
-        }
+        })
     }
 
     /// The same without threads: what is due happens when it is [caught up](App::catch_up).
@@ -270,7 +290,8 @@ impl App {
     }
 
     /// The folder of its files.
-    pub(super) fn storage(&self) -> &Path {
+    #[must_use]
+    pub fn storage(&self) -> &Path {
         &self.storage
     }
 
@@ -428,7 +449,7 @@ impl App {
         // The press is posted and not awaited (RRH:157): a phase that is in the queue
         // already is taken for the answer (RRH:164), whatever the press does then.
         let phase = self.take_phase(deadline);
-        self.press_record(false);
+        self.press_record();
         match phase {
             Some(phase) => Progress::Done(self.tell_phase(&phase)),
             None => self.wait_for_phase(deadline),
@@ -521,8 +542,12 @@ impl App {
         Reply::File { path, name }
     }
 
-    /// Waits until all that was stopped is saved.
-    pub(super) fn wait_saved(&self) -> Result<(), String> {
+    /// Waits until the files of stopped recordings are saved.
+    ///
+    /// # Errors
+    ///
+    /// Error while saving.
+    pub fn wait_saved(&self) -> Result<(), String> {
         let mut state = self.state();
         while state.saving > 0 {
             state = self
@@ -536,11 +561,15 @@ impl App {
         }
     }
 
-    pub(super) fn is_recording(&self) -> bool {
+    /// True if it records a video.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
         self.state().recorder == Recorder::Runs
     }
 
-    pub(super) fn videos(&self) -> Vec<VideoTruth> {
+    /// The ground truth about its videos so far, in order.
+    #[must_use]
+    pub fn videos(&self) -> Vec<VideoTruth> {
         let state = self.state();
         state.recordings.iter().map(|r| r.truth.clone()).collect()
     }

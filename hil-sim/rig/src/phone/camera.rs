@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::config::{CameraConfig, DARK, DARK_EVERY, EXPOSURE_SWING, PhoneConfig};
 use super::substream;
 use crate::ball;
-use crate::flash_log::FlashSource;
+use crate::flash_log::FlashLog;
 use crate::oscillator::{Oscillator, TrueTime};
 use crate::random::{Random, Stream};
 use crate::rolling_shutter::{Flash, GreyImage, RollingShutter};
@@ -198,7 +198,7 @@ pub(super) fn write_video(
     frames: &FrameTimes,
     count: usize,
     oscillator: &Oscillator,
-    light: &dyn FlashSource,
+    light: &FlashLog,
 ) -> anyhow::Result<()> {
     let camera = &config.camera;
     let shutter = RollingShutter {

@@ -89,8 +89,9 @@ fn serve(
 }
 
 impl App {
-    /// What the program on the phone tells of its clocks at a time.
-    pub(super) fn told(&self, nonce: u64, at: TrueTime) -> Answer {
+    /// What our program on the phone tells of its clocks at a time.
+    #[must_use]
+    pub fn told(&self, nonce: u64, at: TrueTime) -> Answer {
         let boot_ns = self.oscillator.nanos_at(at);
         Answer {
             nonce,

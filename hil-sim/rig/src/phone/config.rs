@@ -179,17 +179,6 @@ pub(super) const EXPOSURE_SWING: usize = 1_800;
 pub(super) const DARK_EVERY: usize = 900;
 pub(super) const DARK: usize = 60;
 
-/// A phone as its owner knows it.
-#[derive(Clone, Debug)]
-pub struct Handset<'a> {
-    /// Its name, where the rig has several.
-    pub name: Option<&'a str>,
-    /// Its address.
-    pub address: String,
-    /// Its configuration.
-    pub config: &'a PhoneConfig,
-}
-
 impl PhoneConfig {
     /// A phone as in the published rig, with details drawn from `seed`: clock up
     /// to ±50 ppm and one to thirty hours after boot, gyroscope mounted at

@@ -11,11 +11,8 @@ use std::sync::Arc;
 use anyhow::Result;
 
 use super::app::{App, Progress, Reply, Request};
-use super::{Handset, PhoneConfig, Surroundings, VideoTruth, switch_on};
-use crate::oscillator::{Oscillator, TrueTime};
-
-/// The address in the profile of such a phone: nobody connects to it.
-const ADDRESS: &str = "192.0.2.1:6969";
+use super::{PhoneConfig, Surroundings};
+use crate::oscillator::TrueTime;
 
 /// A request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -41,15 +38,14 @@ pub enum Answer {
 
 /// A phone that is asked by calls.
 pub struct AskedPhone {
-    app: Arc<App>,
+    /// The app on it.
+    pub app: Arc<App>,
     asked: u64,
     waiting: VecDeque<(RequestId, String)>,
     served: Option<(RequestId, TrueTime, Request)>,
     answers: Vec<(RequestId, Answer)>,
     is_away: bool,
     is_silent: bool,
-    /// Removed with the phone.
-    _folder: Option<tempfile::TempDir>,
 }
 
 impl AskedPhone {
@@ -59,16 +55,14 @@ impl AskedPhone {
     ///
     /// There is no folder for the phone's files.
     pub fn start(config: PhoneConfig, surroundings: Surroundings) -> Result<Self> {
-        let (app, _folder) = switch_on(config, surroundings)?;
         Ok(Self {
-            app: Arc::new(app.without_threads()),
+            app: Arc::new(App::new(config, surroundings)?.without_threads()),
             asked: 0,
             waiting: VecDeque::new(),
             served: None,
             answers: Vec::new(),
             is_away: false,
             is_silent: false,
-            _folder,
         })
     }
 
@@ -149,50 +143,5 @@ impl AskedPhone {
     /// Lets the network swallow all answers, or no more.
     pub fn set_silent(&mut self, is_silent: bool) {
         self.is_silent = is_silent;
-    }
-
-    /// Presses the record button on the phone itself.
-    pub fn press_record(&mut self) {
-        self.app.press_record(true);
-    }
-
-    /// Folder of its files.
-    #[must_use]
-    pub fn storage(&self) -> &std::path::Path {
-        self.app.storage()
-    }
-
-    /// True if it records a video.
-    #[must_use]
-    pub fn is_recording(&self) -> bool {
-        self.app.is_recording()
-    }
-
-    /// The ground truth about its videos so far, in order.
-    #[must_use]
-    pub fn videos(&self) -> Vec<VideoTruth> {
-        self.app.videos()
-    }
-
-    /// What our program on the phone tells of its clocks at a time.
-    #[must_use]
-    pub fn told(&self, nonce: u64, at: TrueTime) -> phone_agent::Answer {
-        self.app.told(nonce, at)
-    }
-
-    /// The ground truth about its clock.
-    #[must_use]
-    pub fn oscillator(&self) -> &Oscillator {
-        &self.app.oscillator
-    }
-
-    /// The phone as its owner knows it.
-    #[must_use]
-    pub fn handset(&self) -> Handset<'_> {
-        Handset {
-            name: None,
-            address: ADDRESS.to_owned(),
-            config: &self.app.config,
-        }
     }
 }

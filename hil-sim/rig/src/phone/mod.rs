@@ -32,29 +32,25 @@ mod sensors;
 mod server;
 
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, Result};
 
-use crate::flash_log::FlashSource;
+use crate::flash_log::FlashLog;
 use crate::link_delay::LinkRanges;
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
 use crate::true_clock::TrueClock;
 
-use app::App;
 use sensors::{Kind, Sensors};
 use server::Link;
 
-pub use app::VideoTruth;
+pub use app::{App, VideoTruth};
 pub use camera::FrameTimes;
 pub use clock_teller::ClockTeller;
-pub use config::{
-    AppConfig, CameraConfig, Handset, PhoneConfig, SensorConfig, StorageAccess, VideoMode,
-};
+pub use config::{AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, VideoMode};
 pub use in_process::{Answer, AskedPhone, RequestId};
 pub use server::LinkFault;
 
@@ -66,16 +62,15 @@ pub struct Surroundings {
     /// Motion of the rig.
     pub motion: Arc<Motion>,
     /// When the depth camera flashes.
-    pub light: Arc<dyn FlashSource>,
+    pub light: FlashLog,
 }
 
 /// A running phone. It is switched off when dropped.
 pub struct SimPhone {
-    app: Arc<App>,
+    /// The app on it.
+    pub app: Arc<App>,
     link: Arc<Link>,
     thread: Option<JoinHandle<()>>,
-    /// Removed with the phone.
-    _folder: Option<tempfile::TempDir>,
 }
 
 impl SimPhone {
@@ -89,8 +84,7 @@ impl SimPhone {
         let link = Link::open(port)
             .with_context(|| format!("the simulated phone cannot listen on 127.0.0.1:{port}"))?;
         let link = Arc::new(link);
-        let (app, _folder) = switch_on(config, surroundings)?;
-        let app = Arc::new(app);
+        let app = Arc::new(App::new(config, surroundings)?);
         let thread = {
             let (app, link) = (Arc::clone(&app), Arc::clone(&link));
             std::thread::spawn(move || server::serve(&app, &link))
@@ -99,7 +93,6 @@ impl SimPhone {
             app,
             link,
             thread: Some(thread),
-            _folder,
         })
     }
 
@@ -109,34 +102,6 @@ impl SimPhone {
         self.link.address()
     }
 
-    /// Its configuration.
-    #[must_use]
-    pub fn config(&self) -> &PhoneConfig {
-        &self.app.config
-    }
-
-    /// The phone as its owner knows it.
-    #[must_use]
-    pub fn handset(&self) -> Handset<'_> {
-        Handset {
-            name: None,
-            address: self.address().to_string(),
-            config: self.config(),
-        }
-    }
-
-    /// The ground truth about its clock.
-    #[must_use]
-    pub fn oscillator(&self) -> &Oscillator {
-        &self.app.oscillator
-    }
-
-    /// Ground truth of its videos so far, in order.
-    #[must_use]
-    pub fn videos(&self) -> Vec<VideoTruth> {
-        self.app.videos()
-    }
-
     /// Tells on a port of its own what its clocks read, with the delays of such a link.
     ///
     /// # Errors
@@ -144,33 +109,6 @@ impl SimPhone {
     /// There is no port.
     pub fn tell_clock(&self, link: &LinkRanges) -> std::io::Result<ClockTeller> {
         ClockTeller::start(Arc::clone(&self.app), link)
-    }
-
-    /// True if it records a video.
-    #[must_use]
-    pub fn is_recording(&self) -> bool {
-        self.app.is_recording()
-    }
-
-    /// The folder of its files.
-    #[must_use]
-    pub fn storage(&self) -> &Path {
-        self.app.storage()
-    }
-
-    /// Waits until the files of stopped recordings are saved.
-    ///
-    /// # Errors
-    ///
-    /// Error while saving.
-    pub fn wait_saved(&self) -> Result<(), String> {
-        self.app.wait_saved()
-    }
-
-    /// Presses the record button on the phone itself: starts a video, or stops
-    /// the one that runs; nothing within half a second of its start.
-    pub fn press_record(&self) {
-        self.app.press_record(true);
     }
 
     /// Ends the app, if it has not ended itself, and opens it again.
@@ -215,42 +153,6 @@ impl Drop for SimPhone {
         // before it goes.
         let _ = self.app.wait_saved();
     }
-}
-
-/// A phone's app, and the folder of its files if it goes with the phone.
-fn switch_on(
-    config: PhoneConfig,
-    surroundings: Surroundings,
-) -> Result<(App, Option<tempfile::TempDir>)> {
-    let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
-    let (storage, folder) = match &config.storage {
-        Some(path) => {
-            std::fs::create_dir_all(path).with_context(|| {
-                format!(
-                    "the simulated phone has no folder for its files at {}",
-                    path.display()
-                )
-            })?;
-            (path.clone(), None)
-        }
-        None => {
-            let folder = tempfile::Builder::new()
-                .prefix("simulated-phone-")
-                .tempdir()
-                .context("the simulated phone has no folder for its files")?;
-            (folder.path().to_owned(), Some(folder))
-        }
-    };
-    let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
-    let app = App::new(
-        config,
-        surroundings.clock,
-        oscillator,
-        sensors,
-        surroundings.light,
-        storage,
-    );
-    Ok((app, folder))
 }
 
 /// The samples of a phone's gyroscope in a span of its boot clock, as `imu?` would answer

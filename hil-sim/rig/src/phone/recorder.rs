@@ -43,13 +43,13 @@ impl App {
         })
     }
 
-    /// The record button: starts a recording, or stops the one that runs. Too soon after
-    /// a start, and while one still closes, it does nothing.
-    pub(super) fn press_record(self: &Arc<Self>, by_hand: bool) {
+    /// The record button on the phone itself: starts a recording, or stops the one that runs.
+    /// Too soon after a start, and while one still closes, it does nothing.
+    pub fn press_record(self: &Arc<Self>) {
         let since = {
             let mut state = self.state();
             match state.recorder {
-                Recorder::Idle => return self.start_recording(&mut state, by_hand),
+                Recorder::Idle => return self.start_recording(&mut state),
                 Recorder::Closes => return,
                 Recorder::Runs => state.current().map(|recording| recording.started),
             }
@@ -61,7 +61,7 @@ impl App {
         }
     }
 
-    fn start_recording(&self, state: &mut State, by_hand: bool) {
+    fn start_recording(&self, state: &mut State) {
         let start_ns = self.now_ns();
         let number = u32::try_from(state.recordings.len()).unwrap_or(u32::MAX);
         let frames = FrameTimes::new(&self.config, number, start_ns);
@@ -84,7 +84,6 @@ impl App {
         state.recordings.push(Recording {
             names,
             truth: VideoTruth {
-                by_hand,
                 frames,
                 count: None,
                 start_ns,
@@ -193,7 +192,7 @@ impl App {
             &truth.frames,
             count,
             &self.oscillator,
-            &*self.light,
+            &self.light,
         )
         .map_err(|e| format!("{e:#}"))?;
         std::fs::rename(&part, &path).map_err(|e| format!("cannot save {}: {e}", path.display()))

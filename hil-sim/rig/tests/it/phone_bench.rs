@@ -1,9 +1,7 @@
 //! A simulated phone on a walk, asked without a socket: true time passes only as a test lets
 //! it.
 
-use std::sync::Arc;
-
-use rig::flash_log::Dark;
+use rig::flash_log::FlashLog;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::oscillator::TrueTime;
@@ -23,7 +21,7 @@ pub(crate) fn on_a_walk(
     let surroundings = Surroundings {
         clock: clock.clone(),
         motion: spec.build(Seed(seed).stream(Stream::Motion)),
-        light: Arc::new(Dark),
+        light: FlashLog::default(),
     };
     (config, surroundings)
 }

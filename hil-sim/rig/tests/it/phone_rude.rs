@@ -32,36 +32,36 @@ fn a_stop_takes_its_time_and_the_sensors_are_busy_meanwhile() {
     assert_eq!(bench.ask("video_start")[0], "SUCCESS");
     bench.ask("video_stop");
     assert_eq!(bench.ask("video_start")[0], "ERROR");
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
 }
 
 /// RRH:157 (the press is not awaited), RRH:164 (the queue is asked at once).
 #[test]
 fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
     let mut bench = Bench::new(51, without_pictures);
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     bench.pass(5.0);
     // In no time.
     let asked = bench.phone.ask("video_start");
     let answer = bench.take(asked).unwrap();
     assert_eq!(answer[0], "SUCCESS");
     let phase: i64 = answer[2].parse().unwrap();
-    let video = bench.phone.videos()[0].clone();
+    let video = bench.phone.app.videos()[0].clone();
     assert!((phase - video.frames.start_ns(60)).abs() < 10_000);
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
 }
 
 /// `Preview.java`:5020.
 #[test]
 fn a_press_right_behind_a_start_is_ignored() {
     let mut bench = Bench::new(53, without_pictures);
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     bench.pass(0.4);
-    bench.phone.press_record();
-    assert!(bench.phone.is_recording());
+    bench.phone.app.press_record();
+    assert!(bench.phone.app.is_recording());
     bench.pass(0.2);
-    bench.phone.press_record();
-    assert!(!bench.phone.is_recording());
+    bench.phone.app.press_record();
+    assert!(!bench.phone.app.is_recording());
 }
 
 /// RRH:164: nothing comes into the queue any more.
@@ -69,9 +69,9 @@ fn a_press_right_behind_a_start_is_ignored() {
 fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
     let mut bench = Bench::new(54, without_pictures);
     let asked = bench.phone.ask("video_start");
-    assert!(bench.phone.is_recording());
+    assert!(bench.phone.app.is_recording());
     bench.pass(1.0);
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     let answer = bench.answer(asked);
     assert!(answer[2].contains("poll limit"), "{answer:?}");
     assert!(bench.clock.now().as_secs_f64() > 9.9);
@@ -81,11 +81,11 @@ fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
 #[test]
 fn a_number_that_is_too_large_ends_the_app() {
     let mut bench = Bench::new(55, without_pictures);
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     let overflow = "imu?duration=9223372036854775808&accel=0&gyro=1&magnetic=0";
     assert!(bench.ask(overflow).is_empty());
     assert!(bench.ask("x").is_empty(), "nobody listens");
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
 }
 
 /// EAI:297 (the ticks decide which files there are), `RawSensorInfo.java`:216 (also of a
@@ -110,7 +110,7 @@ fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one(
 fn a_file_that_cannot_be_opened_is_reported_without_detail() {
     let mut bench = Bench::new(60, |_| ());
     let asked = bench.phone.ask(IMU);
-    let folder = std::fs::read_dir(bench.phone.storage()).unwrap().next();
+    let folder = std::fs::read_dir(bench.phone.app.storage()).unwrap().next();
     std::fs::remove_dir_all(folder.unwrap().unwrap().path()).unwrap();
     assert_eq!(bench.answer(asked)[2], "Failed to open IMU file");
 }

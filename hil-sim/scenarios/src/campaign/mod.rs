@@ -196,7 +196,7 @@ fn record(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended> {
     let periods = periods.collect();
     let (edges, failures, phone_records) = bench.with(|rig| {
         let phone = rig.phones.first();
-        let records = phone.is_some_and(rig::phone::AskedPhone::is_recording);
+        let records = phone.is_some_and(|phone| phone.app.is_recording());
         (rig.sim.take_edges(), rig.sim.failures().to_vec(), records)
     });
     let truth = bench.stop()?;

@@ -138,7 +138,7 @@ fn session(bench: &mut Bench, options: &DemoOptions, name: &str, length: u32) ->
 fn teach(bench: &mut Bench, options: &DemoOptions, programs: &Programs) -> Result<PathBuf> {
     let recording = session(bench, options, "teaching", TEACHING_SECONDS)?;
     let profile = bench.write_profile()?;
-    let video = bench.with(|rig| rig.phones.first()?.videos().pop());
+    let video = bench.with(|rig| rig.phones.first()?.app.videos().pop());
     let timestamps = video.context("the phone has recorded no video")?.timestamps;
     ask(
         programs,

@@ -65,7 +65,7 @@ impl VirtualClock {
         let nanos = u64::try_from(sent.as_nanos()).unwrap_or(u64::MAX);
         let asked = board.true_at(SimTime::from_nanos(nanos));
         let [read, back] = self.link.exchange(asked)?;
-        let told = |rig: &mut VirtualRig| Some(rig.phones.first()?.told(nonce, read));
+        let told = |rig: &mut VirtualRig| Some(rig.phones.first()?.app.told(nonce, read));
         Some(PhoneExchange {
             sent,
             received: Duration::from_nanos(board.board_at(back).as_nanos()),

@@ -93,7 +93,7 @@ impl Twisted {
             let before = rig.sim.edge_count(wiring::TRIGGER);
             rig.pass(ms(300));
             let edges = rig.sim.edge_count(wiring::TRIGGER) - before;
-            (rig.phones[0].is_recording(), edges)
+            (rig.phones[0].app.is_recording(), edges)
         });
         assert!(!records, "{state}: the phone records");
         assert_eq!(edges, 0, "{state}: the trigger runs");
@@ -102,8 +102,8 @@ impl Twisted {
     /// A phone that was left recording is stopped by its owner.
     pub(crate) fn stop_phone(&self) {
         self.bench.with(|rig| {
-            while rig.phones[0].is_recording() {
-                rig.phones[0].press_record();
+            while rig.phones[0].app.is_recording() {
+                rig.phones[0].app.press_record();
                 rig.pass(ms(100));
             }
         });

@@ -354,7 +354,11 @@ fn rotation_region_and_wide_mode() {
         );
     }
     let wide = Scene {
-        train: rig::rolling_shutter::FlashTrain::WFOV,
+        // As of WFOV unbinned.
+        train: rig::rolling_shutter::FlashTrain {
+            pitch_ns: 2_515_000,
+            ..rig::rolling_shutter::FlashTrain::NFOV
+        },
         bias_us: -222.0,
         ..scene(200.0, 16.0, 20.0, 8)
     };

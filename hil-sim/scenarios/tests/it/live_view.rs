@@ -240,7 +240,7 @@ fn a_closed_terminal_ends_the_recording_in_order() {
     };
     assert_eq!(session.outcome, Some(SessionOutcome::Interrupted));
     assert_eq!(session.counts.lost(), 0);
-    assert!(!rig.phone().is_recording());
+    assert!(!rig.phone().app.is_recording());
     let mut reader = Reader::open(&folder).unwrap();
     assert!(reader.by_ref().all(|entry| entry.is_ok()));
     assert!(!reader.broken_off());

@@ -4,10 +4,9 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Output};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rig::flash_log::Dark;
+use rig::flash_log::FlashLog;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::oscillator::TrueTime;
@@ -33,7 +32,7 @@ impl Bench {
         let surroundings = Surroundings {
             clock: clock.clone(),
             motion: spec.build(Seed(seed).stream(Stream::Motion)),
-            light: Arc::new(Dark),
+            light: FlashLog::default(),
         };
         Self {
             phone: SimPhone::start(config, surroundings, 0).unwrap(),

@@ -32,7 +32,7 @@ fn imu_start_stop_and_get_video() {
         let imu = ["imu", "--duration", "2s", "--out", "gyro.csv", "--json"];
         let imu = json(&run(&imu));
         let rate = imu["rate_hz"].as_f64().unwrap();
-        let true_rate = bench.phone.config().gyroscope.rate_hz;
+        let true_rate = bench.phone.app.config.gyroscope.rate_hz;
         assert!(
             (rate / true_rate - 1.0).abs() < 1e-4,
             "{rate} Hz of {true_rate} Hz"
@@ -41,7 +41,7 @@ fn imu_start_stop_and_get_video() {
 
         assert_eq!(json(&run(&["stop", "--json"]))["stopped"], false);
         let start = json(&run(&["start", "--json"]));
-        let video = bench.phone.videos()[0].clone();
+        let video = bench.phone.app.videos()[0].clone();
         let phase = start["phase_ns"].as_i64().unwrap();
         assert!((phase - video.frames.start_ns(60)).abs() < 6_000);
         assert_eq!(start["exposure_ns"].is_u64(), version == "v.0.1.1");
@@ -54,9 +54,9 @@ fn imu_start_stop_and_get_video() {
 
         let saved = json(&run(&["get-video", "--recorded", "--json"]));
         let path = folder.path().join(saved["path"].as_str().unwrap());
-        bench.phone.wait_saved().unwrap();
+        bench.phone.app.wait_saved().unwrap();
         assert!(std::fs::read(&path).unwrap() == std::fs::read(&video.path).unwrap());
-        let count = bench.phone.videos()[0].count.unwrap();
+        let count = bench.phone.app.videos()[0].count.unwrap();
         assert_eq!(frames_of(&path), count);
     }
 }
@@ -158,7 +158,7 @@ fn a_probe_changes_nothing() {
     for _ in 0..3 {
         assert_eq!(client.probe().unwrap(), ServerVersion::V0_1_1);
     }
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
     // The connection is still in step.
     client.stop_video().unwrap();
 }

@@ -40,11 +40,11 @@ fn wait_s(bench: &Bench, seconds: f64) {
 fn a_video_begun_by_hand_is_left_alone() {
     let bench = Bench::new(70, 5.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     wait_s(&bench, 5.0);
     let output = bench.command(&["start"], folder.path());
     says(&output, PHONE, &["refused imu", "phone stop"]);
-    assert!(bench.phone.is_recording());
+    assert!(bench.phone.app.is_recording());
 }
 
 #[test]
@@ -70,24 +70,24 @@ fn an_answer_before_its_frames_is_not_an_answer() {
         let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
         let clock = client.clock().unwrap();
         assert!(clock.is_some());
-        bench.phone.press_record();
+        bench.phone.app.press_record();
         wait_s(&bench, 4.0);
-        let now = bench.phone.oscillator().nanos_at(bench.clock.now());
+        let now = bench.phone.app.oscillator.nanos_at(bench.clock.now());
         let error = client
             .start_video(known.then_some(PhoneNanos(now).into()))
             .unwrap_err();
         assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
         let error = client.undo_start(error);
         assert!(error.to_string().contains("asked to stop"), "{error}");
-        assert!(!bench.phone.is_recording());
+        assert!(!bench.phone.app.is_recording());
         // And the next one is one.
         wait_s(&bench, 2.5);
         client.reconnect().unwrap();
-        let now = bench.phone.oscillator().nanos_at(bench.clock.now());
+        let now = bench.phone.app.oscillator.nanos_at(bench.clock.now());
         client
             .start_video(known.then_some(PhoneNanos(now).into()))
             .unwrap();
-        assert!(bench.phone.is_recording());
+        assert!(bench.phone.app.is_recording());
     }
 }
 
@@ -100,7 +100,7 @@ fn what_waits_behind_another_client_is_not_carried_out_later() {
     says(&output, PHONE, &["an empty request", "one at a time"]);
     drop(other);
     wait_s(&bench, 15.0);
-    assert!(bench.phone.videos().is_empty());
+    assert!(bench.phone.app.videos().is_empty());
 }
 
 #[test]
@@ -113,21 +113,21 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     });
     let output = bench.command(&["start"], folder.path());
     says(&output, PHONE, &["poll limit", "asked to stop", "Camera2"]);
-    assert_eq!(bench.phone.videos().len(), 1);
-    assert!(!bench.phone.is_recording());
+    assert_eq!(bench.phone.app.videos().len(), 1);
+    assert!(!bench.phone.app.is_recording());
 
     // Ctrl-C while the phone has begun and not answered.
     let bench = Bench::new(75, 1.0, |c| c.video = VideoMode::Never);
     let mut command = Command::new(smartdepthsync());
     command.args(["phone", "start", "--phone", &bench.address()]);
     let session = Session::start(&mut command);
-    while !bench.phone.is_recording() {
+    while !bench.phone.app.is_recording() {
         std::thread::sleep(Duration::from_millis(5));
     }
     session.signal(rustix::process::Signal::INT);
     let said = session.ends_with(130);
     assert!(said.contains("asked to stop"), "{said}");
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
 
     // The answer is lost on the way.
     let bench = Bench::new(76, 5.0, |c| {
@@ -138,7 +138,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     let (bench, phone) = (&bench, &bench.phone);
     std::thread::scope(|scope| {
         scope.spawn(move || {
-            while !phone.is_recording() {
+            while !phone.app.is_recording() {
                 std::thread::sleep(Duration::from_millis(5));
             }
             phone.set_fault(Some(LinkFault::CutAfter(20)));
@@ -148,7 +148,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
         let output = bench.command(&["start"], folder.path());
         says(&output, PHONE, &["closed the connection", "asked to stop"]);
     });
-    assert!(!bench.phone.is_recording());
+    assert!(!bench.phone.app.is_recording());
 }
 
 #[test]
@@ -208,7 +208,7 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         c.app.storage = StorageAccess::Documents;
         c.camera.reports_frames = false;
     });
-    bench.phone.press_record();
+    bench.phone.app.press_record();
     let soon = [
         "get-video",
         "--recorded",
@@ -293,7 +293,7 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     // Two videos: the phase tells which.
     let (_, _) = start("first");
     let (phase, out) = start("second");
-    bench.phone.wait_saved().unwrap();
+    bench.phone.app.wait_saved().unwrap();
     let tools = folder.path().join("tools");
     std::fs::create_dir(&tools).unwrap();
     let get = |path: &std::ffi::OsStr, phase: i64| {
@@ -304,10 +304,10 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
             .output()
             .unwrap()
     };
-    let storage = bench.phone.storage();
+    let storage = bench.phone.app.storage();
     let path = stand_in_adb(&tools, storage, PULL);
     says(&get(&path, phase), 0, &["_imu_timestamps.csv"]);
-    let video = bench.phone.videos()[1].clone();
+    let video = bench.phone.app.videos()[1].clone();
     let whole = phone::video_files::of_video(&out.join(video.path.file_name().unwrap()));
     let whole = whole.unwrap().unwrap();
     assert_eq!(whole.missing(), ["video (.mp4)"]);

@@ -31,5 +31,5 @@ fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
         .filter(|entry| matches!(entry.as_ref().map(|e| &e.item), Ok(Item::Imu(_))))
         .count();
     assert!(samples > 500, "{samples}");
-    assert!(!rig.phone().is_recording());
+    assert!(!rig.phone().app.is_recording());
 }

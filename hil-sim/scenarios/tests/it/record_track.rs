@@ -33,7 +33,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
         phone.clock.offset_ns = begun;
         phone.clock.rate_ppm = 0.0;
     });
-    let phone = AdbPhone::new(rig.phone().storage(), "qemu-aarch64");
+    let phone = AdbPhone::new(rig.phone().app.storage(), "qemu-aarch64");
     // Without a length: how long a busy computer takes to all this is not known.
     let mut command = rig.record("pulled", &["--track", "always", "--no-fetch", "--events"]);
     let mut session = Session::start(phone.show(&mut command));
@@ -79,7 +79,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     assert!(clocks.iter().all(|clock_ns| span.contains(clock_ns)));
 
     // The files of the video come through it too.
-    rig.phone().wait_saved().unwrap();
+    rig.phone().app.wait_saved().unwrap();
     let phase = recorded.phones[0].video.unwrap().phase.0.to_string();
     let mut command = Command::new(smartdepthsync());
     command.args(["phone", "get-files", "--phase", &phase, "--out"]);
@@ -95,7 +95,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
 #[test]
 fn ctrl_c_leaves_nothing_on_a_phone_whose_program_does_not_answer() {
     let rig = WholeRig::new(19, SPEED);
-    let phone = AdbPhone::new(rig.phone().storage(), "false");
+    let phone = AdbPhone::new(rig.phone().app.storage(), "false");
     let mut command = rig.record("silent", &["--track", "always"]);
     let session = Session::start(phone.show(&mut command));
     phone.wait_for_programs(1);

@@ -220,7 +220,7 @@ fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
     for problem in ["link_lost", "trigger_not_stopped"] {
         assert!(problems(&file).contains(&problem), "{problem}");
     }
-    assert!(!rig.bench.with(|rig| rig.phones[0].is_recording()));
+    assert!(!rig.bench.with(|rig| rig.phones[0].app.is_recording()));
 
     // The next session finds the train running and takes it over.
     rig.bench.with(|rig| {
@@ -246,7 +246,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     assert!(matches!(error, SessionError::LinkLost { .. }), "{error}");
     let file = rig.readable("never", SessionOutcome::Failed);
     assert!(problems(&file).contains(&"link_lost"));
-    assert!(!rig.bench.with(|rig| rig.phones[0].is_recording()));
+    assert!(!rig.bench.with(|rig| rig.phones[0].app.is_recording()));
     // All that had come is there.
     let samples = Reader::open(&rig.recording("never")).unwrap();
     let samples = samples.filter_map(Result::ok);
@@ -493,8 +493,9 @@ fn a_session_ends_well_whatever_time_a_stop_takes() {
 #[test]
 fn a_session_notices_that_the_video_has_ended() {
     let mut rig = Twisted::new(88);
-    rig.bench
-        .on(is_recording, ms(1_000), |rig| rig.phones[0].press_record());
+    rig.bench.on(is_recording, ms(1_000), |rig| {
+        rig.phones[0].app.press_record()
+    });
     let options = rig.options("ended", 15);
     rig.bench.run(&options);
     let file = rig.readable("ended", SessionOutcome::Loss);
@@ -513,6 +514,6 @@ fn a_session_whose_video_does_not_start_stops_what_it_began() {
     assert!(matches!(error, SessionError::Phone { .. }), "{error}");
     let is_undone = |event: &SessionEvent| matches!(event, SessionEvent::VideoUndone { .. });
     assert!(run.time_of(is_undone).is_some());
-    assert_eq!(rig.bench.with(|rig| rig.phones[0].videos().len()), 1);
+    assert_eq!(rig.bench.with(|rig| rig.phones[0].app.videos().len()), 1);
     rig.all_is_stopped("slow");
 }
