@@ -158,7 +158,7 @@ fn cobs_in_place(buffer: &mut [u8], end: usize) -> Option<usize> {
 pub struct Decoder<M> {
     buffer: [u8; MAX_FRAME],
     len: usize,
-    skipping: bool,
+    /// Bytes of a frame that is too long, so far.
     skipped: usize,
     counters: LinkCounters,
     message: PhantomData<fn() -> M>,
@@ -171,7 +171,6 @@ impl<M: DeserializeOwned> Decoder<M> {
         Self {
             buffer: [0; MAX_FRAME],
             len: 0,
-            skipping: false,
             skipped: 0,
             counters: LinkCounters::ZERO,
             message: PhantomData,
@@ -188,7 +187,6 @@ impl<M: DeserializeOwned> Decoder<M> {
     /// The counters stay.
     pub const fn reset(&mut self) {
         self.len = 0;
-        self.skipping = false;
         self.skipped = 0;
     }
 
@@ -216,7 +214,7 @@ impl<M: DeserializeOwned> Decoder<M> {
     }
 
     fn take(&mut self, chunk: &[u8]) {
-        if self.skipping {
+        if self.skipped > 0 {
             self.skipped = self.skipped.saturating_add(chunk.len());
             return;
         }
@@ -225,10 +223,7 @@ impl<M: DeserializeOwned> Decoder<M> {
                 space.copy_from_slice(chunk);
                 self.len += chunk.len();
             }
-            None => {
-                self.skipping = true;
-                self.skipped = self.len.saturating_add(chunk.len());
-            }
+            None => self.skipped = self.len.saturating_add(chunk.len()),
         }
     }
 
@@ -236,10 +231,10 @@ impl<M: DeserializeOwned> Decoder<M> {
     fn finish(&mut self) -> Option<Result<M, FrameError>> {
         let len = core::mem::take(&mut self.len);
         let skipped = core::mem::take(&mut self.skipped);
-        let result = match core::mem::take(&mut self.skipping) {
-            true => Err(FrameError),
-            false if len == 0 => return None,
-            false => decode(self.buffer.get_mut(..len).unwrap_or_default()),
+        let result = match (len, skipped) {
+            (0, 0) => return None,
+            (_, 0) => decode(self.buffer.get_mut(..len).unwrap_or_default()),
+            _ => Err(FrameError),
         };
         let counters = &mut self.counters;
         if result.is_ok() {

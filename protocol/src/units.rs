@@ -205,19 +205,12 @@ impl Period {
     /// Edge `k` of the train through `start`: floor(start + k · period), for
     /// `k` of either sign. Saturates at tick 0 and at 2⁶⁴ − 1.
     #[must_use]
-    pub const fn edge(self, start: Ticks, k: i64) -> Ticks {
+    pub fn edge(self, start: Ticks, k: i64) -> Ticks {
         // |k · period| < 2¹²⁷ and start · 2³² < 2⁹⁶: the sum fits in i128
         // except at the very ends of k, where saturation gives the same result.
         let offset = (k as i128).saturating_mul(self.0 as i128);
         let sum = ((start.0 as i128) << 32).saturating_add(offset);
-        let floor = sum >> 32;
-        if floor < 0 {
-            Ticks(0)
-        } else if floor > u64::MAX as i128 {
-            Ticks(u64::MAX)
-        } else {
-            Ticks(floor as u64)
-        }
+        Ticks((sum >> 32).clamp(0, u64::MAX.into()) as u64)
     }
 
     /// How far `at` lies off the nearest edge of the train through `anchor`, in
