@@ -39,41 +39,28 @@ pub(crate) fn build() -> Result<PathBuf> {
 /// ELF, which is returned, ends in `-black-pill`. To be called before [`build`].
 pub(crate) fn build_black_pill() -> Result<PathBuf> {
     let elf = built(&[&["build", "--release"], &BLACK_PILL[..]].concat())?;
-    keep(&elf, "-black-pill")
+    let kept = elf.with_file_name("smartdepthsync-firmware-black-pill");
+    std::fs::copy(&elf, &kept)
+        .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
+    Ok(kept)
 }
 
 /// Puts the images of these ELFs beside the host tool, where `board flash` looks for them.
 pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
     for elf in elves {
         let name = elf.file_name().context("an ELF without a name")?;
-        let to = process::target_dir()
-            .join("release")
-            .join(name)
-            .with_extension("dfu");
+        let to = process::program(name).with_extension("dfu");
         std::fs::write(&to, image::dfu_image(elf)?)
             .with_context(|| format!("cannot write {}", to.display()))?;
     }
     Ok(())
 }
 
-/// Copies an ELF to the same name with an ending, and returns that.
-fn keep(elf: &Path, ending: &str) -> Result<PathBuf> {
-    let mut kept = elf.as_os_str().to_owned();
-    kept.push(ending);
-    let kept = PathBuf::from(kept);
-    std::fs::copy(elf, &kept)
-        .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
-    Ok(kept)
-}
-
 /// Builds the program of others that the tests of `stm32f4-sim` run beside the firmware. Not
 /// in one call of cargo with it: the features of what both depend on would add up.
 pub(crate) fn build_foreign() -> Result<()> {
-    cargo_for_target(
-        FOREIGN,
-        TARGET,
-        &[&["build", "--release"], FOREIGN_PACKAGES].concat(),
-    )
+    let args = [&["build", "--release"], FOREIGN_PACKAGES].concat();
+    cargo_for_target(FOREIGN, TARGET, &args)
 }
 
 /// Builds the agent for phones of each processor, and puts it beside the host tool, where
@@ -81,10 +68,7 @@ pub(crate) fn build_foreign() -> Result<()> {
 pub(crate) fn build_agent() -> Result<()> {
     for ((target, _), to) in AGENT_TARGETS.into_iter().zip(agents()) {
         cargo_for_target(AGENT, target, &["build", "--release", "--target", target])?;
-        let from = process::target_dir()
-            .join(target)
-            .join("release")
-            .join(AGENT_PROGRAM);
+        let from = process::target_dir().join(format!("{target}/release/{AGENT_PROGRAM}"));
         let folder = to.parent().unwrap_or(&to);
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make {}", folder.display()))?;
@@ -102,19 +86,15 @@ pub(crate) fn build_agent() -> Result<()> {
 
 /// Where the agents are once they are built.
 pub(crate) fn agents() -> impl Iterator<Item = PathBuf> {
-    let folder = process::target_dir().join("release");
-    AGENT_TARGETS
-        .into_iter()
-        .map(move |(_, processor)| folder.join(format!("{AGENT_PROGRAM}-{processor}")))
+    let agents = AGENT_TARGETS.into_iter();
+    agents.map(|(_, processor)| process::program(format!("{AGENT_PROGRAM}-{processor}")))
 }
 
 /// Runs cargo and returns the ELF that it leaves.
 fn built(args: &[&str]) -> Result<PathBuf> {
     cargo_for_target(FIRMWARE, TARGET, args)?;
-    let elf = process::target_dir()
-        .join(TARGET)
-        .join("release")
-        .join("smartdepthsync-firmware");
+    let elf = format!("{TARGET}/release/smartdepthsync-firmware");
+    let elf = process::target_dir().join(elf);
     if !elf.is_file() {
         bail!(
             "cargo built the firmware, but there is no {}",

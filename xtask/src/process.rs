@@ -31,17 +31,8 @@ pub(crate) fn root() -> PathBuf {
 
 /// Cargo's target folder, with `CARGO_TARGET_DIR` respected.
 pub(crate) fn target_dir() -> PathBuf {
-    env::var_os("CARGO_TARGET_DIR").map_or_else(
-        || root().join("target"),
-        |dir| {
-            let dir = PathBuf::from(dir);
-            if dir.is_absolute() {
-                dir
-            } else {
-                root().join(dir)
-            }
-        },
-    )
+    // From the root, unless it is absolute.
+    root().join(env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()))
 }
 
 /// An empty folder of this name in cargo's target folder.
@@ -57,9 +48,8 @@ pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
 /// All files below a folder, but for what cargo makes.
 pub(crate) fn files_below(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    for entry in
-        fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?
-    {
+    let entries = fs::read_dir(folder);
+    for entry in entries.with_context(|| format!("cannot read {}", folder.display()))? {
         let path = entry?.path();
         if !path.is_dir() {
             files.push(path);
@@ -76,10 +66,8 @@ pub(crate) fn command(program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root());
     for (name, _) in env::vars_os() {
-        let ours = name
-            .to_str()
-            .is_some_and(|name| name.starts_with("CARGO_PKG_") || name == "CARGO_MANIFEST_DIR");
-        if ours {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text == "CARGO_MANIFEST_DIR" {
             command.env_remove(name);
         }
     }
@@ -153,10 +141,8 @@ pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<
 }
 
 /// A program that cargo has built in the release profile.
-pub(crate) fn program(name: &str) -> PathBuf {
-    target_dir()
-        .join("release")
-        .join(format!("{name}{}", env::consts::EXE_SUFFIX))
+pub(crate) fn program(name: impl AsRef<Path>) -> PathBuf {
+    target_dir().join("release").join(name)
 }
 
 /// Builds the host tool and the simulator, with the features of the whole workspace: so have

@@ -97,8 +97,7 @@ impl Reference {
                 ["table", file, name] => out += &constant(&root.join(file), name)?,
                 ["file", file] => {
                     let text = fs::read_to_string(root.join(file)).context(file.to_owned())?;
-                    let ending = Path::new(file).extension().unwrap_or_default();
-                    let ending = ending.to_string_lossy();
+                    let ending = file.rsplit('.').next().unwrap_or_default();
                     let _ = writeln!(out, "```{ending}\n{}\n```", text.trim_end());
                 }
                 ["help", program] => {
@@ -257,7 +256,6 @@ impl<'a> Page<'a> {
                         _ if self.is_wire => name,
                         Some("snake_case") => snake(&name),
                         Some("lowercase") => name.to_lowercase(),
-                        Some("kebab-case") => snake(&name).replace('_', "-"),
                         _ => name,
                     };
                     let (with, text) = (parts.join(", "), doc(&variant.attrs));
@@ -374,14 +372,15 @@ fn attributes(item: &Item) -> &[Attribute] {
 
 fn serialises(item: &Item) -> bool {
     let mut found = false;
-    for attribute in attributes(item) {
-        if attribute.path().is_ident("derive") {
-            let _ = attribute.parse_nested_meta(|it| {
-                let last = it.path.segments.last();
-                found |= last.is_some_and(|it| it.ident == "Serialize");
-                Ok(())
-            });
-        }
+    for attribute in attributes(item)
+        .iter()
+        .filter(|it| it.path().is_ident("derive"))
+    {
+        let _ = attribute.parse_nested_meta(|it| {
+            let last = it.path.segments.last();
+            found |= last.is_some_and(|it| it.ident == "Serialize");
+            Ok(())
+        });
     }
     found
 }
@@ -392,12 +391,9 @@ fn serde(attributes: &[Attribute], name: &str) -> Option<String> {
     for attribute in attributes.iter().filter(|it| it.path().is_ident("serde")) {
         // What this cannot read is of no interest to it.
         let _ = attribute.parse_nested_meta(|it| {
-            let value = match it.value() {
-                Ok(value) => match value.parse::<Lit>()? {
-                    Lit::Str(text) => text.value(),
-                    _ => String::new(),
-                },
-                Err(_) => String::new(),
+            let value = match it.value().map(|value| value.parse()) {
+                Ok(Ok(Lit::Str(text))) => text.value(),
+                _ => String::new(),
             };
             if it.path.is_ident(name) {
                 found = Some(value);

@@ -1,9 +1,9 @@
 //! Programs that are not Rust crates: Debian packages, a Python environment,
 //! and cargo tools in `target/tools`.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::{env, fs};
 
 use anyhow::{Context, Result, bail};
 
@@ -24,12 +24,7 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
 
 /// Makes sure that `program` is on the path, from a Debian package if need be.
 pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
-    let version = match program {
-        "ffmpeg" => "-version",
-        "tmux" => "-V",
-        _ => "--version",
-    };
-    if process::answers(program, &[version]) {
+    if process::answers("sh", &["-c", &format!("command -v {program}")]) {
         return Ok(());
     }
     apt_install(&[package]).with_context(|| {
@@ -75,11 +70,8 @@ pub(crate) fn ensure_release() -> Result<PathBuf> {
 /// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
 /// for the Python of Debian.
 pub(crate) fn ensure_readers() -> Result<()> {
-    for reader in ["open3d", "rerun", "lerobot", "fleet"] {
-        ensure_environment(
-            &format!("readers/{reader}"),
-            &format!("readers/{reader}.txt"),
-        )?;
+    for reader in ["open3d", "rerun", "lerobot", "fleet"].map(|it| format!("readers/{it}")) {
+        ensure_environment(&reader, &format!("{reader}.txt"))?;
     }
     if process::answers("/usr/bin/python3", &["-c", "import rosbag"]) {
         return Ok(());
@@ -140,11 +132,7 @@ fn make_venv(venv: &Path) -> bool {
 pub(crate) fn ensure_target(target: &str) -> Result<()> {
     let sysroot = process::text(process::command("rustc").args(["--print", "sysroot"]))
         .context("rustc does not tell its sysroot; install Rust through rustup")?;
-    let library = Path::new(&sysroot)
-        .join("lib/rustlib")
-        .join(target)
-        .join("lib");
-    if library.is_dir() {
+    if Path::new(&format!("{sysroot}/lib/rustlib/{target}/lib")).is_dir() {
         return Ok(());
     }
     process::run(process::command("rustup").args(["target", "add", target]))
@@ -153,12 +141,8 @@ pub(crate) fn ensure_target(target: &str) -> Result<()> {
 
 /// A cargo tool of exactly this version in `target/tools`, built if need be.
 pub(crate) fn ensure_cargo_tool(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
-    let folder = process::target_dir()
-        .join("tools")
-        .join(format!("{name}-{version}"));
-    let program = folder
-        .join("bin")
-        .join(format!("{name}{}", env::consts::EXE_SUFFIX));
+    let folder = process::target_dir().join(format!("tools/{name}-{version}"));
+    let program = folder.join("bin").join(name);
     if !program.is_file() {
         println!("building {name} {version} into {}", folder.display());
         process::run(
