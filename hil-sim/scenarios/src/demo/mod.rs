@@ -44,10 +44,6 @@ pub struct DemoOptions {
     #[arg(long, value_name = "SECONDS", default_value_t = 60,
           value_parser = clap::value_parser!(u32).range(5..=3_600))]
     pub seconds: u32,
-    /// Show a session on an uncalibrated rig, without one before it that
-    /// teaches.
-    #[arg(long)]
-    pub fresh: bool,
     /// Folder for the recording, the phone's files and the report.
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     pub out: PathBuf,
@@ -91,24 +87,19 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     let mut bench = Bench::new(config, board, vec![phone], &[], out)?;
     (bench.has_recorder, bench.shows_ball) = (true, true);
     bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
-    let taught = match options.fresh {
-        true => None,
-        false => Some(teach(&mut bench, options, programs)?),
-    };
+    let taught = teach(&mut bench, options, programs)?;
     let recording = session(&mut bench, options, "recording", options.seconds)?;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
     let truth = Truth::of(bench.stop()?)?;
     let verdict = truth.judge(&recording)?;
-    let before = taught
-        .map(|recording| truth.judge(&recording))
-        .transpose()?;
+    let before = truth.judge(&taught)?;
     let data = data_set::make(truth, &recording, storage, programs).context("the data set")?;
     let figures = Figures {
         session: SessionFigures::of(&verdict),
         virtual_s,
         wall_s: begun.elapsed().as_secs_f64(),
         seed: options.seed,
-        before_learning: before.as_ref().map(SessionFigures::of),
+        before_learning: SessionFigures::of(&before),
     };
     let report = options.out.join("report.html");
     std::fs::write(&report, report::page(&figures, &verdict, &data))

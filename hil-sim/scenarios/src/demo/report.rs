@@ -26,8 +26,7 @@ pub struct Figures {
     /// The seed.
     pub seed: u64,
     /// The session before it, from which the rig profile has learnt.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub before_learning: Option<SessionFigures>,
+    pub before_learning: SessionFigures,
 }
 
 /// The figures of a session.
@@ -133,14 +132,11 @@ impl Figures {
     /// The table for the terminal.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut out = format!(
-            "Against the truth of the simulated rig:\n{}",
-            facts_text(&self.lines())
-        );
-        if let Some(before) = &self.before_learning {
-            out += &format!("{BEFORE}\n{}", facts_text(&before.lines()));
-        }
-        out
+        format!(
+            "Against the truth of the simulated rig:\n{}{BEFORE}\n{}",
+            facts_text(&self.lines()),
+            facts_text(&self.before_learning.lines())
+        )
     }
 }
 
@@ -175,14 +171,12 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
          clocks are models. Every figure is simulated and judged against the models' truth.",
     );
-    if let Some(before) = figures.before_learning {
-        page.section(BEFORE.trim_end_matches(':'));
-        page.text(
-            "From it the rig profile learnt the period of the phone's frames and the rate of its \
-             clock, to which one twist and the 59 frames that the app averages are too short.",
-        );
-        page.facts(&before.lines());
-    }
+    page.section(BEFORE.trim_end_matches(':'));
+    page.text(
+        "From it the rig profile learnt the period of the phone's frames and the rate of its \
+         clock, to which one twist and the 59 frames that the app averages are too short.",
+    );
+    page.facts(&figures.before_learning.lines());
     page.section("The data set");
     page.text(&format!(
         "The recording was extracted as EuRoC into {}; every time in it was compared with the \
@@ -272,19 +266,19 @@ mod tests {
         }
     }
 
-    fn figures(verdict: &Verdict, before: Option<&Verdict>) -> Figures {
+    fn figures(verdict: &Verdict) -> Figures {
         Figures {
             session: SessionFigures::of(verdict),
             virtual_s: 320.0,
             wall_s: 20.0,
             seed: 7,
-            before_learning: before.map(SessionFigures::of),
+            before_learning: SessionFigures::of(verdict),
         }
     }
 
     #[test]
     fn the_figures_have_the_documented_keys() {
-        let figures = figures(&verdict(), None);
+        let figures = figures(&verdict());
         let json = serde_json::to_value(&figures).unwrap();
         for key in [
             "offset_error_us",
@@ -311,7 +305,7 @@ mod tests {
     #[test]
     fn the_page_holds_all_it_needs() {
         let verdict = verdict();
-        let figures = figures(&verdict, Some(&verdict));
+        let figures = figures(&verdict);
         let data = DataSet {
             folder: "demo/recording-euroc".into(),
             figures: ExtractionFigures {
