@@ -22,7 +22,7 @@
 //! - When the pulses stop it goes on streaming, one frame a nominal period of
 //!   its own clock ([`Source::FreeRun`]).
 //! - A pulse that is off its expected place by more than
-//!   [`DepthCameraConfig::tolerance`] disturbs it: frames of that time are marked
+//!   `TOLERANCE` disturbs it: frames of that time are marked
 //!   bad (black or purple images were reported). It takes up the new phase at
 //!   once; pulses closer than half a period to a frame make no frame of their
 //!   own. How a real camera behaves there is not known.
@@ -42,6 +42,7 @@ use std::sync::mpsc::Sender;
 
 use serde::{Deserialize, Serialize};
 
+use config::{BAD_FRAMES, TOLERANCE};
 pub use config::{DepthCameraConfig, DepthMode};
 pub use family::Family;
 pub(crate) use family::micros;
@@ -127,12 +128,16 @@ pub struct DepthCamera {
     flash_log: Option<FlashLog>,
     /// Changes of the light still to come.
     light: VecDeque<(SimTime, Level)>,
-    pulses: u64,
-    short_pulses: u64,
-    disturbances: u64,
+    /// Pulses that counted.
+    pub pulses: u64,
+    /// Pulses that were too short.
+    pub short_pulses: u64,
+    /// Pulses that came at the wrong place.
+    pub disturbances: u64,
     bad_left: u32,
     frames: VecDeque<FrameRecord>,
-    frame_count: u64,
+    /// Frames taken since power-on.
+    pub frame_count: u64,
     /// Frames that are still to be lost.
     dropping: u32,
     random: Random,
@@ -204,30 +209,6 @@ impl DepthCamera {
         self.frames.drain(..).collect()
     }
 
-    /// Frames taken since power-on.
-    #[must_use]
-    pub fn frame_count(&self) -> u64 {
-        self.frame_count
-    }
-
-    /// Pulses that counted.
-    #[must_use]
-    pub fn pulses(&self) -> u64 {
-        self.pulses
-    }
-
-    /// Pulses that were too short.
-    #[must_use]
-    pub fn short_pulses(&self) -> u64 {
-        self.short_pulses
-    }
-
-    /// Pulses that came at the wrong place.
-    #[must_use]
-    pub fn disturbances(&self) -> u64 {
-        self.disturbances
-    }
-
     /// The camera's clock.
     #[must_use]
     pub fn clock(&self) -> &Oscillator {
@@ -277,10 +258,9 @@ impl DepthCamera {
             }
             State::Streaming { base } => {
                 let since = own.saturating_sub(base);
-                let tolerance = self.config.tolerance.units();
-                if since.abs_diff(self.period()) > tolerance {
+                if since.abs_diff(self.period()) > TOLERANCE.units() {
                     self.disturbances += 1;
-                    self.bad_left = self.config.bad_frames;
+                    self.bad_left = BAD_FRAMES;
                     self.spoil_last_if_exposing(edge);
                 }
                 if since >= self.period() / 2 {
@@ -294,7 +274,7 @@ impl DepthCamera {
     /// The next pulse is expected a period after `base`.
     fn follow(&mut self, base: u64) {
         self.state = State::Streaming { base };
-        let patience = self.period() + self.config.tolerance.units();
+        let patience = self.period() + TOLERANCE.units();
         let deadline = self.board_at(base + patience + 1);
         self.deadline = self.config.free_runs.then_some(deadline);
     }

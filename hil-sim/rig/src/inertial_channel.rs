@@ -153,18 +153,6 @@ impl Channel {
         self.last_tick = None;
     }
 
-    /// The bias now.
-    #[must_use]
-    pub fn bias(&self) -> [f64; 3] {
-        self.bias
-    }
-
-    /// Its configuration.
-    #[must_use]
-    pub fn config(&self) -> &ChannelConfig {
-        &self.config
-    }
-
     /// The sensor's reading at true time `at` (seconds), which is its internal
     /// sample number `tick`. `tick_s` is the distance of internal samples as it
     /// truly is: with a clock that runs fast, the filter is faster too.
@@ -400,7 +388,7 @@ mod tests {
             for k in 0..100 {
                 c.sample(0.0, k * 1000, 1e-3, |_| [0.0; 3]);
             }
-            sum += c.bias()[0].powi(2);
+            sum += c.bias[0].powi(2);
         }
         let measured = (sum / n as f64).sqrt();
         assert!(

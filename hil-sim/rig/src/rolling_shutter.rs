@@ -246,25 +246,8 @@ impl RollingShutter {
     /// `frame_number` only selects the noise, so that a frame rendered twice is
     /// the same to the byte.
     pub fn render(&self, frame_start_ns: i64, frame_number: u64, flashes: &[Flash]) -> GreyImage {
-        let mut image = GreyImage::default();
-        self.render_into(frame_start_ns, frame_number, flashes, &mut image);
-        image
-    }
-
-    /// [`render`](Self::render) into an image whose memory is used again.
-    pub fn render_into(
-        &self,
-        frame_start_ns: i64,
-        frame_number: u64,
-        flashes: &[Flash],
-        image: &mut GreyImage,
-    ) {
         let (width, height) = self.image_size();
-        image.width = width;
-        image.height = height;
-        image.pixels.clear();
-        image.pixels.resize(width * height, 0);
-
+        let mut pixels = vec![0; width * height];
         let light = self.row_light(frame_start_ns, flashes);
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(frame_number.wrapping_add(1));
@@ -293,11 +276,16 @@ impl RollingShutter {
                     Readout::LeftToRight => c * width + r,
                     Readout::RightToLeft => c * width + (width - 1 - r),
                 };
-                if let Some(pixel) = image.pixels.get_mut(at) {
+                if let Some(pixel) = pixels.get_mut(at) {
                     // `as` saturates: that is the clipping of the sensor.
                     *pixel = grey.round() as u8;
                 }
             }
+        }
+        GreyImage {
+            width,
+            height,
+            pixels,
         }
     }
 

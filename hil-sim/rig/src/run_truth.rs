@@ -25,12 +25,8 @@ pub struct RunTruth {
     pub imu: Vec<SampleRecord>,
     /// When the board's tick count was zero in its first run.
     pub zero: Option<SimTime>,
-    /// The phone's clock.
-    pub phone_clock: Option<Oscillator>,
-    /// The phone's videos.
-    pub videos: Vec<VideoTruth>,
-    /// Clocks and videos of other phones.
-    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
+    /// Clocks and videos of the phones, the one that the trigger is aligned to first.
+    pub phones: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// Board time at the end.
     pub end: SimTime,
 }
@@ -86,16 +82,12 @@ impl Noted {
         phones: Vec<(Oscillator, Vec<VideoTruth>)>,
         end: SimTime,
     ) -> RunTruth {
-        let mut phones = phones.into_iter();
-        let (phone_clock, videos) = phones.next().unzip();
         RunTruth {
             parts,
             depth: self.depth,
             imu: self.imu,
             zero: self.zero,
-            phone_clock,
-            videos: videos.unwrap_or_default(),
-            others: phones.collect(),
+            phones,
             end,
         }
     }

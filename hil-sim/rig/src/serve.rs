@@ -91,7 +91,7 @@ pub struct Args {
 /// # Errors
 ///
 /// If it is not a number from 0.1 to 1000.
-pub fn speed(text: &str) -> Result<f64, String> {
+fn speed(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
         .filter(|s| (0.1..=1000.0).contains(s))
@@ -103,7 +103,7 @@ pub fn speed(text: &str) -> Result<f64, String> {
 /// # Errors
 ///
 /// If it is none, or negative.
-pub fn duration(text: &str) -> Result<Duration, jiff::Error> {
+fn duration(text: &str) -> Result<Duration, jiff::Error> {
     text.parse::<SignedDuration>()?.try_into()
 }
 

@@ -4,10 +4,10 @@
 //! blocks, rate control and frames that repeat their predecessor. Settings follow
 //! phones: no B-frames, a key frame a second, limited-range 4:2:0.
 
-use std::io::{Read, Write};
+use std::fs::File;
+use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, Stdio};
-use std::thread::JoinHandle;
+use std::process::{Child, Command, Stdio};
 
 use anyhow::{Error, Result, anyhow, bail, ensure};
 
@@ -42,7 +42,8 @@ pub struct Mp4Writer {
     settings: VideoSettings,
     path: PathBuf,
     child: Child,
-    messages: Option<JoinHandle<String>>,
+    /// What it says.
+    messages: File,
 }
 
 impl Mp4Writer {
@@ -68,11 +69,12 @@ impl Mp4Writer {
                 .args(["-maxrate", &rate.to_string()])
                 .args(["-bufsize", &rate.to_string()]),
         };
-        let mut child = command
+        let messages = tempfile::tempfile()?;
+        let child = command
             .arg(path)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
-            .stderr(Stdio::piped())
+            .stderr(messages.try_clone()?)
             .spawn()
             .map_err(|e| match e.kind() {
                 std::io::ErrorKind::NotFound => anyhow!(
@@ -81,7 +83,6 @@ impl Mp4Writer {
                 ),
                 _ => anyhow!("ffmpeg could not be started: {e}"),
             })?;
-        let messages = child.stderr.take().map(collect);
         Ok(Self {
             settings,
             path: path.to_owned(),
@@ -122,11 +123,12 @@ impl Mp4Writer {
 
     fn encoder_error(&mut self, fallback: &str) -> Error {
         drop(self.child.stdin.take());
-        let said = self
-            .messages
-            .take()
-            .and_then(|m| m.join().ok())
-            .unwrap_or_default();
+        let _ = self.child.wait();
+        let mut said = Vec::new();
+        // Without its words there is the fallback.
+        let _ = self.messages.rewind();
+        let _ = (&self.messages).take(4096).read_to_end(&mut said);
+        let said = String::from_utf8_lossy(&said);
         let said = said.trim();
         let message = if said.is_empty() { fallback } else { said };
         anyhow!("ffmpeg failed to write {}: {message}", self.path.display())
@@ -141,22 +143,6 @@ impl Drop for Mp4Writer {
         }
         let _ = self.child.wait();
     }
-}
-
-/// Reads the encoder's messages so that it never blocks on them; keeps the first 4 KiB.
-fn collect(mut pipe: ChildStderr) -> JoinHandle<String> {
-    std::thread::spawn(move || {
-        let mut kept = Vec::new();
-        let mut buffer = [0u8; 1024];
-        while let Ok(n) = pipe.read(&mut buffer) {
-            if n == 0 {
-                break;
-            }
-            let room = 4096usize.saturating_sub(kept.len()).min(n);
-            kept.extend_from_slice(buffer.get(..room).unwrap_or_default());
-        }
-        String::from_utf8_lossy(&kept).into_owned()
-    })
 }
 
 #[cfg(test)]

@@ -241,7 +241,7 @@ impl VirtualRig {
         }
         let phones = self.phones.iter();
         let phones = phones.map(|phone| (phone.app.oscillator.clone(), phone.app.videos()));
-        let phones: Vec<_> = phones.collect();
+        let phones = phones.collect();
         Ok(self.noted.into_truth(self.parts, phones, self.sim.now()))
     }
 }

@@ -155,11 +155,13 @@ impl Truth {
     /// The board's timer never ran, or there was no phone.
     pub fn of(run: RunTruth) -> Result<Self> {
         let zero = run.zero.context("the board's timer never ran")?;
+        let mut phones = run.phones.into_iter();
+        let (phone, videos) = phones.next().context("the rig has no phone")?;
         Ok(Self {
             board: run.parts.board,
-            phone: run.phone_clock.context("the rig has no phone")?,
-            videos: run.videos,
-            others: run.others,
+            phone,
+            videos,
+            others: phones.collect(),
             depth: run.depth,
             timebase: Timebase::new(zero),
         })

@@ -8,6 +8,12 @@ use stm32f4_sim::time::SimDuration;
 /// Longest pulse that does not count (Azure Kinect: it needs more than 8 µs).
 pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
+/// Distance from its expected place at which a pulse disturbs nothing.
+pub(super) const TOLERANCE: SimDuration = SimDuration::from_micros(200);
+
+/// Frames that are bad after a disturbance, the one disturbed included.
+pub(super) const BAD_FRAMES: u32 = 3;
+
 /// Depth modes with their flashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthMode {
@@ -51,10 +57,6 @@ pub struct DepthCameraConfig {
     /// Jitter of that, 1-sigma. At most three of it, and no flash before the camera knows
     /// that no pulse comes.
     pub flash_jitter: SimDuration,
-    /// Distance from its expected place at which a pulse disturbs nothing.
-    pub tolerance: SimDuration,
-    /// Frames that are bad after a disturbance, the one disturbed included.
-    pub bad_frames: u32,
     /// The camera's clock. Its offset is what the device timestamp starts from.
     pub clock: OscillatorConfig,
     /// The device timestamp counts from the first pulse, not from the clock's offset.
@@ -91,8 +93,6 @@ impl Default for DepthCameraConfig {
             first_frame: 2,
             flash_delay: SimDuration::from_micros(500),
             flash_jitter: SimDuration::ZERO,
-            tolerance: SimDuration::from_micros(200),
-            bad_frames: 3,
             clock: OscillatorConfig {
                 offset_ns: 2_500_000_000,
                 rate_ppm: 300.0,
@@ -119,6 +119,6 @@ impl DepthCameraConfig {
 
     /// From a pulse, or where one was expected, to where it is known whether one came.
     pub(super) fn earliest_flash(&self) -> SimDuration {
-        self.tolerance + self.shortest_pulse + SimDuration::from_micros(1)
+        TOLERANCE + self.shortest_pulse + SimDuration::from_micros(1)
     }
 }

@@ -95,9 +95,9 @@ fn a_pulse_of_8_us_is_too_short_and_one_unit_more_is_enough() {
             pulse(&mut bench, ms(k as f64 * PERIOD_MS), width);
         }
         bench.run(SimDuration::from_millis(10));
-        assert_eq!(bench.model.pulses() == 5, counts, "{width:?}");
-        assert_eq!(bench.model.frame_count() == 4, counts);
-        assert_eq!(bench.model.short_pulses() == 0, counts);
+        assert_eq!(bench.model.pulses == 5, counts, "{width:?}");
+        assert_eq!(bench.model.frame_count == 4, counts);
+        assert_eq!(bench.model.short_pulses == 0, counts);
     }
 }
 
@@ -158,7 +158,7 @@ fn it_keeps_streaming_on_its_own_clock_when_the_pulses_stop() {
         assert_eq!(ticks, 3000);
     }
     assert!(frames.iter().all(|f| !f.bad));
-    assert_eq!(bench.model.disturbances(), 0);
+    assert_eq!(bench.model.disturbances, 0);
 }
 
 #[test]
@@ -180,8 +180,8 @@ fn a_jump_spoils_the_frames_of_that_time_and_the_new_phase_is_taken_up() {
         let mut bench = camera(steady());
         let at = (1..=60).map(|k| f64::from(k) * PERIOD_MS + if k > 30 { jump_ms } else { 0.0 });
         train(&mut bench, at);
-        assert!(bench.model.disturbances() >= 1, "{jump_ms}");
-        assert!(bench.model.disturbances() <= 2, "{jump_ms}");
+        assert!(bench.model.disturbances >= 1, "{jump_ms}");
+        assert!(bench.model.disturbances <= 2, "{jump_ms}");
         let frames = bench.model.take_frames();
         let bad: Vec<_> = frames.iter().filter(|f| f.bad).collect();
         assert!((3..=5).contains(&bad.len()), "{jump_ms}: {}", bad.len());
@@ -259,10 +259,10 @@ fn it_can_be_stopped_and_opened_again() {
     train(&mut bench, times(5));
     bench.model.stop();
     bench.run(SimDuration::from_secs(1));
-    assert_eq!(bench.model.frame_count(), 4);
+    assert_eq!(bench.model.frame_count, 4);
     bench.model.wait_for_pulses();
     train(&mut bench, (60..70).map(|k| f64::from(k) * PERIOD_MS));
-    assert_eq!(bench.model.frame_count(), 4 + 9);
+    assert_eq!(bench.model.frame_count, 4 + 9);
 }
 
 #[test]
@@ -273,7 +273,7 @@ fn without_a_photodiode_the_strobe_input_is_not_driven() {
     });
     train(&mut bench, times(5));
     assert!(bench.driven.is_empty());
-    assert_eq!(bench.model.frame_count(), 4);
+    assert_eq!(bench.model.frame_count, 4);
 }
 
 /// Each family follows pulses of 100 µs, as their makers ask for; pulses for the Azure Kinect

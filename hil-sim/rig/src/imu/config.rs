@@ -83,16 +83,9 @@ pub struct SimImuConfig {
     /// Rate error of its internal oscillator (CLKSEL 0), in ppm; within
     /// ±5 % by the product specification (MPU-6500 ±2 %, ICM-42688-P ±3 %).
     pub internal_ppm: f64,
-    /// Range around 19.2 MHz in which the PLL locks, in ppm. Not documented; a
-    /// setting of the model.
-    pub lock_range_ppm: u32,
     /// From power-on or device reset until registers answer: 11 ms typical,
     /// 100 ms at most.
     pub start_up: SimDuration,
-    /// From a new clock until the PLL has settled: 1 ms typical, 10 ms at most.
-    pub pll_settling: SimDuration,
-    /// From the end of sleep until the gyroscope's first sample: 30 ms typical.
-    pub wake_up: SimDuration,
 }
 
 /// Errors of the samples' times against the clock on CLKIN.
@@ -136,10 +129,7 @@ impl SimImuConfig {
             temperature_noise_c: 0.0,
             own_clock: OscillatorConfig::default(),
             internal_ppm: 0.0,
-            lock_range_ppm: 10_000,
             start_up: SimDuration::from_millis(11),
-            pll_settling: SimDuration::from_millis(10),
-            wake_up: SimDuration::from_millis(30),
         }
     }
 

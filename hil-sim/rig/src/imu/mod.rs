@@ -31,7 +31,7 @@
 //! FSYNC, notch and anti-alias filter. Their registers can be written and read;
 //! [`SimImu::unmodelled`]
 //! tells which were given a value that the model ignores. The PLL takes
-//! [`SimImuConfig::pll_settling`] to lock, and a sample clock begins with
+//! `PLL_SETTLING` to lock, and a sample clock begins with
 //! its first whole period after that; in which phase a real sensor begins is not
 //! documented. A changed divider takes effect after the sample under way.
 
@@ -130,7 +130,8 @@ pub struct SimImu {
     /// Clock on the CLKIN pin's wire.
     clock_in: Option<Rate>,
     log: Vec<SampleRecord>,
-    unmodelled: BTreeSet<u8>,
+    /// Registers that were given a value whose effect is not modelled.
+    pub unmodelled: BTreeSet<u8>,
 }
 
 impl SimImu {
@@ -189,12 +190,6 @@ impl SimImu {
     /// The same, taken out.
     pub fn take_log(&mut self) -> Vec<SampleRecord> {
         std::mem::take(&mut self.log)
-    }
-
-    /// Registers that were given a value whose effect is not modelled.
-    #[must_use]
-    pub fn unmodelled(&self) -> &BTreeSet<u8> {
-        &self.unmodelled
     }
 
     /// Its configuration.

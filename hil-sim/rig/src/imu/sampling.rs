@@ -13,6 +13,15 @@ use crate::random::{Random, Seed, Stream};
 use stm32f4_sim::clock::{Clock, Rate};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
+/// Range around 19.2 MHz in which the PLL locks, in ppm. Not documented.
+const LOCK_RANGE_PPM: u32 = 10_000;
+
+/// From a new clock until the PLL has settled: 1 ms typical, 10 ms at most.
+const PLL_SETTLING: SimDuration = SimDuration::from_millis(10);
+
+/// From the end of sleep until the gyroscope's first sample: 30 ms typical.
+const WAKE_UP: SimDuration = SimDuration::from_millis(30);
+
 /// The clock that the sensor's internal samples run on.
 #[derive(Clone, Debug)]
 enum SampleClock {
@@ -183,7 +192,7 @@ impl Sampling {
         let source = measuring.source;
         let reference = match source {
             Source::Reference(nominal) => {
-                clock_in.filter(|rate| locks(*rate, nominal, self.settings.lock_range_ppm))
+                clock_in.filter(|rate| locks(*rate, nominal, LOCK_RANGE_PPM))
             }
             _ => None,
         };
@@ -196,7 +205,7 @@ impl Sampling {
             return;
         }
         self.origin = Some(origin);
-        let ready = (at + self.settings.pll_settling).max(woke + self.settings.wake_up);
+        let ready = (at + PLL_SETTLING).max(woke + WAKE_UP);
         let rate = Rate::hz(path.gyro_hz);
         self.clock = match source {
             Source::Stopped => None,

@@ -206,9 +206,6 @@ pub(super) fn write_video(
         rows: camera.rows,
         row_time_ns: camera.row_time_ns,
         exposure_ns: frames.exposure_ns() as f64,
-        ambient: camera.ambient,
-        amplitude: camera.flash_amplitude,
-        read_noise: camera.read_noise,
         seed: substream(config.seed, Stream::PhoneCamera, u64::MAX).bits(),
         ..RollingShutter::default()
     };
@@ -217,7 +214,7 @@ pub(super) fn write_video(
         width,
         height,
         frame_rate: 1e9 / frames.period_ns(),
-        quality: Quality::RateFactor(camera.rate_factor),
+        quality: Quality::RateFactor(18),
     };
     let mut writer = Mp4Writer::create(path, settings)?;
     let at = |ns| oscillator.when_nanos(ns).unwrap_or(TrueTime::ZERO);

@@ -155,19 +155,9 @@ pub struct CameraConfig {
     /// Shortest and longest time from the start of a recording to its first
     /// frame, milliseconds.
     pub first_frame_ms: (f64, f64),
-    /// From the end of a frame's readout to the app that handles it, milliseconds.
-    pub pipeline_ms: f64,
     /// True if the app gets timestamps of frames at all (its sync recording is
     /// switched on). Without them `video_start` fails after 10 s.
     pub reports_frames: bool,
-    /// Grey level of the scene.
-    pub ambient: f64,
-    /// Grey levels that a whole flash adds to a row.
-    pub flash_amplitude: f64,
-    /// Read noise, grey levels.
-    pub read_noise: f64,
-    /// Constant rate factor of the encoder (x264; 23 is its default).
-    pub rate_factor: u8,
     /// True if a [`ball`](crate::ball) swings before the camera.
     pub ball: bool,
 }
@@ -276,12 +266,7 @@ impl CameraConfig {
             columns: 64,
             timestamp_jitter_ns: 1_000.0,
             first_frame_ms: (250.0, 700.0),
-            pipeline_ms: 40.0,
             reports_frames: true,
-            ambient: 30.0,
-            flash_amplitude: 60.0,
-            read_noise: 1.0,
-            rate_factor: 18,
             ball: false,
         }
     }

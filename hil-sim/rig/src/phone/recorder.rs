@@ -16,18 +16,22 @@ use stm32f4_sim::time::UNITS_PER_SECOND;
 /// (`Preview.java`:5020).
 const PRESS_IGNORED_MS: u64 = 500;
 
+/// From the end of a frame's readout to the app that handles it, nanoseconds.
+const PIPELINE_NS: i64 = 40_000_000;
+
 impl App {
     /// The phase in the app's queue, by the `deadline` at the latest, however late this thread
     /// is. Frame 60 puts it there while the recorder runs; the begin and the end of a recording
     /// empty it (`VideoFrameInfo.java`:87, 145, 222).
     pub(super) fn take_phase(&self, deadline: TrueTime) -> Option<Phase> {
         let camera = &self.config.camera;
-        let pipeline = (camera.pipeline_ms * 1e6).max(0.0) as i64;
         let now = self.oscillator.nanos_at(self.clock.now().min(deadline));
         let mut state = self.state();
         let recording = state.current().filter(|r| !r.phase_taken)?;
         let frames = &recording.truth.frames;
-        let queued = frames.end_ns(frames.phase_frame()).saturating_add(pipeline);
+        let queued = frames
+            .end_ns(frames.phase_frame())
+            .saturating_add(PIPELINE_NS);
         let until = recording.truth.stop_ns.unwrap_or(now);
         if !camera.reports_frames || queued > until.min(now) {
             return None;

@@ -171,11 +171,8 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
 fn the_boards_shortest_pulse_is_long_enough() {
     let mut bench = Bench::new(2, MIN_PULSE_WIDTH, wiring::board());
     bench.run(1_000);
-    assert_eq!(lock(&bench.camera).short_pulses(), 0);
-    assert_eq!(
-        lock(&bench.camera).pulses(),
-        bench.board.pulses.len() as u64
-    );
+    assert_eq!(lock(&bench.camera).short_pulses, 0);
+    assert_eq!(lock(&bench.camera).pulses, bench.board.pulses.len() as u64);
     bench.board.stop();
     let eight_us = train(Period::from_ticks(1_600_000), 8 * 48);
     let refused = bench.board.try_start(eight_us);

@@ -152,7 +152,7 @@ impl Bench {
 impl Drop for Bench {
     fn drop(&mut self) {
         if !std::thread::panicking() {
-            let ignored = lock(&self.sensor).unmodelled().clone();
+            let ignored = lock(&self.sensor).unmodelled.clone();
             assert!(
                 ignored.is_empty(),
                 "the firmware gave registers {ignored:02x?} values that the model ignores"

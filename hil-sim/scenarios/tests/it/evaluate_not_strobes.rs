@@ -138,7 +138,7 @@ fn lamp(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
             start_ns: (k as f64 * turn) as i64,
             duration_ns: (duty * turn) as i64,
         };
-        camera.render_into(start, frame, &pulses.map(pulse).collect::<Vec<_>>(), image);
+        *image = camera.render(start, frame, &pulses.map(pulse).collect::<Vec<_>>());
         if moves > 0.0 {
             pass_by(image, moves * frame as f64);
         }
@@ -197,7 +197,7 @@ fn mains(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
     };
     let name = format!("mains {:?}, texture {:.2}", camera.flicker, camera.texture);
     let paint = |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
-        camera.render_into(start, frame, &[], image);
+        *image = camera.render(start, frame, &[]);
     };
     (name, drawn(draw, rate, camera, paint))
 }
@@ -305,7 +305,7 @@ fn the_rate_of_a_lamp_is_told() {
             duration_ns: (0.5 * turn) as i64,
         };
         let pulses: Vec<Flash> = (first..first + 40).map(pulse).collect();
-        camera.render_into(start, frame, &pulses, image);
+        *image = camera.render(start, frame, &pulses);
     };
     let settings = Settings {
         row_time_us: Some(10.2),
@@ -326,7 +326,7 @@ fn strobes<'a>(
         let centred = |bias: f64| start + (camera.middle_offset_ns() + 1e3 * bias) as i64;
         let flashes = bias_us(frame).map(|bias| FlashTrain::NFOV.centered_at(centred(bias)));
         let flashes: Vec<Flash> = flashes.into_iter().flatten().collect();
-        camera.render_into(start, frame, &flashes, image);
+        *image = camera.render(start, frame, &flashes);
     };
     drawn(&mut Draw(3), rate, camera, paint)
 }

@@ -78,8 +78,8 @@ impl Scene {
     }
 
     pub(crate) fn render(&self, frame: u64, image: &mut GreyImage) {
-        self.camera
-            .render_into(self.start_ns(frame), frame, &self.flashes(frame), image);
+        let camera = &self.camera;
+        *image = camera.render(self.start_ns(frame), frame, &self.flashes(frame));
     }
 
     /// Mean truth of the last `n` frames with flashes, µs.

@@ -177,11 +177,11 @@ fn a_device_reset_forgets_everything() {
 #[test]
 fn ignored_settings_are_named() {
     let mut bench = running(SimImuConfig::ideal(), Gesture::Rest);
-    assert!(bench.model.unmodelled().is_empty());
+    assert!(bench.model.unmodelled.is_empty());
     bench.write(ADDRESS, 0x23, &[0x78]).unwrap(); // FIFO_EN
     bench.write(ADDRESS, GYRO_CONFIG, &[0xe0]).unwrap(); // self-test
     assert_eq!(
-        bench.model.unmodelled().iter().copied().collect::<Vec<_>>(),
+        bench.model.unmodelled.iter().copied().collect::<Vec<_>>(),
         [GYRO_CONFIG, 0x23]
     );
 }

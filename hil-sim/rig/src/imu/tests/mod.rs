@@ -91,7 +91,7 @@ fn registers_have_their_reset_values_and_keep_what_is_written() {
     bench.write(ADDRESS, ACCEL_XOUT_H, &[1]).unwrap();
     assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
     assert_eq!(bench.read(ADDRESS, ACCEL_XOUT_H, 1).unwrap(), [0]);
-    assert!(bench.model.unmodelled().is_empty());
+    assert!(bench.model.unmodelled.is_empty());
 }
 
 #[test]
