@@ -8,10 +8,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use protocol::{
-    AlignPlan, AlignTrigger, ConfigureImu, DeviceToHost, GnssReport, Hello, ImuConfig, ImuSetup,
-    Output, Period, Ping, QueryGnss, QueryImu, QueryTrigger, Refusal, Reply, Request, SayHello,
-    SetPeriod, StartTrigger, StopGnss, StopTrigger, Ticks, TriggerAlign, TriggerStart,
-    TriggerStatus,
+    AlignPlan, AlignTrigger, DeviceToHost, Hello, Output, Period, Ping, Refusal, Reply, Request,
+    SayHello, SetPeriod, StartTrigger, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
 };
 
 use crate::conversation::{Conversation, Event};
@@ -186,24 +184,6 @@ impl Board {
         self.wire.call(command)
     }
 
-    /// State of the camera's trigger.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn trigger(&mut self) -> Result<TriggerStatus> {
-        self.output(Output::Camera)
-    }
-
-    /// State of a trigger output.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn output(&mut self, output: Output) -> Result<TriggerStatus> {
-        self.call(QueryTrigger(output))
-    }
-
     /// Starts a train.
     ///
     /// # Errors
@@ -211,15 +191,6 @@ impl Board {
     /// As [`Board::call`].
     pub fn start_trigger(&mut self, output: Output, start: TriggerStart) -> Result<TriggerStatus> {
         self.call(StartTrigger { output, start })
-    }
-
-    /// Stops a train.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn stop_trigger(&mut self, output: Output) -> Result<TriggerStatus> {
-        self.call(StopTrigger(output))
     }
 
     /// Changes the period from the next edge on.
@@ -238,42 +209,6 @@ impl Board {
     /// As [`Board::call`].
     pub fn align(&mut self, output: Output, to: TriggerAlign) -> Result<AlignPlan> {
         self.call(AlignTrigger { output, to })
-    }
-
-    /// The pulse per second.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn gnss(&mut self) -> Result<GnssReport> {
-        self.call(QueryGnss)
-    }
-
-    /// Stops the pulse per second.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn stop_gnss(&mut self) -> Result<GnssReport> {
-        self.call(StopGnss)
-    }
-
-    /// The IMU's setup and state.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn imu(&mut self) -> Result<ImuSetup> {
-        self.call(QueryImu)
-    }
-
-    /// Sets the IMU up.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn configure_imu(&mut self, config: ImuConfig) -> Result<ImuSetup> {
-        self.call(ConfigureImu(config))
     }
 
     /// One round trip: the board's time when it took the ping, and how long the

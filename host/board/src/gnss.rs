@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use protocol::{Baud, GnssReport, GnssSettings, Sentences, StartGnss, TICK_HZ, Ticks};
+use protocol::{Baud, GnssReport, GnssSettings, QueryGnss, Sentences, StartGnss, TICK_HZ, Ticks};
 
 use crate::{Board, Result};
 
@@ -84,7 +84,7 @@ fn utc_by(wall: Duration, ticks: Ticks, round_trip: Duration) -> i64 {
 /// The board does not answer or refuses: among others, because it runs with other
 /// settings or another epoch.
 pub fn start(board: &mut Board, settings: GnssSettings) -> Result<GnssReport> {
-    let running = board.gnss()?.settings;
+    let running = board.call(QueryGnss)?.settings;
     board.call(StartGnss(with_running_epoch(running, settings)))
 }
 

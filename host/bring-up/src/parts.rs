@@ -9,7 +9,8 @@ use board::{Board, BoardError, Event, Stream};
 use protocol::pins::pin_of;
 use protocol::{
     BoardSettings, CORE_HZ, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, QueryBoard,
-    SendFiller, SetBoard, TICK_HZ, TickDelta, TrainState, TriggerAlign, TriggerStart,
+    QueryGnss, QueryTrigger, SendFiller, SetBoard, StopGnss, StopTrigger, TICK_HZ, TickDelta,
+    TrainState, TriggerAlign, TriggerStart,
 };
 
 use recording::finding::{Finding, Severity};
@@ -69,12 +70,12 @@ pub(crate) struct Session<'a> {
 
 impl<'a> Session<'a> {
     pub(crate) fn new(board: &'a mut Board, operator: Operator<'a>) -> Result<Self, BringUpError> {
-        let mut running = board.trigger()?.state != TrainState::Stopped;
+        let mut running = board.call(QueryTrigger(Output::Camera))?.state != TrainState::Stopped;
         if board.hello().board.has_outputs() {
             for output in Output::AUXILIARY {
-                running |= board.output(output)?.state != TrainState::Stopped;
+                running |= board.call(QueryTrigger(output))?.state != TrainState::Stopped;
             }
-            running |= board.gnss()?.status.state != TrainState::Stopped;
+            running |= board.call(QueryGnss)?.status.state != TrainState::Stopped;
         }
         if running {
             return Err(BringUpError::InUse);
@@ -203,12 +204,12 @@ impl<'a> Session<'a> {
     }
 
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
-        self.board.stop_trigger(Output::Camera)?;
+        self.board.call(StopTrigger(Output::Camera))?;
         if self.board.hello().board.has_outputs() {
             for output in Output::AUXILIARY {
-                self.board.stop_trigger(output)?;
+                self.board.call(StopTrigger(output))?;
             }
-            self.board.stop_gnss()?;
+            self.board.call(StopGnss)?;
         }
         self.fill(false)
     }
@@ -251,7 +252,7 @@ impl<'a> Session<'a> {
 
     /// Stops a train and hears the rest of its messages.
     fn stop(&mut self, output: Output) -> Result<Heard, BringUpError> {
-        self.board.stop_trigger(output)?;
+        self.board.call(StopTrigger(output))?;
         self.hear(millis(300))
     }
 

@@ -33,12 +33,10 @@ pub struct ExtractReport {
     /// The format.
     pub format: Format,
     /// What is done in it, if the rig profile says it.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
     /// The board.
     pub board: BoardReport,
     /// Name in the rig profile of the phone that the trigger was aligned to.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<String>,
     /// The phone, if its files are there; of several the reference.
     pub phone: Option<PhoneReport>,
@@ -147,7 +145,6 @@ pub struct ClockReport {
     /// The windows.
     pub course: Vec<WindowResult>,
     /// Exchanges with the clocks of phone and board, if it was followed while it recorded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub exchanges: Option<usize>,
 }
 

@@ -38,26 +38,16 @@ pub struct Finding {
     /// What was found; of several the first.
     pub text: String,
     /// What to do about it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next_step: Option<String>,
     /// Board time of the first, where it has one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at: Option<Ticks>,
     /// How often it was found.
-    #[serde(default = "once", skip_serializing_if = "is_once")]
+    #[serde(default = "once")]
     pub count: u64,
 }
 
 const fn once() -> u64 {
     1
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-const fn is_once(count: &u64) -> bool {
-    *count == 1
 }
 
 impl Finding {

@@ -142,8 +142,7 @@ pub struct ImuFlags {
 
 impl RosMessage for ImuFlags {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/ImuFlags";
-    const DEFINITION: &'static str =
-        "std_msgs/Header header\nbool late\nbool saturated\nbool first\nbool after_loss\n";
+    const DEFINITION: &'static str = include_str!("../ros/smartdepthsync_msgs/msg/ImuFlags.msg");
 }
 
 /// `sensor_msgs/msg/Temperature`.
@@ -269,8 +268,7 @@ pub struct Pulse {
 
 impl RosMessage for Pulse {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/Pulse";
-    const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 train\n\
-        uint64 number\nbool aligned\nbool readback\nint32 readback_ticks\n";
+    const DEFINITION: &'static str = include_str!("../ros/smartdepthsync_msgs/msg/Pulse.msg");
 }
 
 /// `smartdepthsync_msgs/msg/Capture`: an edge on a capture input.
@@ -290,8 +288,7 @@ pub struct Capture {
 
 impl RosMessage for Capture {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/Capture";
-    const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nstring channel\n\
-        bool rising\nbool after_loss\n";
+    const DEFINITION: &'static str = include_str!("../ros/smartdepthsync_msgs/msg/Capture.msg");
 }
 
 /// `smartdepthsync_msgs/msg/ClockModel`: phone time as a function of board time,
@@ -316,8 +313,7 @@ pub struct ClockModel {
 
 impl RosMessage for ClockModel {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/ClockModel";
-    const DEFINITION: &'static str = "std_msgs/Header header\nfloat64 reference_s\n\
-        float64 offset_s\nfloat64 skew\nfloat64[4] covariance\nfloat64 wander\nstring source\n";
+    const DEFINITION: &'static str = include_str!("../ros/smartdepthsync_msgs/msg/ClockModel.msg");
 }
 
 /// `smartdepthsync_msgs/msg/ClockExchange`: a clock was asked for its time.
@@ -339,8 +335,8 @@ pub struct ClockExchange {
 
 impl RosMessage for ClockExchange {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/ClockExchange";
-    const DEFINITION: &'static str = "std_msgs/Header header\nint64 sent_ns\n\
-        int64 received_ns\nint64 clock_ns\nint64 monotonic_ns\nfloat64 temperature\n";
+    const DEFINITION: &'static str =
+        include_str!("../ros/smartdepthsync_msgs/msg/ClockExchange.msg");
 }
 
 /// `smartdepthsync_msgs/msg/TriggerPeriod`: the trigger has another period from an edge on,
@@ -363,8 +359,8 @@ pub struct TriggerPeriod {
 
 impl RosMessage for TriggerPeriod {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/TriggerPeriod";
-    const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 fraction\n\
-        uint64 period_q32\nfloat64 phase_us\nfloat64 phase_sigma_us\n";
+    const DEFINITION: &'static str =
+        include_str!("../ros/smartdepthsync_msgs/msg/TriggerPeriod.msg");
 }
 
 /// `smartdepthsync_msgs/msg/LinkFrame`: one frame of the link as it came.
@@ -378,7 +374,7 @@ pub struct LinkFrame {
 
 impl RosMessage for LinkFrame {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/LinkFrame";
-    const DEFINITION: &'static str = "std_msgs/Header header\nuint8[] data\n";
+    const DEFINITION: &'static str = include_str!("../ros/smartdepthsync_msgs/msg/LinkFrame.msg");
 }
 
 /// The encapsulation header of little-endian CDR.

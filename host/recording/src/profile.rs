@@ -38,14 +38,11 @@ pub struct Profile {
     /// What the rig is called.
     pub name: String,
     /// What is done in the recordings, in a sentence: the task of training data.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
     /// The board's serial port; else that of the one board that is plugged in.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
     /// Name of the phone that the trigger is aligned to. Reading a profile puts
     /// that phone into `phone`; without this it is `[phone]`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<String>,
     /// The phone; of several the one that the trigger is aligned to.
     pub phone: Phone,
@@ -64,7 +61,6 @@ pub struct Profile {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<TriggerOutput>,
     /// The lidar, if there is one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lidar: Option<Lidar>,
 }
 
@@ -150,7 +146,6 @@ pub struct Phone {
     /// Rows of the video.
     pub rows: u32,
     /// The row that is synchronised, from 0; the middle if not given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub middle_row: Option<f64>,
     /// Delay of the gyroscope's filter, µs.
     pub gyro_delay_us: f64,
@@ -162,13 +157,11 @@ pub struct Phone {
     /// Length of a twist, s.
     pub twist_s: u32,
     /// From the frame of the board's IMU to that of the phone's camera, m.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from_imu: Option<Pose>,
     /// Intrinsics of its camera, one for each size of its images.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Intrinsics>,
     /// What was learnt about it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learnt: Option<Learnt>,
 }
 
@@ -217,27 +210,20 @@ pub struct Learnt {
     /// 1-sigma of it, ns.
     pub frame_period_sigma_ns: f64,
     /// 1-sigma of the timestamps of single frames, ns.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame_jitter_ns: Option<f64>,
     /// Exposure of the recording that taught it, µs.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure_us: Option<f64>,
     /// Rate of the phone's clock against the board's, minus one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew: Option<f64>,
     /// 1-sigma of it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_sigma: Option<f64>,
     /// The day.
     pub learnt: Date,
     /// The time, where it is known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<Timestamp>,
     /// Temperature of the board's IMU then, °C.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_temperature_c: Option<f64>,
     /// The board whose clock the skew is against.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_id: Option<String>,
 }
 
@@ -259,10 +245,8 @@ pub struct Depth {
     /// Length of the trigger pulse, µs.
     pub pulse_width_us: f64,
     /// Exposure of its colour images, µs, where it records them and that is known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color_exposure_us: Option<f64>,
     /// From the frame of the board's IMU to that of the depth camera's colour camera, m.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color_from_imu: Option<Pose>,
     /// The program that records it.
     pub recorder: Recorder,
@@ -335,15 +319,10 @@ pub struct FrameSync {
     /// 1-sigma of it, µs.
     pub bias_sigma_us: f64,
     /// When it was measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bias_measured: Option<Date>,
     /// By how much earlier than that the trigger is put on purpose, µs (`record --shift`).
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     pub shift_us: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 fn unknown_phone(key: &'static str, name: &str) -> ProfileError {

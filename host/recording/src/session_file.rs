@@ -58,7 +58,6 @@ pub struct SessionFile {
     /// How the trigger was aligned.
     pub alignment: Option<Alignment>,
     /// How the phone's clock was followed while it recorded; nothing if it was not.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tracking: Option<TrackInfo>,
     /// The recorded span of board time: from the arrival of the trigger on the
     /// phone's frames to the stop.
@@ -107,8 +106,8 @@ pub struct BoardInfo {
     pub id: String,
     /// Version of the firmware.
     pub firmware: String,
-    /// Git revision of the firmware.
-    pub git_revision: String,
+    /// Git revision of the firmware, if it was built from one.
+    pub git_revision: Option<String>,
     /// Built from changed files.
     pub git_dirty: bool,
     /// Which board it is.
@@ -131,7 +130,7 @@ impl BoardInfo {
         Self {
             id: serial_number(&hello.board_id).to_string(),
             firmware: format!("{major}.{minor}.{patch}"),
-            git_revision: hello.git_revision.to_string(),
+            git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
             git_dirty: hello.git_dirty,
             model: hello.board,
             protocol: hello.protocol_version,
@@ -168,7 +167,6 @@ pub struct PhoneRecord {
     /// What it answered when its video began.
     pub video: Option<Video>,
     /// Where its frames lie against the trigger's grid, if that follows another phone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
 }
 
@@ -218,7 +216,6 @@ pub struct Twist {
     /// 1-sigma of the skew, ppm.
     pub skew_sigma_ppm: Option<f64>,
     /// Temperature of the board's IMU at its end, °C.
-    #[serde(default)]
     pub board_temperature_c: Option<f64>,
     /// The full report of the estimate (gates, faults, residuals).
     pub report: serde_json::Value,
@@ -290,10 +287,8 @@ pub struct Alignment {
     pub shift_us: f64,
     /// 1-sigma of the constant between the two exposures, µs
     /// ([`Profile::constant_sigma_us`]).
-    #[serde(default)]
     pub constant_sigma_us: Option<f64>,
     /// The largest part of that.
-    #[serde(default)]
     pub constant_part: Option<ErrorPart>,
     /// Whether that is of a measured bias, and not of what was assumed.
     #[serde(default)]
@@ -303,7 +298,6 @@ pub struct Alignment {
     /// 1-sigma of it, ns, where it is known.
     pub frame_period_sigma_ns: Option<f64>,
     /// 1-sigma of the timestamps of frames that was assumed, ns.
-    #[serde(default)]
     pub frame_jitter_ns: Option<f64>,
     /// Where the frame period comes from: `learnt` or `video_start`.
     pub frame_period_source: FramePeriodSource,
@@ -313,7 +307,6 @@ pub struct Alignment {
     #[serde(default)]
     pub change: RateChange,
     /// Temperature of the board's IMU at the last twist, °C.
-    #[serde(default)]
     pub board_temperature_c: Option<f64>,
     /// An edge of the grid.
     pub anchor: Ticks,

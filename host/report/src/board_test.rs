@@ -1,10 +1,10 @@
 //! The report of a board test.
 
-use board::reset_cause;
 use bring_up::Report;
 use serde_json::json;
 
 use crate::page::Page;
+use crate::session::board_fact;
 use crate::summary::Summary;
 use recording::finding::{Finding, Severity};
 
@@ -40,20 +40,12 @@ pub fn summary(report: &Report) -> Summary {
             ..finding.clone()
         }
     });
-    let board = &report.board;
-    let changed = if board.git_dirty { "+" } else { "" };
-    let revision = format!("{}{changed}", board.git_revision);
     Summary {
         title: String::from("Board test"),
         severity,
         text,
         parts: parts.collect(),
-        facts: vec![
-            ("board", board.id.clone()),
-            ("firmware", board.firmware.clone()),
-            ("revision", revision),
-            ("last reset", reset_cause(board.reset_cause).to_owned()),
-        ],
+        facts: vec![("board", board_fact(&report.board))],
     }
 }
 

@@ -18,13 +18,13 @@ use self::curves::Curves;
 use crate::REPORT_FILE;
 use crate::page::Page;
 use crate::summary::Facts;
-use board::StreamCount;
+use board::{StreamCount, reset_cause};
 use judgement::findings;
 pub(crate) use judgement::sentence;
 pub use judgement::{files_to_fetch, has_recorded, summary};
 use recording::RecordingError;
 use recording::finding::{Finding, Severity};
-use recording::session_file::{PhoneRecord, SessionFile, Span};
+use recording::session_file::{BoardInfo, PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;
 
 /// The most findings and marks that are listed one by one.
@@ -167,6 +167,15 @@ fn findings_of(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
     }
 }
 
+/// Which board it is, with which firmware, and why it last reset.
+pub(crate) fn board_fact(board: &BoardInfo) -> String {
+    let (id, firmware) = (&board.id, &board.firmware);
+    let revision = board.git_revision.as_deref().unwrap_or("unknown revision");
+    let changed = if board.git_dirty { ", changed" } else { "" };
+    let reset = reset_cause(board.reset_cause);
+    format!("{id}, firmware {firmware} ({revision}{changed}), last reset: {reset}")
+}
+
 /// What matters most of a session, in figures.
 fn facts(session: &SessionFile) -> Facts {
     let mut facts = vec![("begun", session.started.clone())];
@@ -175,11 +184,7 @@ fn facts(session: &SessionFile) -> Facts {
         facts.push(("length", length));
     }
     if let Some(board) = &session.board {
-        let changed = if board.git_dirty { ", changed" } else { "" };
-        let (id, firmware, revision) = (&board.id, &board.firmware, &board.git_revision);
-        let reset = board.reset_cause;
-        let board = format!("{id}, firmware {firmware} ({revision}{changed}), reset by {reset:?}");
-        facts.push(("board", board));
+        facts.push(("board", board_fact(board)));
     }
     let phones = session.phones.iter();
     facts.extend(phones.map(|phone| ("phone", phone_fact(phone))));

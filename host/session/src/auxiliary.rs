@@ -5,9 +5,12 @@
 //! of the train's period, a fixed delay after a pulse of it; place and period are
 //! exact to 2⁻³² ticks, so it stays on that pulse for ever.
 
+use board::BoardError;
 use board::gnss::{self, parse_baud};
-use board::{Board, BoardError};
-use protocol::{Output, Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus};
+use protocol::{
+    Output, Period, QueryTrigger, Refusal, StopGnss, StopTrigger, TICK_HZ, Ticks, TrainState,
+    TriggerStart, TriggerStatus,
+};
 use recording::profile::{Lidar, TriggerOutput};
 
 use crate::error::{SessionError, Stop};
@@ -49,12 +52,12 @@ pub(crate) fn stop(session: &mut Session<'_>) -> Result<(), Stop> {
     let mut result = Ok(());
     for sensor in &profile.outputs {
         if let Some(output) = Output::from_number(sensor.output) {
-            let stopped = session.call(|board| board.stop_trigger(output));
+            let stopped = session.call(|board| board.call(StopTrigger(output)));
             result = result.and(stopped.map(drop));
         }
     }
     if profile.lidar.is_some() {
-        result = result.and(session.call(Board::stop_gnss).map(drop));
+        result = result.and(session.call(|board| board.call(StopGnss)).map(drop));
     }
     result
 }
@@ -65,14 +68,14 @@ fn start_output(session: &mut Session<'_>, sensor: &TriggerOutput) -> Result<(),
         every: sensor.every,
     };
     let output = Output::from_number(sensor.output).ok_or_else(too_slow)?;
-    let status = session.call(|board| board.output(output))?;
+    let status = session.call(|board| board.call(QueryTrigger(output)))?;
     if status.state != TrainState::Stopped {
-        session.call(|board| board.stop_trigger(output))?;
+        session.call(|board| board.call(StopTrigger(output)))?;
     }
     // A rig that runs faster than time, or a slow link, may have gone past the
     // first pulse when the command arrives: then once more, from farther ahead.
     for attempt in 0..ATTEMPTS {
-        let camera = session.call(Board::trigger)?;
+        let camera = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
         let start = joined(sensor, &camera, LEAD << attempt).ok_or_else(too_slow)?;
         let started = session.call(|board| match board.start_trigger(output, start) {
             Err(BoardError::Refused {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use protocol::Output;
+use protocol::{Output, StopTrigger};
 
 use crate::auxiliary;
 use crate::error::{SessionError, Stop};
@@ -74,7 +74,7 @@ fn stop_devices(session: &mut Session<'_>) {
         if let Err(Stop::Failed(error)) = auxiliary::stop(session) {
             not_stopped(&mut session.log, Device::Output, &error);
         }
-        let stopped = session.call(|board| board.stop_trigger(Output::Camera));
+        let stopped = session.call(|board| board.call(StopTrigger(Output::Camera)));
         if let Err(Stop::Failed(error)) = stopped {
             not_stopped(&mut session.log, Device::Trigger, &error);
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use board::Board;
 use board::imu::Scale;
-use protocol::Ticks;
+use protocol::{ConfigureImu, QueryImu, Ticks};
 use recording::folder;
 use recording::profile::Profile;
 use recording::session_file::{BoardInfo, ImuInfo, SessionFile};
@@ -142,9 +142,9 @@ fn reach(
         None => Board::connect(link)?,
     };
     let wanted = profile.imu_config()?;
-    let mut setup = board.imu()?;
+    let mut setup = board.call(QueryImu)?;
     if setup.config != wanted {
-        setup = board.configure_imu(wanted)?;
+        setup = board.call(ConfigureImu(wanted))?;
     }
     let scale = Scale::of(&setup).ok_or(SessionError::NoScale)?;
     has_addresses(profile)?;

@@ -164,30 +164,6 @@ pub trait Operator {
     fn interrupted(&self) -> bool;
 }
 
-/// Nobody: nothing is asked, marked or interrupted.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Nobody;
-
-impl Operator for Nobody {
-    fn is_present(&self) -> bool {
-        false
-    }
-
-    fn forget_typed(&mut self) {}
-
-    fn answer(&mut self) -> Option<Choice> {
-        None
-    }
-
-    fn wish(&mut self) -> Option<Wish> {
-        None
-    }
-
-    fn interrupted(&self) -> bool {
-        false
-    }
-}
-
 /// No depth recorder: the camera is recorded by hand, or not at all.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoRecorder;
@@ -204,18 +180,4 @@ impl DepthRecorder for NoRecorder {
     fn ask_to_stop(&mut self) {}
 
     fn kill(&mut self) {}
-}
-
-/// No clock of a phone can be read while it records.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct NoPhoneClock;
-
-impl PhoneClockStarter for NoPhoneClock {
-    fn is_possible(&self) -> bool {
-        false
-    }
-
-    fn start(&mut self) -> Result<Box<dyn PhoneClock>, PhoneError> {
-        Err(PhoneError::NotConnected)
-    }
 }

@@ -1,10 +1,9 @@
 //! The steps of a session, from the checks to the end of the recording.
 
-use board::Board;
 use board::imu::{ImuLook, Scale};
 use protocol::{
-    AlignPlan, Output, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart,
-    TriggerStatus,
+    AlignPlan, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks, TrainState,
+    TriggerAlign, TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 use timebase::ClockModel;
@@ -84,7 +83,7 @@ fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
         let looked = session.pump_for(IMU_TIME);
         let look = session.monitors.look.take().unwrap_or_default();
         looked?;
-        Ok::<_, Stop>((look, session.call(Board::imu)?))
+        Ok::<_, Stop>((look, session.call(|board| board.call(QueryImu))?))
     })?;
     // The sensor is known now, also if it was still being looked for before.
     if let Some(scale) = Scale::of(&setup) {
@@ -102,7 +101,7 @@ fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
 fn check_readback(session: &mut Session<'_>) -> Result<(), Stop> {
     session.pump_for(TRIGGER_TIME)?;
     let mut checks = Checks::default();
-    checks.readback(&session.call(Board::trigger)?);
+    checks.readback(&session.call(|board| board.call(QueryTrigger(Output::Camera)))?);
     keep(&mut session.log, checks)
 }
 
@@ -133,9 +132,9 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
         }
         _ => nominal,
     };
-    let status = session.call(Board::trigger)?;
+    let status = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
     if status.state != TrainState::Stopped {
-        session.call(|board| board.stop_trigger(Output::Camera))?;
+        session.call(|board| board.call(StopTrigger(Output::Camera)))?;
     }
     session.trigger_started = true;
     let start = TriggerStart {
@@ -230,7 +229,7 @@ fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(
     if is_confirmed {
         return session.log.save();
     }
-    let status = session.call(Board::trigger)?;
+    let status = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
     if planned.has_come(&status) {
         return session.log.report(SessionEvent::ArrivalUnconfirmed);
     }

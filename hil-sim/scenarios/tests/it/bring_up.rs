@@ -9,8 +9,8 @@ use ::session::devices::Connector;
 use board::Board;
 use board::transport::{Link, LinkError};
 use protocol::{
-    BoardSettings, Failure, MIN_PULSE_WIDTH, Output, Period, QueryBoard, SELF_TEST_KEY, SelfTest,
-    SetBoard, TrainState, TriggerStart,
+    BoardSettings, Failure, MIN_PULSE_WIDTH, Output, Period, QueryBoard, QueryTrigger,
+    SELF_TEST_KEY, SelfTest, SetBoard, TrainState, TriggerStart,
 };
 use recording::finding::Severity;
 use rig::imu::Fault;
@@ -421,7 +421,8 @@ fn a_board_in_use_is_left_alone() {
     bench.board.start_trigger(Output::Camera, start).unwrap();
     let refused = bench.measure(&Part::ALL);
     assert!(matches!(refused, Err(BringUpError::InUse)), "{refused:?}");
-    assert_eq!(bench.board.trigger().unwrap().state, TrainState::Running);
+    let status = bench.board.call(QueryTrigger(Output::Camera)).unwrap();
+    assert_eq!(status.state, TrainState::Running);
 }
 
 /// Slower than the gap between two pulses leaves it, though no edge comes late by it.

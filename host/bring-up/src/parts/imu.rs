@@ -2,7 +2,8 @@
 
 use board::imu::{Scale, Summary, last_fault};
 use protocol::{
-    ImuClock, ImuModel, ImuSetup, ImuState, ImuStatus, MIN_PULSE_WIDTH, Output, Status, TickDelta,
+    ImuClock, ImuModel, ImuSetup, ImuState, ImuStatus, MIN_PULSE_WIDTH, Output, QueryImu, Status,
+    TickDelta,
 };
 
 use super::{HANDS_TIME, PERIOD, Session};
@@ -18,7 +19,7 @@ const IMU_BACK_TRIES: u32 = 5;
 
 impl Session<'_> {
     pub(super) fn imu(&mut self) -> Result<(), BringUpError> {
-        let setup = self.board.imu()?;
+        let setup = self.board.call(QueryImu)?;
         let scale = Scale::of(&setup);
         let running = setup.status.state == ImuState::Running;
         let Some(scale) = scale.filter(|_| running) else {
@@ -36,7 +37,7 @@ impl Session<'_> {
             return Ok(());
         };
         let heard = self.hear(millis(10_000))?;
-        let after = self.board.imu()?;
+        let after = self.board.call(QueryImu)?;
         self.data_ready(&scale, &setup, &after, &heard);
         let has_clock = after.status.clock == ImuClock::External;
         if has_clock {

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use board::imu::Scale;
 use protocol::{
-    CORE_HZ, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, Status, TickDelta,
+    CORE_HZ, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, QueryImu, Status,
+    TickDelta,
 };
 use twist_sync::robust::median;
 
@@ -168,7 +169,7 @@ impl Session<'_> {
     pub(super) fn clock(&mut self, length: Duration) -> Result<(), BringUpError> {
         const REASON: &str =
             "the board does not run on its crystal, or the computer's clock is off";
-        let scale = Scale::of(&self.board.imu()?);
+        let scale = Scale::of(&self.board.call(QueryImu)?);
         let (mut temperature, mut die, mut supply, mut best) = (None, None, None, Vec::new());
         let begun = self.board.now();
         while self.board.now().saturating_sub(begun) < length {

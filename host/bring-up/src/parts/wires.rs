@@ -3,8 +3,8 @@
 
 use protocol::pins::pin_of;
 use protocol::{
-    Baud, GnssSettings, MIN_PULSE_WIDTH, NMEA_SLACK_MS, Output, Pps, Sentences, StartGnss, TICK_HZ,
-    TickDelta, TrainState,
+    Baud, GnssSettings, MIN_PULSE_WIDTH, NMEA_SLACK_MS, Output, Pps, QueryGnss, Sentences,
+    StartGnss, StopGnss, TICK_HZ, TickDelta, TrainState,
 };
 
 use super::{PERIOD, Session};
@@ -88,8 +88,8 @@ impl Session<'_> {
                 self.skip(inverted, "high when idle, as at PC12 itself", GATE);
             }
         }
-        self.board.stop_gnss()?;
-        while self.board.gnss()?.status.state != TrainState::Stopped {
+        self.board.call(StopGnss)?;
+        while self.board.call(QueryGnss)?.status.state != TrainState::Stopped {
             self.hear(millis(100))?;
         }
         Ok(())

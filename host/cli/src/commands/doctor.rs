@@ -4,7 +4,10 @@
 use std::path::Path;
 use std::time::Duration;
 
-use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
+use protocol::{
+    DeviceToHost, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, TrainState,
+    TriggerStart,
+};
 
 use crate::advice::at_phone;
 use crate::checks;
@@ -156,7 +159,7 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
     board.start_counting();
     checks.look_at_imu(|| {
         let mut look = ImuLook::default();
-        let scale = Scale::of(&board.imu()?);
+        let scale = Scale::of(&board.call(QueryImu)?);
         listen_for(board, context, IMU_TIME, |event| match (event, &scale) {
             (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
                 look.add(&scale.apply(sample));
@@ -164,7 +167,7 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
             (Event::Lost { .. }, _) => look.gap(),
             _ => {}
         })?;
-        Ok::<_, Failure>((look, board.imu()?))
+        Ok::<_, Failure>((look, board.call(QueryImu)?))
     })?;
     let link = board.conversation();
     checks.link(link.counts().lost(), link.damaged_frames());
@@ -180,7 +183,7 @@ fn check_trigger(
     checks: &mut Checks,
     context: &Context,
 ) -> Result<(), Failure> {
-    let before = board.trigger()?;
+    let before = board.call(QueryTrigger(Output::Camera))?;
     let after = if before.state == TrainState::Stopped && !args.no_trigger {
         let published = Profile::published()?;
         let profile = profile.unwrap_or(&published);
@@ -192,7 +195,7 @@ fn check_trigger(
         };
         board.start_trigger(Output::Camera, start)?;
         let listened = listen_for(board, context, TRIGGER_TIME, |_| {});
-        let after = board.stop_trigger(Output::Camera)?;
+        let after = board.call(StopTrigger(Output::Camera))?;
         listened?;
         after
     } else {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use protocol::{DeviceToHost, TICK_HZ, Ticks};
+use protocol::{DeviceToHost, QueryImu, TICK_HZ, Ticks};
 use serde::Serialize;
 
 use crate::advice::imu_scale;
@@ -68,7 +68,7 @@ struct PrintedState<'a> {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let (profile, _) = args.profile.load()?;
     let mut board = args.port.open_of(Some(&profile))?;
-    let scale = imu_scale(&board.imu()?)?;
+    let scale = imu_scale(&board.call(QueryImu)?)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let state = SharedState::new(State::of_board(id.clone(), Some(&profile)).into());
     let wants_screen = !args.plain && !context.global.json;

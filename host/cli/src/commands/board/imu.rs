@@ -1,7 +1,7 @@
 //! `smartdepthsync board imu`: stream the board's IMU and judge it.
 
 use indicatif::ProgressBar;
-use protocol::{DeviceToHost, ImuClock, ImuSensor, TICK_HZ};
+use protocol::{DeviceToHost, ImuClock, ImuSensor, QueryImu, TICK_HZ};
 use serde::Serialize;
 
 use crate::advice::imu_scale;
@@ -46,11 +46,11 @@ struct PrintedImu {
 /// The board cannot be reached, or its IMU gives nothing.
 pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
     let mut board = port.open()?;
-    let scale = imu_scale(&board.imu()?)?;
+    let scale = imu_scale(&board.call(QueryImu)?)?;
     let mut summary = Summary::default();
     let streamed = stream(args, &mut board, context, &scale, &mut summary)?;
     // The clock is only known once samples have come.
-    let setup = board.imu()?;
+    let setup = board.call(QueryImu)?;
     let report = PrintedImu {
         sensor: setup.sensor,
         clock: setup.status.clock,
@@ -118,7 +118,7 @@ fn stream(
 }
 
 fn no_samples(board: &mut Board) -> Failure {
-    let setup = match board.imu() {
+    let setup = match board.call(QueryImu) {
         Ok(setup) => setup,
         Err(error) => return error.into(),
     };

@@ -1,6 +1,6 @@
 //! `smartdepthsync board info`: who the board is.
 
-use protocol::{BoardSettings, ImuSetup, QueryBoard};
+use protocol::{BoardSettings, ImuSetup, QueryBoard, QueryImu};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -37,7 +37,7 @@ struct PrintedInfo {
 pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
     let mut board = port.open()?;
     let (_, round_trip) = board.ping()?;
-    let imu = board.imu()?;
+    let imu = board.call(QueryImu)?;
     let settings = board.call(QueryBoard)?;
     let hello = board.hello();
     context.show(&PrintedInfo {

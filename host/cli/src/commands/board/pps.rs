@@ -1,7 +1,7 @@
 //! `smartdepthsync board pps`: pulse per second and NMEA sentences for a lidar.
 
 use clap::Subcommand;
-use protocol::{Baud, TICK_HZ};
+use protocol::{Baud, QueryGnss, StopGnss, TICK_HZ};
 
 use crate::context::Context;
 use crate::options::PortArg;
@@ -73,8 +73,8 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
             let settings = gnss::settings(utc_at_zero, baud, idle_high, zda);
             gnss::start(&mut board, settings)?
         }
-        Action::Stop => board.stop_gnss()?,
-        Action::Status => board.gnss()?,
+        Action::Stop => board.call(StopGnss)?,
+        Action::Status => board.call(QueryGnss)?,
     };
     context.show(&report)?;
     let status = report.status;

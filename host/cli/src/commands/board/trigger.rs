@@ -2,7 +2,8 @@
 
 use clap::Subcommand;
 use protocol::{
-    Output, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
+    Output, Period, QueryTrigger, Readback, StopTrigger, TICK_HZ, Ticks, TrainState, TriggerAlign,
+    TriggerStart, TriggerStatus,
 };
 use serde::Serialize;
 
@@ -123,7 +124,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         } => {
             let period = match period.given() {
                 Some(period) => period,
-                None => board.output(output)?.period,
+                None => board.call(QueryTrigger(output))?.period,
             };
             let to = TriggerAlign {
                 anchor: Ticks(anchor),
@@ -136,10 +137,10 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         }
         Action::Period { period } => match period.given() {
             Some(period) => board.set_period(output, period)?,
-            None => board.output(output)?,
+            None => board.call(QueryTrigger(output))?,
         },
-        Action::Stop => board.stop_trigger(output)?,
-        Action::Status => board.output(output)?,
+        Action::Stop => board.call(StopTrigger(output))?,
+        Action::Status => board.call(QueryTrigger(output))?,
     };
     context.show(&Train::new(output, &status))?;
     let lossy = status.late > 0 || status.readback.missing > 0;
