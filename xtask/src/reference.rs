@@ -201,16 +201,10 @@ impl<'a> Page<'a> {
     /// The type that a file means by a name: its own, that of its crate, or the only one.
     fn find(&self, name: &str, from: &Path) -> Result<Option<&'a Declared>> {
         let all = self.types.get(name).map_or(&[][..], Vec::as_slice);
-        let crate_of = |file: &Path| {
-            let folders = file.ancestors();
-            let mut above = folders.skip_while(|it| !it.ends_with("src"));
-            above.next().map(Path::to_owned)
-        };
+        let source = from.ancestors().find(|it| it.ends_with("src"));
         let found = all.iter().find(|it| it.file == from);
-        let found = found.or_else(|| {
-            let mut all = all.iter();
-            all.find(|it| crate_of(&it.file) == crate_of(from))
-        });
+        let found = found
+            .or_else(|| (all.iter()).find(|it| source.is_some_and(|at| it.file.starts_with(at))));
         match (found, all) {
             (Some(found), _) | (None, [found]) => Ok(Some(found)),
             _ => {
@@ -233,21 +227,18 @@ impl<'a> Page<'a> {
             }
             Item::Enum(item) => {
                 let rule = serde(&item.attrs, "rename_all");
-                let (head, line) = if self.is_wire {
-                    ("| number ", "|---")
+                if self.is_wire {
+                    out += "| number | word | with | meaning |\n|---|---|---|---|\n";
                 } else {
-                    ("", "")
-                };
-                let _ = writeln!(out, "{head}| word | with | meaning |\n{line}|---|---|---|");
+                    out += "| word | with | meaning |\n|---|---|---|\n";
+                }
                 for (number, variant) in item.variants.iter().enumerate() {
-                    let mut parts = Vec::new();
-                    for field in &variant.fields {
+                    let parts = variant.fields.iter().map(|field| {
                         let kind = self.type_text(&field.ty, &it.file);
-                        parts.push(match &field.ident {
-                            Some(name) => format!("`{name}`: {kind}"),
-                            None => kind,
-                        });
-                    }
+                        let name = field.ident.as_ref();
+                        name.map_or(kind.clone(), |name| format!("`{name}`: {kind}"))
+                    });
+                    let with = parts.collect::<Vec<_>>().join(", ");
                     if self.is_wire {
                         let _ = write!(out, "| {number} ");
                     }
@@ -258,7 +249,7 @@ impl<'a> Page<'a> {
                         Some("lowercase") => name.to_lowercase(),
                         _ => name,
                     };
-                    let (with, text) = (parts.join(", "), doc(&variant.attrs));
+                    let text = doc(&variant.attrs);
                     let _ = writeln!(out, "| `{name}` | {with} | {text} |");
                 }
             }
@@ -317,12 +308,11 @@ impl<'a> Page<'a> {
             return String::new();
         };
         let mut inner = Vec::new();
-        if let PathArguments::AngleBracketed(it) = &last.arguments {
-            for argument in &it.args {
-                if let GenericArgument::Type(it) = argument {
-                    inner.push(self.type_text(it, from));
-                }
-            }
+        if let PathArguments::AngleBracketed(all) = &last.arguments {
+            inner.extend(all.args.iter().filter_map(|it| match it {
+                GenericArgument::Type(it) => Some(self.type_text(it, from)),
+                _ => None,
+            }));
         }
         let name = last.ident.to_string();
         match (name.as_str(), &inner[..]) {
@@ -334,21 +324,19 @@ impl<'a> Page<'a> {
             ("Result", [good, bad]) => format!("{good}, or {bad}"),
             ("String" | "str" | "PathBuf" | "Path", _) => "text".to_owned(),
             ("bool", _) => "`true`, `false`".to_owned(),
-            (
-                "u8" | "u16" | "u32" | "u64" | "usize" | "i8" | "i16" | "i32" | "i64" | "f32"
-                | "f64" | "u128" | "i128",
-                _,
-            ) => (if self.is_wire { &name } else { "number" }).to_owned(),
+            _ if is_number(&name) => (if self.is_wire { &name } else { "number" }).to_owned(),
             _ => {
                 let found = self.find(&name, from).ok().flatten();
                 match found.map(|it| (&it.item, &it.file)) {
                     // Of a number in a unit the number is written.
-                    Some((Item::Struct(it), file))
-                        if matches!(&it.fields, Fields::Unnamed(_)) && it.fields.len() == 1 =>
-                    {
-                        let number = it.fields.iter().next().map(|it| &it.ty);
-                        let number = number.map(|it| self.type_text(it, file));
-                        format!("{} ({name})", number.unwrap_or_default())
+                    Some((
+                        Item::Struct(ItemStruct {
+                            fields: Fields::Unnamed(it),
+                            ..
+                        }),
+                        file,
+                    )) if it.unnamed.len() == 1 => {
+                        format!("{} ({name})", self.type_text(&it.unnamed[0].ty, file))
                     }
                     Some((item, _)) if serialises(item) => {
                         let link = format!("[{name}](#{})", name.to_lowercase());
@@ -362,6 +350,12 @@ impl<'a> Page<'a> {
     }
 }
 
+/// Of `usize`, `u32` and their like.
+fn is_number(name: &str) -> bool {
+    let bits = name.trim_start_matches(['u', 'i', 'f']);
+    bits == "size" || bits.parse::<u8>().is_ok()
+}
+
 fn attributes(item: &Item) -> &[Attribute] {
     match item {
         Item::Struct(it) => &it.attrs,
@@ -371,31 +365,25 @@ fn attributes(item: &Item) -> &[Attribute] {
 }
 
 fn serialises(item: &Item) -> bool {
-    let mut found = false;
-    for attribute in attributes(item)
-        .iter()
-        .filter(|it| it.path().is_ident("derive"))
-    {
-        let _ = attribute.parse_nested_meta(|it| {
-            let last = it.path.segments.last();
-            found |= last.is_some_and(|it| it.ident == "Serialize");
-            Ok(())
-        });
-    }
-    found
+    word(attributes(item), "derive", "Serialize").is_some()
 }
 
-/// The value of a serde attribute; empty where it is a word alone.
 fn serde(attributes: &[Attribute], name: &str) -> Option<String> {
+    word(attributes, "serde", name)
+}
+
+/// The value of a word in an attribute's list; empty where it is a word alone.
+fn word(attributes: &[Attribute], list: &str, name: &str) -> Option<String> {
     let mut found = None;
-    for attribute in attributes.iter().filter(|it| it.path().is_ident("serde")) {
+    for attribute in attributes.iter().filter(|it| it.path().is_ident(list)) {
         // What this cannot read is of no interest to it.
         let _ = attribute.parse_nested_meta(|it| {
             let value = match it.value().map(|value| value.parse()) {
                 Ok(Ok(Lit::Str(text))) => text.value(),
                 _ => String::new(),
             };
-            if it.path.is_ident(name) {
+            let last = it.path.segments.last();
+            if last.is_some_and(|it| it.ident == name) {
                 found = Some(value);
             }
             Ok(())
