@@ -112,13 +112,12 @@ impl TrueClock {
             // Looked at after the time was noted, so that a publisher either
             // sees the note or is seen here.
             let reached = self.now() >= until;
-            let ended = waiting.stopped || cancelled.load(Ordering::SeqCst);
-            if reached || ended {
+            if reached || waiting.stopped || cancelled.load(Ordering::SeqCst) {
                 if let Some(at) = waiting.times.iter().position(|&t| t == until.units()) {
                     waiting.times.swap_remove(at);
                 }
                 self.0.note_next(&waiting);
-                return if ended { Err(RigStopped) } else { Ok(()) };
+                return if reached { Ok(()) } else { Err(RigStopped) };
             }
             waiting = self
                 .0
@@ -145,6 +144,12 @@ impl TrueClock {
     pub fn stop(&self) {
         self.0.waiting().stopped = true;
         self.0.woken.notify_all();
+    }
+
+    /// True if the rig was stopped.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.0.waiting().stopped
     }
 }
 
@@ -230,7 +235,7 @@ mod tests {
         clock.stop();
         assert_eq!(waiter.join().unwrap(), Err(RigStopped));
         assert_eq!(clock.wait_until(TrueTime::from_nanos(1)), Err(RigStopped));
-        assert_eq!(clock.wait_until(TrueTime::ZERO), Err(RigStopped));
+        assert_eq!(clock.wait_until(TrueTime::ZERO), Ok(()));
     }
 
     #[test]

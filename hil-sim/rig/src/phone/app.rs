@@ -335,6 +335,9 @@ impl App {
                 Progress::Done(reply) => return Ok(reply),
                 Progress::Waits { until, request } => {
                     self.wait_until(until)?;
+                    if self.closing.load(Ordering::SeqCst) || self.clock.is_stopped() {
+                        return Err(RigStopped);
+                    }
                     progress = self.go_on(request);
                 }
             }
