@@ -24,7 +24,13 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
 
 /// Makes sure that `program` is on the path, from a Debian package if need be.
 pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
-    if process::answers("sh", &["-c", &format!("command -v {program}")]) {
+    // One that is there may not work.
+    let version = match program {
+        "ffmpeg" => "-version",
+        "tmux" => "-V",
+        _ => "--version",
+    };
+    if process::answers(program, &[version]) {
         return Ok(());
     }
     apt_install(&[package]).with_context(|| {
