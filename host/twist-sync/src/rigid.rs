@@ -437,9 +437,7 @@ impl Search<'_> {
 
     /// Its median: the moments in which one slips are not what it is before and after.
     fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
-        let mut each = self.residuals(nodes, calibration);
-        each.retain(|&rms| rms > 0.0);
-        crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
+        usual(self.residuals(nodes, calibration))
     }
 
     /// The sensors' relation in most of the nodes.
@@ -449,12 +447,18 @@ impl Search<'_> {
         };
         let mut calibration = regressed(nodes);
         for _ in 0..3 {
-            let limit = 2.0 * self.residual(nodes, &calibration);
             let each = self.residuals(nodes, &calibration);
+            let limit = 2.0 * usual(each.clone());
             let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
             let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
             calibration = regressed(&most);
         }
         calibration
     }
+}
+
+/// Median of the blocks' residuals that are there.
+fn usual(mut each: Vec<f64>) -> f64 {
+    each.retain(|&rms| rms > 0.0);
+    crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
 }
