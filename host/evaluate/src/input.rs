@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use recording::SESSION_FILE;
+use recording::folder::is_mkv;
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;
@@ -60,7 +61,7 @@ fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
     }
     if videos.len() > 1 {
         // The depth recorder's own file is not the phone's.
-        videos.retain(|v| v.extension().is_some_and(|e| e != "mkv"));
+        videos.retain(|video| !is_mkv(video));
     }
     match (videos.pop(), videos.len()) {
         (Some(video), 0) => Ok(video),
