@@ -1,8 +1,8 @@
 //! The fast interpreter: integer code in flash, on RAM and peripherals.
 //!
-//! It runs predecoded operations until its cycle limit, or until it meets
-//! something that it leaves to rsemu: then nothing of that instruction has
-//! happened yet. Exceptions, the system block but for the cycle counter, floating
+//! It runs predecoded operations, as they follow each other in [`Code`], until its cycle
+//! limit, or until it meets something that it leaves to rsemu: then nothing of that
+//! instruction has happened yet. Exceptions, the system block but for the cycle counter, floating
 //! point, the DSP extension, faults and sleep are all rsemu's. The cycle counts are those of
 //! rsemu's timing model (one a instruction, one a data access, two for a taken
 //! branch, two for a division), so both count the same; and the wait states of the
@@ -40,37 +40,28 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
     let flash_waits = bus.flash_waits();
     let mut now = *cycle;
     let mut pc = st.r[15];
-    // Leaves the loop with the instruction at `pc` not begun.
+    // Never between the instructions of an IT block: see `Cpu::slow_step`.
+    if now >= limit && st.it == 0 {
+        return Stop::Limit;
+    }
+    if pc >> 4 != st.line {
+        now += flash_waits;
+    }
+    let (mut step, mut steps) = code.from(pc, st.it, bus.memory());
+    // Leaves the loop before the instruction at `$next`.
     macro_rules! stop {
-        ($why:expr, $it:expr) => {{
+        ($why:expr, $next:expr, $it:expr) => {{
+            st.line = pc >> 4;
             st.it = $it;
-            st.r[15] = pc;
+            st.r[15] = $next;
             *cycle = now;
             return $why;
         }};
     }
     loop {
-        let it = st.it;
-        // Never between the instructions of an IT block: see `Cpu::slow_step`.
-        if now >= limit && it == 0 {
-            stop!(Stop::Limit, it);
-        }
-        if pc >> 4 != st.line {
-            st.line = pc >> 4;
-            now += flash_waits;
-        }
-        let (op, len) = code.get(pc, it != 0, bus.memory());
-        if it != 0 {
-            st.it = Fast::it_next(it);
-            if !st.passes(it >> 4) {
-                now += 1;
-                pc = pc.wrapping_add(len);
-                continue;
-            }
-        }
         macro_rules! slow {
             () => {
-                stop!(Stop::Slow, it)
+                stop!(Stop::Slow, pc, step.it)
             };
         }
         macro_rules! load {
@@ -93,21 +84,27 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 }
             };
         }
-        let mut next = pc.wrapping_add(len);
+        let following = pc.wrapping_add(u32::from(step.len));
+        let mut next = following;
         macro_rules! unmask {
             ($enable:expr) => {{
                 let enable = $enable;
                 st.primask = !enable;
                 now += 1;
-                if enable && st.pending_masked && st.it == 0 {
-                    pc = next;
-                    stop!(Stop::Unmasked, st.it);
+                if enable && st.pending_masked && step.it_after == 0 {
+                    stop!(Stop::Unmasked, next, 0);
                 }
             }};
         }
-        match *op {
-            Op::Unknown | Op::Slow => slow!(),
-            Op::Nop => now += 1,
+        let is_skipped = step.it != 0 && !st.passes(step.it >> 4);
+        match *(if is_skipped { &Op::Nop } else { &step.op }) {
+            Op::Slow => slow!(),
+            Op::Next => {
+                let it = step.it_after;
+                (step, steps) = code.from(pc, it, bus.memory());
+                continue;
+            }
+            Op::Nop | Op::It { .. } => now += 1,
             Op::MovImm { rd, imm } => {
                 st.set(rd, imm);
                 now += 1;
@@ -255,10 +252,6 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 now += flash_waits * flash_lines(at, 1);
                 next = pc.wrapping_add(4).wrapping_add(entry * 2);
                 now += 4;
-            }
-            Op::It { state } => {
-                st.it = state;
-                now += 1;
             }
             Op::LoadImm { kind, rt, rn, imm } => {
                 let addr = st.reg(rn).wrapping_add(imm as u32);
@@ -559,9 +552,8 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     st.basepri = new;
                 }
                 now += 1;
-                if st.pending_masked && st.basepri != old && st.it == 0 {
-                    pc = next;
-                    stop!(Stop::Unmasked, st.it);
+                if st.pending_masked && st.basepri != old && step.it_after == 0 {
+                    stop!(Stop::Unmasked, next, 0);
                 }
             }
             Op::MrsPrimask { rd } => {
@@ -569,6 +561,17 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 now += 1;
             }
         }
+        if now >= limit && step.it_after == 0 {
+            stop!(Stop::Limit, next, 0);
+        }
+        let (line, it) = (pc >> 4, step.it_after);
         pc = next;
+        (step, steps) = match steps.split_first() {
+            Some(after) if next == following => after,
+            _ => code.from(pc, it, bus.memory()),
+        };
+        if pc >> 4 != line {
+            now += flash_waits;
+        }
     }
 }

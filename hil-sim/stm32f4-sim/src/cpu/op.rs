@@ -22,8 +22,8 @@ pub(crate) enum Kind {
 /// Eight bytes: the code of a firmware shall stay in the computer's cache.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Op {
-    /// Not decoded yet.
-    Unknown,
+    /// The run ends here; the instruction at this address is decoded elsewhere.
+    Next,
     /// Left to rsemu.
     Slow,
     Nop,
@@ -316,3 +316,19 @@ pub(crate) enum Op {
 }
 
 const _: () = assert!(size_of::<Op>() == 8);
+
+impl Op {
+    /// True if what follows in memory may be no code.
+    pub(super) const fn is_jump(self) -> bool {
+        match self {
+            Self::Slow
+            | Self::Branch { .. }
+            | Self::BranchLink { .. }
+            | Self::Bx { .. }
+            | Self::Blx { .. }
+            | Self::Table { .. } => true,
+            Self::LoadMulti { list, .. } => list & (1 << 15) != 0,
+            _ => false,
+        }
+    }
+}
