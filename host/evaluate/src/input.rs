@@ -2,14 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use phone::file_name::VIDEO_ENDINGS;
 use recording::SESSION_FILE;
 use recording::folder::is_mkv;
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;
-
-/// Endings of the videos that phones make.
-const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,13 +4,11 @@ use phone_agent::{Answer, QUESTION, read_question};
 
 use crate::system::{self, Clock, File};
 
-/// The battery is asked so often, ns: reading it may take milliseconds.
-const BATTERY_EVERY_NS: i64 = 5_000_000_000;
-
 /// Serves on the abstract socket of this name until no question has come for `patience`, a
 /// number of seconds; gives the exit code.
 pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
-    let Some(patience_s) = number(patience).and_then(|seconds| u32::try_from(seconds).ok()) else {
+    let patience = str::from_utf8(patience).ok();
+    let Some(patience_s) = patience.and_then(|seconds| seconds.parse().ok()) else {
         return 2;
     };
     // Started by hand from elsewhere, it may not be allowed to.
@@ -18,12 +16,11 @@ pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
     let Some(listener) = File::listen(name) else {
         return 1;
     };
-    let mut battery = Battery::default();
     while listener.is_ready(patience_s) {
         let Some(host) = listener.accept() else {
             return 1;
         };
-        if !serve(&host, patience_s, &mut battery) {
+        if !serve(&host, patience_s) {
             return 0;
         }
     }
@@ -31,7 +28,7 @@ pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
 }
 
 /// Answers a connection; false if its host has fallen silent.
-fn serve(host: &File, patience_s: u32, battery: &mut Battery) -> bool {
+fn serve(host: &File, patience_s: u32) -> bool {
     loop {
         let mut question = [0; QUESTION];
         let mut come = 0;
@@ -51,52 +48,9 @@ fn serve(host: &File, patience_s: u32, battery: &mut Battery) -> bool {
             nonce,
             boot_ns: system::now(Clock::Boot),
             monotonic_ns: system::now(Clock::Monotonic),
-            temperature: battery.temperature,
         };
         if !host.send(&answer.bytes()) {
             return true;
         }
-        // Only now: the answer does not wait for it.
-        battery.look(answer.monotonic_ns);
     }
-}
-
-/// The battery's temperature, 0.1 °C, as it was read last.
-#[derive(Default)]
-struct Battery {
-    temperature: Option<i32>,
-    looked_ns: Option<i64>,
-}
-
-impl Battery {
-    fn look(&mut self, now_ns: i64) {
-        if self
-            .looked_ns
-            .is_some_and(|at| now_ns - at < BATTERY_EVERY_NS)
-        {
-            return;
-        }
-        self.looked_ns = Some(now_ns);
-        let mut text = [0; 16];
-        let file = File::open(c"/sys/class/power_supply/battery/temp");
-        let length = file.and_then(|file| file.read(&mut text)).unwrap_or(0);
-        self.temperature = number(text.get(..length).unwrap_or_default());
-    }
-}
-
-/// A whole number at the begin of a line.
-fn number(text: &[u8]) -> Option<i32> {
-    let (sign, digits) = match text {
-        [b'-', digits @ ..] => (-1, digits),
-        digits => (1, digits),
-    };
-    let mut value = None;
-    for digit in digits
-        .iter()
-        .take_while(|byte| byte.is_ascii_digit())
-        .take(6)
-    {
-        value = Some(value.unwrap_or(0) * 10 + i32::from(digit - b'0'));
-    }
-    value.map(|value| sign * value)
 }

@@ -8,7 +8,6 @@
 //! | 8..16 | nonce | that of the question |
 //! | 16..24 | | `CLOCK_BOOTTIME`, ns: the clock of the sensors, and of the frames where Android says `REALTIME` |
 //! | 24..32 | | `CLOCK_MONOTONIC`, ns: the clock of the frames of other phones |
-//! | 32..36 | | temperature of the battery, 0.1 °C; [`NO_TEMPERATURE`] if it cannot be read |
 //!
 //! The host copies the agent to the phone itself, so both are of one version. What is no
 //! question ends the connection.
@@ -16,16 +15,13 @@
 #![forbid(unsafe_code)]
 
 /// The first bytes of question and answer.
-pub const MAGIC: [u8; 8] = *b"SDStime2";
+pub const MAGIC: [u8; 8] = *b"SDStime3";
 
 /// Bytes of a question.
 pub const QUESTION: usize = 16;
 
 /// Bytes of an answer.
-pub const ANSWER: usize = 36;
-
-/// The battery's temperature cannot be read.
-pub const NO_TEMPERATURE: i32 = i32::MIN;
+pub const ANSWER: usize = 32;
 
 /// Time without a question after which the agent of a recording ends, s: its second argument.
 pub const PATIENCE_S: u32 = 10;
@@ -39,8 +35,6 @@ pub struct Answer {
     pub boot_ns: i64,
     /// `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: i64,
-    /// Temperature of the battery, 0.1 °C.
-    pub temperature: Option<i32>,
 }
 
 /// So many bytes from a place on; zeros if they are not there.
@@ -72,21 +66,17 @@ impl Answer {
         bytes[..8].copy_from_slice(&MAGIC);
         bytes[8..16].copy_from_slice(&self.nonce.to_le_bytes());
         bytes[16..24].copy_from_slice(&self.boot_ns.to_le_bytes());
-        bytes[24..32].copy_from_slice(&self.monotonic_ns.to_le_bytes());
-        let temperature = self.temperature.unwrap_or(NO_TEMPERATURE);
-        bytes[32..].copy_from_slice(&temperature.to_le_bytes());
+        bytes[24..].copy_from_slice(&self.monotonic_ns.to_le_bytes());
         bytes
     }
 
     /// As it came; `None` if it is no answer.
     #[must_use]
     pub fn read(bytes: &[u8; ANSWER]) -> Option<Self> {
-        let temperature = i32::from_le_bytes(part(bytes, 32));
         (part(bytes, 0) == MAGIC).then(|| Self {
             nonce: u64::from_le_bytes(part(bytes, 8)),
             boot_ns: i64::from_le_bytes(part(bytes, 16)),
             monotonic_ns: i64::from_le_bytes(part(bytes, 24)),
-            temperature: Some(temperature).filter(|&celsius| celsius != NO_TEMPERATURE),
         })
     }
 }
@@ -98,23 +88,17 @@ mod tests {
     #[test]
     fn the_bytes_are_what_the_table_says() {
         let asked = question(0x0102_0304_0506_0708);
-        assert_eq!(asked, *b"SDStime2\x08\x07\x06\x05\x04\x03\x02\x01");
+        assert_eq!(asked, *b"SDStime3\x08\x07\x06\x05\x04\x03\x02\x01");
         assert_eq!(read_question(&asked), Some(0x0102_0304_0506_0708));
         let answer = Answer {
             nonce: 7,
             boot_ns: 1_000_000_007,
             monotonic_ns: -1,
-            temperature: Some(315),
         };
         let bytes = answer.bytes();
         assert_eq!(bytes[8..16], 7_u64.to_le_bytes());
         assert_eq!(bytes[24..32], [0xFF; 8]);
         assert_eq!(Answer::read(&bytes), Some(answer));
-        let unread = Answer {
-            temperature: None,
-            ..answer
-        };
-        assert_eq!(Answer::read(&unread.bytes()), Some(unread));
     }
 
     #[test]

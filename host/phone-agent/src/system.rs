@@ -13,7 +13,6 @@ use crate::agent;
 #[cfg(target_arch = "aarch64")]
 mod number {
     pub(super) const UNLINKAT: usize = 35;
-    pub(super) const OPENAT: usize = 56;
     pub(super) const CLOSE: usize = 57;
     pub(super) const READ: usize = 63;
     pub(super) const PPOLL: usize = 73;
@@ -36,7 +35,6 @@ mod number {
     pub(super) const BIND: usize = 282;
     pub(super) const LISTEN: usize = 284;
     pub(super) const SENDTO: usize = 290;
-    pub(super) const OPENAT: usize = 322;
     pub(super) const UNLINKAT: usize = 328;
     pub(super) const PPOLL: usize = 336;
     pub(super) const ACCEPT4: usize = 366;
@@ -149,14 +147,6 @@ impl File {
             .ok()
             .filter(|&file| file >= 0)
             .map(Self)
-    }
-
-    /// Opens a file to be read.
-    pub(crate) fn open(path: &CStr) -> Option<Self> {
-        Self::of(call(
-            number::OPENAT,
-            [HERE, path.as_ptr() as usize, 0, 0, 0, 0],
-        ))
     }
 
     /// Listens on an abstract socket.

@@ -3,8 +3,8 @@
 /// Longest name that is made, in bytes.
 const MAX_NAME: usize = 100;
 
-/// Endings that are kept; anything else gets `.mp4` after it.
-const VIDEO_ENDINGS: [&str; 5] = ["mp4", "mov", "mkv", "3gp", "webm"];
+/// Endings of the videos that phones make. A fetched file with another gets `.mp4` after it.
+pub const VIDEO_ENDINGS: [&str; 5] = ["mp4", "mov", "mkv", "3gp", "webm"];
 
 /// A plain file name in the spirit of `raw`, whatever `raw` is.
 ///

@@ -329,8 +329,6 @@ pub struct ClockExchange {
     pub clock_ns: i64,
     /// The phone's `CLOCK_MONOTONIC`, ns; 0 of the board.
     pub monotonic_ns: i64,
-    /// Temperature of the phone's battery, °C; not a number where it is not known.
-    pub temperature: f64,
 }
 
 impl RosMessage for ClockExchange {

@@ -161,8 +161,6 @@ pub struct Tracked {
     pub phase_us: f64,
     /// 1-sigma of it, µs.
     pub sigma_us: f64,
-    /// Temperature of the phone's battery, °C.
-    pub temperature: Option<f64>,
     /// True if both clocks are read.
     pub holds: bool,
 }
@@ -722,12 +720,6 @@ impl SessionEvent {
             Self::Checked { .. } => false,
             _ => matches!(self.severity(), Severity::Bad),
         }
-    }
-
-    /// Tells whether it comes many times a second.
-    #[must_use]
-    pub const fn is_frequent(&self) -> bool {
-        matches!(self, Self::Board { .. } | Self::Downloading { .. })
     }
 }
 

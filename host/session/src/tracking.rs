@@ -70,7 +70,6 @@ pub(crate) struct Tracking {
     asking: Asking,
     /// The relation that the tracker has.
     known: Option<ClockModel>,
-    temperature: Option<f64>,
     /// How far the phone's `CLOCK_MONOTONIC` is behind its `CLOCK_BOOTTIME`, ns.
     slept_ns: Option<i64>,
     following: Option<Following>,
@@ -162,7 +161,6 @@ pub(crate) fn start(
         tracker: Tracker::default(),
         asking: Asking::default(),
         known: None,
-        temperature: None,
         slept_ns: None,
         following: None,
         reported: Duration::ZERO,
@@ -183,8 +181,6 @@ impl Tracking {
             // The second clock is read after the first: of all pairs the nearest counts.
             let slept_ns = answer.boot_ns.saturating_sub(answer.monotonic_ns);
             self.slept_ns = self.slept_ns.max(Some(slept_ns));
-            let tenths = answer.temperature.map(f64::from);
-            self.temperature = tenths.map(|tenths| tenths / 10.0);
             let between = (exchange.sent, exchange.received);
             self.take(log, Asked::B, between, answer.boot_ns, answer.monotonic_ns)?;
         }
@@ -254,9 +250,9 @@ impl Tracking {
             },
         );
         let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
-        let (name, temperature) = match asked {
-            Asked::A => ("board", None),
-            Asked::B => (self.phone.as_str(), self.temperature),
+        let name = match asked {
+            Asked::A => "board",
+            Asked::B => self.phone.as_str(),
         };
         log.write(|writer, at| {
             let exchange = ClockExchange {
@@ -265,7 +261,6 @@ impl Tracking {
                 received_ns: nanos(received),
                 clock_ns,
                 monotonic_ns,
-                temperature: temperature.unwrap_or(f64::NAN),
             };
             writer.exchange(at, name, exchange)
         })
@@ -285,7 +280,6 @@ impl Tracking {
         Some(Tracked {
             phase_us: steering.phase_s(&relation, board_now) * 1e6,
             sigma_us: steering.phase_sigma_us(&relation, board_now.into()),
-            temperature: self.temperature,
             holds: !following.is_lost,
         })
     }

@@ -97,7 +97,6 @@ impl App {
             nonce,
             boot_ns,
             monotonic_ns: boot_ns - self.config.slept_ns,
-            temperature: Some(314),
         }
     }
 }

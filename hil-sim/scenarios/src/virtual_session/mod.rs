@@ -352,7 +352,11 @@ impl Bench {
         let (rig, keeps_messages) = (self.rig.clone(), self.keeps_messages);
         let mut events = |stamped: &Stamped| {
             let now = rig.with(|rig| rig.now());
-            if keeps_messages || !stamped.event.is_frequent() {
+            let is_frequent = matches!(
+                stamped.event,
+                SessionEvent::Board { .. } | SessionEvent::Downloading { .. }
+            );
+            if keeps_messages || !is_frequent {
                 seen.push(Seen {
                     at: now,
                     stamped: stamped.clone(),

@@ -7,16 +7,12 @@ use session::event::Tracked;
 
 use super::state::{PhaseNow, State};
 
-/// Tells whether the phone's clock is read, and the phone's temperature.
-pub(super) fn lock(tracked: &Tracked) -> String {
-    let lock = match tracked.holds {
+/// Tells whether the phone's clock is read.
+pub(super) const fn lock(tracked: &Tracked) -> &'static str {
+    match tracked.holds {
         true => "locked",
         false => "LOCK LOST",
-    };
-    // All of it has room in half of 80 columns.
-    tracked
-        .temperature
-        .map_or(lock.to_owned(), |celsius| format!("{lock}, {celsius:.0} C"))
+    }
 }
 
 /// Tells how well the phase is known.
