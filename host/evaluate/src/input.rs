@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use phone::file_name::VIDEO_ENDINGS;
 use recording::SESSION_FILE;
-use recording::folder::is_mkv;
+use recording::folder::{entries, is_mkv};
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;
@@ -48,15 +48,11 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
 }
 
 fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
-    let io = EvaluateError::io(folder);
-    let mut videos = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let file = entry.map_err(io)?.path();
+    let is_video = |file: &Path| {
         let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("");
-        if VIDEO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str()) && file.is_file() {
-            videos.push(file);
-        }
-    }
+        VIDEO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str()) && file.is_file()
+    };
+    let mut videos = entries(folder, is_video).map_err(EvaluateError::io(folder))?;
     if videos.len() > 1 {
         // The depth recorder's own file is not the phone's.
         videos.retain(|video| !is_mkv(video));

@@ -166,11 +166,7 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, Fi
 ///
 /// Its folder cannot be read.
 pub fn of_video(video: &Path) -> io::Result<Option<VideoFiles>> {
-    let folder = match video.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut groups = collect(folder)?;
+    let mut groups = collect(files::folder_of(video))?;
     let stem = video.file_stem().and_then(|stem| stem.to_str());
     Ok(stem.and_then(|stem| groups.remove(stem)))
 }

@@ -5,11 +5,10 @@
 //! the command that does it.
 
 use std::ffi::OsStr;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use super::rosbag2::METADATA_FILE;
-use super::{MCAP_FILE, RecordingError};
+use super::{MCAP_FILE, RecordingError, folder};
 
 /// What the file of a bag ends with, and what it is.
 const FORMS: [(&str, &str); 6] = [
@@ -59,7 +58,8 @@ pub fn mcap_in(path: &Path) -> Result<PathBuf, RecordingError> {
     if own.is_file() {
         return Ok(own);
     }
-    let files = bags_in(path).map_err(RecordingError::io("read", path))?;
+    let files = folder::entries(path, |file| file.is_file() && form_of(file).is_some());
+    let files = files.map_err(RecordingError::io("read", path))?;
     match files.as_slice() {
         [] => Err(RecordingError::NoRecording {
             path: path.to_owned(),
@@ -72,19 +72,6 @@ pub fn mcap_in(path: &Path) -> Result<PathBuf, RecordingError> {
         },
         _ => Err(foreign(path, "a bag in several parts")),
     }
-}
-
-/// The files of bags in a folder, by name.
-fn bags_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder)? {
-        let path = entry?.path();
-        if path.is_file() && form_of(&path).is_some() {
-            found.push(path);
-        }
-    }
-    found.sort();
-    Ok(found)
 }
 
 /// The refusal of a bag of another form.

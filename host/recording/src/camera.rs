@@ -30,7 +30,7 @@ const FILES: [&str; 6] = [
 ];
 
 /// A model of depth camera.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Model {
     /// Word in profiles and options.
@@ -54,14 +54,8 @@ pub struct Model {
     pub other_modes: Vec<Mode>,
 }
 
-impl PartialEq for Model {
-    fn eq(&self, other: &Self) -> bool {
-        self.id == other.id
-    }
-}
-
 /// A trigger pulse; all of them are active high, and the rising edge counts.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulse {
     /// Length that the profile gets, µs.
@@ -73,7 +67,7 @@ pub struct Pulse {
 }
 
 /// A depth mode.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mode {
     /// As the camera's programs call it.

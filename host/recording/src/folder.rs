@@ -47,17 +47,21 @@ pub fn is_mkv(path: &Path) -> bool {
 ///
 /// The folder cannot be read.
 pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder)? {
-        let path = entry?.path();
-        let is_depth = match path.is_dir() {
-            true => bag::is_bag(&path),
-            false => is_mkv(&path) && path.is_file(),
-        };
-        if is_depth {
-            found.push(path);
-        }
-    }
+    entries(folder, |path| match path.is_dir() {
+        true => bag::is_bag(path),
+        false => is_mkv(path) && path.is_file(),
+    })
+}
+
+/// What is in a folder and is asked for, by name.
+///
+/// # Errors
+///
+/// The folder cannot be read.
+pub fn entries(folder: &Path, is_it: impl Fn(&Path) -> bool) -> io::Result<Vec<PathBuf>> {
+    let paths = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path()));
+    let mut found = paths.collect::<io::Result<Vec<PathBuf>>>()?;
+    found.retain(|path| is_it(path));
     found.sort();
     Ok(found)
 }

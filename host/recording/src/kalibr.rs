@@ -84,10 +84,10 @@ pub fn into_profile(
 #[derive(Deserialize)]
 struct Chain {
     cam0: Option<Camera>,
-    cam1: Option<Placed>,
+    cam1: Option<Camera>,
 }
 
-/// A camera of which all is taken over.
+/// A camera; of the second only the place is taken over.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Camera {
@@ -98,13 +98,6 @@ struct Camera {
     distortion_model: String,
     distortion_coeffs: Vec<f64>,
     resolution: Vec<f64>,
-}
-
-/// A camera of which only the place is.
-#[derive(Deserialize)]
-struct Placed {
-    #[serde(rename = "T_cam_imu", default)]
-    pose: Vec<Vec<f64>>,
 }
 
 fn read(text: &str) -> Result<Chain, KalibrError> {

@@ -35,7 +35,7 @@ impl Writer {
                 first: has(protocol::ImuFlags::FIRST),
                 after_loss: has(protocol::ImuFlags::AFTER_LOSS),
             });
-            self.put(sample.at, flags)?;
+            self.write(sample.at, None, flags)?;
         }
         let imu = Item::Imu(Imu {
             header: header.clone(),
@@ -46,13 +46,13 @@ impl Writer {
             linear_acceleration: sample.accel,
             linear_acceleration_covariance: [0.0; 9],
         });
-        self.put_numbered(sample.at, number, imu)?;
+        self.write(sample.at, Some(number), imu)?;
         let temperature = Item::Temperature(Temperature {
             header,
             temperature: sample.temperature,
             variance: 0.0,
         });
-        self.put(sample.at, temperature)
+        self.write(sample.at, None, temperature)
     }
 
     /// A pulse of the trigger.
@@ -62,7 +62,7 @@ impl Writer {
     /// As [`Writer::imu`].
     pub fn pulse(&mut self, pulse: &protocol::Pulse) -> Result<(), RecordingError> {
         let message = Item::Pulse(pulse_message(pulse, "trigger"));
-        self.put_numbered(pulse.at, pulse.seq, message)
+        self.write(pulse.at, Some(pulse.seq), message)
     }
 
     /// A pulse of one of the auxiliary outputs; `name` is the sensor's on it.
@@ -79,11 +79,8 @@ impl Writer {
             readback: None,
             ..*pulse
         };
-        self.put_numbered(
-            pulse.at,
-            pulse.seq,
-            Item::Output(pulse_message(&pulse, name)),
-        )
+        let message = Item::Output(pulse_message(&pulse, name));
+        self.write(pulse.at, Some(pulse.seq), message)
     }
 
     /// A pulse per second: the UTC that begins with it for whoever takes the
@@ -93,15 +90,12 @@ impl Writer {
     ///
     /// As [`Writer::imu`].
     pub fn pps(&mut self, pps: &protocol::Pps, name: &str) -> Result<(), RecordingError> {
-        self.put_numbered(
-            pps.at,
-            pps.seq,
-            Item::Gnss(TimeReference {
-                header: header(pps.at, "board"),
-                time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
-                source: name.to_owned(),
-            }),
-        )
+        let second = Item::Gnss(TimeReference {
+            header: header(pps.at, "board"),
+            time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
+            source: name.to_owned(),
+        });
+        self.write(pps.at, Some(pps.seq), second)
     }
 
     /// An edge on a capture input.
@@ -110,21 +104,17 @@ impl Writer {
     ///
     /// As [`Writer::imu`].
     pub fn capture(&mut self, capture: &protocol::Capture) -> Result<(), RecordingError> {
-        let rising = capture.edge == Edge::Rising;
         let channel = match capture.channel {
             CaptureChannel::Strobe => "strobe",
         };
-        self.put_numbered(
-            capture.at,
-            capture.seq,
-            Item::Capture(Capture {
-                header: header(capture.at, channel),
-                ticks: capture.at.0,
-                channel: channel.to_owned(),
-                rising,
-                after_loss: capture.after_loss,
-            }),
-        )
+        let message = Item::Capture(Capture {
+            header: header(capture.at, channel),
+            ticks: capture.at.0,
+            channel: channel.to_owned(),
+            rising: capture.edge == Edge::Rising,
+            after_loss: capture.after_loss,
+        });
+        self.write(capture.at, Some(capture.seq), message)
     }
 
     /// The board's status, which has `waited` before it was taken; with it, the host's wall clock
@@ -140,20 +130,18 @@ impl Writer {
         waited: Duration,
     ) -> Result<(), RecordingError> {
         let message = Item::Status(diagnostics(status, board_id));
-        self.put_numbered(status.at, status.seq, message)?;
+        self.write(status.at, Some(status.seq), message)?;
         let wall = (self.wall)()
             .duration_since(UNIX_EPOCH)
             .ok()
             .and_then(|since| i64::try_from(since.saturating_sub(waited).as_nanos()).ok())
             .unwrap_or_default();
-        self.put(
-            status.at,
-            Item::HostTime(TimeReference {
-                header: header(status.at, "board"),
-                time_ref: Time::from_nanos(wall),
-                source: String::from("host"),
-            }),
-        )
+        let time = Item::HostTime(TimeReference {
+            header: header(status.at, "board"),
+            time_ref: Time::from_nanos(wall),
+            source: String::from("host"),
+        });
+        self.write(status.at, None, time)
     }
 
     /// A marker of the user.
@@ -172,7 +160,7 @@ impl Writer {
             time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
             source: label.to_owned(),
         };
-        self.put(at, Item::Marker(marker))
+        self.write(at, None, Item::Marker(marker))
     }
 
     /// A relation of the clocks that holds from now on; `phone` is the name of the
@@ -198,13 +186,11 @@ impl Writer {
             wander: clock.wander.0,
             source: source.to_owned(),
         };
-        self.put(
-            at,
-            match phone {
-                None => Item::Clock(message),
-                Some(_) => Item::PhoneClock(message),
-            },
-        )
+        let item = match phone {
+            None => Item::Clock(message),
+            Some(_) => Item::PhoneClock(message),
+        };
+        self.write(at, None, item)
     }
 
     /// A clock was asked for its time: that of `name`, where `at` is the latest board time
@@ -220,7 +206,11 @@ impl Writer {
         exchange: ClockExchange,
     ) -> Result<(), RecordingError> {
         let header = header(at, name);
-        self.put(at, Item::Exchange(ClockExchange { header, ..exchange }))
+        self.write(
+            at,
+            None,
+            Item::Exchange(ClockExchange { header, ..exchange }),
+        )
     }
 
     /// The trigger has another period from an edge on, with the phase before it in µs and
@@ -234,17 +224,15 @@ impl Writer {
         grid: Grid,
         (phase_us, phase_sigma_us): (f64, f64),
     ) -> Result<(), RecordingError> {
-        self.put(
-            grid.anchor,
-            Item::Period(TriggerPeriod {
-                header: header(grid.anchor, "board"),
-                ticks: grid.anchor.0,
-                fraction: grid.fraction,
-                period_q32: grid.period.0,
-                phase_us,
-                phase_sigma_us,
-            }),
-        )
+        let period = Item::Period(TriggerPeriod {
+            header: header(grid.anchor, "board"),
+            ticks: grid.anchor.0,
+            fraction: grid.fraction,
+            period_q32: grid.period.0,
+            phase_us,
+            phase_sigma_us,
+        });
+        self.write(grid.anchor, None, period)
     }
 
     /// Something that was said. `kind` is a stable word for it.
@@ -259,18 +247,16 @@ impl Writer {
         kind: &str,
         text: &str,
     ) -> Result<(), RecordingError> {
-        self.put(
-            at,
-            Item::Log(Log {
-                stamp: stamp(at),
-                level: level(severity),
-                name: String::from("smartdepthsync"),
-                msg: text.to_owned(),
-                file: String::new(),
-                function: kind.to_owned(),
-                line: 0,
-            }),
-        )
+        let log = Item::Log(Log {
+            stamp: stamp(at),
+            level: level(severity),
+            name: String::from("smartdepthsync"),
+            msg: text.to_owned(),
+            file: String::new(),
+            function: kind.to_owned(),
+            line: 0,
+        });
+        self.write(at, None, log)
     }
 
     /// A frame of the link, as it came, without its delimiter. `at` is the
@@ -280,25 +266,14 @@ impl Writer {
     ///
     /// As [`Writer::imu`].
     pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
-        self.put(
-            at,
-            Item::Link(LinkFrame {
-                header: header(at, "link"),
-                data: frame,
-            }),
-        )
+        let frame = Item::Link(LinkFrame {
+            header: header(at, "link"),
+            data: frame,
+        });
+        self.write(at, None, frame)
     }
 
-    /// Writes a message, numbered on its topic.
-    fn put(&mut self, at: Ticks, item: Item) -> Result<(), RecordingError> {
-        self.write(at, None, item)
-    }
-
-    /// Writes a message that the board has numbered.
-    fn put_numbered(&mut self, at: Ticks, number: u32, item: Item) -> Result<(), RecordingError> {
-        self.write(at, Some(number), item)
-    }
-
+    /// Writes a message, with the board's number or numbered on its topic.
     fn write(&mut self, at: Ticks, number: Option<u32>, item: Item) -> Result<(), RecordingError> {
         let topic = item.topic();
         let data = item.to_cdr().map_err(|source| RecordingError::Message {
