@@ -56,10 +56,11 @@ pub(crate) fn check_train(board: &mut Board, first: Ticks, period: Period, width
     pins.len()
 }
 
-/// Runs a train for `seconds`, checks every edge, and that every pulse was
+/// Runs a train for `seconds`, after as many without as `idle`; checks every edge, and that every pulse was
 /// reported.
-fn exact(period: Period, width: u32, seconds: u64) -> usize {
+fn exact(period: Period, width: u32, [idle, seconds]: [u64; 2]) -> usize {
     let mut board = board();
+    board.run(idle * 1_000);
     let first = start(&mut board, period, width).next_edge;
     board.run(seconds * 1_000);
     let pulses = check_train(&mut board, first, period, width);
@@ -75,14 +76,19 @@ fn exact(period: Period, width: u32, seconds: u64) -> usize {
 #[test]
 fn every_pulse_of_a_train_is_exact() {
     let nearly_whole = picos(1_000_000_001);
-    for (period, width, seconds, least) in [
-        (picos(1_000_000_000), MIN_PULSE_WIDTH, 101, 100_000),
-        (picos(33_330_652_540), WIDTH, 100, 2_999),
-        (picos(33_333_333_330), WIDTH, 10, 299),
-        (picos(200_000_000_000), WIDTH, 10, 49),
-        (nearly_whole, nearly_whole.ticks() - MIN_PULSE_GAP, 5, 0),
+    for (period, width, times, least) in [
+        (picos(1_000_000_000), MIN_PULSE_WIDTH, [60, 35], 34_000),
+        (picos(33_330_652_540), WIDTH, [60, 40], 1_199),
+        (picos(33_333_333_330), WIDTH, [0, 10], 299),
+        (picos(200_000_000_000), WIDTH, [0, 10], 49),
+        (
+            nearly_whole,
+            nearly_whole.ticks() - MIN_PULSE_GAP,
+            [0, 5],
+            0,
+        ),
     ] {
-        let pulses = exact(period, width, seconds);
+        let pulses = exact(period, width, times);
         assert!(pulses > least, "{period:?}: {pulses}");
     }
 }

@@ -15,7 +15,7 @@ const TWISTS: u32 = 1;
 
 /// Seconds of the recording from which the frame period is learnt, and the twists before it,
 /// more than a minute from the first to the last, from which the skew is.
-const LEARNT_S: u32 = 30;
+const LEARNT_S: u32 = 10;
 const LEARNT_TWISTS: u32 = 4;
 
 /// 1-sigma of the phase at a tick, as the recording's session states it, µs.

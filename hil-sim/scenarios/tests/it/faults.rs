@@ -1,30 +1,26 @@
 //! The fault campaign, a few seeds of it. `cargo xtask hil-sim faults` runs them all.
 
 use recording::session_file::SessionOutcome;
-use rig::random::Seed;
 use scenarios::campaign::plan::{Event, Fault, Plan};
 use scenarios::campaign::{Verdict, campaign, run};
 
-/// Sixteen seeds that together have every fault, and one in which the cable is pulled before the
-/// first sample of an IMU that is set up again.
+/// Ten seeds in which every fault comes while the board records, all but two of them twice. In
+/// 81 the cable is pulled before the first sample of an IMU that is set up again; in 17 it is out
+/// when the board is reset. One seed is one run, to the byte.
 #[test]
-fn seventeen_seeds_pass() {
+fn ten_seeds_pass_and_replay_exactly() {
+    const SEEDS: [u64; 10] = [81, 17, 57, 152, 210, 134, 282, 178, 271, 195];
     let folder = tempfile::tempdir().unwrap();
-    let seeds: Vec<u64> = (3..=18).chain([81]).collect();
-    let failed: Vec<String> = campaign(&seeds, None, folder.path(), &|_, _| {})
+    let run = |seeds: &[u64]| campaign(seeds, None, folder.path(), &|_, _| {});
+    let verdicts: Vec<Verdict> = run(&SEEDS)
         .into_iter()
-        .filter_map(|result| Some(result.err()?.to_string()))
+        .map(|result| result.unwrap_or_else(|finding| panic!("{finding}")))
         .collect();
-    assert!(failed.is_empty(), "{}", failed.join("\n"));
-}
-
-/// One seed is one run, to the byte.
-#[test]
-fn a_seed_replays_exactly() {
-    let folder = tempfile::tempdir().unwrap();
-    let plan = Plan::draw(Seed(2));
-    let digest = || run(&plan, None, folder.path()).unwrap().digest;
-    assert_eq!(digest(), digest());
+    let again = run(&[282])[0].as_ref().unwrap().digest;
+    assert_eq!(verdicts[6].digest, again);
+    for fault in Fault::ALL {
+        assert!(verdicts.iter().any(|it| it.plan.has(fault)), "{fault:?}");
+    }
 }
 
 fn planned(seed: u64, length_us: u64, events: &[(Fault, u64, u64)]) -> Verdict {

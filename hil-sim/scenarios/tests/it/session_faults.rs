@@ -121,7 +121,7 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
     let states = STATES[1..].iter().copied();
     for (state, is_it) in states.chain([("second twist", is_second_twist as _)]) {
         rig.soon_after(is_it, |rig| rig.phones[0].leave_network());
-        let mut options = rig.options(state, 5);
+        let mut options = rig.options(state, 2);
         options.second_twist = true;
         let run = rig.bench.run(&options);
         rig.bench.with(|rig| rig.phones[0].join_network());
@@ -171,7 +171,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
             let back = rig.now() + ms(500);
             rig.at(back, |rig| rig.sim.usb_plug());
         });
-        let options = rig.options(state, 4);
+        let options = rig.options(state, 2);
         let run = rig.bench.run(&options);
         let is_back = |event: &SessionEvent| matches!(event, SessionEvent::LinkBack { .. });
         assert!(run.time_of(is_back).is_some(), "{state}");
@@ -181,7 +181,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
         // Board time went on: the recording has the length that was asked for.
         let span = file.recorded.unwrap();
         let length = (span.to - span.from).as_secs_f64();
-        assert!((4.0..4.5).contains(&length), "{state}: {length}");
+        assert!((2.0..2.5).contains(&length), "{state}: {length}");
         rig.all_is_stopped(state);
     }
 }

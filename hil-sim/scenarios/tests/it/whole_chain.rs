@@ -25,13 +25,13 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
     let out = tempfile::tempdir().unwrap();
     let plan = Plan {
         drop_probability: 0.02,
-        ..Plan::new(3, 40)
+        ..Plan::new(3, 20)
     };
     let recorded = whole_chain::record(&plan, &programs(), out.path()).unwrap();
     let figures = extraction::extracted(&recorded, &programs()).unwrap();
     println!("{}", figures.table());
     assert!(figures.depth.largest_us <= extraction::DEPTH_LIMIT_US);
-    assert!(figures.pairs > 1100 && figures.dropped > 5, "{figures:?}");
+    assert!(figures.pairs > 550 && figures.dropped > 5, "{figures:?}");
     let limit = 6.0 * figures.phone_sigma_us.hypot(1.0);
     assert!(figures.phone_start.largest_us < limit, "{figures:?}");
     assert!(figures.phone_start.largest_us < 30.0, "{figures:?}");
@@ -121,18 +121,16 @@ fn what_is_stated_holds_on_a_rig_drawn_from_the_ranges() {
 #[test]
 fn bias_and_drift_are_as_the_truth_says() {
     let out = tempfile::tempdir().unwrap();
-    for seed in [101, 102] {
-        let recorded = whole_chain::record(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
-        let found = evaluation::evaluated(&recorded, &programs()).unwrap();
-        println!("{found:?}");
-        // One seed in 50 may be outside the 99 % interval; none far outside.
-        for measured in [found.bias, found.drift] {
-            assert!(
-                measured.error().abs() < 2.0 * measured.uncertainty_99,
-                "{found:?}"
-            );
-        }
-        assert!(found.bias.uncertainty_99 < 1.0, "{found:?}");
-        assert!(found.drift.uncertainty_99 < 5.0, "{found:?}");
+    let recorded = whole_chain::record(&Plan::new(101, 8), &programs(), out.path()).unwrap();
+    let found = evaluation::evaluated(&recorded, &programs()).unwrap();
+    println!("{found:?}");
+    // One seed in 50 may be outside the 99 % interval; none far outside.
+    for measured in [found.bias, found.drift] {
+        assert!(
+            measured.error().abs() < 2.0 * measured.uncertainty_99,
+            "{found:?}"
+        );
     }
+    assert!(found.bias.uncertainty_99 < 1.0, "{found:?}");
+    assert!(found.drift.uncertainty_99 < 5.0, "{found:?}");
 }

@@ -701,12 +701,21 @@ const TESTS: &[(&str, fn())] = &[
     ),
 ];
 
+/// One after the other, with somebody at the board's wires.
+const IN_ORDER: &[Part] = &[
+    Part::Trigger,
+    Part::Outputs,
+    Part::Lidar,
+    Part::Imu,
+    Part::Link,
+];
+
 /// Each row by itself, and no check of any part without a row and a limit.
 #[test]
 fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
     let tables: [(&[Part], &[Row]); 10] = [
         (&[Part::Trigger], TRIGGER),
-        (&[Part::Trigger, Part::Outputs], &[]),
+        (IN_ORDER, &[]),
         (&[Part::Lidar], LIDAR),
         (&[Part::Imu], IMU),
         (&[Part::Link], LINK),
@@ -735,6 +744,15 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
         let unchanged = replay(&tape, parts, |_, _| true);
         for check in &unchanged.checks {
             assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
+        }
+        if parts == IN_ORDER {
+            let page = report::board_test::page(&unchanged);
+            // The simulated sensor's intervals are all alike: no drawing, but a line.
+            let intervals = "data-ready. All ";
+            assert!(
+                page.contains("checks passed") && page.contains(intervals),
+                "{page}"
+            );
         }
         known.extend(unchanged.checks.into_iter().map(|check| check.finding.kind));
     }

@@ -41,7 +41,7 @@ def the_data_set(folder):
     pairs = pd.read_csv(euroc / "pairs.csv")
     report = json.loads((euroc / "report.json").read_text())
     phone, apart = pairs["phone_timestamp [ns]"], pairs["depth_minus_phone [ns]"]
-    assert len(dataset) == len(pairs) > 100
+    assert len(dataset) == len(pairs) > 30
     assert (dataset.times_ns == phone).all() and dataset.times_ns.dtype == np.int64
     assert (dataset.depth_times_ns - dataset.times_ns == apart).all()
     assert abs(dataset.sigma_ns / 1e3 - report["pairs"]["sigma_us"]) < 1e-9
