@@ -45,6 +45,15 @@ pub struct LedPin {
     pub active_low: bool,
 }
 
+/// An LED that is lit while its pin is high.
+const fn led(port: u8, pin: u8) -> LedPin {
+    LedPin {
+        port,
+        pin,
+        active_low: false,
+    }
+}
+
 /// The board of this build.
 pub const BOARD: Board = if cfg!(feature = "black-pill") {
     black_pill::BOARD

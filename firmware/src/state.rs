@@ -2,12 +2,16 @@
 //! of itself.
 
 use core::cell::{Cell, RefCell};
+use core::future::poll_fn;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::task::Poll;
 
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::once_lock::OnceLock;
 use embassy_sync::waitqueue::AtomicWaker;
+use embassy_time::{Duration, with_timeout};
 use firmware::alive::Alive;
+use firmware::config::CHECK_IN_MS;
 use firmware::outbox::Outbox;
 use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Ticks};
 
@@ -16,6 +20,9 @@ use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Ticks};
 pub(crate) static INFO: OnceLock<(Hello, [u8; ResetCause::COUNT])> = OnceLock::new();
 
 pub(crate) static ALIVE: Alive = Alive::new();
+
+/// A task that waits checks in so often.
+pub(crate) const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
 static OUTBOX: CriticalSectionMutex<RefCell<Outbox>> =
     CriticalSectionMutex::new(RefCell::new(Outbox::new()));
@@ -47,6 +54,18 @@ pub(crate) static UTC_AT_ZERO: CriticalSectionMutex<Cell<i64>> =
 /// Works on the outbox, in a critical section, without waking the sender.
 pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
     OUTBOX.lock(|outbox| work(&mut outbox.borrow_mut()))
+}
+
+/// Waits until the outbox is so, or it is time to check in.
+pub(crate) async fn wait_for(waker: &AtomicWaker, is_so: impl Fn(&Outbox) -> bool) {
+    let wait = poll_fn(|context| {
+        waker.register(context.waker());
+        match with_outbox(|outbox| is_so(outbox)) {
+            true => Poll::Ready(()),
+            false => Poll::Pending,
+        }
+    });
+    let _ = with_timeout(CHECK_IN, wait).await;
 }
 
 /// Queues a message and wakes the sender. Inlined as [`Outbox::send`] is.

@@ -25,10 +25,10 @@ pub(crate) fn keep_running() {
     core.DWT.enable_cycle_counter();
 }
 
-/// What one handler, or several of one priority, took since reset.
+/// What one handler, or several of one priority, took since the last look; the worst of them
+/// since reset.
 pub(crate) struct Meter {
     calls: AtomicU32,
-    /// Wraps.
     cycles: AtomicU32,
     worst: AtomicU32,
     /// Pin that is high meanwhile, with the feature `scope`.
@@ -68,36 +68,21 @@ impl Meter {
         }
     }
 
-    fn total(&self) -> HandlerTime {
+    fn take(&self) -> HandlerTime {
         HandlerTime {
-            calls: self.calls.load(Ordering::Relaxed),
-            cycles: self.cycles.load(Ordering::Relaxed),
+            calls: self.calls.swap(0, Ordering::Relaxed),
+            cycles: self.cycles.swap(0, Ordering::Relaxed),
             worst: self.worst.load(Ordering::Relaxed),
         }
     }
 }
 
-/// All meters as they stand: the numbers of calls and cycles since reset, which wrap.
-pub(crate) fn totals() -> Handlers {
+/// What the handlers took since the last look.
+pub(crate) fn take() -> Handlers {
     Handlers {
-        trigger: TRIGGER_TIME.total(),
-        outputs: OUTPUTS_TIME.total(),
-        handover: HANDOVER_TIME.total(),
-        usb: USB_TIME.total(),
-    }
-}
-
-/// What the handlers took between two looks.
-pub(crate) fn between(before: &Handlers, now: &Handlers) -> Handlers {
-    let since = |before: HandlerTime, now: HandlerTime| HandlerTime {
-        calls: now.calls.wrapping_sub(before.calls),
-        cycles: now.cycles.wrapping_sub(before.cycles),
-        worst: now.worst,
-    };
-    Handlers {
-        trigger: since(before.trigger, now.trigger),
-        outputs: since(before.outputs, now.outputs),
-        handover: since(before.handover, now.handover),
-        usb: since(before.usb, now.usb),
+        trigger: TRIGGER_TIME.take(),
+        outputs: OUTPUTS_TIME.take(),
+        handover: HANDOVER_TIME.take(),
+        usb: USB_TIME.take(),
     }
 }

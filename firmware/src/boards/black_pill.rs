@@ -6,16 +6,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, LedPin};
-
-/// On port B, to be wired.
-const fn led(pin: u8) -> LedPin {
-    LedPin {
-        port: 1,
-        pin,
-        active_low: false,
-    }
-}
+use super::{Board, LedPin, led};
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::BlackPill,
@@ -30,14 +21,13 @@ pub(super) const BOARD: Board = Board {
     // PA9 is on the header alone.
     senses_vbus: false,
     leds: [
-        led(12),
-        led(13),
-        // On the board, from 3.3 V.
+        // To be wired, but for that on the board, from 3.3 V.
+        led(1, 12),
+        led(1, 13),
         LedPin {
-            port: 2,
-            pin: 13,
             active_low: true,
+            ..led(2, 13)
         },
-        led(15),
+        led(1, 15),
     ],
 };

@@ -2,16 +2,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, LedPin};
-
-/// PD12 to PD15: green, orange, red, blue (UM1472, 6.3).
-const fn led(pin: u8) -> LedPin {
-    LedPin {
-        port: 3,
-        pin,
-        active_low: false,
-    }
-}
+use super::{Board, led};
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::Discovery,
@@ -26,5 +17,6 @@ pub(super) const BOARD: Board = Board {
     temperature_channel: 16,
     // Powered through its other connector (UM1472, 6.10).
     senses_vbus: true,
-    leds: [led(12), led(13), led(14), led(15)],
+    // PD12 to PD15: green, orange, red, blue (UM1472, 6.3).
+    leds: [led(3, 12), led(3, 13), led(3, 14), led(3, 15)],
 };

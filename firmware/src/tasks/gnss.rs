@@ -14,7 +14,7 @@ use embassy_sync::signal::Signal;
 use embassy_time::{Duration, Timer};
 use firmware::alive::Task;
 use firmware::boards::BOARD;
-use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
+use firmware::config::{NMEA_SLACK, START_LEAD, TICKS_PER_US};
 use firmware::nmea;
 use protocol::{
     GnssReport, GnssSettings, GnssStatus, Period, Refusal, TICK_HZ, TickDelta, Ticks, TriggerStart,
@@ -22,9 +22,7 @@ use protocol::{
 
 use crate::board::outputs::{self, Line};
 use crate::board::{nmea_port, tim2};
-use crate::state::{ALIVE, UTC_AT_ZERO};
-
-const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
+use crate::state::{ALIVE, CHECK_IN, UTC_AT_ZERO};
 
 /// How long to wait for the line to fall idle before looking again.
 const CLOSING: Duration = Duration::from_millis(5);

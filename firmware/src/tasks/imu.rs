@@ -179,7 +179,7 @@ impl Sampler {
         let mut one_failed = false;
         loop {
             alive().await;
-            match read(&mut sensor).await {
+            match within(I2C_TIMEOUT_MS, &mut sensor, Sensor::read_sample).await {
                 Ok(raw) => {
                     self.send(edge, &raw);
                     one_failed = false;
@@ -232,7 +232,11 @@ impl Sampler {
             return Err(before(ImuFault::BusHeld));
         }
         let mut sensor = Imu::new(bus.open(), ImuModel::Unknown);
-        set_up(&mut sensor, &self.config).await.map_err(before)?;
+        within(SET_UP_MS, &mut sensor, async |sensor| {
+            sensor.set_up(&self.config, &mut Delay).await
+        })
+        .await
+        .map_err(before)?;
         let model = sensor.model();
         MODEL.lock(|cell| cell.set(model));
         let clock = match model.clock_input() {
@@ -244,7 +248,11 @@ impl Sampler {
             fault,
         };
         self.clock_output.set(model);
-        start(&mut sensor, clock).await.map_err(after)?;
+        within(IMU_START_MS, &mut sensor, async |sensor| {
+            sensor.start(clock, &mut Delay).await
+        })
+        .await
+        .map_err(after)?;
         if clock == ImuClock::External {
             Timer::after_millis(IMU_CLOCK_SETTLING_MS).await;
         }
@@ -318,33 +326,17 @@ async fn next_edge(patience: Duration) -> Result<Option<DataReady>, ImuFault> {
     }
 }
 
-async fn set_up(sensor: &mut Sensor<'_>, config: &ImuConfig) -> Result<(), ImuFault> {
-    let limit = Duration::from_millis(SET_UP_MS);
-    match with_timeout(limit, sensor.set_up(config, &mut Delay)).await {
+/// A part of the work with a sensor, which takes so long at most.
+async fn within<'a, T>(
+    limit_ms: u64,
+    sensor: &mut Sensor<'a>,
+    work: impl AsyncFnOnce(&mut Sensor<'a>) -> Result<T, ImuFault>,
+) -> Result<T, ImuFault> {
+    match with_timeout(Duration::from_millis(limit_ms), work(sensor)).await {
         Ok(result) => result,
-        Err(_) => Err(timed_out(sensor)),
-    }
-}
-
-async fn start(sensor: &mut Sensor<'_>, clock: ImuClock) -> Result<(), ImuFault> {
-    let limit = Duration::from_millis(IMU_START_MS);
-    match with_timeout(limit, sensor.start(clock, &mut Delay)).await {
-        Ok(result) => result,
-        Err(_) => Err(timed_out(sensor)),
-    }
-}
-
-async fn read(sensor: &mut Sensor<'_>) -> Result<RawSample, ImuFault> {
-    let limit = Duration::from_millis(I2C_TIMEOUT_MS);
-    match with_timeout(limit, sensor.read_sample()).await {
-        Ok(result) => result,
-        Err(_) => Err(timed_out(sensor)),
-    }
-}
-
-/// The transfer that was dropped.
-fn timed_out(sensor: &Sensor<'_>) -> ImuFault {
-    ImuFault::Timeout {
-        register: sensor.register(),
+        // The transfer that was dropped.
+        Err(_) => Err(ImuFault::Timeout {
+            register: sensor.register(),
+        }),
     }
 }

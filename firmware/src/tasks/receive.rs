@@ -1,22 +1,18 @@
 //! Reads commands. While the answers of one more might find no place, no
 //! command is taken: the host waits, and no answer is ever lost.
 
-use core::future::poll_fn;
-use core::task::Poll;
-
-use embassy_time::{Duration, with_timeout};
+use embassy_time::with_timeout;
 use embassy_usb::class::cdc_acm::Receiver;
 use embassy_usb::driver::EndpointError;
 use firmware::alive::Task;
-use firmware::config::{CHECK_IN_MS, USB_PACKET};
+use firmware::config::USB_PACKET;
+use firmware::outbox::Outbox;
 use protocol::{Decoder, HostToDevice};
 
 use crate::board::tim2;
-use crate::state::{self, ALIVE, RECEIVED, ROOM, with_outbox};
+use crate::state::{ALIVE, CHECK_IN, RECEIVED, ROOM, wait_for, with_outbox};
 use crate::tasks::commands;
 use crate::tasks::usb::UsbDriver;
-
-const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
 #[embassy_executor::task]
 pub(crate) async fn run(mut receiver: Receiver<'static, UsbDriver>) {
@@ -48,23 +44,10 @@ async fn take(decoder: &mut Decoder<HostToDevice>, mut packet: &[u8]) {
         if let Ok(message) = frame {
             while !with_outbox(|outbox| outbox.has_room_for_command()) {
                 ALIVE.check_in(Task::Receive);
-                let _ = with_timeout(CHECK_IN, room()).await;
+                wait_for(&ROOM, Outbox::has_room_for_command).await;
             }
             commands::carry_out(message, received);
         }
     }
     RECEIVED.lock(|counters| counters.set(decoder.counters()));
-}
-
-/// Until there is room for the answers of a command.
-async fn room() {
-    poll_fn(|context| {
-        ROOM.register(context.waker());
-        if state::with_outbox(|outbox| outbox.has_room_for_command()) {
-            Poll::Ready(())
-        } else {
-            Poll::Pending
-        }
-    })
-    .await;
 }

@@ -21,7 +21,6 @@ pub(crate) async fn run(
 ) {
     let mut ticker = Ticker::every(Duration::from_secs(1));
     let mut seq = 0_u32;
-    let mut before = Handlers::default();
     let mut thermometer = Thermometer::new(adc);
     loop {
         ticker.next().await;
@@ -29,9 +28,7 @@ pub(crate) async fn run(
         if ALIVE.all() && !triggers::is_overdue(TRIGGER_OVERDUE) {
             watchdog.pet();
         }
-        let total = cycles::totals();
-        let status = status(seq, cycles::between(&before, &total), thermometer.look());
-        before = total;
+        let status = status(seq, cycles::take(), thermometer.look());
         seq = seq.wrapping_add(1);
         state::send(DeviceToHost::Status(status));
     }

@@ -8,19 +8,19 @@ use core::pin::pin;
 use core::sync::atomic::Ordering;
 use core::task::Poll;
 
-use embassy_time::{Duration, Timer, with_timeout};
+use embassy_time::{Timer, with_timeout};
 use embassy_usb::class::cdc_acm::Sender;
 use firmware::alive::Task;
-use firmware::config::{CHECK_IN_MS, MOST_FRAMES, TRANSMIT_BUFFER, USB_PACKET};
+use firmware::config::{MOST_FRAMES, TRANSMIT_BUFFER, USB_PACKET};
 use firmware::outbox::{Counter, counter_of};
 use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
 use crate::board::otg;
-use crate::state::{ALIVE, CONNECTS, FILLER, LINK_CHANGED, ROOM, TO_SEND, with_outbox};
+use crate::state::{
+    ALIVE, CHECK_IN, CONNECTS, FILLER, LINK_CHANGED, ROOM, TO_SEND, wait_for, with_outbox,
+};
 use crate::tasks::usb::{self, UsbDriver};
-
-const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
 #[embassy_executor::task]
 pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
@@ -36,7 +36,7 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
         ALIVE.check_in(Task::Transmit);
         transmit.fill();
         if transmit.len == 0 {
-            wait().await;
+            wait_for(&TO_SEND, |outbox| !outbox.is_empty()).await;
             continue;
         }
         transmit.write(&mut sender).await;
@@ -191,20 +191,4 @@ impl Transmit {
     fn is_same_host(&self) -> bool {
         with_outbox(|outbox| outbox.is_linked()) && CONNECTS.load(Ordering::Relaxed) == self.connect
     }
-}
-
-/// Until there is something to send, or it is time to check in.
-async fn wait() {
-    let _ = with_timeout(
-        CHECK_IN,
-        poll_fn(|context| {
-            TO_SEND.register(context.waker());
-            if with_outbox(|outbox| outbox.is_empty()) {
-                Poll::Pending
-            } else {
-                Poll::Ready(())
-            }
-        }),
-    )
-    .await;
 }
