@@ -107,20 +107,6 @@ mod tests {
         }
     }
 
-    /// One tick beyond the window is one full period off: the window is
-    /// exactly as wide as it can be.
-    #[test]
-    fn the_window_is_one_period_wide() {
-        let hint = 7;
-        let first = (7_u64 << 31) - (1 << 30);
-        assert_eq!(
-            extend(hint, (first - 1) as u32),
-            Ticks(first - 1 + (1 << 32))
-        );
-        let end = first + (1 << 32);
-        assert_eq!(extend(hint, end as u32), Ticks(end - (1 << 32)));
-    }
-
     #[test]
     fn the_first_period_has_nothing_before_it() {
         for low in [0, 1, (1 << 31) - 1, 1 << 31, 3 << 30, u32::MAX] {

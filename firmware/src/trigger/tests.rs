@@ -7,16 +7,6 @@ use super::*;
 
 const WIDTH: u32 = 576;
 
-fn periods() -> [Period; 4] {
-    [
-        33_330_652_540,
-        33_333_333_330,
-        200_000_000_000,
-        1_000_000_000,
-    ]
-    .map(|picos| Period::from_picos(picos).unwrap())
-}
-
 fn train(period: Period, first: u64) -> Train {
     let start = TriggerStart {
         period,
@@ -33,22 +23,6 @@ fn align(anchor: u64, period: Period, slew: u32) -> TriggerAlign {
         anchor_fraction: 0,
         period,
         slew,
-    }
-}
-
-#[test]
-fn edges_are_the_floor_of_the_exact_sum() {
-    for period in periods() {
-        let first = 123_456_789;
-        let mut train = train(period, first);
-        assert_eq!(train.edge().position.ticks(), Ticks(first));
-        for k in 1..200_000 {
-            let edge = train.advance();
-            assert_eq!(edge.number, k);
-            let exact = period.edge(Ticks(first), i64::try_from(k).unwrap());
-            assert_eq!(edge.position.ticks(), exact, "edge {k} of {period}");
-            assert!(edge.aligned);
-        }
     }
 }
 

@@ -157,21 +157,3 @@ impl RigParts {
         board
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_seed_is_a_rig() {
-        let rig = |seed| RigConfig::published(Seed(seed));
-        assert_eq!(rig(1), rig(1));
-        assert_ne!(rig(1), rig(2));
-        for seed in 0..50 {
-            let config = rig(seed);
-            assert!(config.board_clock.rate_ppm.abs() <= 30.0);
-            let parts = config.build();
-            assert!(parts.imu.is_some() && parts.depth_camera.is_some());
-        }
-    }
-}

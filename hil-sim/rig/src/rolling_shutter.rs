@@ -366,13 +366,6 @@ mod tests {
     }
 
     #[test]
-    fn geometry_of_the_modes() {
-        assert_eq!(FlashTrain::NFOV.center_offset_ns(), 6_362_500);
-        let last = FlashTrain::NFOV.starting_at(0).last().unwrap();
-        assert_eq!(last.start_ns + last.duration_ns, 12_725_000);
-    }
-
-    #[test]
     fn noise_is_repeatable_and_differs_between_frames() {
         let camera = RollingShutter {
             columns: 32,

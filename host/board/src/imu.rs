@@ -465,22 +465,6 @@ mod tests {
     }
 
     #[test]
-    fn counts_become_si_units() {
-        let scale = Scale::of(&setup()).unwrap();
-        let sample = scale.apply(&raw(5, ImuFlags(0), 655));
-        assert!((sample.gyro[0] - 10_f64.to_radians()).abs() < 1e-15);
-        assert!((sample.gyro[2] + 10_f64.to_radians()).abs() < 1e-15);
-        assert!((sample.accel[0] - 9.806_65).abs() < 1e-12);
-        assert!((sample.accel[2] + 9.806_65 / 2.0).abs() < 1e-12);
-        assert!((sample.temperature - 25.0).abs() < 1e-12);
-        let no_scale = ImuSetup {
-            accel_lsb_per_g: 0,
-            ..setup()
-        };
-        assert_eq!(Scale::of(&no_scale), None);
-    }
-
-    #[test]
     fn another_sensor_has_another_thermometer_and_says_what_it_is() {
         let mut setup = setup();
         setup.gyro_delay_us = 1_300;
@@ -503,7 +487,6 @@ mod tests {
         assert_eq!(describe(&setup), "not found");
     }
 
-    /// The scale of a session file from before there were other sensors.
     #[test]
     fn intervals_across_a_gap_or_a_recovery_are_left_out() {
         let scale = Scale::of(&setup()).unwrap();

@@ -222,16 +222,6 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_came_twice_counts_once() {
-        let mut times = frames(3_000);
-        let once = frame_period(&times).unwrap();
-        for place in [0, 700, 2_000] {
-            times.insert(place, times[place]);
-        }
-        assert_eq!(frame_period(&times), Ok(once));
-    }
-
-    #[test]
     fn the_period_is_learnt_across_lost_frames() {
         let frames: Vec<PhoneNanos> = (0..400_i64)
             .filter(|n| n % 37 != 5)

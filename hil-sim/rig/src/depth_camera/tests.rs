@@ -62,26 +62,6 @@ fn times(n: u32) -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn the_first_frame_comes_on_the_pulse_that_was_set() {
-    for first_frame in [1, 2, 3] {
-        let mut bench = camera(DepthCameraConfig {
-            first_frame,
-            ..steady()
-        });
-        train(&mut bench, times(10));
-        let frames = bench.model.take_frames();
-        assert_eq!(frames.len() as u32, 10 - first_frame + 1);
-        assert!(matches!(
-            frames[0].source,
-            Source::Pulse { number, edge }
-                if number == u64::from(first_frame)
-                    && edge == ms(f64::from(first_frame) * PERIOD_MS)
-        ));
-        assert!(frames.iter().all(|f| !f.bad && f.delivered));
-    }
-}
-
-#[test]
 fn a_pulse_of_8_us_is_too_short_and_one_unit_more_is_enough() {
     for (width, counts) in [
         (US.saturating_mul(2), false),
@@ -98,43 +78,6 @@ fn a_pulse_of_8_us_is_too_short_and_one_unit_more_is_enough() {
         assert_eq!(bench.model.pulses == 5, counts, "{width:?}");
         assert_eq!(bench.model.frame_count == 4, counts);
         assert_eq!(bench.model.short_pulses == 0, counts);
-    }
-}
-
-#[test]
-fn flashes_and_timestamps_are_those_of_the_mode() {
-    let mut bench = camera(DepthCameraConfig {
-        flash_delay: SimDuration::from_micros(700),
-        ..steady()
-    });
-    train(&mut bench, times(20));
-    let ups = bench.times(Pin::PA2, Drive::High);
-    let downs = bench.times(Pin::PA2, Drive::Low);
-    let frames = bench.model.take_frames();
-    assert_eq!(frames.len(), 19);
-    assert_eq!(ups.len(), 19 * 9);
-    // Board seconds in one of the camera's.
-    let own = (1.0 + 20e-6) / (1.0 + 300e-6);
-    for (frame, flashes) in frames.iter().zip(ups.chunks(9)) {
-        let Source::Pulse { edge, .. } = frame.source else {
-            panic!("a frame without a pulse");
-        };
-        for (k, up) in flashes.iter().enumerate() {
-            let expected = (700.0 + k as f64 * 1575.0) * own;
-            let measured = (*up - edge).as_secs_f64() * 1e6;
-            assert!((measured - expected).abs() < 1e-4, "{measured} {expected}");
-        }
-        assert_eq!(frame.first_flash, flashes[0]);
-        let center = (frame.center - edge).as_secs_f64() * 1e6;
-        assert!((center - (700.0 + 6362.5) * own).abs() < 1e-4);
-        let truth = frame.center.as_secs_f64() / (1.0 + 20e-6);
-        assert!((frame.center_true.as_secs_f64() - truth).abs() < 1e-12);
-        let ticks = 2.5 * 90_000.0 + truth * (1.0 + 300e-6) * 90_000.0;
-        assert_eq!(frame.device_ticks, ticks.floor() as u64);
-    }
-    for (up, down) in ups.iter().zip(&downs[1..]) {
-        let width = (*down - *up).as_secs_f64() * 1e6;
-        assert!((width - 125.0 * own).abs() < 1e-4, "{width}");
     }
 }
 
@@ -238,19 +181,6 @@ fn a_pulse_that_is_still_being_judged_holds_the_free_run_back() {
     assert_eq!(frames[4].source, Source::FreeRun);
     let first_flash = frames[4].first_flash.as_secs_f64() * 1e3;
     assert!((first_flash - (last + (1e3 / 30.0 + 0.5) * own)).abs() < 1e-5);
-}
-
-#[test]
-fn lost_frames_are_lost_at_the_stated_rate_and_keep_their_numbers() {
-    let mut bench = camera(DepthCameraConfig {
-        drop_probability: 0.05,
-        ..steady()
-    });
-    train(&mut bench, times(2000));
-    let frames = bench.model.take_frames();
-    let lost = frames.iter().filter(|f| !f.delivered).count();
-    assert!((60..140).contains(&lost), "{lost}");
-    assert!(frames.iter().zip(0..).all(|(f, n)| f.number == n));
 }
 
 #[test]

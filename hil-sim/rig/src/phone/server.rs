@@ -32,14 +32,6 @@ pub enum LinkFault {
     CutAfter(u64),
     /// No more than so many bytes a second.
     Slow(u32),
-    /// The answer's body never ends.
-    Endless,
-    /// Nothing is answered at all.
-    Silent,
-    /// So many bytes are missing at the end of a video, then the connection is closed.
-    ShortVideo(u64),
-    /// So many bytes too many come after a video.
-    LongVideo(u64),
 }
 
 /// State that the phone's owner may change while the server runs.
@@ -223,38 +215,23 @@ impl<'a> Client<'a> {
 
     fn answer(&mut self, line: &str) -> Result<(), Gone> {
         let reply = self.app.handle(line).map_err(|_| Gone)?;
-        let fault = self.link.fault();
-        if fault == Some(LinkFault::Silent) {
-            return Ok(());
-        }
         if reply == Reply::Crash {
             self.app.reopen();
             self.link.leave();
         }
         let (head, file) = reply.written(&self.app.config.version).ok_or(Gone)?;
-        if fault == Some(LinkFault::Endless) {
-            let body = head.strip_suffix("end\n").unwrap_or(&head);
-            self.send(body.as_bytes())?;
-            while !self.deaf {
-                self.send("1.0,2.0,3.0,4\n".repeat(64).as_bytes())?;
-            }
-            return Ok(());
-        }
         match file {
             None => self.send(head.as_bytes()),
             Some((path, size)) => {
                 self.send(head.as_bytes())?;
-                self.send_file(&path, size, fault)
+                self.send_file(&path, size)
             }
         }
     }
 
-    fn send_file(&mut self, path: &Path, size: u64, fault: Option<LinkFault>) -> Result<(), Gone> {
+    fn send_file(&mut self, path: &Path, size: u64) -> Result<(), Gone> {
         let mut file = std::fs::File::open(path)?;
-        let mut left = match fault {
-            Some(LinkFault::ShortVideo(missing)) => size.saturating_sub(missing),
-            _ => size,
-        };
+        let mut left = size;
         let mut block = [0u8; FILE_BLOCK];
         while left > 0 && !self.deaf {
             let want = FILE_BLOCK.min(usize::try_from(left).unwrap_or(FILE_BLOCK));
@@ -265,16 +242,7 @@ impl<'a> Client<'a> {
             self.send(block.get(..n).unwrap_or_default())?;
             left -= n as u64;
         }
-        match fault {
-            Some(LinkFault::ShortVideo(_)) => Err(Gone),
-            Some(LinkFault::LongVideo(extra)) => {
-                for _ in 0..extra {
-                    self.send(b"x")?;
-                }
-                Ok(())
-            }
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
     /// Sends, with what the fault does to it.

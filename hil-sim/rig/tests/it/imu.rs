@@ -195,47 +195,47 @@ fn a_hung_sensor_is_freed_by_nine_clocks() {
     }
 }
 
+/// The bus is held, the power goes, another sensor answers, data-ready stays away, the clock's
+/// wire breaks; and no acknowledge at any byte, for many transfers on end.
 #[test]
-fn a_bus_held_low_is_survived() {
-    recovers(
-        &[Fault::HoldSda(None)],
-        2_000,
-        &[Fault::ReleaseSda],
-        |fault| fault == ImuFault::BusHeld,
+fn faults_are_named_and_recovered() {
+    use Fault::{ClockCut, DataReadyCut, HoldSda, Identity, PowerOff, PowerOn, ReleaseSda};
+    type Row = (
+        &'static [Fault],
+        u64,
+        &'static [Fault],
+        fn(ImuFault) -> bool,
     );
-}
-
-#[test]
-fn a_sensor_that_lost_power_for_three_seconds_comes_back() {
-    recovers(&[Fault::PowerOff], 3_000, &[Fault::PowerOn], |fault| {
-        matches!(fault, ImuFault::NoAcknowledge { .. })
-    });
-}
-
-#[test]
-fn another_sensor_is_refused_until_the_right_one_is_back() {
-    let begin = [Fault::PowerOff, Fault::Identity(0x12), Fault::PowerOn];
-    recovers(&begin, 1_500, &[Fault::Identity(0x68)], |fault| {
-        fault == ImuFault::WrongIdentity { found: 0x12 }
-    });
-}
-
-#[test]
-fn data_ready_that_stays_away_is_noticed() {
-    let end = [Fault::DataReadyCut(false)];
-    recovers(&[Fault::DataReadyCut(true)], 1_000, &end, |fault| {
-        fault == ImuFault::NoDataReady
-    });
-}
-
-/// Without acknowledge at any byte, for many transfers on end.
-#[test]
-fn missing_acknowledges_at_every_byte_are_recovered() {
-    for byte in 0..3 {
-        recovers(&[Fault::Nack { byte, times: 6 }], 300, &[], |fault| {
-            matches!(fault, ImuFault::NoAcknowledge { .. })
-        });
+    let no_acknowledge = |fault| matches!(fault, ImuFault::NoAcknowledge { .. });
+    let no_data_ready = |fault| fault == ImuFault::NoDataReady;
+    let other = |fault| fault == ImuFault::WrongIdentity { found: 0x12 };
+    let rows: [Row; 4] = [
+        (&[HoldSda(None)], 2_000, &[ReleaseSda], |fault| {
+            fault == ImuFault::BusHeld
+        }),
+        (&[PowerOff], 3_000, &[PowerOn], no_acknowledge),
+        (
+            &[PowerOff, Identity(0x12), PowerOn],
+            1_500,
+            &[Identity(0x68)],
+            other,
+        ),
+        (
+            &[DataReadyCut(true)],
+            1_000,
+            &[DataReadyCut(false)],
+            no_data_ready,
+        ),
+    ];
+    for (begin, ms, end, expected) in rows {
+        recovers(begin, ms, end, expected);
     }
+    for byte in 0..3 {
+        recovers(&[Fault::Nack { byte, times: 6 }], 300, &[], no_acknowledge);
+    }
+    // It goes on with its own clock.
+    let mut bench = recovers(&[ClockCut(true)], 10, &[], no_data_ready);
+    assert_eq!(bench.status().clock, ImuClock::Internal);
 }
 
 /// Every family is found by its identity, on both boards, and runs on the board's clock if it
@@ -346,16 +346,6 @@ fn a_sensor_lost_at_its_external_clock_runs_on_its_own() {
         status.last_fault,
         Some(ImuFault::NoAcknowledge { register })
     );
-}
-
-/// The wire to CLKIN breaks while it runs: it goes on with its own clock.
-#[test]
-fn a_lost_external_clock_is_survived() {
-    let bench = recovers(&[Fault::ClockCut(true)], 10, &[], |fault| {
-        fault == ImuFault::NoDataReady
-    });
-    let mut bench = bench;
-    assert_eq!(bench.status().clock, ImuClock::Internal);
 }
 
 #[test]

@@ -246,22 +246,3 @@ impl core::fmt::Display for Plan {
         write!(f, " {:.3} s in all", self.length_us as f64 / 1e6)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_seed_is_one_plan_and_sixteen_in_a_row_have_every_fault() {
-        for seed in 0..200 {
-            let plan = Plan::draw(Seed(seed));
-            assert_eq!(plan, Plan::draw(Seed(seed)));
-            let resets = plan.events.iter().filter(|e| e.fault.is_reset()).count();
-            assert!(resets <= 1, "{plan}");
-        }
-        for fault in Fault::ALL {
-            let among = (1..=16).any(|seed| Plan::draw(Seed(seed)).has(fault));
-            assert!(among, "{fault:?}");
-        }
-    }
-}

@@ -37,7 +37,6 @@ mod strobes;
 mod support;
 mod synthetic;
 mod vendor_k4a;
-mod virtual_session;
 mod whole_chain;
 mod whole_rig;
 mod wrong_boards;

@@ -2,8 +2,6 @@
 
 use std::process::{Command, Output};
 
-use rig::phone::{LinkFault, VideoMode};
-
 use crate::phone_bench::Bench;
 
 fn json(output: &Output) -> serde_json::Value {
@@ -73,92 +71,4 @@ fn frames_of(path: &std::path::Path) -> usize {
         .trim()
         .parse()
         .unwrap()
-}
-
-#[test]
-fn another_version_is_refused() {
-    let bench = Bench::new(21, 20.0, |c| c.version = "v.0.1.2".to_owned());
-    let folder = tempfile::tempdir().unwrap();
-    fails(&bench.command(&["stop"], folder.path()), 12, "v.0.1.2");
-}
-
-#[test]
-fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
-    let bench = Bench::new(22, 20.0, |_| ());
-    let folder = tempfile::tempdir().unwrap();
-    let other = bench.occupy();
-    let blocked = bench.command(&["stop", "--timeout", "0.5s"], folder.path());
-    fails(&blocked, 12, "one at a time");
-    drop(other);
-    let served = bench.command(&["stop"], folder.path());
-    assert_eq!(served.status.code(), Some(0));
-}
-
-#[test]
-fn faults_of_the_link_are_named() {
-    let bench = Bench::new(23, 20.0, |c| {
-        c.camera.rows = 64;
-        c.camera.columns = 16;
-        c.video_name = Some("../../../evil\u{202e}.mp4".to_owned());
-    });
-    let outer = tempfile::tempdir().unwrap();
-    let folder = outer.path().join("in");
-    std::fs::create_dir(&folder).unwrap();
-    let run = |arguments: &[&str], fault| {
-        bench.phone.set_fault(fault);
-        bench.command(arguments, &folder)
-    };
-    let get = ["get-video", "--recorded"];
-    let imu = ["imu", "--duration", "1s", "--timeout", "2s"];
-    let cut = run(&imu, Some(LinkFault::CutAfter(500)));
-    fails(&cut, 12, "closed the connection");
-    let slow = run(&imu, Some(LinkFault::Slow(100)));
-    fails(&slow, 12, "within 3s");
-    let endless = run(&imu, Some(LinkFault::Endless));
-    fails(&endless, 12, "damaged");
-    let silent = run(&imu, Some(LinkFault::Silent));
-    fails(&silent, 12, "finish its answer within 2s");
-
-    assert_eq!(run(&["start"], None).status.code(), Some(0));
-    assert_eq!(run(&["stop"], None).status.code(), Some(0));
-    let short = run(&get, Some(LinkFault::ShortVideo(1)));
-    fails(&short, 12, "nothing was saved");
-    let long = run(&get, Some(LinkFault::LongVideo(1)));
-    fails(&long, 12, "more than");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0);
-    let good = run(&get, None);
-    assert_eq!(good.status.code(), Some(0));
-    assert!(folder.join("evil_.mp4").exists());
-    assert_eq!(std::fs::read_dir(outer.path()).unwrap().count(), 1);
-}
-
-#[test]
-fn a_phone_that_goes_away_is_noticed() {
-    let bench = Bench::new(24, 1.0, |c| c.video = VideoMode::Never);
-    let folder = tempfile::tempdir().unwrap();
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            while bench.clock.waiters() == 0 {
-                std::thread::sleep(std::time::Duration::from_millis(10));
-            }
-            bench.phone.leave_network();
-        });
-        let output = bench.command(&["imu", "--duration", "20s"], folder.path());
-        fails(&output, 12, "closed the connection");
-    });
-    fails(&bench.command(&["stop"], folder.path()), 12, "same network");
-}
-
-#[test]
-fn a_probe_changes_nothing() {
-    use phone::{PhoneClient, ServerVersion, Settings};
-    let bench = Bench::new(25, 20.0, |_| ());
-    let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
-    assert_eq!(client.version(), None);
-    for _ in 0..3 {
-        assert_eq!(client.probe().unwrap(), ServerVersion::V0_1_1);
-    }
-    assert!(!bench.phone.app.is_recording());
-    // The connection is still in step.
-    client.stop_video().unwrap();
 }

@@ -77,25 +77,3 @@ impl Iwdg {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bites_when_it_is_not_fed() {
-        let mut w = Iwdg::new();
-        let t0 = SimTime::from_nanos(1_000_000);
-        w.write(0x04, 3, t0);
-        assert_eq!(w.pr, 0, "locked until the key is given");
-        w.write(0x00, 0x5555, t0);
-        w.write(0x04, 4, t0); // /64: 2 ms a count
-        w.write(0x08, 999, t0);
-        assert_eq!(w.next_event(), SimTime::NEVER);
-        w.write(0x00, 0xcccc, t0);
-        assert_eq!(w.next_event(), SimTime::from_nanos(2_001_000_000));
-        let t1 = SimTime::from_nanos(1_500_000_000);
-        w.write(0x00, 0xaaaa, t1);
-        assert_eq!(w.next_event(), SimTime::from_nanos(3_500_000_000));
-    }
-}

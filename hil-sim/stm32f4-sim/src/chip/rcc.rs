@@ -335,42 +335,6 @@ impl Rcc {
 mod tests {
     use super::*;
 
-    /// The design's clock tree, programmed as a firmware does it.
-    fn programmed(n: u32) -> (Rcc, SimTime) {
-        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
-        let mut now = SimTime::ZERO;
-        rcc.write(0x00, 0x83 | CR_HSEON, now);
-        assert_eq!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
-        now += HSE_START;
-        assert_ne!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
-        rcc.write(0x04, 4 | (n << 6) | (1 << 22) | (4 << 24), now);
-        rcc.write(0x00, 0x83 | CR_HSEON | CR_PLLON, now);
-        now += PLL_LOCK;
-        // APB1 /4, APB2 /2, MCO1 = PLL / 5, SW = PLL.
-        rcc.write(0x08, 2 | (5 << 10) | (4 << 13) | (3 << 21) | (7 << 24), now);
-        assert_eq!(rcc.read(0x08, now).unwrap() & 0xc, 8);
-        (rcc, now)
-    }
-
-    #[test]
-    fn the_designs_clock_tree() {
-        let (rcc, now) = programmed(96);
-        let c = rcc.clocks(now);
-        assert_eq!(c.hclk, Rate::hz(96_000_000));
-        assert_eq!(c.pclk1, Rate::hz(24_000_000));
-        assert_eq!(c.timers1, Rate::hz(48_000_000));
-        assert_eq!(c.pclk2, Rate::hz(48_000_000));
-        assert_eq!(c.timers2, Rate::hz(96_000_000));
-        assert_eq!(c.usb, Rate::hz(48_000_000));
-        assert_eq!(c.mco1, Some(Rate::hz(19_200_000)));
-    }
-
-    #[test]
-    fn a_wrong_factor_gives_wrong_clocks() {
-        let (rcc, now) = programmed(100);
-        assert_eq!(rcc.clocks(now).timers1, Rate::hz(50_000_000));
-    }
-
     #[test]
     fn a_source_that_is_not_ready_is_not_selected() {
         let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));

@@ -118,33 +118,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_the_bulk_endpoints_of_a_serial_port() {
-        let d: Vec<u8> = [
-            &[9u8, 2, 67, 0, 2, 1, 0, 0x80, 50][..],
-            &[8, 11, 0, 2, 2, 2, 0, 0],
-            &[9, 4, 0, 0, 1, 2, 2, 0, 0],
-            &[5, 36, 0, 0x10, 1],
-            &[7, 5, 0x81, 3, 8, 0, 255],
-            &[9, 4, 1, 0, 2, 10, 0, 0, 0],
-            &[7, 5, 0x02, 2, 64, 0, 0],
-            &[7, 5, 0x82, 2, 64, 0, 0],
-        ]
-        .concat();
-        let mut info = DeviceInfo::default();
-        configuration(&d, &mut info).unwrap();
-        assert_eq!(
-            info.cdc,
-            Some(CdcAcm {
-                control_interface: 0,
-                data_in: 2,
-                data_out: 2,
-                out_packet: 64,
-                notification: Some(1),
-            })
-        );
-    }
-
-    #[test]
     fn damaged_descriptors_are_errors() {
         let mut info = DeviceInfo::default();
         assert!(configuration(&[9, 2, 9, 0, 1, 1, 0, 0x80, 50, 40, 4], &mut info).is_err());

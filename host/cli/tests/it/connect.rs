@@ -33,17 +33,12 @@ fn info_says_who_the_board_is() {
 }
 
 #[test]
-fn a_silent_port_gives_no_answer() {
-    let silent = StandIn::new(|_: HostToDevice| Vec::new());
-    let output = run(&["board", "info", "--port", &silent.path]);
-    assert_eq!(code(&output), 10);
-}
-
-#[test]
-fn another_device_is_not_this_board() {
-    let modem = StandIn::new(|_: HostToDevice| b"\r\nERROR\r\n\0".to_vec());
-    let output = run(&["board", "info", "--port", &modem.path]);
-    assert_eq!(code(&output), 8);
+fn a_silent_port_and_another_device_are_not_this_board() {
+    for (says, expected) in [(&b""[..], 10), (b"\r\nERROR\r\n\0", 8)] {
+        let other = StandIn::new(|_: HostToDevice| says.to_vec());
+        let output = run(&["board", "info", "--port", &other.path]);
+        assert_eq!(code(&output), expected);
+    }
 }
 
 #[test]

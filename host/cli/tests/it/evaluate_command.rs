@@ -164,23 +164,6 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
     assert!(text.starts_with("# rig\n") && text.contains("# first guess"));
 }
 
-#[test]
-fn drift_of_a_video() {
-    let dir = tempfile::tempdir().unwrap();
-    let few = video(dir.path().join("few.mkv"), -50.0);
-    // Nine frames with flashes are too few for a line.
-    let ran = run(&["evaluate", "drift", few.to_str().unwrap()]);
-    assert_eq!(ran.code, 3, "{}", ran.err);
-
-    let more = video_of(20, dir.path().join("more.mkv"), -50.0);
-    let ran = run(&["--json", "evaluate", "drift", more.to_str().unwrap()]);
-    assert_eq!(ran.code, 0, "{}", ran.err);
-    let json: Value = serde_json::from_str(&ran.out).unwrap();
-    // All frames are alike.
-    let drift = json["drift_us_per_min"].as_f64().unwrap();
-    assert!(drift.abs() < 100.0, "{json:#}");
-}
-
 /// 4K at 60 frames per second: a clear answer, and memory that does not grow with
 /// the video.
 #[test]

@@ -278,36 +278,6 @@ fn leaf_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Ve
     }
 }
 
-#[test]
-fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
-    let folder = tempfile::tempdir().unwrap();
-    files(folder.path());
-    let output = run(
-        folder.path(),
-        &[
-            "--json",
-            "doctor",
-            "--port",
-            "/no/such/port",
-            "--profile",
-            "plain.toml",
-        ],
-    );
-    assert_eq!(output.status.code(), Some(5), "{output:?}");
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let checks = found["checks"].as_array().unwrap();
-    let bad: Vec<_> = checks
-        .iter()
-        .filter(|check| check["severity"] != "good")
-        .collect();
-    assert!(bad.len() >= 2, "{found:#}");
-    for check in bad {
-        let step = check["next_step"].as_str().unwrap_or_default();
-        assert!(step.len() > 10, "{check}");
-        assert!(unknown_options(step, "doctor").is_empty(), "{check}");
-    }
-}
-
 /// What the board refuses is advised on by its reason.
 #[test]
 fn a_refusal_names_the_bounds_or_the_command_that_changes_the_state() {

@@ -24,49 +24,6 @@ fn running_with(synchroniser: u64) -> Tim {
     t
 }
 
-#[test]
-fn toggles_on_the_programmed_tick() {
-    let mut t = running();
-    t.write(0x18, 3 << 4, at(0));
-    t.write(0x20, 1, at(0));
-    t.write(0x34, 1000, at(0));
-    assert_eq!(t.next_event(), at(1000));
-    t.sync(SimTime::from_units(at(1000).units() - 1));
-    assert_eq!(t.output(0), Some(false));
-    t.sync(at(1000));
-    assert_eq!(t.output(0), Some(true));
-    assert_eq!(t.read(0x10, at(1000)).unwrap() & 2, 2);
-    // The next match is a whole turn of the counter later.
-    assert_eq!(t.next_event(), at(1000 + (1 << 32)));
-}
-
-#[test]
-fn captures_the_tick_of_the_edge_and_flags_a_lost_one() {
-    let mut t = running();
-    t.write(0x18, 1 << 8, at(0)); // CC2S = TI2
-    t.write(0x20, 1 << 4, at(0)); // CC2E, rising
-    t.input_edge(1, true, at(777));
-    t.input_edge(1, false, at(800));
-    assert_eq!(t.sr & 0x404, 4);
-    t.input_edge(1, true, at(900));
-    t.sync(at(900 + SYNC));
-    assert_eq!(t.sr & 0x404, 0x404, "over-capture");
-    assert_eq!(t.read(0x38, at(950)).unwrap(), 902);
-    assert_eq!(t.sr & 4, 0, "reading the capture clears its flag");
-}
-
-#[test]
-fn both_edges_are_captured_when_asked_for() {
-    let mut t = running();
-    t.write(0x1c, 1, at(0)); // CC3S = TI3
-    t.write(0x20, 0xb << 8, at(0)); // CC3E, CC3P, CC3NP
-    t.input_edge(2, true, at(10));
-    assert_eq!(t.next_event(), at(12));
-    assert_eq!(t.read(0x3c, at(13)).unwrap(), 12);
-    t.input_edge(2, false, at(20));
-    assert_eq!(t.read(0x3c, at(23)).unwrap(), 22);
-}
-
 /// The synchroniser's clocks and the filter's samples, whenever within its clock the
 /// edge comes.
 #[test]
@@ -145,31 +102,6 @@ fn a_match_asks_for_a_transfer_until_it_is_served() {
     assert_eq!(t.requests(), 0);
 }
 
-#[test]
-fn wraps_and_flags_the_update() {
-    let mut t = running();
-    t.write(0x0c, 1, at(0));
-    assert_eq!(t.next_event(), at(1 << 32));
-    assert_eq!(t.read(0x24, at((1 << 32) - 1)).unwrap(), u32::MAX);
-    assert_eq!(t.read(0x10, at((1 << 32) - 1)).unwrap() & 1, 0);
-    assert_eq!(t.read(0x24, at((1 << 32) + 5)).unwrap(), 5);
-    assert!(t.irq().0);
-}
-
-#[test]
-fn prescaler_and_reload_take_effect_with_the_update_event() {
-    let mut t = Tim::new(false, false, SYNC);
-    t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
-    t.write(0x28, 47, at(0));
-    t.write(0x2c, 999, at(0));
-    t.write(0x14, 1, at(0));
-    t.write(0x10, 0, at(0));
-    t.write(0x0c, 1, at(0));
-    t.write(0x00, 1, at(0));
-    assert_eq!(t.next_event(), at(48_000));
-    assert_eq!(t.read(0x24, at(48 * 10)).unwrap(), 10);
-}
-
 /// RM0090 18.4.6, CC1G: the counter is captured, and CC1OF tells that a flag stood.
 #[test]
 fn software_captures_too_and_flags_a_lost_one() {
@@ -198,11 +130,4 @@ fn a_slave_starts_with_its_master() {
     let wrap = 65_536 / 2;
     assert_eq!(slave.read(0x24, at(1_001 + wrap - 1)).unwrap(), 65_534);
     assert_eq!(slave.read(0x24, at(1_001 + wrap)).unwrap(), 0);
-}
-
-#[test]
-fn a_change_of_rate_keeps_the_count() {
-    let mut t = running();
-    t.set_clock(Rate::hz(24_000_000), at(100));
-    assert_eq!(t.read(0x24, at(300)).unwrap(), 200);
 }
