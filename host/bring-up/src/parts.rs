@@ -109,14 +109,16 @@ impl<'a> Session<'a> {
     }
 
     /// Asks for something to be done at the board, and hears what it says until that is seen or
-    /// the link ends, which it says too; the reason if it is not done.
+    /// the link ends, which it says too. What is not done is left out, and `None`.
     fn by_hand(
         &mut self,
+        (name, reason): (&str, &'static str),
         what: Prompt,
         mut is_done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Result<(Heard, bool), &'static str>, BringUpError> {
+    ) -> Result<Option<(Heard, bool)>, BringUpError> {
         if !self.operator.is_there {
-            return Ok(Err(NOBODY));
+            self.skip(name, NOBODY, reason);
+            return Ok(None);
         }
         (self.operator.say)(what);
         let skips = self.operator.skips;
@@ -126,11 +128,13 @@ impl<'a> Session<'a> {
             skipped = skips();
             done || skipped
         })?;
-        Ok(match (done || ended, skipped) {
-            (true, _) => Ok((heard, ended)),
-            (false, true) => Err("left out"),
-            (false, false) => Err("not done within two minutes"),
-        })
+        let why = match skipped {
+            _ if done || ended => return Ok(Some((heard, ended))),
+            true => "left out",
+            false => "not done within two minutes",
+        };
+        self.skip(name, why, reason);
+        Ok(None)
     }
 
     /// Takes what the board says for `length` of board time.

@@ -53,8 +53,8 @@ impl Session<'_> {
         let stopped = |h: &Heard| {
             (h.statuses.last()).is_some_and(|s| s.imu.clock == ImuClock::Internal || !is_running(s))
         };
-        if let Err(why) = self.by_hand(Prompt::UnplugClock, stopped)? {
-            self.skip(NAME, why, REASON);
+        let done = self.by_hand((NAME, REASON), Prompt::UnplugClock, stopped)?;
+        if done.is_none() {
             return Ok(());
         }
         let (is_back, mut heard) = self.comes_back()?;
@@ -154,13 +154,9 @@ impl Session<'_> {
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         let failed = |h: &Heard| h.statuses.last().is_some_and(|status| !is_running(status));
-        let mut heard = match self.by_hand(Prompt::UnplugSda, failed)? {
-            Ok((heard, _)) => heard,
-            Err(why) => {
-                self.stop(Output::Camera)?;
-                self.skip(NAME, why, REASON);
-                return Ok(());
-            }
+        let done = self.by_hand((NAME, REASON), Prompt::UnplugSda, failed)?;
+        let Some((mut heard, _)) = done else {
+            return self.stop(Output::Camera).map(drop);
         };
         (self.operator.say)(Prompt::PlugSdaIn);
         heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);

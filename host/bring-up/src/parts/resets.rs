@@ -197,13 +197,9 @@ impl Session<'_> {
             return Ok(());
         }
         let mut train = self.train_to_interrupt()?;
-        let (mut heard, ended) = match self.by_hand(what, |heard| is_done(&train, heard))? {
-            Ok(heard) => heard,
-            Err(why) => {
-                self.stop(Output::Camera)?;
-                self.skip(name, why, reason);
-                return Ok(());
-            }
+        let done = self.by_hand((name, reason), what, |heard| is_done(&train, heard))?;
+        let Some((mut heard, ended)) = done else {
+            return self.stop(Output::Camera).map(drop);
         };
         if ended {
             self.come_back(name)?;
@@ -328,8 +324,8 @@ impl Session<'_> {
             ("after power-off", Prompt::SwitchPower, ResetCause::PowerOn),
         ] {
             let before = self.board.hello().clone();
-            if let Err(why) = self.by_hand(what, |_| false)? {
-                self.skip(name, why, REASON);
+            let done = self.by_hand((name, REASON), what, |_| false)?;
+            if done.is_none() {
                 continue;
             }
             // What a panic has left is kept, and no longer reported as the end of a run.
