@@ -38,19 +38,11 @@ pub(crate) fn build_and_check() -> Result<()> {
     process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
     let source = pages(Some(&process::target_dir().join("release")))?;
     check_links(&source, &process::root())?;
-    let mdbook = tools::ensure_cargo_tool(
-        "mdbook",
-        MDBOOK_VERSION,
-        &["--no-default-features", "--features", "search"],
-    )?;
+    let features = ["--no-default-features", "--features", "search"];
+    let mdbook = tools::ensure_cargo_tool("mdbook", MDBOOK_VERSION, &features)?;
     let book = process::target_dir().join("book");
-    process::run(
-        process::command(mdbook)
-            .arg("build")
-            .arg(&source)
-            .arg("--dest-dir")
-            .arg(&book),
-    )?;
+    let mut mdbook = process::command(mdbook);
+    process::run(mdbook.arg("build").arg(source).arg("--dest-dir").arg(&book))?;
     println!("the book: {}", book.join("index.html").display());
     Ok(())
 }

@@ -72,11 +72,8 @@ pub(crate) fn make() -> Result<()> {
         names.push(file?.file_name());
     }
     names.sort();
-    let sums = process::text(
-        Command::new("sha256sum")
-            .args(names)
-            .current_dir(&release.dist),
-    )?;
+    let mut sums = Command::new("sha256sum");
+    let sums = process::text(sums.args(names).current_dir(&release.dist))?;
     fs::write(release.dist.join("SHA256SUMS"), sums + "\n")?;
     release.try_it()?;
     println!("the release: {}", release.dist.display());
@@ -236,18 +233,13 @@ impl Release {
                 tools::ensure_program("mmdebstrap", "mmdebstrap")?;
                 let inside = format!("chroot \"$1\" sh -eux /dist/try_release.sh {debian}");
                 let script = process::root().join("xtask/try_release.sh");
+                let (dist, script) = (self.dist.display(), script.display());
                 process::run(
                     process::command("mmdebstrap")
                         .args(["--variant=apt", "--format=null"])
                         .arg(format!("--include={DEBIAN}"))
-                        .arg(format!(
-                            "--customize-hook=copy-in {} /",
-                            self.dist.display()
-                        ))
-                        .arg(format!(
-                            "--customize-hook=copy-in {} /dist",
-                            script.display()
-                        ))
+                        .arg(format!("--customize-hook=copy-in {dist} /"))
+                        .arg(format!("--customize-hook=copy-in {script} /dist"))
                         .arg(format!("--customize-hook={inside}"))
                         .args([SUITE, "-"]),
                 )?;

@@ -116,10 +116,8 @@ fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
 pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Result<()> {
     process::run(
         process::command(python)
-            .args(["-m", "pip", "install", "--quiet"])
-            .arg("--disable-pip-version-check")
             // What is imported is compiled then.
-            .arg("--no-compile")
+            .args("-m pip install --quiet --disable-pip-version-check --no-compile".split(' '))
             .args(options)
             .arg(file),
     )
