@@ -333,7 +333,7 @@ fn strobes_give_a_figure() {
     let mut refused = Vec::new();
     for seed in SEEDS {
         let mut draw = Draw(seed ^ 0x5EED);
-        for kind in 0..12 {
+        for kind in 0..8 {
             let camera = draw.camera();
             let rate = draw.one(&[24.0, 30.0, 60.0]);
             let bias_us = draw.within(-700.0, 700.0);

@@ -88,7 +88,7 @@ fn fifty_seeds_of_bias_lie_within_the_stated_uncertainty() {
         let grey = [5.0, 20.0, 60.0][seed as usize % 3];
         let scene = Scene {
             camera: RollingShutter {
-                columns: 64,
+                columns: 32,
                 // A scene with structure of its own, and a tone curve.
                 texture: 0.01,
                 gamma: 1.2,
@@ -118,7 +118,7 @@ fn fifty_seeds_of_drift_lie_within_the_stated_uncertainty() {
         let truth = ((seed as f64 * 0.381_966).fract() - 0.5) * 40.0;
         let scene = Scene {
             camera: RollingShutter {
-                columns: 32,
+                columns: 16,
                 ..scene(250.0, 10.2, 20.0, seed).camera
             },
             bias_us: 100.0,
