@@ -16,6 +16,7 @@ mod release;
 mod tools;
 mod wheel;
 
+use std::panic::resume_unwind;
 use std::process::ExitCode;
 
 use anyhow::Result;
@@ -111,27 +112,37 @@ fn build() -> Result<()> {
 
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
-    let elf = std::thread::scope(|scope| {
-        // Each build of the firmware ends on one core: the packages come on another.
-        let python = scope.spawn(tools::ensure_python);
+    // Each build of the firmware ends on one core: the packages come on another.
+    let (python, elf) = beside(tools::ensure_python, || {
         firmware::build_black_pill()?;
         let elf = firmware::build()?;
         firmware::build_foreign()?;
         firmware::build_agent()?;
-        let made = python.join();
-        made.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         anyhow::Ok(elf)
-    })?;
+    });
+    let elf = elf.and_then(|elf| python.map(|_| elf))?;
     let mut args = vec!["test".to_owned(), "--release".to_owned()];
     if cargo_args.is_empty() {
         args.extend(["--workspace", "--no-fail-fast"].map(str::to_owned));
     }
     args.extend_from_slice(cargo_args);
-    process::cargo_with_elf(&args, &elf)?;
-    match cargo_args.is_empty() {
-        true => wheel::build_and_test(),
-        false => Ok(()),
+    let cargo = || process::cargo_with_elf(&args, &elf);
+    if !cargo_args.is_empty() {
+        return cargo();
     }
+    // Python's tests take one core.
+    let (python, rust) = beside(wheel::build_and_test, cargo);
+    rust.and(python)
+}
+
+/// Does the first on a thread of its own while the second is done.
+fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() -> B) -> (A, B) {
+    std::thread::scope(|scope| {
+        let first = scope.spawn(first);
+        let second = second();
+        let first = first.join();
+        (first.unwrap_or_else(|panic| resume_unwind(panic)), second)
+    })
 }
 
 /// Runs the tests whose readers are too large for every run.

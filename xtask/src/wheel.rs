@@ -72,11 +72,11 @@ pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
     data(&python)?;
     let twists = process::target_dir().join("wheel-twists");
-    let export = "run --release -q -p twist-scenarios --example sync_bench -- --trials";
+    // With the features of the whole workspace, as the tests have it.
+    process::cargo("build --release --workspace --quiet --example sync_bench".split(' '))?;
     process::run(
-        process::command(process::cargo_program())
-            .args(export.split(' '))
-            .args([TRIALS, "--export"])
+        process::command(process::program("examples/sync_bench"))
+            .args(["--trials", TRIALS, "--export"])
             .arg(&twists),
     )?;
     process::run(
