@@ -150,14 +150,24 @@ pub(super) const fn describe(config: &ImuConfig) -> Description {
     }
 }
 
-/// GYRO_FS_SEL in bits 7 to 5 (14.37): 0 for the largest.
+/// GYRO_FS_SEL in bits 7 to 5 (14.37).
 const fn gyro_range(range: GyroRange) -> u8 {
-    (GyroRange::Dps2000 as u8 - range as u8) << 5
+    (match range {
+        GyroRange::Dps2000 => 0,
+        GyroRange::Dps1000 => 1,
+        GyroRange::Dps500 => 2,
+        GyroRange::Dps250 => 3,
+    }) << 5
 }
 
-/// ACCEL_FS_SEL in bits 7 to 5 (14.38): 0 for the largest.
+/// ACCEL_FS_SEL in bits 7 to 5 (14.38).
 const fn accel_range(range: AccelRange) -> u8 {
-    (AccelRange::G16 as u8 - range as u8) << 5
+    (match range {
+        AccelRange::G16 => 0,
+        AccelRange::G8 => 1,
+        AccelRange::G4 => 2,
+        AccelRange::G2 => 3,
+    }) << 5
 }
 
 /// Everything but the clock, with both sensors off.

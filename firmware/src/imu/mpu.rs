@@ -112,19 +112,36 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description
     }
 }
 
-/// DLPF_CFG (4.3), and A_DLPF_CFG of those that have it: 1 for the widest.
+/// DLPF_CFG (4.3), and A_DLPF_CFG of those that have it.
 const fn dlpf_cfg(low_pass: LowPass) -> u8 {
-    low_pass as u8 + 1
+    match low_pass {
+        LowPass::Hz188 => 1,
+        LowPass::Hz98 => 2,
+        LowPass::Hz42 => 3,
+        LowPass::Hz20 => 4,
+        LowPass::Hz10 => 5,
+        LowPass::Hz5 => 6,
+    }
 }
 
 /// GYRO_CONFIG: FS_SEL in bits 4 and 3 (4.4); the filter is not bypassed.
 const fn gyro_config(range: GyroRange) -> u8 {
-    (range as u8) << 3
+    (match range {
+        GyroRange::Dps250 => 0,
+        GyroRange::Dps500 => 1,
+        GyroRange::Dps1000 => 2,
+        GyroRange::Dps2000 => 3,
+    }) << 3
 }
 
 /// ACCEL_CONFIG: AFS_SEL in bits 4 and 3 (4.5).
 const fn accel_config(range: AccelRange) -> u8 {
-    (range as u8) << 3
+    (match range {
+        AccelRange::G2 => 0,
+        AccelRange::G4 => 1,
+        AccelRange::G8 => 2,
+        AccelRange::G16 => 3,
+    }) << 3
 }
 
 /// Up to data-ready pulses on its own clock.
