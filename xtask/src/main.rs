@@ -112,12 +112,15 @@ fn build() -> Result<()> {
 
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
-    // Each build of the firmware ends on one core: the packages come on another.
+    // The packages come while something is built.
     let (python, elf) = beside(tools::ensure_python, || {
         firmware::build_black_pill()?;
         let elf = firmware::build()?;
         firmware::build_foreign()?;
         firmware::build_agent()?;
+        if cargo_args.is_empty() {
+            process::cargo("test --release --workspace --no-run".split(' '))?;
+        }
         anyhow::Ok(elf)
     });
     let elf = elf.and_then(|elf| python.map(|_| elf))?;
@@ -149,8 +152,7 @@ fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() ->
 fn readers() -> Result<()> {
     tools::ensure_readers()?;
     let args = "-p hil-sim --test it -- --ignored --nocapture readers::";
-    let args: Vec<String> = args.split(' ').map(str::to_owned).collect();
-    test(&args)
+    test(&args.split(' ').map(str::to_owned).collect::<Vec<_>>())
 }
 
 fn check(no_book: bool) -> Result<()> {
@@ -182,8 +184,7 @@ fn bench(part: &str, size: Option<u32>) -> Result<()> {
 
 fn hil_sim(args: &[String]) -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
-    let elf = firmware::build_rig()?;
-    process::hil_sim(args, &elf)
+    process::hil_sim(args, &firmware::build_rig()?)
 }
 
 fn main() -> ExitCode {
