@@ -2,6 +2,8 @@
 
 use std::process::{Command, Output};
 
+use rig::phone::VideoMode;
+
 use crate::phone_bench::Bench;
 
 fn json(output: &Output) -> serde_json::Value {
@@ -71,4 +73,47 @@ fn frames_of(path: &std::path::Path) -> usize {
         .trim()
         .parse()
         .unwrap()
+}
+
+#[test]
+fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
+    let bench = Bench::new(22, 20.0, |_| ());
+    let folder = tempfile::tempdir().unwrap();
+    let other = bench.occupy();
+    let blocked = bench.command(&["stop", "--timeout", "0.5s"], folder.path());
+    fails(&blocked, 12, "one at a time");
+    drop(other);
+    let served = bench.command(&["stop"], folder.path());
+    assert_eq!(served.status.code(), Some(0));
+}
+
+#[test]
+fn a_phone_that_goes_away_is_noticed() {
+    let bench = Bench::new(24, 1.0, |c| c.video = VideoMode::Never);
+    let folder = tempfile::tempdir().unwrap();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while bench.clock.waiters() == 0 {
+                std::thread::sleep(std::time::Duration::from_millis(10));
+            }
+            bench.phone.leave_network();
+        });
+        let output = bench.command(&["imu", "--duration", "20s"], folder.path());
+        fails(&output, 12, "closed the connection");
+    });
+    fails(&bench.command(&["stop"], folder.path()), 12, "same network");
+}
+
+#[test]
+fn a_probe_changes_nothing() {
+    use phone::{PhoneClient, ServerVersion, Settings};
+    let bench = Bench::new(25, 20.0, |_| ());
+    let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
+    assert_eq!(client.version(), None);
+    for _ in 0..3 {
+        assert_eq!(client.probe().unwrap(), ServerVersion::V0_1_1);
+    }
+    assert!(!bench.phone.app.is_recording());
+    // The connection is still in step.
+    client.stop_video().unwrap();
 }
