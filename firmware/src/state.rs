@@ -21,7 +21,7 @@ pub(crate) static INFO: OnceLock<(Hello, [u8; ResetCause::COUNT])> = OnceLock::n
 
 pub(crate) static ALIVE: Alive = Alive::new();
 
-/// A task that waits checks in so often.
+/// How often a waiting task checks in.
 pub(crate) const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
 static OUTBOX: CriticalSectionMutex<RefCell<Outbox>> =
@@ -56,7 +56,8 @@ pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
     OUTBOX.lock(|outbox| work(&mut outbox.borrow_mut()))
 }
 
-/// Waits until the outbox is so, or it is time to check in.
+/// Waits until `is_so` holds of the outbox, or until it is time to check in. `waker` is woken
+/// when that may have changed.
 pub(crate) async fn wait_for(waker: &AtomicWaker, is_so: impl Fn(&Outbox) -> bool) {
     let wait = poll_fn(|context| {
         waker.register(context.waker());
