@@ -27,7 +27,7 @@ const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
 const FRAMES: &str = "*/*_timestamps*.csv";
 
 /// How long `adb` may take to answer; a copy may take longer.
-const PATIENCE: Duration = Duration::from_secs(30);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long tidying up may take.
 const MOMENT: Duration = Duration::from_secs(2);
@@ -251,15 +251,26 @@ impl Adb {
         self.run(&[&["-s", device], what].concat(), Some(PATIENCE))
     }
 
-    /// Runs the program to tidy up behind what was done with a phone, as far as that can be
-    /// done in a moment, also where the caller is to stop.
-    pub(crate) fn tidy_up(&self, device: &str, what: &[&str]) {
+    /// Runs the program for a phone to its end, also where the caller is to stop meanwhile: what
+    /// is ended halfway may be done all the same, and nobody knows of it.
+    pub(crate) fn run_to_end(
+        &self,
+        device: &str,
+        what: &[&str],
+        patience: Duration,
+    ) -> Result<String, AdbError> {
         let adb = Self {
             stop: StopSignal::default(),
             ..self.clone()
         };
+        adb.run(&[&["-s", device], what].concat(), Some(patience))
+    }
+
+    /// Runs the program to tidy up behind what was done with a phone, as far as that can be
+    /// done in a moment.
+    pub(crate) fn tidy_up(&self, device: &str, what: &[&str]) {
         // A phone that is gone has lost more than this.
-        let _ = adb.run(&[&["-s", device], what].concat(), Some(MOMENT));
+        let _ = self.run_to_end(device, what, MOMENT);
     }
 
     pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 use phone_agent::{ANSWER, Answer, PATIENCE_S, question};
 
-use crate::adb::{Adb, AdbError};
+use crate::adb::{Adb, AdbError, PATIENCE};
 use crate::settings::StopSignal;
 
 /// Where a program may lie on a phone that is not rooted.
@@ -140,10 +140,8 @@ impl Running {
             .stderr(Stdio::null())
             .spawn()
             .map_err(|source| adb.cannot_run(source))?;
-        let forwarded = adb.run_for(
-            device,
-            &["forward", "tcp:0", &format!("localabstract:{socket}")],
-        );
+        let forward = ["forward", "tcp:0", &format!("localabstract:{socket}")];
+        let forwarded = adb.run_to_end(device, &forward, PATIENCE);
         let port = forwarded.and_then(|said| {
             let port = said.trim().parse();
             port.map_err(|_| AdbError::Failed {
