@@ -73,20 +73,6 @@ impl Board {
         let bytes = self.rig.usb_read();
         let mut rest = bytes.as_slice();
         while let Some(message) = self.decoder.next(&mut rest) {
-            if message.is_err() {
-                eprintln!(
-                    "bad at {} log {:?} {:?}",
-                    self.rig.now(),
-                    self.rig.usb_log().iter().rev().take(4).collect::<Vec<_>>(),
-                    self.rig
-                        .log()
-                        .iter()
-                        .rev()
-                        .take(6)
-                        .map(|l| l.to_string())
-                        .collect::<Vec<_>>()
-                );
-            }
             match message.unwrap() {
                 DeviceToHost::Hello(hello) => self.hellos.push(hello),
                 DeviceToHost::Answer(answer) => self.answers.push(answer),

@@ -119,11 +119,7 @@ fn float(random: &mut Random) -> u32 {
 
 impl Maker<'_> {
     fn unit(&mut self) -> Unit {
-        let (what, code) = match if std::env::var("HUNT").is_ok() {
-            50
-        } else {
-            below(self.random, 100)
-        } {
+        let (what, code) = match below(self.random, 100) {
             0..=43 => return self.row(INTEGER),
             44..=69 => return self.row(FLOAT),
             70..=79 => ("IT block", self.it_block()),
