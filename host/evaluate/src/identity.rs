@@ -183,34 +183,3 @@ fn extras(fits: &[FrameFit], shape: &Shape, excess: Option<f64>, settings: &Sett
         possible
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::train::{TrainGeometry, row_light};
-
-    /// The statement that [`extras`] rests on.
-    #[test]
-    fn an_exposure_longer_by_a_pitch_is_one_flash_more_half_a_pitch_away() {
-        let train = TrainGeometry::NFOV;
-        for exposure_us in [60.0, 300.0, 1100.0] {
-            let short = Shape {
-                bias_us: 20.0,
-                row_time_us: 10.2,
-                exposure_us,
-            };
-            let long = Shape {
-                bias_us: 20.0 + 0.5 * train.pitch_us,
-                exposure_us: exposure_us + train.pitch_us,
-                ..short
-            };
-            // Only rows that are well inside the train.
-            for row in -200..200 {
-                let p = f64::from(row);
-                let a = row_light(&train, &short, p).value;
-                let b = row_light(&train, &long, p).value;
-                assert!((b - a - 1.0).abs() < 1e-9, "{exposure_us}, row {row}");
-            }
-        }
-    }
-}

@@ -335,16 +335,6 @@ mod tests {
     use super::super::train::row_light;
     use super::*;
 
-    fn profile(rows: RowGrid, shape: &Shape) -> Vec<f64> {
-        (0..rows.len)
-            .map(|i| {
-                let x = rows.position(i) / 540.0;
-                50.0 - 10.0 * x * x
-                    + 20.0 * row_light(&TrainGeometry::NFOV, shape, rows.position(i)).value
-            })
-            .collect()
-    }
-
     const ROWS: RowGrid = RowGrid {
         first: -539.5,
         step: 1.0,
@@ -373,49 +363,6 @@ mod tests {
                     "{exposure}: {energy} and {direct}"
                 );
             }
-        }
-    }
-
-    #[test]
-    fn the_place_is_found_to_the_grid() {
-        let smooth = Basis::polynomials(ROWS.len, 5);
-        let search = CombSearch::new(ROWS, &TrainGeometry::NFOV, 10.2, 400.0, &smooth, 31.0);
-        for bias_us in [-700.0, 0.0, 123.0, 781.0] {
-            let shape = Shape {
-                bias_us,
-                row_time_us: 10.2,
-                exposure_us: 400.0,
-            };
-            let mut y = DVector::from_vec(profile(ROWS, &shape));
-            smooth.remove_from(&mut y);
-            let found = search.best(y.as_slice(), 0.0).unwrap();
-            assert!((found.shape.bias_us - bias_us).abs() < 31.0, "{found:?}");
-            assert!(found.explained > 0.9 * y.norm_squared());
-        }
-    }
-
-    #[test]
-    fn row_time_and_exposure_are_found_without_any_hint() {
-        for (row_time_us, exposure_us) in
-            [(8.0, 100.0), (10.2, 125.0), (14.0, 900.0), (20.0, 4000.0)]
-        {
-            let shape = Shape {
-                bias_us: 210.0,
-                row_time_us,
-                exposure_us,
-            };
-            let y = DVector::from_vec(profile(ROWS, &shape));
-            let found = WideSearch::new(1080, None, None, 0.0).run(
-                ROWS,
-                &TrainGeometry::NFOV,
-                &[y],
-                &Basis::polynomials(ROWS.len, 5),
-            );
-            let near = found[0].iter().any(|f| {
-                (f.shape.row_time_us / row_time_us - 1.0).abs() < 0.01
-                    && (f.shape.exposure_us / exposure_us).ln().abs() < 0.5
-            });
-            assert!(near, "{shape:?}: {found:?}");
         }
     }
 }

@@ -77,13 +77,6 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn reads_what_the_app_writes() {
-        let sample = parse_sample("-0.0012217305,1.0E-4,3.5,949113215987860").unwrap();
-        assert_eq!(sample.time, PhoneNanos(949_113_215_987_860));
-        assert_eq!(sample.xyz, [-0.001_221_730_5, 1e-4, 3.5]);
-    }
-
-    #[test]
     fn refuses_what_is_not_a_sample() {
         for line in [
             "",

@@ -192,6 +192,7 @@ mod tests {
             frame_period(&backwards),
             Err(TrainError::NoTrain { .. })
         ));
+        assert!(frame_period(&[PhoneNanos(5); 400]).is_err());
         let mut shifted = frames(400);
         for time in &mut shifted[200..] {
             time.0 += 15_000_000;
@@ -219,18 +220,5 @@ mod tests {
                 "{found:?}"
             );
         }
-    }
-
-    #[test]
-    fn the_period_is_learnt_across_lost_frames() {
-        let frames: Vec<PhoneNanos> = (0..400_i64)
-            .filter(|n| n % 37 != 5)
-            .map(|n| PhoneNanos(5_100_000_000_000 + n * 33_330_652 + (n * 7919 % 2001) - 1000))
-            .collect();
-        let found = frame_period(&frames).unwrap();
-        assert!((found.period_ns - 33_330_652.0).abs() < 4.0 * found.sigma_ns + 1e-3);
-        assert!(found.sigma_ns < 1.0);
-        assert_eq!(found.missing, 11);
-        assert!(frame_period(&[PhoneNanos(5); 400]).is_err());
     }
 }

@@ -7,7 +7,7 @@
 //! every time.
 
 use rayon::prelude::*;
-use twist_scenarios::{Motion, SENSOR_A, SENSOR_B, Sensor, Twist, TwistSpec, displace};
+use twist_scenarios::{Motion, Twist, TwistSpec, displace};
 use twist_sync::estimate_offset;
 
 /// Twists per case.
@@ -212,7 +212,6 @@ fn timestamps() -> Vec<Case> {
 }
 
 fn sensors() -> Vec<Case> {
-    let clipped = Some(4.363);
     vec![
         other("b at 100 Hz", Accepted, |s| s.b.rate_hz = 100.0),
         other("1 kHz and 200 Hz", Accepted, |s| {
@@ -228,38 +227,15 @@ fn sensors() -> Vec<Case> {
             s.b.filter_hz = Some(20.0);
         }),
         other("20 % lost", Accepted, |s| s.b.lost = 0.2),
-        Case {
-            name: "both clipped hard",
-            spec: TwistSpec {
-                motion: Motion::Twist(8.0, 10.0),
-                a: Sensor {
-                    range: clipped,
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    range: clipped,
-                    ..SENSOR_B
-                },
-                ..TwistSpec::default()
-            },
-            damage: Box::new(|_, _| {}),
-            expect: Accepted,
-        },
+        other("both clipped hard", Accepted, |s| {
+            s.motion = Motion::Twist(8.0, 10.0);
+            (s.a.range, s.b.range) = (Some(4.363), Some(4.363));
+        }),
         other("clipped, one axis", Accepted, |s| {
             s.motion = Motion::SingleAxis(5.0, 8.0);
             s.a.range = Some(4.363);
         }),
         Case {
-            name: "clipped before the noise",
-            spec: TwistSpec {
-                motion: Motion::Twist(5.0, 7.0),
-                a: Sensor {
-                    range: clipped,
-                    lsb: 0.0,
-                    ..SENSOR_A
-                },
-                ..TwistSpec::default()
-            },
             damage: Box::new(|twist, seed| {
                 for (k, w) in twist.a.w.iter_mut().enumerate() {
                     for (axis, rate) in w.iter_mut().enumerate() {
@@ -267,7 +243,10 @@ fn sensors() -> Vec<Case> {
                     }
                 }
             }),
-            expect: Either,
+            ..other("clipped before the noise", Either, |s| {
+                s.motion = Motion::Twist(5.0, 7.0);
+                (s.a.range, s.a.lsb) = (Some(4.363), 0.0);
+            })
         },
         other("coarse steps of the values", Accepted, |s| {
             s.a.lsb = 5e-3;

@@ -400,17 +400,6 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_window_that_contradicts_is_left_out() {
-        let mut estimates: Vec<ClockRelation> = (0..20)
-            .map(|k| estimate(10.0 * f64::from(k), 5.0, 5e-6))
-            .collect();
-        estimates[11].offset += 1e-3;
-        let course = ClockCourse::from_estimates(&estimates, Wander::from_ppm(0.02)).unwrap();
-        assert_eq!((course.used, course.contradicting), (19, 1));
-        assert!((course.at(110.0).offset - 5.0).abs() < 5e-6);
-    }
-
     /// Windows of 10 s about a line with these offsets on top of it.
     fn windows(offsets: &[f64]) -> Vec<ClockRelation> {
         let at = |k: usize| 10.0 * k as f64;

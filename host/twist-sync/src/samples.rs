@@ -392,20 +392,6 @@ mod tests {
     }
 
     #[test]
-    fn a_clean_stream_is_clean() {
-        let (t, w) = stream(|k| STEP * k as f64);
-        let mut usable = vec![true; t.len()];
-        let checked = check(Stream::B, samples(&t, &w), 0.0, &mut usable);
-        assert!(checked.faults.is_empty(), "{:?}", checked.faults);
-        assert!(usable.iter().all(|&u| u));
-        assert!(
-            (checked.noise[0] - 1.5e-3).abs() < 0.5e-3,
-            "{:?}",
-            checked.noise
-        );
-    }
-
-    #[test]
     fn a_displaced_class_is_found_and_measured() {
         let (t, w) = stream(|k| STEP * k as f64 - if k % 10 == 7 { 1e-3 } else { 0.0 });
         let mut usable = vec![true; t.len()];
@@ -477,32 +463,6 @@ mod tests {
         let checked = check(Stream::A, samples(&t, &w), 0.0, &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         assert_eq!(checked.faults[0].samples, [700, 1500, 2200, 2201, 3000]);
-    }
-
-    #[test]
-    fn an_interpolated_stream_is_named_and_left_alone() {
-        let (_, w) = stream(|k| STEP * k as f64);
-        // As if at 120 Hz, raised to 286 Hz.
-        let at = |x: f64| -> Vec3 {
-            let k = x as usize;
-            std::array::from_fn(|axis| w[k][axis] + (w[k + 1][axis] - w[k][axis]) * x.fract())
-        };
-        let t: Vec<f64> = (0..4000).map(|k| f64::from(k) / 286.0).collect();
-        let raised: Vec<Vec3> = (0..4000)
-            .map(|k| at(f64::from(k) * 120.0 / 286.0))
-            .collect();
-        let mut usable = vec![true; t.len()];
-        let stream = Samples {
-            t: &t,
-            w: &raised,
-            step_s: 1.0 / 286.0,
-        };
-        let checked = check(Stream::A, stream, 0.0, &mut usable);
-        let Some(Made::Interpolated(rate_hz)) = checked.made else {
-            panic!("{:?}", checked.made);
-        };
-        assert!((rate_hz - 120.0).abs() < 3.0, "{rate_hz}");
-        assert!(checked.faults.is_empty());
     }
 
     #[test]

@@ -76,21 +76,6 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_app_s_files() {
-        let dir = tempfile::tempdir().unwrap();
-        let video = dir.path().join("VID_20240131_120000.mp4");
-        assert_eq!(beside(&video), None);
-        let folder = dir.path().join("20240131_120000");
-        std::fs::create_dir(&folder).unwrap();
-        let file = folder.join("VID_20240131_120000_imu_timestamps.csv");
-        std::fs::write(&file, "1\n").unwrap();
-        assert_eq!(beside(&video), Some(file));
-        let near = dir.path().join("VID_20240131_120000_timestamps.csv");
-        std::fs::write(&near, "1\n").unwrap();
-        assert_eq!(beside(&video), Some(near));
-    }
-
-    #[test]
     fn seconds_start_at_the_first_frame() {
         let listed = FrameTimes::Listed(vec![5_000_000_000, 5_500_000_000]);
         assert_eq!(listed.seconds(1), Some(0.5));
