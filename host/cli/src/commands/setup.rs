@@ -281,8 +281,9 @@ mod tests {
         args: Args,
     }
 
-    fn asked(options: &[&str], lines: &str, by_adb: Option<&str>) -> Result<String, Failure> {
-        let line = Line::try_parse_from(std::iter::once(&"setup").chain(options)).unwrap();
+    fn asked(options: &str, lines: &str, by_adb: Option<&str>) -> Result<String, Failure> {
+        let words = std::iter::once("setup").chain(options.split_terminator(' '));
+        let line = Line::try_parse_from(words).unwrap();
         let context = Context {
             global: Global {
                 json: true,
@@ -303,18 +304,9 @@ mod tests {
     #[test]
     fn what_is_typed_and_what_is_given_come_to_the_same() {
         let typed = "desk\n10.0.0.7\n\nwfov_unbinned\nk4arecorder\n";
-        let typed = asked(&[], typed, None).unwrap();
-        let given = [
-            "--name",
-            "desk",
-            "--phone",
-            "10.0.0.7",
-            "--depth-mode",
-            "WFOV_UNBINNED",
-            "--recorder",
-            "k4arecorder",
-            "--yes",
-        ];
+        let typed = asked("", typed, None).unwrap();
+        let given = "--name desk --phone 10.0.0.7 --depth-mode WFOV_UNBINNED --yes";
+        let given = format!("{given} --recorder k4arecorder");
         assert_eq!(asked(&given, "", None).unwrap(), typed);
         let profile = Profile::parse(&typed, None).unwrap();
         assert_eq!(profile.name, "desk");
@@ -333,7 +325,7 @@ mod tests {
     #[test]
     fn another_camera_brings_its_modes() {
         let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\nnone\n";
-        let typed = asked(&["--exposure", "6ms"], typed, None).unwrap();
+        let typed = asked("--exposure 6ms", typed, None).unwrap();
         let profile = Profile::parse(&typed, None).unwrap();
         assert_eq!(
             (profile.depth.camera.as_str(), profile.depth.fps),
@@ -341,43 +333,28 @@ mod tests {
         );
         assert_eq!(profile.depth.center_offset_us, 880.0 + 3_000.0);
         assert_eq!(profile.depth.pulse_width_us, 110.0);
-        let mode = asked(
-            &[
-                "--phone",
-                "x",
-                "--camera",
-                "oak",
-                "--depth-mode",
-                "NFOV",
-                "--yes",
-            ],
-            "",
-            None,
-        );
+        let mode = asked("--phone x --camera oak --depth-mode NFOV --yes", "", None);
         assert!(mode.unwrap_err().to_string().contains("800P"));
     }
 
     #[test]
     fn defaults_are_taken_and_an_address_never_invented() {
-        let default = asked(&["--recorder", "none"], "", Some("10.1.1.1")).unwrap();
+        let default = asked("--recorder none", "", Some("10.1.1.1")).unwrap();
         let Profile { phone, depth, .. } = Profile::parse(&default, None).unwrap();
         assert_eq!((phone.address.as_str(), depth.fps), ("10.1.1.1", 30));
         assert!(depth.recorder.command.is_empty());
-        let nobody = asked(&["--yes"], "", None).unwrap_err();
+        let nobody = asked("--yes", "", None).unwrap_err();
         assert_eq!(nobody.status(), ExitStatus::Usage);
         assert!(nobody.to_string().contains("address"), "{nobody}");
-        let wrong = asked(&["--phone", "x"], "\n\nNFOV\n", None).unwrap_err();
+        let wrong = asked("--phone x", "\n\nNFOV\n", None).unwrap_err();
         assert!(wrong.to_string().contains("NFOV_UNBINNED"), "{wrong}");
     }
 
     #[test]
     fn another_recorder_keeps_its_arguments() {
-        let recorder = "my-recorder {folder}/d.mkv {fps}";
-        let text = asked(&["--phone", "x", "--yes", "--recorder", recorder], "", None).unwrap();
-        let profile = Profile::parse(&text, None).unwrap();
-        assert_eq!(
-            profile.depth.recorder.command,
-            ["my-recorder", "{folder}/d.mkv", "{fps}"]
-        );
+        let typed = "\n\n\nmy-recorder {folder}/d.mkv {fps}\n";
+        let text = asked("--phone x", typed, None).unwrap();
+        let command = Profile::parse(&text, None).unwrap().depth.recorder.command;
+        assert_eq!(command, ["my-recorder", "{folder}/d.mkv", "{fps}"]);
     }
 }

@@ -725,20 +725,4 @@ mod tests {
             }
         }
     }
-
-    #[test]
-    fn the_twist_says_when_it_is_enough() {
-        let twist = Twist {
-            elapsed_s: 5.0,
-            length_s: 7.0,
-            sigma_us: Some(4.2),
-            enough_us: 10.0,
-            rms: [3.0, 2.0, 1.0],
-        };
-        let text = shown(80, TWIST_ROWS, |frame| {
-            draw_twist(frame, &twist, frame.area());
-        });
-        assert!(text.contains("4.2 µs: ENOUGH"), "{text}");
-        assert!(text.contains("enough: hold still"), "{text}");
-    }
 }

@@ -4,13 +4,11 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::support::{StandIn, code, frame, hello, polite};
+use crate::support::{StandIn, code, frame, greeting, hello, json, polite, script};
 use protocol::{Answer, Command as BoardCommand, DeviceToHost, HostToDevice, Refusal, Reply};
-use serde_json::Value;
 
 /// Lines as dfu-util 0.11 prints them.
 const DFU_UTIL: &str = r#"#!/bin/sh
@@ -60,12 +58,7 @@ fn board(folder: &Path, answer: Result<(), Refusal>, revision: &'static str) -> 
             BoardCommand::SayHello(_) if folder.join("left").exists() => {
                 let mut now = hello();
                 now.git_revision = revision.try_into().unwrap();
-                let mut bytes = frame(&DeviceToHost::Hello(now));
-                bytes.extend(frame(&DeviceToHost::Answer(Answer {
-                    id: command.id,
-                    result: Ok(Reply::SayHello(())),
-                })));
-                bytes
+                greeting(command.id, now)
             }
             _ => polite(command),
         }
@@ -91,52 +84,21 @@ fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
     let mut damaged = good();
     damaged[100] ^= 1;
     let busy = Refusal::OutputRunning;
+    let worn = Some("worn");
+    let refused = |name, image, word| (name, image, Ok(()), NEW, None, 3, word);
     // Image, answer, revision that runs afterwards, file that is there, exit code, word.
     for (name, image, answer, after, there, expected, word) in [
         ("in order", good(), Ok(()), NEW, None, 0, NEW),
-        (
-            "worn flash",
-            good(),
-            Ok(()),
-            NEW,
-            Some("worn"),
-            1,
-            "does not hold",
-        ),
+        ("worn", good(), Ok(()), NEW, worn, 1, "does not hold"),
         ("another runs", good(), Ok(()), "0000", None, 1, "0000"),
-        (
-            "an output runs",
-            good(),
-            Err(busy),
-            NEW,
-            None,
-            3,
-            "stop it first",
-        ),
-        ("damaged", damaged, Ok(()), NEW, None, 3, "is damaged"),
-        (
-            "cut",
-            good()[..900].to_vec(),
-            Ok(()),
-            NEW,
-            None,
-            3,
-            "cut short",
-        ),
-        (
-            "other board",
-            image("discovery", NEW),
-            Ok(()),
-            NEW,
-            None,
-            3,
-            "is for a STM32F4DISCOVERY",
-        ),
+        ("in use", good(), Err(busy), NEW, None, 3, "stop it first"),
+        refused("damaged", damaged, "is damaged"),
+        refused("cut", good()[..900].to_vec(), "cut short"),
+        refused("other", image("discovery", NEW), "for a STM32F4DISCOVERY"),
     ] {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        fs::write(folder.join("dfu-util"), DFU_UTIL).unwrap();
-        fs::set_permissions(folder.join("dfu-util"), fs::Permissions::from_mode(0o755)).unwrap();
+        script(&folder.join("dfu-util"), DFU_UTIL);
         fs::write(folder.join("image.dfu"), &image).unwrap();
         if let Some(there) = there {
             fs::write(folder.join(there), "").unwrap();
@@ -161,18 +123,14 @@ fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
 fn a_board_without_firmware_is_flashed_when_it_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    fs::write(folder.join("dfu-util"), DFU_UTIL).unwrap();
-    fs::set_permissions(folder.join("dfu-util"), fs::Permissions::from_mode(0o755)).unwrap();
-    fs::write(
-        folder.join("image.dfu"),
-        image("black-pill", "fedcba987654"),
-    )
-    .unwrap();
+    script(&folder.join("dfu-util"), DFU_UTIL);
+    let image = image("black-pill", "fedcba987654");
+    fs::write(folder.join("image.dfu"), image).unwrap();
     fs::write(folder.join("rom"), "").unwrap();
     let board = board(folder, Ok(()), "fedcba987654");
     let unnamed = flash(folder, &board, &[]);
     assert_eq!(code(&unnamed), 10, "{unnamed:?}");
-    let error = serde_json::from_slice::<Value>(&unnamed.stdout).unwrap()["error"].clone();
+    let error = json(&unnamed)["error"].clone();
     assert!(
         error["next_step"].as_str().unwrap().contains("--board"),
         "{error}"

@@ -7,9 +7,8 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::mpsc::channel;
 
-use crate::support::{self, StandIn, code, frame, hello, polite, run};
+use crate::support::{self, StandIn, code, frame, hello, json, polite, run};
 use protocol::{DeviceToHost, HostToDevice, usb};
-use serde_json::Value;
 use test_support::interrupts::PATIENCE;
 
 #[test]
@@ -17,7 +16,7 @@ fn info_says_who_the_board_is() {
     let board = StandIn::new(polite);
     let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
-    let info: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let info = json(&output);
     assert_eq!(info["id"], "AB0102030405060708090A0B");
     assert_eq!(info["firmware"], "1.2.3");
     assert_eq!(info["git_revision"], "0123456789ab");
@@ -64,7 +63,7 @@ fn a_port_in_use_is_busy() {
     let _holder = serialport::new(&board.path, 115_200).open().unwrap();
     let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 7, "{output:?}");
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let told = json(&output);
     assert_eq!(told["error"]["exit_code"], 7);
     assert_eq!(told["error"]["name"], "Busy");
     assert!(told["error"]["next_step"].is_string());

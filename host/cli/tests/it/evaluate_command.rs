@@ -6,22 +6,13 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use evaluate::train::{Shape, TrainGeometry, row_light};
-use serde_json::Value;
 
+use crate::support::{code, json, program, run, run_line};
 use test_support::browser;
-
-fn program() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
-}
 
 /// A video of 64 columns and 1,080 rows of 10.2 µs, without loss; the first three frames
 /// without flashes.
 fn video(path: PathBuf, bias_us: f64) -> PathBuf {
-    video_of(12, path, bias_us)
-}
-
-/// The same of so many frames.
-fn video_of(count: usize, path: PathBuf, bias_us: f64) -> PathBuf {
     let shape = Shape {
         bias_us,
         row_time_us: 10.2,
@@ -36,7 +27,7 @@ fn video_of(count: usize, path: PathBuf, bias_us: f64) -> PathBuf {
         let noise = f64::from(mixed.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 * 4.0;
         (30.0 + lit + noise) as u8
     };
-    let pixels: Vec<u8> = (0..64 * 1080 * count).map(grey).collect();
+    let pixels: Vec<u8> = (0..64 * 1080 * 12).map(grey).collect();
     let mut encoder = Command::new("ffmpeg")
         .args("-v error -f rawvideo -pix_fmt gray -s 64x1080 -r 30 -i - -c:v ffv1".split(' '))
         .arg(&path)
@@ -46,21 +37,6 @@ fn video_of(count: usize, path: PathBuf, bias_us: f64) -> PathBuf {
     encoder.stdin.take().unwrap().write_all(&pixels).unwrap();
     assert!(encoder.wait().unwrap().success());
     path
-}
-
-struct Ran {
-    code: i32,
-    out: String,
-    err: String,
-}
-
-fn run(args: &[&str]) -> Ran {
-    let output = program().args(args).output().unwrap();
-    Ran {
-        code: output.status.code().unwrap(),
-        out: String::from_utf8(output.stdout).unwrap(),
-        err: String::from_utf8(output.stderr).unwrap(),
-    }
 }
 
 #[test]
@@ -77,12 +53,10 @@ fn precision_with_all_outputs() {
         })
         .collect();
     let html = path("report.html");
-    let mut args = vec!["--json", "evaluate", "precision"];
-    args.extend(["--out", &html]);
-    args.extend(inputs.iter().map(String::as_str));
-    let ran = run(&args);
-    assert_eq!(ran.code, 0, "{}", ran.err);
-    let json: Value = serde_json::from_str(&ran.out).unwrap();
+    let all = inputs.join(" ");
+    let ran = run_line(&format!("--json evaluate precision --out {html} {all}"));
+    assert_eq!(code(&ran), 0, "{ran:?}");
+    let json = json(&ran);
     for (recording, truth) in json["recordings"]
         .as_array()
         .unwrap()
@@ -110,7 +84,7 @@ fn precision_with_all_outputs() {
     );
 
     let text = run(&["evaluate", "precision", &inputs[0]]);
-    assert_eq!(text.code, 0);
+    assert_eq!(code(&text), 0);
 }
 
 #[test]
@@ -128,33 +102,21 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
     // The train's ends are out of view.
     let open = video(dir.path().join("open.mkv"), 12.0);
     let open = open.to_str().unwrap();
-    let ran = run(&["evaluate", "precision", "--calibrate", profile, open]);
-    assert_eq!(ran.code, 3, "{}", ran.err);
+    let calibrate = |rest: &str| {
+        code(&run_line(&format!(
+            "evaluate precision --calibrate {profile} {rest}"
+        )))
+    };
+    assert_eq!(calibrate(open), 3);
     assert_eq!(read()["frame_sync"]["bias_us"].as_float(), Some(-4000.0));
     // Known to half a pitch: accepted.
-    let ran = run(&[
-        "evaluate",
-        "precision",
-        "--near",
-        "0us",
-        "--calibrate",
-        profile,
-        open,
-    ]);
-    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert_eq!(calibrate(&format!("--near 0us {open}")), 0);
     let bias = read()["frame_sync"]["bias_us"].as_float().unwrap();
     assert!((bias + 3988.0).abs() < 0.3, "{bias}");
 
     // With an end in view the frames say it themselves; the profile's bias was applied.
     let moved = video(dir.path().join("moved.mkv"), 4012.0);
-    let ran = run(&[
-        "evaluate",
-        "precision",
-        "--calibrate",
-        profile,
-        moved.to_str().unwrap(),
-    ]);
-    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert_eq!(calibrate(moved.to_str().unwrap()), 0);
     let table = &read()["frame_sync"];
     let bias = table["bias_us"].as_float().unwrap();
     assert!((bias - 24.0).abs() < 0.5, "{bias}");
@@ -171,23 +133,16 @@ fn four_k_sixty_in_bounded_memory() {
     let dir = tempfile::tempdir().unwrap();
     let video = dir.path().join("4k60.mp4");
     let made = Command::new("ffmpeg")
-        .args(["-v", "error", "-f", "lavfi", "-i"])
-        .arg("color=c=gray:s=3840x2160:r=60:d=1.5,noise=alls=8:allf=t")
-        .args([
-            "-c:v",
-            "libx264",
-            "-preset",
-            "ultrafast",
-            "-pix_fmt",
-            "yuv420p",
-        ])
+        .args(
+            "-v error -f lavfi -i color=c=gray:s=3840x2160:r=60:d=1.5,noise=alls=8:allf=t"
+                .split(' '),
+        )
+        .args("-c:v libx264 -preset ultrafast -pix_fmt yuv420p".split(' '))
         .arg(&video)
         .status()
         .expect("ffmpeg, which the project's test command installs");
     assert!(made.success());
-    let mut child = program()
-        .args(["evaluate", "precision"])
-        .arg(&video)
+    let mut child = program(&["evaluate", "precision", video.to_str().unwrap()])
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()

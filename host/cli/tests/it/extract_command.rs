@@ -4,49 +4,22 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use board::imu::Sample;
-use protocol::{ImuFlags, Pulse, Ticks};
-use recording::profile::Profile;
 use recording::session_file::SessionFile;
-use recording::writer::Writer;
 use serde_json::Value;
 use timebase::BoardSeconds;
 use timebase::{ClockModel, Wander};
 
-const TICK: u64 = 48_000_000;
+use crate::support::synthetic::{SECONDS, Wrong, make};
+use crate::support::{json, test_video};
+
 /// Phone − board, s; without any skew.
 const OFFSET: i64 = 900_000;
 const PERIOD_NS: i64 = 33_333_333;
 
-/// A recording of three seconds with pulses, samples at rest and a session.
+/// A recording without depth, whose clocks have whole seconds between them.
 fn recording(parent: &Path) -> PathBuf {
-    let folder = parent.join("walk");
-    fs::create_dir(&folder).unwrap();
-    let mut writer = Writer::create(&folder).unwrap();
-    for number in 0..90_u64 {
-        let at = Ticks(TICK + number * 1_600_000);
-        let pulse = Pulse {
-            seq: number as u32,
-            train: 1,
-            number,
-            at,
-            aligned: true,
-            ..Pulse::default()
-        };
-        writer.pulse(&pulse).unwrap();
-        for sample in 0..16 {
-            let value = Sample {
-                at: Ticks(at.0 + sample * 96_000),
-                flags: ImuFlags::default(),
-                gyro: [0.001, 0.002, -0.003],
-                accel: [0.0, 0.0, 9.81],
-                temperature: 36.5,
-            };
-            writer.imu(&value, (number * 16 + sample) as u32).unwrap();
-        }
-    }
-    writer.finish().unwrap();
-    let mut session = SessionFile::new("walk".into(), Profile::published().unwrap());
+    let folder = make(parent, Wrong::default());
+    let mut session = SessionFile::load(&folder).unwrap();
     session.phones[0].clock = Some(ClockModel {
         reference: BoardSeconds(2.0),
         offset: OFFSET as f64,
@@ -63,22 +36,9 @@ fn phone(folder: &Path, frames: u32, rows: i64) {
     let place = folder.join("phone/20260131_140327");
     fs::create_dir_all(&place).unwrap();
     let name = "VID_20260131_140327";
-    let made = Command::new("ffmpeg")
-        .args([
-            "-v",
-            "error",
-            "-f",
-            "lavfi",
-            "-i",
-            "testsrc2=size=64x48:rate=30",
-        ])
-        .args(["-frames:v", &frames.to_string(), "-pix_fmt", "yuv420p"])
-        .arg(folder.join(format!("phone/{name}.mp4")))
-        .status()
-        .expect("this test needs ffmpeg: sudo apt-get install ffmpeg");
-    assert!(made.success());
+    test_video(&folder.join(format!("phone/{name}.mp4")), frames, &[]);
     let stamps: String = (0..rows)
-        .map(|row| format!("{}\n", (OFFSET + 1) * 1_000_000_000 + row * PERIOD_NS))
+        .map(|row| format!("{}\n", (OFFSET + 2) * 1_000_000_000 + row * PERIOD_NS))
         .collect();
     fs::write(place.join(format!("{name}_timestamps.csv")), stamps).unwrap();
 }
@@ -90,16 +50,6 @@ fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Output {
         command.env("PATH", path);
     }
     command.output().unwrap()
-}
-
-fn json(output: &Output) -> Value {
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
-        panic!(
-            "{error}: {}{}",
-            String::from_utf8_lossy(&output.stdout),
-            String::from_utf8_lossy(&output.stderr)
-        )
-    })
 }
 
 /// Whether a part of the recording is missing.
@@ -122,16 +72,16 @@ fn a_video_becomes_images_named_by_board_time() {
     assert_eq!(report["phone"]["images"], 60);
     assert!(!lacks(&report, "video"), "{report}");
     assert_eq!(report["clock"]["source"], "session");
-    assert_eq!(report["board"]["imu"]["samples"], 90 * 16);
+    assert_eq!(report["board"]["imu"]["samples"], SECONDS * 500);
 
     let out = parent.path().join("walk-euroc/mav0/cam0");
     let list = fs::read_to_string(out.join("data.csv")).unwrap();
     let rows: Vec<&str> = list.lines().skip(1).collect();
     assert_eq!(rows.len(), 60);
-    // Half of the profile's exposure and readout after the timestamp.
-    let middle = (10_000_000 + 11_006_000) / 2;
+    // Half of the session's exposure, and its middle row, after the timestamp.
+    let middle = 2_000_000 + 5_503_000;
     for (index, row) in (0..).zip(&rows) {
-        let expected = 1_000_000_000 + index * PERIOD_NS + middle;
+        let expected = 2_000_000_000 + index * PERIOD_NS + middle;
         assert_eq!(*row, format!("{expected:019},{expected:019}.png"));
         let image = fs::read(out.join("data").join(format!("{expected:019}.png"))).unwrap();
         assert_eq!(&image[..8], b"\x89PNG\r\n\x1a\n");

@@ -4,7 +4,7 @@
 use std::ffi::OsString;
 use std::fs;
 use std::io::{Read as _, Write as _};
-use std::os::unix::fs::{FileExt as _, PermissionsExt as _};
+use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -175,9 +175,7 @@ fn stand_ins(folder: &Path, frames: u64, ffmpeg: &str) -> OsString {
         ("ffprobe", probe),
         ("ffmpeg", format!("{version}\n{ffmpeg}")),
     ] {
-        let path = folder.join(name);
-        fs::write(&path, format!("#!/bin/sh\n{lines}\n")).unwrap();
-        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        support::script(&folder.join(name), &format!("#!/bin/sh\n{lines}\n"));
     }
     let mut path = folder.as_os_str().to_owned();
     path.push(":");

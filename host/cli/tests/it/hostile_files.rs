@@ -8,14 +8,14 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use board::imu::Sample;
-use protocol::{Answer, DeviceToHost, HostToDevice, ImuFlags, Pulse, Reply, Ticks};
+use protocol::{HostToDevice, ImuFlags, Pulse, Ticks};
 use recording::SESSION_FILE;
 use recording::finding::Finding;
 use recording::writer::Writer;
 use serde_json::Value;
 
 use crate::support::synthetic::{self, Wrong};
-use crate::support::{self, StandIn, code, frame, hello, text};
+use crate::support::{self, StandIn, code, hello, text};
 use test_support::interrupts::PATIENCE;
 use test_support::{below, contents};
 
@@ -69,24 +69,20 @@ fn with_session(parent: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
 
 #[test]
 fn names_in_a_session_lead_nowhere() {
-    for (what, change) in [
-        (
-            "phone",
-            Box::new(|session: &mut Value| {
-                let mut phone = session["profile"]["phone"].clone();
-                phone["name"] = "../../outside".into();
-                session["profile"]["phones"] = vec![phone].into();
-            }) as Box<dyn Fn(&mut Value)>,
-        ),
-        (
-            "file",
-            Box::new(|session: &mut Value| {
-                session["files"] = vec![Value::from("../outside/other.mp4")].into();
-            }),
-        ),
-    ] {
+    type Change = fn(&mut Value);
+    let changes: [(&str, Change); 2] = [
+        ("phone", |session| {
+            let mut phone = session["profile"]["phone"].clone();
+            phone["name"] = "../../outside".into();
+            session["profile"]["phones"] = vec![phone].into();
+        }),
+        ("file", |session| {
+            session["files"] = vec![Value::from("../outside/other.mp4")].into();
+        }),
+    ];
+    for (what, change) in changes {
         let parent = tempfile::tempdir().unwrap();
-        let folder = with_session(parent.path(), &change);
+        let folder = with_session(parent.path(), change);
         fs::create_dir(folder.join("phones")).unwrap();
         let outside = parent.path().join("outside");
         fs::create_dir(&outside).unwrap();
@@ -119,20 +115,6 @@ pub(crate) fn recording_with_video(parent: &Path) -> PathBuf {
     folder
 }
 
-/// A video and four playlists that stand for it.
-fn playlists(folder: &Path) -> PathBuf {
-    let secret = folder.join("secret.mp4");
-    let made = Command::new("ffmpeg")
-        .args(["-v", "error", "-f", "lavfi", "-i"])
-        .args(["testsrc2=size=64x48:rate=30", "-frames:v", "30", "-pix_fmt"])
-        .args(["yuv420p", "-movflags", "+frag_keyframe+empty_moov"])
-        .arg(&secret)
-        .status()
-        .expect("this test needs ffmpeg: sudo apt-get install ffmpeg");
-    assert!(made.success());
-    secret
-}
-
 #[test]
 fn a_playlist_reads_no_other_file() {
     let hls = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n../secret.mp4\n#EXT-X-ENDLIST\n";
@@ -152,7 +134,8 @@ fn a_playlist_reads_no_other_file() {
     ] {
         let parent = tempfile::tempdir().unwrap();
         let folder = recording_with_video(parent.path());
-        let _ = playlists(parent.path());
+        let fragments = ["-movflags", "+frag_keyframe+empty_moov"];
+        support::test_video(&parent.path().join("secret.mp4"), 30, &fragments);
         let video = folder.join("VID_20260131_140327.mp4");
         fs::write(&video, list).unwrap();
         let output = limited(&["--json", "extract", utf8(&folder)]);
@@ -312,14 +295,7 @@ fn no_escape_sequence_reaches_the_terminal() {
     greeting.last_panic = Some(WILD.try_into().unwrap());
     greeting.git_revision = "\u{1b}[2Jrev".try_into().unwrap();
     let board = StandIn::new(move |command: HostToDevice| match command.command {
-        protocol::Command::SayHello(_) => {
-            let mut bytes = frame(&DeviceToHost::Hello(greeting.clone()));
-            bytes.extend(frame(&DeviceToHost::Answer(Answer {
-                id: command.id,
-                result: Ok(Reply::SayHello(())),
-            })));
-            bytes
-        }
+        protocol::Command::SayHello(_) => support::greeting(command.id, greeting.clone()),
         _ => support::polite(command),
     });
     let output = support::run(&["board", "info", "--port", &board.path]);

@@ -2,9 +2,10 @@
 //! to the board, losses on the way back, files in SI units.
 #![cfg(unix)]
 
+use std::process;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run};
+use crate::support::{Behaviour, StandIn, code, frame, imu_setup, json, polite, run_line};
 use protocol::{
     AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, HostToDevice, ImuFlags,
     ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong, QueryImu,
@@ -12,6 +13,10 @@ use protocol::{
     TriggerStatus,
 };
 use serde_json::Value;
+
+fn with_port(board: &StandIn, line: &str) -> process::Output {
+    run_line(&format!("{line} --port {}", board.path))
+}
 
 fn answer(id: u32, result: Result<Reply, Refusal>) -> Vec<u8> {
     frame(&DeviceToHost::Answer(Answer { id, result }))
@@ -64,20 +69,8 @@ fn a_period_in_microseconds_reaches_the_board() {
         }
         _ => Err(Refusal::TriggerStopped),
     });
-    let done = run(&[
-        "board",
-        "trigger",
-        "--port",
-        &board.path,
-        "--json",
-        "start",
-        "--period",
-        "33330.65254us",
-        "--width",
-        "12.5us",
-        "--first-edge",
-        "4800000000",
-    ]);
+    let train = "start --period 33330.65254us --width 12.5us --first-edge 4800000000";
+    let done = with_port(&board, &format!("board trigger --json {train}"));
     assert_eq!(code(&done), 0, "{done:?}");
     let Command::StartTrigger(StartTrigger { output, start }) = received.recv().unwrap() else {
         panic!("another command");
@@ -87,7 +80,7 @@ fn a_period_in_microseconds_reaches_the_board() {
     assert!(start.period.0.abs_diff(exact.0) <= 2, "{:?}", start.period);
     assert_eq!(start.width, 600);
     assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
-    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let report = json(&done);
     assert_eq!(report["period_ns"], "33330652.540");
     assert_eq!(report["period_ticks"], 1_599_871);
     assert_eq!(report["next_edge_fraction"], 1_u32 << 31);
@@ -115,18 +108,8 @@ fn an_align_keeps_the_period_unless_told() {
         })),
         _ => Err(Refusal::TriggerStopped),
     });
-    let output = run(&[
-        "board",
-        "trigger",
-        "--port",
-        &board.path,
-        "--json",
-        "align",
-        "--anchor",
-        "4416000000",
-        "--slew",
-        "10us",
-    ]);
+    let align = "board trigger align --anchor 4416000000 --slew 10us --json";
+    let output = with_port(&board, align);
     assert_eq!(code(&output), 0, "{output:?}");
     assert_eq!(
         received.recv().unwrap(),
@@ -138,7 +121,7 @@ fn an_align_keeps_the_period_unless_told() {
     assert_eq!(align.anchor, Ticks(4_416_000_000));
     assert_eq!(align.period, Period(0x1234_5678_9ABC_DEF0 >> 8));
     assert_eq!(align.slew, 480);
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let report = json(&output);
     assert_eq!(report["shift"], -480);
     assert_eq!(report["arrival_pulse"], 44);
 }
@@ -218,17 +201,9 @@ impl Behaviour for ImuStandIn {
 #[test]
 fn imu_reports_si_units_and_tells_a_loss() {
     let board = StandIn::new(ImuStandIn::default());
-    let output = run(&[
-        "board",
-        "imu",
-        "--port",
-        &board.path,
-        "--duration",
-        "1s",
-        "--json",
-    ]);
+    let output = with_port(&board, "board imu --duration 1s --json");
     assert_eq!(code(&output), 0, "{output:?}");
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let report = json(&output);
     assert_eq!(report["samples"], 500);
     assert_eq!(report["missed"], 0);
     assert_eq!(report["rate_hz"], 500.0);
@@ -239,24 +214,16 @@ fn imu_reports_si_units_and_tells_a_loss() {
     let accel_z = report["accel_mean_m_s2"][2].as_f64().unwrap();
     assert!((accel_z - 9.806_65).abs() < 1e-9);
 
-    let output = run(&["board", "imu", "--port", &board.path, "--duration", "1s"]);
+    let output = with_port(&board, "board imu --duration 1s");
     assert_eq!(code(&output), 0, "{output:?}");
 
     let board = StandIn::new(ImuStandIn {
         missing: Some(4_000),
         ..ImuStandIn::default()
     });
-    let output = run(&[
-        "board",
-        "imu",
-        "--port",
-        &board.path,
-        "--duration",
-        "9s",
-        "--json",
-    ]);
+    let output = with_port(&board, "board imu --duration 9s --json");
     assert_eq!(code(&output), 4, "{output:?}");
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let report = json(&output);
     assert_eq!(report["missed"], 1);
     assert_eq!(report["interval_max_ticks"], 96_000);
 }
@@ -269,16 +236,8 @@ fn doctor_looks_again_at_a_sensor_that_is_set_up() {
             starting,
             ..ImuStandIn::default()
         });
-        let port = &board.path;
-        let output = run(&[
-            "doctor",
-            "--port",
-            port,
-            "--no-phone",
-            "--no-trigger",
-            "--json",
-        ]);
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let output = with_port(&board, "doctor --no-phone --no-trigger --json");
+        let report = json(&output);
         let mut checks = report["checks"].as_array().unwrap().iter();
         let imu = checks.find(|check| check["kind"] == "IMU").unwrap();
         assert_eq!(imu["severity"], severity, "{imu}");

@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use board::imu::Scale;
 use protocol::ImuFlags;
@@ -13,25 +12,14 @@ use recording::reader::{Entry, Reader};
 use recording::session_file::{ImuInfo, SessionFile};
 use report::verify::{Report, verify};
 
-use crate::support::imu_setup;
 use crate::support::synthetic::{SECONDS, Wrong, make};
+use crate::support::{imu_setup, json, run};
 
 const MCAP: &str = "recording.mcap";
 
 fn kinds(report: &Report) -> Vec<&str> {
     let findings = report.findings.iter();
     findings.map(|finding| finding.kind.as_str()).collect()
-}
-
-fn run(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
-        .args(args)
-        .output()
-        .unwrap()
-}
-
-fn json(output: &Output) -> serde_json::Value {
-    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// The entries that can be read.

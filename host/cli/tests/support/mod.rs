@@ -4,8 +4,10 @@
 mod session;
 pub(crate) mod synthetic;
 
-use std::fs::File;
+use std::fs::{self, File, Permissions};
 use std::io::{Read, Write};
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -127,6 +129,13 @@ pub(crate) fn hello() -> Hello {
     }
 }
 
+/// What a board says that is asked for its hello.
+pub(crate) fn greeting(id: u32, hello: Hello) -> Vec<u8> {
+    let result = Ok(Reply::SayHello(()));
+    let answer = DeviceToHost::Answer(Answer { id, result });
+    [frame(&DeviceToHost::Hello(hello)), frame(&answer)].concat()
+}
+
 /// Answers hello and ping as a board does.
 pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
     let id = command.id;
@@ -137,11 +146,7 @@ pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
         }))
     };
     match command.command {
-        protocol::Command::SayHello(_) => {
-            let mut bytes = frame(&DeviceToHost::Hello(hello()));
-            bytes.extend(answer(Reply::SayHello(())));
-            bytes
-        }
+        protocol::Command::SayHello(_) => greeting(id, hello()),
         protocol::Command::Ping(ping) => answer(Reply::Ping(Pong {
             host_time: ping.host_time,
             received: Ticks(48_000_000 * 91),
@@ -191,6 +196,45 @@ pub(crate) fn imu_setup() -> ImuSetup {
 /// Runs the program to its end.
 pub(crate) fn run(args: &[&str]) -> Output {
     program(args).output().unwrap()
+}
+
+/// The same with words that have no spaces in them.
+pub(crate) fn run_line(line: &str) -> Output {
+    run(&line.split(' ').collect::<Vec<_>>())
+}
+
+/// What it printed.
+pub(crate) fn json(output: &Output) -> serde_json::Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+/// A script of the shell that stands for a program.
+pub(crate) fn script(path: &Path, text: &str) {
+    fs::write(path, text).unwrap();
+    fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
+}
+
+/// A video of a picture that moves.
+pub(crate) fn test_video(path: &Path, frames: u32, more: &[&str]) {
+    let made = Command::new("ffmpeg")
+        .args("-v error -f lavfi -i testsrc2=size=64x48:rate=30 -pix_fmt yuv420p".split(' '))
+        .args(["-frames:v", &frames.to_string()])
+        .args(more)
+        .arg(path)
+        .status()
+        .expect("this test needs ffmpeg: sudo apt-get install ffmpeg");
+    assert!(made.success());
+}
+
+/// All commands below this one, each with its words; `help` aside.
+pub(crate) fn commands(of: &clap::Command, words: &str) -> Vec<(String, clap::Command)> {
+    let mut found = Vec::new();
+    for below in of.get_subcommands().filter(|it| it.get_name() != "help") {
+        let words = format!("{words} {}", below.get_name());
+        found.push((words.trim_start().to_owned(), below.clone()));
+        found.extend(commands(below, words.trim_start()));
+    }
+    found
 }
 
 pub(crate) fn program(args: &[&str]) -> Command {
