@@ -387,4 +387,4 @@ impl Conversation {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

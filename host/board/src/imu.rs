@@ -125,7 +125,7 @@ fn relative(identity: u8) -> &'static str {
 }
 
 /// One sample in SI units.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     /// Data-ready edge.
     pub at: Ticks,
@@ -534,10 +534,8 @@ mod tests {
             let at = index as f64 * 2e-3;
             look.add(&Sample {
                 at: Ticks(index * 96_000),
-                flags: ImuFlags(0),
                 gyro: [rate(at), 0.0, 0.5 * rate(at)],
-                accel: [0.0, 0.0, 9.81],
-                temperature: 25.0,
+                ..Sample::default()
             });
         }
         look
@@ -574,10 +572,8 @@ mod tests {
             }
             look.add(&Sample {
                 at: Ticks(index as u64 * 96_000),
-                flags: ImuFlags(0),
                 gyro: [rate; 3],
-                accel: [0.0; 3],
-                temperature: 25.0,
+                ..Sample::default()
             });
         }
         assert_eq!(look.noise_in_motion(), Some(0.0));

@@ -172,8 +172,7 @@ mod tests {
                 at: Ticks(48_000_000 + u64::from(number) * 96_000),
                 flags,
                 gyro: [f64::from(number), 0.0, 0.0],
-                accel: [0.0; 3],
-                temperature: 30.0,
+                ..Sample::default()
             };
             writer.imu(&sample, number).unwrap();
         }

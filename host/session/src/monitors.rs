@@ -221,9 +221,7 @@ mod tests {
             let sample = Sample {
                 at,
                 flags,
-                gyro: [0.1; 3],
-                accel: [0.0; 3],
-                temperature: 30.0,
+                ..Sample::default()
             };
             gyro.take(&sample);
         }

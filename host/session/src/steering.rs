@@ -189,7 +189,7 @@ fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::alignment::plan;
     use crate::twists::Twists;
@@ -239,7 +239,7 @@ mod tests {
         }
     }
 
-    fn clock(skew: f64) -> ClockModel {
+    pub(crate) fn clock(skew: f64) -> ClockModel {
         ClockModel {
             reference: BoardSeconds(100.0),
             offset: 5.0,
@@ -249,7 +249,7 @@ mod tests {
         }
     }
 
-    fn alignment(clock: &ClockModel) -> Alignment {
+    pub(crate) fn alignment(clock: &ClockModel) -> Alignment {
         let video = Video {
             phase: PhoneNanos(106_000_000_000),
             frame_duration_ns: 1e9 / 30.0,

@@ -374,39 +374,19 @@ fn report_lock(log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alignment::plan;
-    use crate::twists::Twists;
-    use recording::profile::Profile;
-    use recording::session_file::Video;
-    use timebase::{BoardSeconds, PhoneNanos, Wander};
+    use crate::steering::tests::{alignment, clock};
+    use timebase::BoardSeconds;
 
     #[test]
     fn a_step_without_an_answer_is_asked_for_again_before_any_other() {
-        let clock = ClockModel {
-            reference: BoardSeconds(100.0),
-            offset: 5.0,
-            skew: 1e-5,
-            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
-            wander: Wander::default(),
-        };
-        let video = Video {
-            phase: PhoneNanos(106_000_000_000),
-            frame_duration_ns: 1e9 / 30.0,
-            exposure_ns: Some(1_000_000),
-            boot_minus_frames_ns: 0,
-        };
-        let profile = Profile::published().unwrap();
-        let planned = plan(&profile, &Twists::of(clock).course(), &video).unwrap();
+        let clock = clock(1e-5);
         let mut following = Following {
-            steering: Steering::new(&planned.alignment, profile.frame_ratio()),
+            steering: Steering::new(&alignment(&clock), 1),
             stepped: Duration::ZERO,
             is_lost: false,
             unanswered: None,
         };
-        let warmer = ClockModel {
-            skew: 1.1e-5,
-            ..clock
-        };
+        let warmer = self::clock(1.1e-5);
         let at = |seconds| {
             (
                 Duration::from_secs(seconds),

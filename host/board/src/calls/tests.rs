@@ -1,6 +1,7 @@
-use protocol::{Answer, Filler, HostToDevice, MAX_FRAME, Ticks, encode};
+use protocol::{Answer, Filler, HostToDevice};
 
 use super::*;
+use crate::conversation::tests::{frame, hello};
 
 /// A board that answers with all that lay in its buffers around the answer, in one
 /// piece.
@@ -13,9 +14,7 @@ struct Scripted {
 
 impl Scripted {
     fn say(&mut self, message: &DeviceToHost) {
-        let mut buffer = [0; MAX_FRAME];
-        self.to_host
-            .extend_from_slice(encode(message, &mut buffer).unwrap());
+        self.to_host.extend(frame(message));
     }
 
     fn filler(&mut self, numbers: &[u32]) {
@@ -38,16 +37,7 @@ impl Link for Scripted {
             let Ok(command) = command else { continue };
             let (before, after) = (self.before.clone(), self.after.clone());
             self.filler(&before);
-            self.say(&DeviceToHost::Hello(Hello {
-                protocol_version: protocol::PROTOCOL_VERSION,
-                firmware_version: (0, 1, 0),
-                board_id: [7; 12],
-                tick_hz: protocol::TICK_HZ,
-                now: Ticks(48_000_000),
-                epoch: 1,
-                reset_cause: protocol::ResetCause::PowerOn,
-                ..Hello::default()
-            }));
+            self.say(&hello(1, protocol::PROTOCOL_VERSION));
             self.say(&DeviceToHost::Answer(Answer {
                 id: command.id,
                 result: Ok(Reply::SayHello(())),

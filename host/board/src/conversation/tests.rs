@@ -5,7 +5,7 @@ use protocol::{
 
 use super::*;
 
-fn frame(message: &DeviceToHost) -> Vec<u8> {
+pub(crate) fn frame(message: &DeviceToHost) -> Vec<u8> {
     let mut buffer = [0; MAX_FRAME];
     encode(message, &mut buffer).unwrap().to_vec()
 }
@@ -21,7 +21,7 @@ fn sample(seq: u32) -> DeviceToHost {
     })
 }
 
-fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
+pub(crate) fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
     DeviceToHost::Hello(Hello {
         protocol_version,
         firmware_version: (0, 1, 0),

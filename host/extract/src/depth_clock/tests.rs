@@ -19,40 +19,31 @@ impl Dice {
     }
 }
 
-/// Pulses of 30.0024 Hz with a move of the phase.
-pub(crate) struct Train {
-    pub(crate) count: u64,
-    /// First pulse of the move, ns in all, ns a pulse (0: at once).
-    pub(crate) slew: Option<(u64, i64, i64)>,
-}
-
 pub(crate) const PERIOD_PS: i64 = 33_330_652_540;
 
-impl Train {
-    pub(crate) fn pulses(&self) -> Vec<PulseTime> {
-        let mut moved = 0_i64;
-        (0..self.count)
-            .map(|number| {
-                if let Some((from, total, step)) = self.slew
-                    && number >= from
-                {
-                    let left = total - moved;
-                    let step = if step == 0 {
-                        left
-                    } else {
-                        left.clamp(-step, step)
-                    };
-                    moved += step;
-                }
-                let at = 7_000_000_000 + (number as i64 * PERIOD_PS) / 1000 + moved;
-                PulseTime {
-                    train: 1,
-                    number,
-                    at: BoardNanos(at),
-                }
-            })
-            .collect()
-    }
+/// Pulses of 30.0024 Hz with a move of the phase: its first pulse, ns in all, ns a pulse (0: at
+/// once).
+pub(crate) fn train(count: u64, slew: Option<(u64, i64, i64)>) -> Vec<PulseTime> {
+    let mut moved = 0_i64;
+    let pulse = |number| {
+        if let Some((from, total, step)) = slew
+            && number >= from
+        {
+            let left = total - moved;
+            moved += if step == 0 {
+                left
+            } else {
+                left.clamp(-step, step)
+            };
+        }
+        let at = 7_000_000_000 + (number as i64 * PERIOD_PS) / 1000 + moved;
+        PulseTime {
+            train: 1,
+            number,
+            at: BoardNanos(at),
+        }
+    };
+    (0..count).map(pulse).collect()
 }
 
 /// The camera's stamp of a pulse: 300 ppm off, with wander, in ticks of 90 kHz.
@@ -113,11 +104,7 @@ fn an_alignment_in_the_recording_decides() {
         (2, (300, -15_000_000, 20_000)),
         (3, (600, 4_000_000, 2_000)),
     ] {
-        let train = Train {
-            count: 18_000,
-            slew: Some(slew),
-        };
-        let pulses = train.pulses();
+        let pulses = train(18_000, Some(slew));
         let (frames, truth) = frames(&pulses, 137, 50, seed);
         let found = match_frames(&frames, &pulses, None).unwrap();
         assert!(matches!(found.decision, Decision::Pattern { margin } if margin > 30.0));
@@ -129,11 +116,7 @@ fn an_alignment_in_the_recording_decides() {
 /// whole move one pulse late: at the wrong shift everything fits.
 #[test]
 fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
-    let train = Train {
-        count: 3_000,
-        slew: Some((1_000, 16_000_000, 1_000_000)),
-    };
-    let pulses = train.pulses();
+    let pulses = train(3_000, Some((1_000, 16_000_000, 1_000_000)));
     let mut late = pulses.clone();
     for index in 1..late.len() {
         let expected = pulses[index - 1].at.0 + PERIOD_PS / 1000;
@@ -159,11 +142,7 @@ fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
 
 #[test]
 fn a_jump_leaves_the_neighbouring_shifts() {
-    let train = Train {
-        count: 3_000,
-        slew: Some((1_000, 16_000_000, 0)),
-    };
-    let pulses = train.pulses();
+    let pulses = train(3_000, Some((1_000, 16_000_000, 0)));
     let (frames, truth) = frames(&pulses, 3, 0, 1);
     // The frame of the jump may be one that the camera had begun already.
     let error = match_frames(&frames, &pulses, None).unwrap_err();
@@ -193,11 +172,7 @@ fn a_jump_leaves_the_neighbouring_shifts() {
 
 #[test]
 fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
-    let pulses = Train {
-        count: 2_000,
-        slew: None,
-    }
-    .pulses();
+    let pulses = train(2_000, None);
     let (frames, truth) = frames(&pulses[..1_900], 2, 30, 5);
     let error = match_frames(&frames, &pulses, None).unwrap_err();
     let MatchError::Ambiguous(left) = error else {
@@ -243,11 +218,7 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
 
 #[test]
 fn pattern_and_hint_must_agree() {
-    let pulses = Train {
-        count: 4_000,
-        slew: Some((500, 9_000_000, 100_000)),
-    }
-    .pulses();
+    let pulses = train(4_000, Some((500, 9_000_000, 100_000)));
     let (frames, truth) = frames(&pulses, 10, 40, 9);
     check(
         &match_frames(&frames, &pulses, Some(Hint::FirstPulse(10))).unwrap(),
@@ -269,11 +240,7 @@ fn pattern_and_hint_must_agree() {
 
 #[test]
 fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
-    let all = Train {
-        count: 3_000,
-        slew: Some((400, 9_000_000, 100_000)),
-    }
-    .pulses();
+    let all = train(3_000, Some((400, 9_000_000, 100_000)));
     let (mut frames, mut truth) = frames(&all, 5, 25, 11);
     // Three pulses never reached the recording.
     let lost = [700, 701, 1500];
@@ -310,11 +277,7 @@ fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
 
 #[test]
 fn frames_may_go_on_for_longer_than_the_pulses() {
-    let pulses = Train {
-        count: 1_970,
-        slew: Some((84, -6_500_000, 100_000)),
-    }
-    .pulses();
+    let pulses = train(1_970, Some((84, -6_500_000, 100_000)));
     let (mut frames, truth) = frames(&pulses, 1, 0, 5);
     let last = frames[frames.len() - 1].0;
     frames.extend((1..=3_200).map(|i| DeviceNanos(last + i * 33_333_000)));
@@ -332,11 +295,7 @@ fn frames_may_go_on_for_longer_than_the_pulses() {
 
 #[test]
 fn a_camera_that_runs_free_is_said() {
-    let pulses = Train {
-        count: 3_000,
-        slew: Some((400, 9_000_000, 100_000)),
-    }
-    .pulses();
+    let pulses = train(3_000, Some((400, 9_000_000, 100_000)));
     let at = |i: i64| DeviceNanos(i * 50_000_000);
     let slow: Vec<DeviceNanos> = (0..1_000).map(at).collect();
     assert!(matches!(
