@@ -151,26 +151,12 @@ fn set_up(sensor: &mut Imu<Mock>, config: &ImuConfig) -> Result<(), ImuFault> {
 
 #[test]
 fn every_setting_reaches_its_field() {
-    for (low_pass, dlpf) in [
-        (LowPass::Hz188, 1),
-        (LowPass::Hz98, 2),
-        (LowPass::Hz42, 3),
-        (LowPass::Hz20, 4),
-        (LowPass::Hz10, 5),
-        (LowPass::Hz5, 6),
-    ] {
-        for (gyro_range, fs) in [
-            (GyroRange::Dps250, 0x00),
-            (GyroRange::Dps500, 0x08),
-            (GyroRange::Dps1000, 0x10),
-            (GyroRange::Dps2000, 0x18),
-        ] {
-            for (accel_range, afs) in [
-                (AccelRange::G2, 0x00),
-                (AccelRange::G4, 0x08),
-                (AccelRange::G8, 0x10),
-                (AccelRange::G16, 0x18),
-            ] {
+    use AccelRange::{G2, G4, G8, G16};
+    use GyroRange::{Dps250, Dps500, Dps1000, Dps2000};
+    use LowPass::{Hz5, Hz10, Hz20, Hz42, Hz98, Hz188};
+    for (dlpf, low_pass) in (1..).zip([Hz188, Hz98, Hz42, Hz20, Hz10, Hz5]) {
+        for (fs, gyro_range) in (0..).zip([Dps250, Dps500, Dps1000, Dps2000]) {
+            for (afs, accel_range) in (0..).zip([G2, G4, G8, G16]) {
                 let config = ImuConfig {
                     divider: 199,
                     low_pass,
@@ -180,7 +166,7 @@ fn every_setting_reaches_its_field() {
                 let mut sensor = imu(Mock::new());
                 now(sensor.set_up(&config, &mut Delay::default())).unwrap();
                 let kept = &sensor.registers.bus.registers[0];
-                assert_eq!(kept[0x19..0x1D], [199, dlpf, fs, afs]);
+                assert_eq!(kept[0x19..0x1D], [199, dlpf, fs << 3, afs << 3]);
                 assert_eq!(kept[0x6B], 1);
             }
         }

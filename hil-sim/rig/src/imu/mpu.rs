@@ -402,22 +402,14 @@ mod tests {
             assert_eq!(found, (gyro_hz, accel_hz));
             assert_eq!(path.gyro_hz, 1000);
         }
-        for (setting, range) in [
-            (0x00, GyroRange::Dps250),
-            (0x08, GyroRange::Dps500),
-            (0x10, GyroRange::Dps1000),
-            (0x18, GyroRange::Dps2000),
-        ] {
+        use GyroRange::{Dps250, Dps500, Dps1000, Dps2000};
+        for (setting, range) in (0..).zip([Dps250, Dps500, Dps1000, Dps2000]) {
             let tenths = f64::from(range.lsb_per_dps_times_10());
-            assert!((gyro_counts_per_dps(setting) * 10.0 - tenths).abs() < 1e-9);
+            assert!((gyro_counts_per_dps(setting << 3) * 10.0 - tenths).abs() < 1e-9);
         }
-        for (setting, range) in [
-            (0x00, AccelRange::G2),
-            (0x08, AccelRange::G4),
-            (0x10, AccelRange::G8),
-            (0x18, AccelRange::G16),
-        ] {
-            assert!((accel_counts_per_g(setting) - f64::from(range.lsb_per_g())).abs() < 1e-9);
+        use AccelRange::{G2, G4, G8, G16};
+        for (setting, range) in (0..).zip([G2, G4, G8, G16]) {
+            assert!((accel_counts_per_g(setting << 3) - f64::from(range.lsb_per_g())).abs() < 1e-9);
         }
     }
 }

@@ -31,16 +31,7 @@ fn it_boots_keeps_time_and_says_which_board_it_is() {
     let warm = f64::from(status.die_decidegrees.unwrap()) / 10.0;
     assert!((warm - 36.0).abs() < 0.8, "{warm}");
 
-    // The stack is at the end of memory: one that overflows faults.
-    let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
-    let (top, bottom) = (symbol("_task_stack_start"), symbol("_stack_end"));
-    let end = symbol("_stack_start");
-    assert_eq!((bottom, top, end), (0x2000_0000, 0x2000_5000, 0x2000_8000));
-    assert!(board.rig.peek(bottom, 4).is_some());
-    assert!(board.rig.peek(bottom - 4, 4).is_none());
-    // Of the one that is fuller.
-    assert!([top - bottom, end - top].contains(&status.stack_size));
-    assert!((512..6_144).contains(&status.stack_used), "{status:?}");
+    board.check_stacks([0x2000_0000, 0x2000_5000, 0x2000_8000]);
 
     board.unplug_and_plug(1_000);
     assert!(board.ask(Ping { host_time: 1 }).is_ok());

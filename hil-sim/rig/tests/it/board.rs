@@ -592,24 +592,9 @@ fn what_the_manual_forbids_ends_the_run_whatever_is_tolerated() {
     assert!(text.contains(rule), "{text}");
 }
 
-/// The stack has memory of its own, with nothing below it: one that overflows faults.
 #[test]
 fn the_stack_ends_where_memory_ends() {
-    let mut board = Board::boot(wiring::board());
-    let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
-    let (top, bottom) = (symbol("_task_stack_start"), symbol("_stack_end"));
-    assert_eq!((bottom, top), (0x1000_0000, 0x1000_d000));
-    let end = symbol("_stack_start");
-    assert_eq!(end, 0x1001_0000);
-    assert!(board.rig.peek(bottom, 4).is_some());
-    assert!(board.rig.peek(bottom - 4, 4).is_none());
-    let status = board.next_status();
-    // Of the one that is fuller.
-    assert!(
-        [top - bottom, end - top].contains(&status.stack_size),
-        "{status:?}"
-    );
-    assert!((512..6_144).contains(&status.stack_used), "{status:?}");
+    Board::boot(wiring::board()).check_stacks([0x1000_0000, 0x1000_d000, 0x1001_0000]);
 }
 
 /// The ROM's bootloader leaves its own vectors behind (AN2606): the first interrupt would go
@@ -630,22 +615,6 @@ fn handlers_are_measured_after_a_probe_has_gone() {
     board.run(2_100);
     let usb = board.statuses.last().unwrap().handlers.usb;
     assert!(usb.calls > 0 && usb.mean() > 20, "{usb:?}");
-}
-
-/// A clock that is not what the firmware assumes shows as wrong time.
-#[test]
-fn a_wrong_crystal_is_found_out() {
-    let wrong = wiring::board().crystal(stm32f4_sim::clock::Rate::hz(8_016_000));
-    let mut board = Board::boot(wrong);
-    let (sim_before, before) = (board.rig.now(), board.now());
-    board.run(20_000);
-    let elapsed = (board.rig.now() - sim_before).as_secs_f64();
-    let counted = (board.now() - before).as_secs_f64();
-    // 40 ms in 20 s; of the right crystal it would be 5 ms at most.
-    assert!(
-        (counted - elapsed * 1.002).abs() < 0.005,
-        "{counted} s of {elapsed} s"
-    );
 }
 
 #[test]

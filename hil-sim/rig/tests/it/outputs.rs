@@ -123,24 +123,14 @@ impl Bench {
 
     /// The camera's train, and all others, each beginning at `first`.
     fn start_all(&mut self, camera: Period, periods: [Period; 3], first: Ticks) {
-        let start = TriggerStart {
-            period: camera,
-            width: WIDTH,
+        let from_first = |period, width| TriggerStart {
             first_edge: Some(first),
-            first_fraction: 0,
+            ..train(period, width)
         };
-        let status = self.board.start(start);
+        let status = self.board.start(from_first(camera, WIDTH));
         self.trains.push(Train::new(Pin::PA5, &status));
         for (output, period) in Output::AUXILIARY.into_iter().zip(periods) {
-            let status = self.start(
-                output,
-                TriggerStart {
-                    period,
-                    width: OUTPUT_WIDTH,
-                    first_edge: Some(first),
-                    first_fraction: 0,
-                },
-            );
+            let status = self.start(output, from_first(period, OUTPUT_WIDTH));
             assert_eq!(
                 (status.next_edge, status.state),
                 (first, TrainState::Waiting)

@@ -137,29 +137,6 @@ fn pulses_are_exact_under_full_load() {
     }
 }
 
-/// A first edge beyond what a 32-bit compare tells from the past.
-#[test]
-fn a_first_edge_minutes_ahead_is_exact() {
-    let mut board = board();
-    let now = board.now();
-    let first = Ticks(now.0 + 130 * u64::from(TICK_HZ) + 12_345);
-    let period = picos(33_330_652_540);
-    let command = TriggerStart {
-        period,
-        width: WIDTH,
-        first_edge: Some(first),
-        first_fraction: 0,
-    };
-    let status = board.start(command);
-    assert_eq!(status.state, TrainState::Waiting);
-    assert_eq!(status.next_edge, first);
-    board.run(129_900);
-    assert!(board.pulses.is_empty());
-    board.run(1_000);
-    assert_eq!(board.pulses[0].at, first);
-    check_train(&mut board, first, period, WIDTH);
-}
-
 #[test]
 fn every_align_arrives_on_its_grid() {
     let mut board = board();
@@ -292,22 +269,4 @@ fn a_pulse_ends_by_itself() {
         board.run(3);
     }
     check_train(&mut board, first, period, MIN_PULSE_WIDTH);
-}
-
-#[test]
-fn a_stop_finishes_the_pulse_and_a_train_can_start_again() {
-    let mut board = board();
-    for train in 1..=20 {
-        let status = start(&mut board, picos(1_000_000_000), 40_000);
-        assert_eq!(status.train, train);
-        board.run(20 + u64::from(train));
-        board.stop();
-        board.run(5);
-        assert_eq!(board.trigger().state, TrainState::Stopped);
-        let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);
-        assert!(pins.len() > 15);
-        for (rise, fall) in pins {
-            assert_eq!(fall.units() - rise.units(), 40_000 * UNITS_PER_TICK);
-        }
-    }
 }

@@ -58,17 +58,12 @@ fn without_its_crystal_it_waits_for_ever() {
 }
 
 #[test]
-fn the_serial_port_answers() {
+fn the_serial_port_answers_and_does_after_the_cable_was_pulled() {
     let mut sim = boot();
     assert_eq!(echo(&mut sim, b"Hello, World 1"), b"hELLO, wORLD 1");
     let long: Vec<u8> = (0..20_000u32).map(|n| b'a' + (n * n % 26) as u8).collect();
     assert!(echo(&mut sim, &long) == long.to_ascii_uppercase());
-}
 
-#[test]
-fn the_serial_port_answers_after_the_cable_was_pulled() {
-    let mut sim = boot();
-    assert_eq!(echo(&mut sim, b"one"), b"ONE");
     sim.usb_unplug();
     sim.run_for(SimDuration::from_millis(50)).unwrap();
     assert_ne!(sim.usb_state(), UsbState::Ready);

@@ -128,19 +128,6 @@ fn an_icm_42688_p_divides_the_edges_at_its_clock_pin() {
 }
 
 #[test]
-fn an_icm_42688_p_without_the_clock_that_it_was_promised_is_silent() {
-    let writes = [&SET_UP[..], &CLKIN, &[ON]].concat();
-    let mut bench = icm(SimImuConfig::ideal(), &writes);
-    bench.run(SimDuration::from_secs(1));
-    assert!(bench.model.log().is_empty());
-
-    let writes = [&SET_UP[..], &[ON]].concat();
-    let mut bench = icm(SimImuConfig::ideal(), &writes);
-    bench.run(SimDuration::from_secs(1));
-    assert!((480..=490).contains(&bench.model.log().len()));
-}
-
-#[test]
 fn banks_reset_and_data_of_an_icm_42688_p() {
     let mut config = SimImuConfig::ideal();
     config.temperature_c = 45.0;

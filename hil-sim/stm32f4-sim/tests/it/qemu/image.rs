@@ -56,10 +56,10 @@ pub(crate) fn elf(
             .collect::<Vec<u8>>()
     };
 
-    let mut vectors = [frame::FAULT | 1; 16];
-    vectors[..2].copy_from_slice(&[STACK, frame::RESET | 1]);
-    vectors[11] = frame::HANDLER | 1;
-    vectors[14] = frame::HANDLER | 1;
+    let mut vectors = [frame::entry("fault") | 1; 16];
+    vectors[..2].copy_from_slice(&[STACK, frame::entry("reset") | 1]);
+    vectors[11] = frame::entry("handler") | 1;
+    vectors[14] = frame::entry("handler") | 1;
     put(FLASH, &words(&vectors));
     let name = file.unwrap_or_default();
     // Mode 5 of SYS_OPEN is "wb".
@@ -83,12 +83,12 @@ pub(crate) fn elf(
         code.extend(branch_with_link(offset));
     };
     for case in cases {
-        call(&mut code, frame::LOAD);
+        call(&mut code, frame::entry("load"));
         code.extend(case.units.iter().flat_map(|unit| &unit.code));
         code.extend([0xf84d, 0xed04]); // str lr, [sp, #-4]!
-        call(&mut code, frame::DUMP);
+        call(&mut code, frame::entry("dump"));
     }
-    call(&mut code, frame::FINISH);
+    call(&mut code, frame::entry("finish"));
     assert!(
         CODE + code.len() as u32 * 2 + 0x2000 < STATES,
         "too much code"
@@ -120,7 +120,7 @@ fn header(flash: &[u8]) -> Vec<u8> {
     for half in [2u16, 40] {
         file.extend(half.to_le_bytes()); // ET_EXEC, EM_ARM
     }
-    for word in [1, frame::RESET | 1, EHDR, 0, 0x0500_0000] {
+    for word in [1, frame::entry("reset") | 1, EHDR, 0, 0x0500_0000] {
         file.extend(word.to_le_bytes());
     }
     for half in [EHDR as u16, PHDR as u16, 1, 40, 0, 0] {
