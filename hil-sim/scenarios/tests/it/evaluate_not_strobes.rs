@@ -131,19 +131,24 @@ fn lamp(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
     let camera = draw.camera();
     let name = format!("lamp {hz:.2} Hz at {rate:.2}, on {duty:.2}, scene {moves}, {camera:?}");
     let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
-        let turn = 1e9 / hz;
-        let end = start as f64 + camera.rows as f64 * camera.row_time_ns + 20e6;
-        let pulses = ((start as f64 - 20e6) / turn) as i64..(end / turn) as i64;
-        let pulse = |k: i64| Flash {
-            start_ns: (k as f64 * turn) as i64,
-            duration_ns: (duty * turn) as i64,
-        };
-        *image = camera.render(start, frame, &pulses.map(pulse).collect::<Vec<_>>());
+        *image = lit_by(camera, start, frame, [hz, duty]);
         if moves > 0.0 {
             pass_by(image, moves * frame as f64);
         }
     };
     (name, drawn(draw, rate, camera, paint))
+}
+
+/// A frame in the light of a lamp of so many Hz that is on for this share of each turn.
+fn lit_by(camera: &RollingShutter, start: i64, frame: u64, [hz, duty]: [f64; 2]) -> GreyImage {
+    let turn = 1e9 / hz;
+    let end = start as f64 + camera.rows as f64 * camera.row_time_ns + 20e6;
+    let pulses = ((start as f64 - 20e6) / turn) as i64..(end / turn) as i64;
+    let pulse = |k: i64| Flash {
+        start_ns: (k as f64 * turn) as i64,
+        duration_ns: (duty * turn) as i64,
+    };
+    camera.render(start, frame, &pulses.map(pulse).collect::<Vec<_>>())
 }
 
 /// Bars across the picture, still or moving by some rows a frame.
@@ -292,15 +297,8 @@ fn the_rate_of_a_lamp_is_told() {
         exposure_ns: 400e3,
         ..RollingShutter::default()
     };
-    let turn = 1e9 / 613.7;
     let paint = |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
-        let first = (start as f64 / turn) as i64 - 10;
-        let pulse = |k: i64| Flash {
-            start_ns: (k as f64 * turn) as i64,
-            duration_ns: (0.5 * turn) as i64,
-        };
-        let pulses: Vec<Flash> = (first..first + 40).map(pulse).collect();
-        *image = camera.render(start, frame, &pulses);
+        *image = lit_by(camera, start, frame, [613.7, 0.5]);
     };
     let settings = Settings {
         row_time_us: Some(10.2),

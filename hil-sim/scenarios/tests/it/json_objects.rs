@@ -9,19 +9,19 @@ use serde_json::Value;
 use test_support::below;
 use test_support::calibrations::CHAIN;
 
-/// Runs a command and gives what it prints. It may end with loss or refusal, as long as
-/// it prints its object.
-fn print(folder: &Path, arguments: &[&str]) -> Value {
+/// Runs a command of words without spaces and gives what it prints. It may end with loss or
+/// refusal, as long as it prints its object.
+fn print(folder: &Path, arguments: &str) -> Value {
     let output = Command::new(support::smartdepthsync())
         .arg("--json")
-        .args(arguments)
+        .args(arguments.split(' '))
         .current_dir(folder)
         .output()
         .unwrap();
     let value: Value = serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|error| panic!("{arguments:?}: {error}: {output:?}"));
-    assert!(value.is_object(), "{arguments:?}: {value:#}");
-    assert_eq!(value["error"], Value::Null, "{arguments:?}: {value:#}");
+        .unwrap_or_else(|error| panic!("{arguments}: {error}: {output:?}"));
+    assert!(value.is_object(), "{arguments}: {value:#}");
+    assert_eq!(value["error"], Value::Null, "{arguments}: {value:#}");
     value
 }
 
@@ -30,91 +30,61 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let rig = WholeRig::new(71, 8.0);
     let folder = rig.folder.path();
     let port = rig.rig.port().to_str().unwrap();
-    let board = |arguments: &[&str]| {
-        let mut all = arguments.to_vec();
-        all.extend(["--port", port]);
-        print(folder, &all)
-    };
+    let board = |arguments: &str| print(folder, &format!("{arguments} --port {port}"));
     for arguments in [
-        &["board", "info"][..],
-        &["board", "imu", "--duration", "1s"],
-        &["board", "pps", "start", "--utc", "1767225600"],
-        &["board", "pps", "status"],
-        &["board", "pps", "stop"],
-        &["board", "trigger", "start", "--fps", "30"],
-        &["board", "trigger", "period", "--fps", "30"],
+        "board info",
+        "board imu --duration 1s",
+        "board pps start --utc 1767225600",
+        "board pps status",
+        "board pps stop",
+        "board trigger start --fps 30",
+        "board trigger period --fps 30",
     ] {
         board(arguments);
     }
-    let state = board(&["monitor", "--duration", "3s"]);
+    let state = board("monitor --duration 3s");
     assert_eq!(state["losses"]["messages"], 0);
     let rate = state["rates"]["imu"].as_f64().unwrap();
     assert!((rate - 500.0).abs() < 1.0, "{state}");
-    board(&["board", "trigger", "status"]);
-    board(&["board", "trigger", "status", "--output", "2"]);
-    let align = [
-        "board", "trigger", "align", "--anchor", "48000000", "--slew", "1ms",
-    ];
-    board(&align);
-    board(&["board", "trigger", "stop"]);
+    board("board trigger status");
+    board("board trigger status --output 2");
+    board("board trigger align --anchor 48000000 --slew 1ms");
+    board("board trigger stop");
     let address = rig.phone().address().to_string();
-    let setup = [
-        "setup",
-        "--yes",
-        "--phone",
-        &address,
-        "--profile",
-        "setup.toml",
-    ];
-    board(&setup);
-    board(&["doctor", "--profile", "setup.toml"]);
+    board(&format!(
+        "setup --yes --phone {address} --profile setup.toml"
+    ));
+    board("doctor --profile setup.toml");
 
     // A session, and what is made of its recording.
-    let options = [
-        "--duration",
-        "12s",
-        "--marker",
-        "1s",
-        "--second-twist",
-        "--json",
-    ];
+    let options = "--duration 12s --marker 1s --second-twist --json".split(' ');
+    let options: Vec<&str> = options.collect();
     let output = rig.record("whole", &options).output().unwrap();
     serde_json::from_slice::<Value>(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {output:?}"));
     let recording = rig.recording("whole");
     let recording = recording.to_str().unwrap();
-    print(folder, &["verify", recording]);
+    print(folder, &format!("verify {recording}"));
     let storage = folder.join("phone");
-    let extract = ["extract", recording, "--phone", storage.to_str().unwrap()];
-    print(folder, &extract);
+    print(
+        folder,
+        &format!("extract {recording} --phone {}", storage.display()),
+    );
     let timestamps = below(&storage)
         .into_iter()
         .find(|path| path.to_string_lossy().ends_with("_timestamps.csv"))
         .unwrap();
-    print(folder, &["profile", "init", "rig.toml"]);
-    let learn = [
-        "profile",
-        "learn",
-        recording,
-        "--profile",
-        "rig.toml",
-        "--timestamps",
-        timestamps.to_str().unwrap(),
-    ];
-    print(folder, &learn);
+    print(folder, "profile init rig.toml");
+    let learn = format!("profile learn {recording} --profile rig.toml --timestamps");
+    print(folder, &format!("{learn} {}", timestamps.display()));
 
-    let phone = |arguments: &[&str]| {
-        let mut all = arguments.to_vec();
-        all.extend(["--phone", &address]);
-        print(folder, &all)
-    };
     for arguments in [
-        &["phone", "imu", "--duration", "1s", "--out", "gyro.csv"][..],
-        &["phone", "start"],
-        &["phone", "stop"],
-        &["phone", "get-video", "--recorded", "--out", "video.mp4"],
+        "phone imu --duration 1s --out gyro.csv",
+        "phone start",
+        "phone stop",
+        "phone get-video --recorded --out video.mp4",
     ] {
-        phone(arguments);
+        print(folder, &format!("{arguments} --phone {address}"));
     }
 }
 
@@ -123,12 +93,12 @@ fn objects_of_commands_that_need_nothing() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("chain.yaml"), CHAIN).unwrap();
     for arguments in [
-        &["board", "list"][..],
-        &["completions", "bash"],
-        &["man", "man1"],
-        &["profile", "init", "rig.toml"],
-        &["profile", "check", "rig.toml"],
-        &["profile", "import-kalibr", "rig.toml", "chain.yaml"],
+        "board list",
+        "completions bash",
+        "man man1",
+        "profile init rig.toml",
+        "profile check rig.toml",
+        "profile import-kalibr rig.toml chain.yaml",
     ] {
         print(folder.path(), arguments);
     }

@@ -211,15 +211,6 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
 }
 
 #[test]
-fn q_in_a_twist_that_nobody_is_asked_about_stops() {
-    let rig = WholeRig::new(35, 3.0);
-    let terminal = Tmux::start(60, 24, &rig.record("stopped", &[]));
-    terminal.wait_for(&["twist now", "expected 1-sigma", "q stop"]);
-    terminal.keys("q");
-    assert_eq!(terminal.ended(), 130, "{}", terminal.screen());
-}
-
-#[test]
 fn a_closed_terminal_ends_the_recording_in_order() {
     let rig = WholeRig::new(34, 3.0);
     let command = rig.record("cut", &[]);

@@ -2,23 +2,18 @@
 //! session, each extracted in board time and judged against the ground truth. This is the
 //! test of `outputs/NAME.csv`, too.
 
-use crate::support;
-use scenarios::programs::Programs;
+use crate::whole_chain::{near_truth, programs};
 use scenarios::whole_chain::several::{self, SeveralPlan};
 
 #[test]
 fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
     let out = tempfile::tempdir().unwrap();
-    let programs = Programs {
-        smartdepthsync: support::smartdepthsync().to_owned(),
-        elf: None,
-    };
     let plan = SeveralPlan {
         seed: 7,
         seconds: 20,
         small: true,
     };
-    let figures = several::run(&plan, &programs, &out.path().join("multi"), |_| {}).unwrap();
+    let figures = several::run(&plan, &programs(), &out.path().join("multi"), |_| {}).unwrap();
     println!("{}", figures.table());
     assert!(figures.good(), "{figures:?}");
     assert_eq!((figures.phones.len(), figures.session.len()), (2, 1));
@@ -34,13 +29,8 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
     }
     // What the session had said of the phone that is not followed.
     let said = &figures.session[0];
-    for offset in [said.offset_start, said.offset_end] {
-        assert!(offset.error_us.abs() < 5.0 * offset.sigma_us, "{said:?}");
-        assert!(
-            offset.sigma_us < 30.0 && offset.error_us.abs() < 50.0,
-            "{said:?}"
-        );
-    }
+    near_truth(&said.offset_start, 30.0, 50.0);
+    near_truth(&said.offset_end, 30.0, 50.0);
     assert!(
         said.placement.error_us.abs() < 5.0 * said.placement.sigma_us.hypot(1.5),
         "{said:?}"

@@ -9,6 +9,7 @@ use rig::imu::SensorModel;
 use rig::model_ranges::ModelValues;
 use rig::random::Seed;
 use rig::wiring::BoardKind;
+use scenarios::judge::OffsetError;
 use scenarios::programs::Programs;
 use scenarios::study::{Kind, Specimen};
 use scenarios::whole_chain::{self, Plan, evaluation, extraction, ranges};
@@ -18,6 +19,13 @@ pub(crate) fn programs() -> Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),
         elf: None,
     }
+}
+
+/// An offset's error is within what is stated of it, and both are within what is promised, µs.
+pub(crate) fn near_truth(offset: &OffsetError, sigma_us: f64, error_us: f64) {
+    let (error, sigma) = (offset.error_us.abs(), offset.sigma_us);
+    assert!(error < 5.0 * sigma, "{offset:?}");
+    assert!(sigma < sigma_us && error < error_us, "{offset:?}");
 }
 
 #[test]
@@ -77,12 +85,7 @@ fn each_camera_board_and_imu_gives_a_data_set() {
         );
         assert_eq!(recorded.session.counts.lost(), 0);
         let verdict = recorded.truth.judge(&recorded.folder).unwrap();
-        let start = verdict.offset_start;
-        assert!(start.error_us.abs() < 5.0 * start.sigma_us, "{start:?}");
-        assert!(
-            start.sigma_us < 30.0 && start.error_us.abs() < 50.0,
-            "{start:?}"
-        );
+        near_truth(&verdict.offset_start, 30.0, 50.0);
 
         let figures = extraction::extracted(&recorded, &programs()).unwrap();
         println!("{camera:?}, {board:?}, {imu:?}\n{}", figures.table());

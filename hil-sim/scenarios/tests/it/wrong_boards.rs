@@ -15,8 +15,8 @@ use ::bring_up::{Operator, Part, Report, run};
 use board::Board;
 use board::transport::{Link, LinkError};
 use protocol::{
-    Answer, CORE_HZ, Decoder, DeviceToHost, HandlerTime, Hello, MAX_FRAME, MIN_PULSE_GAP, Output,
-    QueryImu, Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
+    Answer, CORE_HZ, Decoder, DeviceToHost, Hello, MAX_FRAME, MIN_PULSE_GAP, Output, QueryImu,
+    Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
 };
 use recording::finding::Severity;
 use rig::jumpers::{Jumpers, Late};
@@ -88,12 +88,13 @@ impl Link for Kept {
 
 /// Changes a message, while pulses of this output come; false: it never came.
 type Change = fn(&mut DeviceToHost, Output) -> bool;
+type AnyChange = dyn Fn(&mut DeviceToHost, Output) -> bool;
 
 /// A board that says it all again.
 struct Replay {
     tape: VecDeque<(Duration, Entry)>,
     now: Duration,
-    change: Change,
+    change: Box<AnyChange>,
     /// Of the last pulse.
     output: Output,
 }
@@ -191,11 +192,15 @@ fn tape_of(parts: &[Part], prepare: impl FnOnce(&Bench)) -> (Tape, Report) {
     (said, report)
 }
 
-fn replay(tape: &Tape, parts: &[Part], change: Change) -> Report {
+fn replay(
+    tape: &Tape,
+    parts: &[Part],
+    change: impl Fn(&mut DeviceToHost, Output) -> bool + 'static,
+) -> Report {
     let replay = Rc::new(RefCell::new(Replay {
         tape: tape.iter().cloned().collect(),
         now: Duration::ZERO,
-        change,
+        change: Box::new(change),
         output: Output::Camera,
     }));
     let mut board = Board::connect_from(Replayed::connect(&replay), 1).unwrap();
@@ -276,10 +281,6 @@ fn filler(message: &mut DeviceToHost, bytes: usize) -> bool {
     true
 }
 
-fn worst(time: &mut HandlerTime, micros: u32) {
-    time.worst = micros * (CORE_HZ / 1_000_000);
-}
-
 /// Times of samples by a sensor's clock that is so many ppm slow.
 fn off_by(message: &mut DeviceToHost, ppm: u64) -> bool {
     if let DeviceToHost::Imu(sample) = message {
@@ -301,6 +302,9 @@ use AtLimit::{By, Elsewhere, InOrder};
 
 /// Checks that fail, a board at its limit, a board that is wrong in just that way.
 type Row = (&'static str, AtLimit, Change);
+
+/// A check, a figure at its limit, and how much more fails.
+type Limit = (&'static str, &'static str, (u32, i32));
 
 const TRIGGER: &[Row] = &[
     ("edges on their ticks", InOrder, |m, _| {
@@ -351,34 +355,9 @@ const LINK: &[Row] = &[
     ("a host that does not read", InOrder, |m, _| {
         status(m, |s| s.dropped.imu *= 2)
     }),
-    (
-        "handlers",
-        By(|m, _| status(m, |s| s.trigger_latency = MIN_PULSE_GAP)),
-        |m, _| status(m, |s| s.output_latency = MIN_PULSE_GAP + 1),
-    ),
     ("handlers", Elsewhere, |m, _| {
         status(m, |s| s.trigger.late = 1)
     }),
-    (
-        "handler of the trigger",
-        By(|m, _| status(m, |s| worst(&mut s.handlers.trigger, 20))),
-        |m, _| status(m, |s| worst(&mut s.handlers.trigger, 21)),
-    ),
-    (
-        "handler of the outputs",
-        By(|m, _| status(m, |s| worst(&mut s.handlers.outputs, 50))),
-        |m, _| status(m, |s| worst(&mut s.handlers.outputs, 51)),
-    ),
-    (
-        "handler of the hand-over",
-        By(|m, _| status(m, |s| worst(&mut s.handlers.handover, 1_000))),
-        |m, _| status(m, |s| worst(&mut s.handlers.handover, 1_001)),
-    ),
-    (
-        "handler of USB",
-        By(|m, _| status(m, |s| worst(&mut s.handlers.usb, 1_000))),
-        |m, _| status(m, |s| worst(&mut s.handlers.usb, 1_001)),
-    ),
     // A probe has left: calls, and a counter that stands still.
     ("handler of the trigger", Elsewhere, |m, _| {
         status(m, |s| s.handlers.trigger.cycles = 0)
@@ -389,43 +368,45 @@ const LINK: &[Row] = &[
     ("handler of USB", Elsewhere, |m, _| {
         status(m, |s| s.handlers.usb.cycles = 0)
     }),
-    (
-        "masked interrupts",
-        By(|m, _| status(m, |s| s.masked.all = 15 * (CORE_HZ / 1_000_000))),
-        |m, _| status(m, |s| s.masked.all = 15 * (CORE_HZ / 1_000_000) + 1),
-    ),
-    (
-        "masked interrupts",
-        By(|m, _| status(m, |s| s.masked.below_trigger = 100 * (CORE_HZ / 1_000_000))),
-        |m, _| {
-            status(m, |s| {
-                s.masked.below_trigger = 100 * (CORE_HZ / 1_000_000) + 1
-            })
-        },
-    ),
-    (
-        "core and stack",
-        By(|m, _| status(m, |s| s.cpu_permille = 900)),
-        |m, _| status(m, |s| s.cpu_permille = 901),
-    ),
-    (
-        "core and stack",
-        By(|m, _| status(m, |s| s.stack_used = s.stack_size / 100 * 80)),
-        |m, _| status(m, |s| s.stack_used = s.stack_size / 100 * 82),
-    ),
 ];
 
-const CLOCK: &[Row] = &[
-    (
-        "supply",
-        By(|m, _| status(m, |s| s.supply_mv = Some(2_700))),
-        |m, _| status(m, |s| s.supply_mv = Some(2_699)),
-    ),
-    (
-        "supply",
-        By(|m, _| status(m, |s| s.supply_mv = Some(3_600))),
-        |m, _| status(m, |s| s.supply_mv = Some(3_601)),
-    ),
+/// A figure of the status is this much.
+fn set(message: &mut DeviceToHost, figure: &str, n: u32) -> bool {
+    status(message, |s| match figure {
+        "trigger latency" => s.trigger_latency = n,
+        "output latency" => s.output_latency = n,
+        "trigger" => s.handlers.trigger.worst = n * MICROSECOND,
+        "outputs" => s.handlers.outputs.worst = n * MICROSECOND,
+        "hand-over" => s.handlers.handover.worst = n * MICROSECOND,
+        "USB" => s.handlers.usb.worst = n * MICROSECOND,
+        "all masked" => s.masked.all = n,
+        "masked" => s.masked.below_trigger = n,
+        "core" => s.cpu_permille = n as u16,
+        "stack" => s.stack_used = s.stack_size * n / 100,
+        "supply" => s.supply_mv = Some(n as u16),
+        other => panic!("{other}"),
+    })
+}
+
+const MICROSECOND: u32 = CORE_HZ / 1_000_000;
+
+/// Checks that pass at a limit of a figure and fail beyond it.
+const LINK_LIMITS: &[Limit] = &[
+    ("handlers", "trigger latency", (MIN_PULSE_GAP, 1)),
+    ("handlers", "output latency", (MIN_PULSE_GAP, 1)),
+    ("handler of the trigger", "trigger", (20, 1)),
+    ("handler of the outputs", "outputs", (50, 1)),
+    ("handler of the hand-over", "hand-over", (1_000, 1)),
+    ("handler of USB", "USB", (1_000, 1)),
+    ("masked interrupts", "all masked", (15 * MICROSECOND, 1)),
+    ("masked interrupts", "masked", (100 * MICROSECOND, 1)),
+    ("core and stack", "core", (900, 1)),
+    ("core and stack", "stack", (80, 2)),
+];
+
+const CLOCK_LIMITS: &[Limit] = &[
+    ("supply", "supply", (2_700, -1)),
+    ("supply", "supply", (3_600, 1)),
 ];
 
 /// Edges of the serial line, so many times as far from the beginning of its sentence as they are,
@@ -460,28 +441,18 @@ const LIDAR: &[Row] = &[
     ("serial line", Elsewhere, |m, _| pps(m, |p| p.utc += 1)),
 ];
 
+const EACH_REPLUG: &str = "leaving the bus, unplugged cable, sleep of the computer";
+
 const REPLUG: &[Row] = &[
-    (
-        "leaving the bus, unplugged cable, sleep of the computer",
-        InOrder,
-        |m, _| late_at(m, 20),
-    ),
-    (
-        "leaving the bus, unplugged cable, sleep of the computer",
-        Elsewhere,
-        |m, _| status(m, |s| s.dropped.imu *= 2),
-    ),
-    (
-        "leaving the bus, unplugged cable, sleep of the computer",
-        Elsewhere,
-        |m, _| unread(m, 20),
-    ),
+    (EACH_REPLUG, InOrder, |m, _| late_at(m, 20)),
+    (EACH_REPLUG, Elsewhere, |m, _| {
+        status(m, |s| s.dropped.imu *= 2)
+    }),
+    (EACH_REPLUG, Elsewhere, |m, _| unread(m, 20)),
     // Messages are lost that the board does not count.
-    (
-        "leaving the bus, unplugged cable, sleep of the computer",
-        Elsewhere,
-        |m, _| status(m, |s| s.dropped.imu /= 2),
-    ),
+    (EACH_REPLUG, Elsewhere, |m, _| {
+        status(m, |s| s.dropped.imu /= 2)
+    }),
     // Some 2,500 samples are lost while it sleeps: 50 of them uncounted, or 63. 57 is the limit.
     (
         "sleep of the computer",
@@ -719,7 +690,7 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
         (&[Part::Lidar], LIDAR),
         (&[Part::Imu], IMU),
         (&[Part::Link], LINK),
-        (&[Part::Clock], CLOCK),
+        (&[Part::Clock], &[]),
         (&[Part::Replug], REPLUG),
         (&[Part::Resets], RESETS),
         (&[Part::Buffer], &[]),
@@ -741,6 +712,19 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
             let found = at_limit.into_iter().chain(judge(*wrong, name));
             odd.extend(found.map(|what| format!("{name}, row {n}: {what}")));
         }
+        let limits = match parts {
+            [Part::Link] => LINK_LIMITS,
+            [Part::Clock] => CLOCK_LIMITS,
+            _ => &[],
+        };
+        for &(name, figure, (limit, more)) in limits {
+            for (n, expected) in [(limit, ""), (limit.wrapping_add_signed(more), name)] {
+                let failed = failed(&replay(&tape, parts, move |m, _| set(m, figure, n)));
+                if failed != expected {
+                    odd.push(format!("{name}, {figure} {n}: {failed:?}"));
+                }
+            }
+        }
         let unchanged = replay(&tape, parts, |_, _| true);
         for check in &unchanged.checks {
             assert_eq!(check.finding.severity, Severity::Good, "{check:?}");
@@ -760,7 +744,12 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
     let all = || tables.iter().flat_map(|(_, rows)| rows.iter());
     let names = |row: &Row| row.0.split(", ").collect::<Vec<_>>();
     let at_pins = || AT_THE_PINS.iter().flat_map(|row| row.2.split(", "));
-    let in_tests = || at_pins().chain(TESTS.iter().map(|(name, _)| *name));
+    let limits = || LINK_LIMITS.iter().chain(CLOCK_LIMITS).map(|limit| limit.0);
+    let in_tests = || {
+        at_pins()
+            .chain(TESTS.iter().map(|(name, _)| *name))
+            .chain(limits())
+    };
     for name in &known {
         let rows: Vec<&Row> = all().filter(|row| names(row).contains(&&**name)).collect();
         let has_limit = rows.iter().any(|row| !matches!(row.1, Elsewhere));
