@@ -55,6 +55,8 @@ impl Twisted {
         let board = wiring::board_of(config.board, None).tolerate_failures();
         let mut bench = Bench::new(config, board, phones, names, folder.path()).unwrap();
         bench.hurry();
+        // Half the default: the campaign and the whole chain are for the full load.
+        bench.profile.imu.rate_hz = 250;
         Self { bench, folder }
     }
 
