@@ -152,6 +152,23 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
 }
 
 #[test]
+fn sensors_right_behind_a_stop_are_tried_again() {
+    let bench = Bench::new(77, 1.0, |c| {
+        c.video = VideoMode::Never;
+        c.app.stop_ms = 2_000.0;
+    });
+    let folder = tempfile::tempdir().unwrap();
+    says(
+        &bench.command(&["start"], folder.path()),
+        0,
+        &["phase_ns: "],
+    );
+    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    let output = bench.command(&["imu", "--duration", "1s"], folder.path());
+    says(&output, 0, &["samples: ", "rate_hz: "]);
+}
+
+#[test]
 fn a_video_is_fetched_only_when_the_app_can_send_it() {
     let bench = Bench::new(78, 2.0, |c| {
         small(c);

@@ -68,11 +68,9 @@ mod tests {
     #[test]
     fn reads_integers_and_refuses_the_rest() {
         assert_eq!(read("1\n2\r\n\n5\n").unwrap(), [1, 2, 5]);
-        assert_eq!(read("timestamp,x\n1,7\n").unwrap(), [1]);
         assert!(read("1\n3.5\n").unwrap_err().contains("line 2"));
         assert!(read("1\nx\n").unwrap_err().contains("`x`"));
         assert!(read("5\n5\n").unwrap_err().contains("not later"));
-        assert!(read("99999999999999999999\n").is_err());
     }
 
     #[test]
