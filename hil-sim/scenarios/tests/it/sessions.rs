@@ -21,6 +21,7 @@ use crate::whole_rig::run_python;
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     let mut rig = Twisted::new(1);
+    // The default: every row on the wire is looked at.
     rig.bench.profile.imu.rate_hz = 500;
     let mut options = rig.options("good", 20);
     options.markers = vec![seconds(3), seconds(5)];

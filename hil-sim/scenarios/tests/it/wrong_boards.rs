@@ -684,20 +684,20 @@ const IN_ORDER: &[Part] = &[
 /// Each row by itself, and no check of any part without a row and a limit.
 #[test]
 fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
-    let tables: [(&[Part], &[Row]); 10] = [
-        (&[Part::Trigger], TRIGGER),
-        (IN_ORDER, &[]),
-        (&[Part::Lidar], LIDAR),
-        (&[Part::Imu], IMU),
-        (&[Part::Link], LINK),
-        (&[Part::Clock], &[]),
-        (&[Part::Replug], REPLUG),
-        (&[Part::Resets], RESETS),
-        (&[Part::Buffer], &[]),
-        (&[Part::Soak], SOAK),
+    let tables: [(&[Part], &[Row], &[Limit]); 10] = [
+        (&[Part::Trigger], TRIGGER, &[]),
+        (IN_ORDER, &[], &[]),
+        (&[Part::Lidar], LIDAR, &[]),
+        (&[Part::Imu], IMU, &[]),
+        (&[Part::Link], LINK, LINK_LIMITS),
+        (&[Part::Clock], &[], CLOCK_LIMITS),
+        (&[Part::Replug], REPLUG, &[]),
+        (&[Part::Resets], RESETS, &[]),
+        (&[Part::Buffer], &[], &[]),
+        (&[Part::Soak], SOAK, &[]),
     ];
     let (mut odd, mut known) = (Vec::new(), Vec::new());
-    for (parts, rows) in tables {
+    for (parts, rows, limits) in tables {
         let tape = tape(parts);
         let judge = |change: Change, expected: &str| {
             let report = replay(&tape, parts, change);
@@ -712,11 +712,6 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
             let found = at_limit.into_iter().chain(judge(*wrong, name));
             odd.extend(found.map(|what| format!("{name}, row {n}: {what}")));
         }
-        let limits = match parts {
-            [Part::Link] => LINK_LIMITS,
-            [Part::Clock] => CLOCK_LIMITS,
-            _ => &[],
-        };
         for &(name, figure, (limit, more)) in limits {
             for (n, expected) in [(limit, ""), (limit.wrapping_add_signed(more), name)] {
                 let failed = failed(&replay(&tape, parts, move |m, _| set(m, figure, n)));
@@ -741,10 +736,14 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
         known.extend(unchanged.checks.into_iter().map(|check| check.finding.kind));
     }
     assert!(odd.is_empty(), "{odd:#?}");
-    let all = || tables.iter().flat_map(|(_, rows)| rows.iter());
+    let all = || tables.iter().flat_map(|(_, rows, _)| rows.iter());
     let names = |row: &Row| row.0.split(", ").collect::<Vec<_>>();
     let at_pins = || AT_THE_PINS.iter().flat_map(|row| row.2.split(", "));
-    let limits = || LINK_LIMITS.iter().chain(CLOCK_LIMITS).map(|limit| limit.0);
+    let limits = || {
+        tables
+            .iter()
+            .flat_map(|(.., limits)| limits.iter().map(|limit| limit.0))
+    };
     let in_tests = || {
         at_pins()
             .chain(TESTS.iter().map(|(name, _)| *name))

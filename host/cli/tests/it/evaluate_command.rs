@@ -103,9 +103,9 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
     let open = video(dir.path().join("open.mkv"), 12.0);
     let open = open.to_str().unwrap();
     let calibrate = |rest: &str| {
-        code(&run_line(&format!(
-            "evaluate precision --calibrate {profile} {rest}"
-        )))
+        let ran = run_line(&format!("evaluate precision --calibrate {profile} {rest}"));
+        println!("{ran:?}");
+        code(&ran)
     };
     assert_eq!(calibrate(open), 3);
     assert_eq!(read()["frame_sync"]["bias_us"].as_float(), Some(-4000.0));
