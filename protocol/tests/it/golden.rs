@@ -3,7 +3,7 @@
 //! A line of `tests/golden.txt` is a name, a frame in hex with its delimiter, and the message in
 //! it as JSON. A change of the bytes is a change of the wire format and needs a new
 //! `PROTOCOL_VERSION`. A new message, variant or field goes into the JSON; then
-//! `BLESS=1 cargo test -p smartdepthsync-protocol` writes the bytes.
+//! `SMARTDEPTHSYNC_BLESS=1 cargo test -p smartdepthsync-protocol` writes the bytes.
 
 use std::fmt::{Debug, Write};
 use std::path::PathBuf;
@@ -58,7 +58,7 @@ fn every_message_has_its_golden_bytes() {
         };
         writeln!(now, "{name} {frame} {json}").unwrap();
     }
-    if std::env::var_os("BLESS").is_some() {
+    if std::env::var_os("SMARTDEPTHSYNC_BLESS").is_some() {
         std::fs::write(path(), &now).unwrap();
     }
     for (now, pinned) in now.lines().zip(pinned.lines()) {
