@@ -8,7 +8,7 @@
 
 use serde::Serialize;
 
-use super::classify::{FrameClass, Seen, frames_of, mean_of};
+use super::classify::{FrameClass, FrameCounts, Seen, frames_of, mean_of};
 use super::fit::{FrameFit, Model};
 use super::footage::Footage;
 use super::stats::{Line, mean};
@@ -59,15 +59,21 @@ pub(crate) fn find(
     shape: &Shape,
     settings: &Settings,
 ) -> Option<Evidence> {
-    let without = seen.iter().filter(|s| s.class == FrameClass::Dark).count();
-    if without >= FRAMES && adds_light(footage, seen) {
-        return Some(Evidence::FramesWithout(without));
+    let counts = FrameCounts::of(seen, footage.frames.len());
+    if tell_apart(&counts) && adds_light(footage, seen) {
+        return Some(Evidence::FramesWithout(counts.without_flashes));
     }
     let known = settings.row_time_us.or(settings.row_time_hint_us);
     if known.is_some_and(|known| (shape.row_time_us / known - 1.0).abs() < ROW_TIME_AGREES) {
         return Some(Evidence::RowTime);
     }
     aligned(footage, model, seen)
+}
+
+/// True if enough frames are without flashes, and those with flashes are more than those that
+/// are neither: flashes are there or they are not, what moves in the picture is there by degrees.
+fn tell_apart(counts: &FrameCounts) -> bool {
+    counts.without_flashes >= FRAMES && counts.unclear < counts.used + counts.spare
 }
 
 /// True if the frames with flashes are brighter than those without, by about the light of
@@ -165,4 +171,25 @@ pub(crate) fn doubt(
         path: footage.path.clone(),
         lamp: lamp::note(footage, settings),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two as ffmpeg's wandering colours gave them, and one of flashes.
+    #[test]
+    fn frames_without_are_no_evidence_where_most_are_neither() {
+        for (used, without_flashes, unclear, told) in
+            [(7, 14, 19, false), (2, 26, 12, false), (16, 4, 0, true)]
+        {
+            let counts = FrameCounts {
+                used,
+                without_flashes,
+                unclear,
+                ..FrameCounts::default()
+            };
+            assert_eq!(tell_apart(&counts), told, "{counts:?}");
+        }
+    }
 }
