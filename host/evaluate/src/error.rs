@@ -97,7 +97,7 @@ pub enum EvaluateError {
     },
     /// Bands that nothing shows to be the depth camera's.
     #[error(
-        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: there are no frames that are clearly without them, and they do not move with the trigger{}", said(.lamp)
+        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the frames do not fall into some clearly with them and some clearly without, and they do not move with the trigger{}", said(.lamp)
     )]
     Unproven { path: PathBuf, lamp: Option<String> },
     /// Bands that move by themselves.

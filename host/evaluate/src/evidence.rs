@@ -73,7 +73,7 @@ pub(crate) fn find(
 /// True if enough frames are without flashes, and those with flashes are more than those that
 /// are neither: flashes are there or they are not, what moves in the picture is there by degrees.
 fn tell_apart(counts: &FrameCounts) -> bool {
-    counts.without_flashes >= FRAMES && counts.unclear < counts.used + counts.spare
+    counts.without_flashes >= FRAMES && counts.unclear < counts.used
 }
 
 /// True if the frames with flashes are brighter than those without, by about the light of
