@@ -9,7 +9,7 @@ use crate::{image, process, tools};
 const TARGET: &str = "thumbv7em-none-eabihf";
 const FIRMWARE: &str = "firmware";
 const BLACK_PILL: [&str; 3] = ["--no-default-features", "--features", "black-pill"];
-const AGENT: &str = "host/phone-agent";
+const AGENT: &str = "host/live/phone-agent";
 const AGENT_PROGRAM: &str = "smartdepthsync-phone-agent";
 /// Targets of the agent, and what its files are called: by Android's names of processors.
 const AGENT_TARGETS: [(&str, &str); 2] = [

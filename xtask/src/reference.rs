@@ -43,7 +43,11 @@ impl Reference {
         let mut types: BTreeMap<String, Vec<Declared>> = BTreeMap::new();
         let mut folders = vec![root.join("protocol/src")];
         for entry in fs::read_dir(root.join("host"))? {
-            folders.push(entry?.path().join("src"));
+            let room = entry?.path();
+            folders.push(room.join("src"));
+            for entry in fs::read_dir(&room)? {
+                folders.push(entry?.path().join("src"));
+            }
         }
         for folder in folders.iter().filter(|folder| folder.is_dir()) {
             for file in process::files_below(folder)? {

@@ -42,7 +42,7 @@ pub(crate) fn make() -> Result<()> {
     for agent in firmware::agents() {
         install(&agent, &share.join("phone-agent"))?;
     }
-    let rule = process::root().join("host/udev/60-smartdepthsync.rules");
+    let rule = process::root().join("host/live/udev/60-smartdepthsync.rules");
     install(&rule, &usr.join("lib/udev/rules.d"))?;
     let documents = usr.join("share/doc").join(NAME);
     for file in ["LICENSE-MIT", "LICENSE-APACHE", "NOTICE", "CHANGELOG.md"] {
@@ -142,7 +142,7 @@ impl Release {
             let part = match crate_folder.and_then(Path::to_str) {
                 Some("host/cli") => Some(NAME),
                 Some("hil-sim/scenarios") => Some("hil-sim"),
-                Some("host/twist-sync-python") => Some("twist-sync"),
+                Some("host/sync/twist-sync-python") => Some("twist-sync"),
                 Some("firmware") => Some("smartdepthsync-firmware"),
                 _ => None,
             };

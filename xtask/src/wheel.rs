@@ -18,7 +18,7 @@ pub(crate) fn maturin(python: &Path, folder: &Path) -> Command {
     maturin
         .args("-m maturin build --release --quiet --out".split(' '))
         .arg(folder)
-        .args(["--manifest-path", "host/twist-sync-python/Cargo.toml"]);
+        .args(["--manifest-path", "host/sync/twist-sync-python/Cargo.toml"]);
     maturin
 }
 
@@ -27,7 +27,7 @@ pub(crate) fn data_package(python: &Path, folder: &Path) -> Command {
     let mut pip = process::command(python);
     pip.args("-m pip wheel --quiet --no-deps --wheel-dir".split(' '))
         .arg(folder)
-        .arg("host/python/smartdepthsync-data");
+        .arg("host/data/smartdepthsync-data");
     pip
 }
 
@@ -47,7 +47,7 @@ fn data(python: &Path) -> Result<()> {
     let version = concat!("-", env!("CARGO_PKG_VERSION"), "-");
     if !wheel.to_string_lossy().contains(version) {
         bail!(
-            "{} is not of the workspace's version: change host/python/smartdepthsync-data/pyproject.toml",
+            "{} is not of the workspace's version: change host/data/smartdepthsync-data/pyproject.toml",
             wheel.display()
         );
     }
@@ -81,7 +81,7 @@ pub(crate) fn build_and_test() -> Result<()> {
     )?;
     process::run(
         process::command(&python)
-            .args("-m unittest discover -s host/twist-sync-python/tests".split(' '))
+            .args("-m unittest discover -s host/sync/twist-sync-python/tests".split(' '))
             .env("SYNC_BENCH", &twists),
     )
 }

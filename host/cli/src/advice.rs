@@ -251,7 +251,7 @@ impl Advice for OpenError {
             Self::Permission { path } => {
                 let step = format!(
                     "install the udev rule, then plug the board in again: `sudo cp \
-                     host/udev/60-smartdepthsync.rules /etc/udev/rules.d/ && sudo udevadm control \
+                     host/live/udev/60-smartdepthsync.rules /etc/udev/rules.d/ && sudo udevadm control \
                      --reload` (or, until the next boot: `sudo chmod a+rw {path}`)"
                 );
                 return (ExitStatus::Permission, step.into());

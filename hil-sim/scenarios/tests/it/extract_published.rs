@@ -21,7 +21,7 @@ fn script(name: &str) -> PathBuf {
 
 fn twist() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../host/twist-sync-python/python/twist_sync/example")
+        .join("../../host/sync/twist-sync-python/python/twist_sync/example")
 }
 
 fn make_bag(folder: &Path, compression: &str) {

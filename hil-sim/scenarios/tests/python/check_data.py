@@ -18,7 +18,7 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).parents[4] / "host/python/smartdepthsync-data/src"))
+sys.path.insert(0, str(Path(__file__).parents[4] / "host/data/smartdepthsync-data/src"))
 
 from smartdepthsync_data import Dataset, DatasetError, Imu, sequences
 from smartdepthsync_data.fleet import run, table, work

@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-SOURCES = Path(__file__).parents[4] / "host/python/smartdepthsync-data/src"
+SOURCES = Path(__file__).parents[4] / "host/data/smartdepthsync-data/src"
 sys.path.insert(0, str(SOURCES))
 # For the workers.
 os.environ["PYTHONPATH"] = str(SOURCES)

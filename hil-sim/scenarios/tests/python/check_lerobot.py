@@ -13,7 +13,7 @@ from pathlib import Path
 
 # What is not in the folder shall not be looked for elsewhere.
 os.environ["HF_HUB_OFFLINE"] = "1"
-sys.path.insert(0, str(Path(__file__).parents[4] / "host/python/smartdepthsync-data/src"))
+sys.path.insert(0, str(Path(__file__).parents[4] / "host/data/smartdepthsync-data/src"))
 
 import numpy as np
 from PIL import Image

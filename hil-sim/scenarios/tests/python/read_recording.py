@@ -16,7 +16,7 @@ from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_types_from_msg
 
-PACKAGE = Path(__file__).parents[4] / "host/recording/ros/smartdepthsync_msgs/msg"
+PACKAGE = Path(__file__).parents[4] / "host/live/recording/ros/smartdepthsync_msgs/msg"
 
 
 def nanos(stamp):

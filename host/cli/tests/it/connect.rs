@@ -119,7 +119,7 @@ fn a_board_that_goes_away_is_a_lost_link() {
 
 #[test]
 fn the_udev_rule_names_this_board() {
-    let rule = include_str!("../../../udev/60-smartdepthsync.rules");
+    let rule = include_str!("../../../live/udev/60-smartdepthsync.rules");
     let rule: Vec<&str> = rule.lines().filter(|line| !line.starts_with('#')).collect();
     // The board's, and that of the loader in its ROM.
     assert_eq!(rule.len(), 2);

@@ -3,7 +3,7 @@
 //! `SMARTDEPTHSYNC_FUZZ_SECONDS` in the environment each target runs for so long
 //! instead, on inputs of its own (see the book, "Developing", also for `cargo fuzz`).
 //!
-//! A finding of a long run goes into `host/fuzz/corpus/<target>/`, and is tried
+//! A finding of a long run goes into `host/dev/fuzz/corpus/<target>/`, and is tried
 //! here from then on.
 
 use std::fs;
@@ -23,7 +23,7 @@ use crate::support::synthetic;
 
 /// Bytes of one kind that are right, to be changed.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
-    let folder = root().join("host/fuzz/corpus").join(target);
+    let folder = root().join("host/dev/fuzz/corpus").join(target);
     let mut files: Vec<PathBuf> = fs::read_dir(&folder)
         .map(|entries| entries.map(|entry| entry.unwrap().path()).collect())
         .unwrap_or_default();

@@ -205,7 +205,7 @@ fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
 fn the_real_twist_is_stable_and_its_faults_are_found() {
     let read = |name: &str| {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../twist-sync-python/python/twist_sync/example")
+            .join("../../sync/twist-sync-python/python/twist_sync/example")
             .join(name);
         twist_scenarios::read_csv(&path).unwrap()
     };

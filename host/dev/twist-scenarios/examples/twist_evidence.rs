@@ -1,4 +1,4 @@
-//! The evidence about the phone's stream in `host/twist-sync-python/python/twist_sync/example`, as Markdown:
+//! The evidence about the phone's stream in `host/sync/twist-sync-python/python/twist_sync/example`, as Markdown:
 //! displacement of each class of samples modulo ten against the board's
 //! gyroscope, copies apart, and the offset under variants of the estimate.
 //!
@@ -81,7 +81,7 @@ fn displacement(
 
 fn main() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../twist-sync-python/python/twist_sync/example");
+        .join("../../sync/twist-sync-python/python/twist_sync/example");
     let read = |name: &str| twist_scenarios::read_csv(&folder.join(name)).unwrap();
     let (mcu, phone) = (read("mcu_gyro_data.csv"), read("smartphone_gyro_data.csv"));
     let options = Options::default();

@@ -13,7 +13,7 @@ use super::{direction, rotation};
 
 /// The board's recording: seconds, rad/s about x, y, z.
 const RECORDED: &str =
-    include_str!("../../twist-sync-python/python/twist_sync/example/mcu_gyro_data.csv");
+    include_str!("../../../sync/twist-sync-python/python/twist_sync/example/mcu_gyro_data.csv");
 /// Samples of each of three moving averages: −3 dB at 11 Hz, above the motion of a hand.
 const AVERAGED: usize = 15;
 

@@ -7,7 +7,7 @@
 //! same [`TwistSpec`] and seed give the same recordings on every machine.
 //!
 //! Noise and quantisation are those of the recordings at rest in
-//! `host/twist-sync-python/python/twist_sync/example`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
+//! `host/sync/twist-sync-python/python/twist_sync/example`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};

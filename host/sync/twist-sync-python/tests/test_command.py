@@ -24,7 +24,7 @@ import numpy as np
 import twist_sync
 from twist_sync import command, files, text, video
 
-ROOT = pathlib.Path(__file__).resolve().parents[3]
+ROOT = pathlib.Path(__file__).resolve().parents[4]
 A = command.EXAMPLE / "mcu_gyro_data.csv"
 B = command.EXAMPLE / "smartphone_gyro_data.csv"
 TABLE = np.loadtxt(B, delimiter=",", skiprows=1)
@@ -564,7 +564,7 @@ class Command(Folder):
         pages = [
             ROOT / "README.md",
             *(ROOT / "docs").glob("*.md"),
-            ROOT / "host/twist-sync-python/README.md",
+            ROOT / "host/sync/twist-sync-python/README.md",
         ]
         parser = command.parser()
         seen = 0

@@ -1,5 +1,5 @@
 //! The body of each fuzz target: one function that takes the bytes. One place for the targets of
-//! `cargo fuzz` (in `host/fuzz/fuzz_targets/`) and for the short run over corpus and
+//! `cargo fuzz` (in `host/dev/fuzz/fuzz_targets/`) and for the short run over corpus and
 //! mutations that is part of the tests (`host/cli/tests/it/fuzz_smoke.rs`).
 #![allow(
     clippy::unwrap_used,

@@ -40,7 +40,7 @@ impl Agent {
     fn start(emulator: &str, processor: &str, test: &str) -> Self {
         let target = match std::env::var_os("CARGO_TARGET_DIR") {
             Some(folder) => PathBuf::from(folder),
-            None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"),
+            None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../target"),
         };
         let built = target.join(format!("release/smartdepthsync-phone-agent-{processor}"));
         assert!(
