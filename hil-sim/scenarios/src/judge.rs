@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use clock::BoardSeconds;
+use clock::ClockModel;
 use protocol::Ticks;
 use recording::reader::{Item, Reader};
 use recording::session_file::{PhoneRecord, SessionFile, Span, Twist};
 use serde::Serialize;
-use timebase::BoardSeconds;
-use timebase::ClockModel;
 
 use crate::frame_phase::{PhaseError, PhaseSummary, phase_errors, summarise};
 use rig::depth_camera::{FrameRecord, Source};
@@ -424,7 +424,7 @@ mod tests {
             offset: truth.offset_ns(&truth.phone, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 0.0]],
-            wander: timebase::Wander(0.0),
+            wander: clock::Wander(0.0),
         };
         let error = truth.error_of(&truth.phone, &model, at);
         // 3 µs of error were put in.

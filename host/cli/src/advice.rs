@@ -8,9 +8,9 @@ use std::fmt::Display;
 use std::path::Path;
 
 use board::BoardError;
+use board::bring_up::BringUpError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
-use bring_up::BringUpError;
 use phone::PhoneError;
 use phone::adb::AdbError;
 use phone::error::Refusal as AppRefusal;

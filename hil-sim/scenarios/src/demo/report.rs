@@ -3,8 +3,8 @@
 //! The page is a [`Page`] like the host tool's reports, so a reader finds the same
 //! things in the same order.
 
+use board::finding::Severity;
 use evaluate::stats::quantile;
-use recording::finding::Severity;
 use report::chart::{self, Data};
 use report::page::Page;
 use report::summary::{Facts, Summary, facts_text};

@@ -4,6 +4,7 @@
 //! that of the grid.
 
 use anyhow::{Context, Result, bail};
+use clock::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use jiff::Timestamp;
 use protocol::mpu9150::ADDRESS;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
@@ -30,7 +31,6 @@ use stm32f4_sim::model_bench::Bench;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
-use timebase::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use twist_sync::{Options, estimate_offset};
 
 use super::Figure;

@@ -6,6 +6,7 @@
 //! phone's frames.
 
 use anyhow::{Context as _, Result};
+use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
 use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
@@ -19,7 +20,6 @@ use session::alignment::{phase_sigma_us_at, plan};
 use session::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
 use session::twists::Twists;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
-use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use super::{Figure, Rigs};

@@ -14,8 +14,8 @@ use ::phone::requests::{ImuBody, VideoHeader};
 use ::phone::task::Pending;
 use ::phone::{Asked, ImuRequest, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use ::session::devices::Phone;
+use clock::PhoneNanos;
 use rig::phone::{Answer, RequestId};
-use timebase::PhoneNanos;
 
 use super::SharedRig;
 

@@ -5,8 +5,8 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use clock::BoardSeconds;
 use session::alignment::phase_sigma_us_at;
-use timebase::BoardSeconds;
 
 use super::{Plan, evaluation, extraction, record};
 use crate::programs::Programs;

@@ -4,15 +4,15 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ::bring_up::{BringUpError, Check, Operator, Part, Plan, Prompt, Report, run};
 use ::session::devices::Connector;
 use board::Board;
+use board::bring_up::{BringUpError, Check, Operator, Part, Plan, Prompt, Report, run};
+use board::finding::Severity;
 use board::transport::{Link, LinkError};
 use protocol::{
     BoardSettings, Failure, MIN_PULSE_WIDTH, Output, Period, QueryBoard, QueryTrigger,
     SELF_TEST_KEY, SelfTest, SetBoard, TrainState, TriggerStart,
 };
-use recording::finding::Severity;
 use rig::imu::Fault;
 use rig::jumpers::Jumpers;
 use rig::random::Seed;

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::support;
 use crate::whole_rig::WholeRig;
-use recording::finding::Severity;
+use board::finding::Severity;
 use recording::reader::Reader;
 use recording::session_file::{SessionFile, SessionOutcome};
 use report::verify::verify;

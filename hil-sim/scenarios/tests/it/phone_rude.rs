@@ -5,9 +5,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
+use clock::PhoneNanos;
 use phone::adb::copy_command;
 use rig::phone::{LinkFault, PhoneConfig, StorageAccess, VideoMode};
-use timebase::PhoneNanos;
 
 use crate::phone_bench::Bench;
 use crate::support::smartdepthsync;

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use board::BoardError;
-use recording::finding::Severity;
+use board::finding::Severity;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, SESSION_FILE};

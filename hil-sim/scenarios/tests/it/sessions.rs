@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use board::finding::Severity;
 use protocol::{ImuClock, ImuModel, Period};
 use recording::MCAP_FILE;
-use recording::finding::Severity;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::{SampleRecord, SensorModel};
@@ -40,7 +40,7 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
         assert!(checked.contains(&name), "{name} is missing in {checked:?}");
     }
     assert_eq!(checked.last(), Some(&"trigger read-back"));
-    let is_bad = |check: &recording::finding::Finding| check.severity == Severity::Bad;
+    let is_bad = |check: &board::finding::Finding| check.severity == Severity::Bad;
     assert!(!session.preflight.iter().any(is_bad));
     assert_eq!(session.markers.len(), 2);
     let span = session.recorded.unwrap();

@@ -14,6 +14,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use board::imu::Sample;
+use clock::BoardSeconds;
+use clock::{ClockModel, Wander};
 use protocol::{ImuFlags, Period, Pulse, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -26,8 +28,6 @@ use rig::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use rig::random::{Random, Seed, Stream, rotation};
 use rig::wiring::UNITS_PER_TICK;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
-use timebase::BoardSeconds;
-use timebase::{ClockModel, Wander};
 
 /// Low-pass of the board's gyroscope (MPU-9150, DLPF 188 Hz).
 const BOARD_PASS: LowPass = LowPass {

@@ -11,14 +11,14 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ::bring_up::{Operator, Part, Report, run};
 use board::Board;
+use board::bring_up::{Operator, Part, Report, run};
+use board::finding::Severity;
 use board::transport::{Link, LinkError};
 use protocol::{
     Answer, CORE_HZ, Decoder, DeviceToHost, Hello, MAX_FRAME, MIN_PULSE_GAP, Output, QueryImu,
     Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
 };
-use recording::finding::Severity;
 use rig::jumpers::{Jumpers, Late};
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
@@ -633,7 +633,7 @@ fn edges_that_are_late_at_the_pins_fail() {
 
 /// Names of the checks that failed.
 fn failed(report: &Report) -> String {
-    let bad = |c: &&::bring_up::Check| c.finding.severity == Severity::Bad;
+    let bad = |c: &&board::bring_up::Check| c.finding.severity == Severity::Bad;
     let names: Vec<_> = (report.checks.iter().filter(bad))
         .map(|check| check.finding.kind.as_str())
         .collect();

@@ -14,10 +14,10 @@ use crate::context::Context;
 use crate::decimal::parse_real_time;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use crate::rig_profile::ProfileArg;
+use clock::PhoneNanos;
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
 use phone::{PhoneClient, PhoneError, Settings};
-use timebase::PhoneNanos;
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
 #[derive(Debug, clap::Args)]

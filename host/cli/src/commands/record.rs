@@ -16,9 +16,10 @@ use crate::recordings;
 use crate::rig_profile::{Place, ProfileArg};
 use crate::view::View;
 use crate::view::state::State;
+use board::finding::Finding;
+use clock::PhoneNanos;
 use phone::adb::get_files_command;
 use phone::task::PhoneTask;
-use recording::finding::Finding;
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
@@ -29,7 +30,6 @@ use session::hardware::{AdbClockStarter, SerialConnector};
 use session::options::{Options, Track, seconds};
 use session::recorder_process::RecorderProcess;
 use session::run::{Devices, Ended, run as run_session};
-use timebase::PhoneNanos;
 
 /// Length of a calibration between its twists: a minute is the least that a rate is learnt
 /// from.

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
+use board::finding::Severity;
 use recording::RecordingError;
-use recording::finding::Severity;
 use report::session::write_again;
 use report::verify::verify;
 

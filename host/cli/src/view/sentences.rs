@@ -1,6 +1,6 @@
 //! The sentences that are said to the person of a session's events.
 
-use recording::finding::Severity;
+use board::finding::Severity;
 use session::event::{Prompt, SessionEvent, Step};
 
 use crate::outcome::Failure;

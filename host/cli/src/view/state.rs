@@ -10,9 +10,9 @@ pub(super) mod tests;
 use std::collections::VecDeque;
 use std::time::Instant;
 
+use board::finding::Finding;
 use board::imu::Sample;
 use protocol::{DeviceToHost, ImuState, Output, Status, TICK_HZ, Ticks, TrainState};
-use recording::finding::Finding;
 use recording::profile::Profile;
 use recording::session_file::Alignment;
 use session::event::{Phase, SessionEvent, Stamped, Tracked};

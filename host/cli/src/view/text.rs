@@ -563,9 +563,9 @@ fn clock(seconds: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use board::finding::Finding;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use recording::finding::Finding;
 
     use super::*;
     use crate::view::state::tests::{begin_twist, busy};

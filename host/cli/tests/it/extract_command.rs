@@ -4,10 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use clock::BoardSeconds;
+use clock::{ClockModel, Wander};
 use recording::session_file::SessionFile;
 use serde_json::Value;
-use timebase::BoardSeconds;
-use timebase::{ClockModel, Wander};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use crate::support::{json, test_video};

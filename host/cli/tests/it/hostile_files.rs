@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use board::finding::Finding;
 use board::imu::Sample;
 use protocol::{HostToDevice, ImuFlags, Pulse, Ticks};
 use recording::SESSION_FILE;
-use recording::finding::Finding;
 use recording::writer::Writer;
 use serde_json::Value;
 

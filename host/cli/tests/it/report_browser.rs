@@ -2,14 +2,14 @@
 
 use std::process::Command;
 
+use board::finding::Finding;
 use board::{StreamCount, StreamCounts};
 use protocol::Ticks;
-use recording::finding::Finding;
 use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist, Video};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
+use clock::PhoneNanos;
 use test_support::browser;
-use timebase::PhoneNanos;
 
 #[test]
 fn a_recordings_report_is_readable_on_phone_desk_and_paper() {

@@ -4,10 +4,10 @@
 use std::fs;
 use std::path::Path;
 
+use board::finding::Severity;
 use board::imu::Scale;
 use protocol::ImuFlags;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
-use recording::finding::Severity;
 use recording::reader::{Entry, Reader};
 use recording::session_file::{ImuInfo, SessionFile};
 use report::verify::{Report, verify};

@@ -1,9 +1,9 @@
 //! The session file of a recording that went well, of a rig that is not there.
 
+use clock::{BoardSeconds, ClockModel, Wander};
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
-use timebase::{BoardSeconds, ClockModel, Wander};
 
 /// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
 /// 0.1 ppm.

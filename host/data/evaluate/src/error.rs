@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use phone::video::VideoError;
 use recording::RecordingError;
 use recording::profile::ProfileError;
-use video::VideoError;
 
 use super::drift::MIN_FRAMES;
 use super::frame::{MAX_SIDE, MIN_ROWS, Region};

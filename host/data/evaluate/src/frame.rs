@@ -65,7 +65,7 @@ impl FromStr for Region {
 /// Fewer rows than this do not hold two flashes of any sensor.
 pub(crate) const MIN_ROWS: usize = 64;
 /// Larger sides are refused: a damaged header must not allocate gigabytes.
-pub(crate) const MAX_SIDE: usize = video::MAX_SIDE as usize;
+pub(crate) const MAX_SIDE: usize = phone::video::MAX_SIDE as usize;
 
 /// Mean brightness of the used rows of one frame.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -21,16 +21,16 @@ use std::mem::{Discriminant, discriminant};
 use std::path::Path;
 use std::sync::Arc;
 
+use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use protocol::Ticks;
 use recording::messages::{self, Imu, RosMessage, Temperature, TimeReference, from_cdr};
 use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
-use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange};
 
 use super::depth_clock::PulseTime;
 use super::time::BoardNanos;
-use formats::faults::Faults;
+use crate::faults::Faults;
 
 /// How many samples wait for their temperature.
 const WAITING: usize = 64;

@@ -32,7 +32,7 @@ pub enum ExtractError {
     Depth(#[from] DepthError),
     /// The phone's video.
     #[error(transparent)]
-    Video(#[from] video::VideoError),
+    Video(#[from] phone::video::VideoError),
     /// One part is missing, in words.
     #[error("{0}")]
     Missing(String),

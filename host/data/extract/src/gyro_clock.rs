@@ -7,7 +7,7 @@
 //! delays, goes in as configuration and stays in the result.
 
 use super::time::{BoardNanos, ClockNanos, SECOND};
-use timebase::ClockModel;
+use clock::ClockModel;
 use twist_sync::{ClockCourse, Prior, RecordingClock};
 
 /// Most knots of a relation laid out: a month.

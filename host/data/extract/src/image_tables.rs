@@ -9,8 +9,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 
+use phone::video::Video;
 use rayon::prelude::*;
-use video::Video;
 
 use super::depth::{CameraImage, DepthImage, DepthInput};
 use super::error::ExtractError;

@@ -4,6 +4,8 @@
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
 //! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, bags of the published system),
 //!   `phone_rows` (the phone's CSV files), `depth` (Matroska, ROS 2 bags).
+//! - Files of other makers: [`k4a`] (recordings of the Azure Kinect), `mkv` (the Matroska container
+//!   that they are in), [`faults`] (what cannot be read of a file).
 //! - Time: `time` (integers only), `constants`, `gyro_clock` and `phone_clock` (the phone's clock
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
 //!   pulses), `frames` (timestamps and images), `pairs`, `grid` (frames against the trigger).
@@ -21,6 +23,7 @@ mod depth;
 mod depth_clock;
 mod depth_match;
 pub mod error;
+pub mod faults;
 mod frames;
 pub mod geometry;
 mod grid;
@@ -29,7 +32,9 @@ mod image;
 mod image_tables;
 mod imu_tables;
 pub mod inputs;
+pub mod k4a;
 pub mod layout;
+mod mkv;
 pub mod options;
 pub mod output_dir;
 mod pairs;

@@ -13,8 +13,8 @@ use super::streams::{self, OtherGyro, Span, related};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
+use clock::ClockModel;
 use session::train::frame_period;
-use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
@@ -230,7 +230,7 @@ mod tests {
     use super::super::constants::Constants;
     use super::super::survey::PhoneClocks;
     use super::*;
-    use timebase::{BoardSeconds, Wander};
+    use clock::{BoardSeconds, Wander};
 
     fn model(offset: f64) -> ClockModel {
         ClockModel {

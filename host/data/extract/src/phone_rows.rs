@@ -7,8 +7,8 @@ use files::Input;
 use phone::rows::{RowError, Rows};
 use phone::samples::PhoneSample;
 
+use crate::faults::Faults;
 use crate::time::PhoneNanos;
-use formats::faults::Faults;
 
 /// How many damaged rows are kept with their text.
 const MAX_FAULTS: usize = 20;

@@ -14,7 +14,7 @@ use recording::messages::camera::Image;
 use recording::messages::{RosMessage as _, from_cdr};
 use recording::walk::{Event, Message, Walk};
 
-use formats::faults::Faults;
+use crate::faults::Faults;
 
 const KIND: &str = Image::TYPE;
 

@@ -9,7 +9,7 @@ use super::depth_clock::PulseTime;
 use super::error::ExtractError;
 use super::streams::each_event;
 use super::time::{BoardNanos, SECOND, median_step};
-use timebase::ClockModel;
+use clock::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
 
 /// Pulses, pairs of times and exchanges that are kept of any recording; 12 hours of a

@@ -6,8 +6,8 @@
 //! arithmetic alone, so that no timestamp ever passes through a float (an f64
 //! of seconds since 1970 resolves 238 ns only).
 
-pub(crate) use formats::DeviceNanos;
-pub(crate) use timebase::PhoneNanos;
+pub(crate) use crate::k4a::DeviceNanos;
+pub(crate) use clock::PhoneNanos;
 
 /// Nanoseconds in a second.
 pub(crate) const SECOND: i64 = 1_000_000_000;

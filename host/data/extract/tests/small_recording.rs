@@ -11,6 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use board::imu::Sample;
+use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use extract::layout::Format;
 use extract::options::Options;
 use extract::report::ExtractReport;
@@ -23,7 +24,6 @@ use recording::rosbag2::{Bag, METADATA_FILE};
 use recording::session_file::SessionFile;
 use recording::walk::{Event, Walk};
 use recording::writer::Writer;
-use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 
 const SECONDS: u64 = 4;
 const SECOND_NS: i64 = 1_000_000_000;

@@ -1,12 +1,12 @@
 //! The report of a board test.
 
-use bring_up::Report;
+use board::bring_up::Report;
 use serde_json::json;
 
 use crate::page::Page;
 use crate::session::board_fact;
 use crate::summary::Summary;
-use recording::finding::{Finding, Severity};
+use board::finding::{Finding, Severity};
 
 /// The checks with their limits.
 #[must_use]

@@ -18,8 +18,8 @@ use evaluate::shown::Shown;
 use crate::page::Page;
 use crate::session::link_to;
 use crate::summary::{Facts, Summary};
+use board::finding::{Finding, Severity};
 use recording::error_budget::{COARSE_US, ErrorPart, together};
-use recording::finding::{Finding, Severity};
 
 /// The report of a precision measurement, with pictures of one of its recordings, for the file
 /// `out`.

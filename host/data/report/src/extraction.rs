@@ -16,8 +16,8 @@ use crate::chart::{self, Data};
 use crate::page::Page;
 use crate::session::{link_to, predicted, sentence};
 use crate::summary::{Facts, Summary};
+use board::finding::{Finding, Severity};
 use recording::error_budget::{COARSE_US, together};
-use recording::finding::{Finding, Severity};
 use recording::session_file::SessionFile;
 
 /// What stands below the sample pairs.

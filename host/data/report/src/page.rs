@@ -17,7 +17,7 @@
 
 use std::fmt::Write as _;
 
-use recording::finding::{Finding, Severity};
+use board::finding::{Finding, Severity};
 use serde_json::Value;
 
 use crate::chart;

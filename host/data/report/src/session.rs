@@ -18,13 +18,14 @@ use self::curves::Curves;
 use crate::REPORT_FILE;
 use crate::page::Page;
 use crate::summary::Facts;
+use board::BoardInfo;
+use board::finding::{Finding, Severity};
 use board::{StreamCount, reset_cause};
 use judgement::findings;
 pub(crate) use judgement::sentence;
 pub use judgement::{files_to_fetch, has_recorded, summary};
 use recording::RecordingError;
-use recording::finding::{Finding, Severity};
-use recording::session_file::{BoardInfo, PhoneRecord, SessionFile, Span};
+use recording::session_file::{PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;
 
 /// The most findings and marks that are listed one by one.

@@ -6,7 +6,7 @@
 
 use std::fmt::Write as _;
 
-use recording::finding::{Finding, Severity};
+use board::finding::{Finding, Severity};
 use serde::Serialize;
 
 /// Names with their values in words.

@@ -18,8 +18,8 @@ mod pulses;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use board::finding::{Finding, Severity};
 use protocol::Ticks;
-use recording::finding::{Finding, Severity};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::walk::{Damage, FileReport, Walk};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};

@@ -6,15 +6,20 @@
 //! - [`Board`]: a conversation on a transport, with calls that wait for the answer.
 //! - [`imu`]: the board's IMU samples in SI units.
 //! - [`image`]: images of the firmware.
+//! - [`bring_up`]: measurements that show whether a board does in hardware what it should.
+//! - [`finding`]: the scale of everything that is checked or noticed.
 //! - [`gnss`]: the board as a lidar's GNSS receiver.
 #![forbid(unsafe_code)]
 
+pub mod bring_up;
 mod calls;
 mod conversation;
 mod error;
+pub mod finding;
 pub mod gnss;
 pub mod image;
 pub mod imu;
+mod info;
 mod listen;
 mod streams;
 pub mod transport;
@@ -22,4 +27,5 @@ pub mod transport;
 pub use calls::{Board, choose_port};
 pub use conversation::{Conversation, Event};
 pub use error::{BoardError, Result, reset_cause};
+pub use info::BoardInfo;
 pub use streams::{Stream, StreamCount, StreamCounts, follow};

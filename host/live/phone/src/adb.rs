@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 use super::settings::StopSignal;
 use super::video_files::{Part, classify};

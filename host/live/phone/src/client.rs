@@ -11,7 +11,7 @@ use super::error::{PROBE, PhoneError};
 use super::requests::{Asked, ImuBody, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
 use super::samples::PhoneSample;
 use super::settings::{Settings, StopSignal};
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);

@@ -13,7 +13,7 @@
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 use crate::rows::{BadRow, RowError, Rows};
 
@@ -84,7 +84,7 @@ mod tests {
         assert_eq!(read_text("1\n2\r\n\n 5 \n").unwrap(), [1, 2, 5]);
         assert_eq!(read_text("timestamp\n-3\n1").unwrap(), [-3, 1]);
         assert_eq!(read_text("timestamp,x\n1,7\n").unwrap(), [1]);
-        assert_eq!(read_text("").unwrap(), []);
+        assert_eq!(read_text("").unwrap(), Vec::<i64>::new());
     }
 
     #[test]

@@ -32,6 +32,7 @@ pub mod rows;
 pub mod samples;
 mod settings;
 pub mod task;
+pub mod video;
 pub mod video_files;
 
 pub use answer::ServerVersion;

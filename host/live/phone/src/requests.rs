@@ -10,7 +10,7 @@ use super::answer::MalformedAnswer;
 use super::error::PhoneError;
 use super::file_name::without_number;
 use super::samples::{PhoneSample, SAMPLE_LINE, parse_sample};
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 /// Longest IMU recording that may be asked for. The app keeps the whole answer
 /// in memory before it sends a byte of it.

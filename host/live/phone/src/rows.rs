@@ -9,7 +9,7 @@
 
 use std::io::{self, BufRead, Read};
 
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 use crate::samples::{PhoneSample, parse_sample};
 

@@ -8,7 +8,7 @@
 use std::io::{BufWriter, IntoInnerError, Write as _};
 use std::path::Path;
 
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 use super::error::PhoneError;
 

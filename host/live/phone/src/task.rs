@@ -16,7 +16,7 @@ use crate::{
     PhoneClient, PhoneError, PhoneSample, SavedVideo, ServerVersion, Settings, StopSignal,
     VideoStart, requests::Asked,
 };
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 
 /// A phone with the app. No method waits: each gives an answer that is on its way.
 pub trait Phone {

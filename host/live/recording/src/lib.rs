@@ -16,7 +16,6 @@
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`diagnostics`]: the counters in the board's status.
 //! - [`error_budget`]: how well the cameras expose together, in numbers and words.
-//! - [`finding`]: what was found before, while and after it was made, and how bad it is.
 //! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - `scan`: the records of the file over any damage (`damage`); [`chunks`] unpacks them.
@@ -34,7 +33,6 @@ pub mod chunks;
 mod damage;
 pub mod diagnostics;
 pub mod error_budget;
-pub mod finding;
 pub mod folder;
 pub mod grid;
 pub mod kalibr;

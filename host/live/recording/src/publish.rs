@@ -6,7 +6,6 @@ use protocol::{CaptureChannel, Edge, Ticks};
 
 use super::RecordingError;
 use super::diagnostics::diagnostics;
-use super::finding::Severity;
 use super::grid::Grid;
 use super::messages::{
     Capture, ClockExchange, ClockModel, Header, Imu, ImuFlags, LinkFrame, Log, Pulse, Temperature,
@@ -14,9 +13,10 @@ use super::messages::{
 };
 use super::topic::Item;
 use super::writer::Writer;
+use board::finding::Severity;
 use board::imu::Sample;
-use timebase::ClockModel as ClockRelation;
-use timebase::PhoneNanos;
+use clock::ClockModel as ClockRelation;
+use clock::PhoneNanos;
 
 impl Writer {
     /// An IMU sample, with the board's number of it.

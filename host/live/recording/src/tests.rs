@@ -10,16 +10,16 @@ use protocol::{
 };
 
 use super::diagnostics::BoardCounters;
-use super::finding::Severity;
 use super::reader::{Entry, Item, Reader};
 use super::session_file::{SessionFile, SessionOutcome};
 use super::writer::Writer;
 use super::*;
 use crate::profile::Profile;
+use board::finding::Severity;
 use board::imu::Sample;
+use clock::{BoardSeconds, PhoneNanos};
+use clock::{ClockModel, Wander};
 use protocol::{TICK_HZ, Ticks};
-use timebase::{BoardSeconds, PhoneNanos};
-use timebase::{ClockModel, Wander};
 
 fn sample(number: u64) -> Sample {
     Sample {

@@ -26,9 +26,9 @@ use protocol::TICK_HZ;
 
 use crate::rates::{CONSISTENT_SIGMAS, Course, Rate, warming_share};
 use crate::twists::KnownSkew;
+use clock::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
-use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 
 /// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught it.
 /// Qualcomm's older drivers read the clock in an interrupt handler (`msm_isp_get_timestamp`), the

@@ -7,11 +7,12 @@
 //! of the computer, and makes the same ones in `doctor`.
 
 use board::Board;
+use board::BoardInfo;
+use board::finding::{Finding, Severity};
 use board::imu::{ImuLook, describe, last_fault};
 use protocol::{BoardModel, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
-use recording::finding::{Finding, Severity};
 use recording::profile::Profile;
-use recording::session_file::{BoardInfo, CHECK_READBACK};
+use recording::session_file::CHECK_READBACK;
 use serde::Serialize;
 
 use crate::error::SessionError;

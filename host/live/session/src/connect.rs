@@ -4,11 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use board::Board;
+use board::BoardInfo;
 use board::imu::Scale;
 use protocol::{ConfigureImu, QueryImu, Ticks};
 use recording::folder;
 use recording::profile::Profile;
-use recording::session_file::{BoardInfo, ImuInfo, SessionFile};
+use recording::session_file::{ImuInfo, SessionFile};
 use recording::writer::Writer;
 
 use crate::devices::{Choice, Clock, Connector, DepthRecorder, Operator, PhoneClockStarter};

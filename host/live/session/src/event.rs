@@ -7,12 +7,12 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use board::finding::{Finding, Severity};
 use board::imu::{Sample, Scale};
+use clock::ClockModel;
 use protocol::{DeviceToHost, ResetCause, Ticks};
-use recording::finding::{Finding, Severity};
 use recording::session_file::{Alignment, Placement, RateChange, SessionOutcome, Video};
 use serde::{Serialize, Serializer};
-use timebase::ClockModel;
 
 use crate::devices::RecorderEnd;
 use crate::error::SessionError;

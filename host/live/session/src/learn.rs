@@ -112,9 +112,9 @@ pub fn into_profile(
 mod tests {
     use super::*;
     use crate::train::{FramePeriod, frame_period};
+    use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
     use recording::profile::DEFAULT;
     use recording::session_file::Twist;
-    use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 
     /// Frames of 33,330,652.54 ns.
     fn period() -> FramePeriod {

@@ -3,15 +3,15 @@
 
 use std::path::PathBuf;
 
+use clock::ClockModel;
 use protocol::{TICK_HZ, Ticks};
 use recording::RecordingError;
 use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
 use recording::writer::Writer;
-use timebase::ClockModel;
 
 use crate::error::Stop;
 use crate::event::{PhoneName, SessionEvent, Stamped};
-use recording::finding::Finding;
+use board::finding::Finding;
 
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;

@@ -13,7 +13,7 @@ use crate::event::SessionEvent;
 use crate::link::BoardLink;
 use crate::log::Log;
 use crate::watch::Watch;
-use recording::finding::Finding;
+use board::finding::Finding;
 
 /// The monitors.
 #[derive(Default)]

@@ -9,12 +9,12 @@
 
 use std::time::Duration;
 
+use clock::ClockModel;
 use phone::PhoneError;
 use phone::task::Pending;
 use protocol::Ticks;
 use recording::profile::{Phone as PhoneProfile, Profile};
 use recording::session_file::RateChange;
-use timebase::ClockModel;
 
 use crate::devices::{Clock, Phone};
 use crate::error::{SessionError, Stop};

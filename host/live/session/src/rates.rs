@@ -17,8 +17,8 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
+use clock::{BoardSeconds, ClockModel, Wander};
 use recording::session_file::RateChange;
-use timebase::{BoardSeconds, ClockModel, Wander};
 use twist_sync::mixture::{Supposed, mixed};
 use twist_sync::tracker::WARMING_S;
 

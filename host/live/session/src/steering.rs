@@ -17,8 +17,8 @@
 //! What a frame's period is in the phone's time, nothing here learns: 1 ppb of it is 3.6 µs
 //! an hour.
 
+use clock::{BoardSeconds, ClockModel, PhoneSeconds};
 use protocol::{Period, TICK_HZ, Ticks};
-use timebase::{BoardSeconds, ClockModel, PhoneSeconds};
 use twist_sync::tracker::{Asked, Tracker};
 
 use crate::alignment::frames_sigma_us;
@@ -193,9 +193,9 @@ pub(crate) mod tests {
     use super::*;
     use crate::alignment::plan;
     use crate::twists::Twists;
+    use clock::{PhoneNanos, Wander};
     use recording::profile::Profile;
     use recording::session_file::Video;
-    use timebase::{PhoneNanos, Wander};
 
     /// The answer to a step may come late, or be that to its repetition.
     #[test]

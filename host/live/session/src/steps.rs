@@ -1,12 +1,12 @@
 //! The steps of a session, from the checks to the end of the recording.
 
 use board::imu::{ImuLook, Scale};
+use clock::ClockModel;
 use protocol::{
     AlignPlan, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks, TrainState,
     TriggerAlign, TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
-use timebase::ClockModel;
 
 use crate::alignment::{phase_sigma_us_now, plan, stated_sigma_us_at};
 use crate::auxiliary;

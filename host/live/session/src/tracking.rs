@@ -11,10 +11,10 @@
 use std::time::Duration;
 
 use board::BoardError;
+use clock::ClockModel;
 use protocol::{Period, Ticks};
 use recording::messages::{ClockExchange, Header};
 use recording::session_file::TrackInfo;
-use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use crate::devices::{PhoneClock, PhoneClockStarter};
@@ -246,7 +246,7 @@ impl Tracking {
             Exchange {
                 sent: sent.as_secs_f64(),
                 received: received.as_secs_f64(),
-                stamp: timebase::PhoneNanos(clock_ns).seconds().0,
+                stamp: clock::PhoneNanos(clock_ns).seconds().0,
             },
         );
         let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
@@ -375,7 +375,7 @@ fn report_lock(log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
 mod tests {
     use super::*;
     use crate::steering::tests::{alignment, clock};
-    use timebase::BoardSeconds;
+    use clock::BoardSeconds;
 
     #[test]
     fn a_step_without_an_answer_is_asked_for_again_before_any_other() {

@@ -6,7 +6,7 @@
 //! with a 1-sigma of `σ·√12 / N^1.5` intervals: 1 µs of jitter over 5 min is
 //! 0.004 ns a frame. Both `profile learn` and `extract` take the period from here.
 
-use timebase::PhoneNanos;
+use clock::PhoneNanos;
 use twist_sync::robust::Line;
 
 /// The least number of frames.

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use clock::{ClockModel, board_track, phone_track};
 use phone::PhoneSample;
 use protocol::{TICK_HZ, Ticks};
 use recording::error_budget::micros_text;
 use recording::session_file::{Span, Twist};
 use serde_json::{Value, json};
-use timebase::{ClockModel, board_track, phone_track};
 use twist_sync::{
     GyroTrack, LeftOut, Options as EstimateOptions, Report, Stream, Warning, estimate_offset,
 };

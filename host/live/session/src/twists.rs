@@ -7,7 +7,7 @@
 //! with its own Kalman filter ([`Course`]) and weighed by how well it foretold what came.
 //! Together they are one [`Course`] of their mean and covariance.
 
-use timebase::{BoardSeconds, ClockModel};
+use clock::{BoardSeconds, ClockModel};
 use twist_sync::tracker::WARMING_S;
 
 use crate::rates::{Course, Fit, Rate};
@@ -107,7 +107,7 @@ impl Twists {
 mod tests {
     use super::*;
     use crate::rates::PLANNED_S;
-    use timebase::Wander;
+    use clock::Wander;
 
     /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
     /// dying away within `fades` seconds.

@@ -6,7 +6,7 @@
 use protocol::{ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
 
 use board::Stream;
-use recording::finding::Finding;
+use board::finding::Finding;
 use recording::grid::FollowedGrid;
 pub use recording::grid::Grid;
 

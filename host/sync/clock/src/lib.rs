@@ -5,10 +5,10 @@
 //! uptime), far below one tick (20.8 ns). The only way from one clock to the
 //! other is [`ClockModel`].
 
-mod clock;
+mod model;
 mod tracks;
 
-pub use clock::ClockModel;
+pub use model::ClockModel;
 pub use tracks::{board_track, phone_track};
 pub use twist_sync::{Wander, WithSigma};
 

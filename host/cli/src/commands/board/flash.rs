@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
+use board::BoardInfo;
 use board::image::{FLASH_START, Image};
 use protocol::{BoardModel, Hello, RestartIntoRom};
-use recording::session_file::BoardInfo;
 use serde::Serialize;
 
 use super::keep_trying;

@@ -7,7 +7,7 @@ use crate::context::Context;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::{Place, ProfileArg};
-use recording::session_file::BoardInfo;
+use board::BoardInfo;
 
 /// The result.
 #[derive(Debug, Serialize)]

@@ -5,9 +5,9 @@ use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use bring_up::{Operator, Part, Plan};
+use board::bring_up::{Operator, Part, Plan};
+use board::finding::Severity;
 use protocol::usb::serial_number;
-use recording::finding::Severity;
 use session::devices::Connector as _;
 use session::hardware::SerialConnector;
 
@@ -111,7 +111,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
         soak: Duration::from_secs(3_600 * u64::from(args.hours)),
         keep: args.keep,
     };
-    let report = bring_up::run(&mut board, operator, plan)?;
+    let report = board::bring_up::run(&mut board, operator, plan)?;
     let json = serde_json::to_string_pretty(&report)?;
     let name = name_of(&args.parts);
     let page = args.out.join(format!("{name}.html"));

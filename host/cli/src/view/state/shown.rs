@@ -1,12 +1,12 @@
 //! What is shown of the state, at a moment.
 
+use clock::{BoardSeconds, ClockModel};
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::error_budget::{COARSE_US, ErrorPart};
 use recording::session_file::Placement;
 use serde::Serialize;
 use session::alignment::phase_sigma_us_now;
 use session::event::{Phase, Tracked};
-use timebase::{BoardSeconds, ClockModel};
 
 use super::State;
 

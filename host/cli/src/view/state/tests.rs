@@ -4,11 +4,11 @@ use super::rate::Rate;
 use super::*;
 use std::sync::Arc;
 
+use clock::{BoardSeconds, ClockModel, Wander};
 use protocol::Period;
 use recording::session_file::Placement;
 use session::error::SessionError;
 use session::event::{PhoneName, Step};
-use timebase::{BoardSeconds, ClockModel, Wander};
 
 fn at(seconds: f64, event: SessionEvent) -> Stamped {
     let at = BoardSeconds(seconds).ticks();

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use video::{Pixels, VideoError};
+use phone::video::{Pixels, VideoError};
 
 use super::timestamps::beside;
 use super::{FrameSource, FrameTimes, SourceInfo, read_timestamps};
@@ -15,14 +15,14 @@ const DEFAULT_RATE: f64 = 30.0;
 
 pub(crate) struct Video {
     info: SourceInfo,
-    decoder: video::Video,
+    decoder: phone::video::Video,
     frame: Vec<u8>,
     read: u64,
 }
 
 impl Video {
     pub(crate) fn open(path: &Path) -> Result<Self, EvaluateError> {
-        let decoder = video::Video::open(path, Pixels::Luma)
+        let decoder = phone::video::Video::open(path, Pixels::Luma)
             .map_err(|error| EvaluateError::of_video(path, error))?;
         let stated = decoder.info();
         let mut notes = Vec::new();

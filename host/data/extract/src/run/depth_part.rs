@@ -8,13 +8,13 @@ use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
 use crate::error::ExtractError;
 use crate::image_tables::{CameraPaths, DepthImageView, DepthOutcome, DepthPaths, write_depth};
+use crate::k4a::ColorTrack;
 use crate::layout::{DataSetInfo, ImageKind, calibration_path, number};
 use crate::report::DepthReport;
 use crate::ros2_depth::Ros2Bag;
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, CameraFrame, DepthFrame};
-use formats::k4a::ColorTrack;
 use recording::camera::Center;
 
 /// The depth camera's part after reading.

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use phone::video_files::VideoFiles;
 
-use video::{Pixels, Video, VideoError, presentation_times};
+use phone::video::{Pixels, Video, VideoError, presentation_times};
 
 use super::Extraction;
 use crate::error::ExtractError;
+use crate::faults::Faults;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
@@ -20,7 +21,6 @@ use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
 use crate::time::PhoneNanos;
-use formats::faults::Faults;
 
 /// The phone's part after reading.
 pub(super) struct Phone {

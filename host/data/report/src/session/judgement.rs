@@ -7,15 +7,15 @@
 
 use std::path::{Path, PathBuf};
 
+use board::finding::{Finding, Severity};
+use clock::PhoneNanos;
 use phone::adb::get_files_command;
 use phone::video_files::{self, VideoFiles};
-use recording::finding::{Finding, Severity};
 use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, Span,
 };
 use session::alignment::drift_sigma_over;
-use timebase::PhoneNanos;
 
 use super::{facts, seconds};
 use crate::summary::Summary;
@@ -397,7 +397,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut session = session();
         session.phones[0].video = Some(recording::session_file::Video {
-            phase: timebase::PhoneNanos(42),
+            phase: clock::PhoneNanos(42),
             frame_duration_ns: 33e6,
             exposure_ns: None,
             boot_minus_frames_ns: 0,

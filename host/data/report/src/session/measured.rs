@@ -4,12 +4,12 @@
 use std::io::BufReader;
 use std::path::Path;
 
+use clock::{ClockModel, PhoneNanos};
 use phone::frame_timestamps;
 use phone::rows::Rows;
 use protocol::Ticks;
 use recording::messages::Imu;
 use recording::session_file::{SessionFile, Span};
-use timebase::{ClockModel, PhoneNanos};
 
 use super::judgement::phone_files;
 

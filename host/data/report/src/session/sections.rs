@@ -7,11 +7,11 @@ use super::measured::TwistRates;
 use super::{MAX_LISTED, seconds};
 use crate::chart::{self, Data, Envelope};
 use crate::page::Page;
+use board::finding::Severity;
+use clock::BoardSeconds;
 use recording::error_budget::{ErrorPart, micros_text};
-use recording::finding::Severity;
 use recording::session_file::{Alignment, FramePeriodSource, SessionFile, Span};
 use session::alignment::phase_sigma_us_at;
-use timebase::BoardSeconds;
 
 pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let Some(phone) = session.reference() else {

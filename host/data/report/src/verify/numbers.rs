@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use board::finding::Severity;
 use board::{Stream, follow};
 use protocol::{TICK_HZ, Ticks};
 use recording::Topic;
 use recording::diagnostics::BoardCounters;
-use recording::finding::Severity;
 use recording::messages::ImuFlags;
 use recording::walk::Message;
 

@@ -12,16 +12,16 @@ use std::io::Cursor;
 
 use board::Conversation;
 use evaluate::source::read_timestamps;
-use formats::k4a::{Content, Recording};
+use extract::k4a::{Content, Recording};
 use phone::answer::{self, Answer, Lines};
 use phone::file_name::safe_file_name;
 use phone::requests::{ImuBody, VideoHeader, VideoStart};
 use phone::rows::{RowError, Rows};
+use phone::video::{parse_presentation_times, parse_probe};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
 use report::verify::verify;
-use video::{parse_presentation_times, parse_probe};
 
 /// Any bytes as a depth recording: no panic, no unbounded memory.
 pub fn depth_recording(data: &[u8]) {

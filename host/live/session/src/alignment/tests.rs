@@ -2,8 +2,8 @@ use jiff::civil::date;
 
 use super::*;
 use crate::twists::Twists;
+use clock::PhoneNanos;
 use recording::session_file::RateChange;
-use timebase::PhoneNanos;
 
 /// Of a rig whose constants are known exactly.
 fn profile() -> Profile {

@@ -1,15 +1,15 @@
 //! Data-ready, and the recovery from an unplugged SDA.
 
-use board::imu::{Scale, Summary, last_fault};
+use crate::imu::{Scale, Summary, last_fault};
 use protocol::{
     ImuClock, ImuModel, ImuSetup, ImuState, ImuStatus, MIN_PULSE_WIDTH, Output, QueryImu, Status,
     TickDelta,
 };
 
 use super::{HANDS_TIME, PERIOD, Session};
-use crate::bench::{Heard, millis};
-use crate::train::{Extent, Trains};
-use crate::{BringUpError, Histogram, Prompt};
+use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::train::{Extent, Trains};
+use crate::bring_up::{BringUpError, Histogram, Prompt};
 
 /// How long samples must come again without a break, at 500 a second.
 const IMU_BACK: TickDelta = millis(1_000);

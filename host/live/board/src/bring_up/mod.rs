@@ -12,8 +12,6 @@
 //! - `train`: a train of pulses against the arithmetic and its captures. Pure.
 //! - `parts`: what is done on the board.
 //! - `serial`: bytes from the edges of a serial line. Pure.
-#![forbid(unsafe_code)]
-
 mod bench;
 mod parts;
 mod serial;
@@ -22,11 +20,11 @@ mod train;
 use std::fmt;
 use std::time::Duration;
 
-use board::BoardError;
-use board::transport::Link;
+use crate::BoardError;
+use crate::BoardInfo;
+use crate::finding::{Finding, Severity};
+use crate::transport::Link;
 use protocol::BoardSettings;
-use recording::finding::{Finding, Severity};
-use recording::session_file::BoardInfo;
 use serde::Serialize;
 
 /// Version of the JSON form of [`Report`].
@@ -228,7 +226,7 @@ pub struct Plan<'a> {
 ///
 /// The board is in use, does not answer, or is reset meanwhile; or the operator stops.
 pub fn run(
-    board: &mut board::Board,
+    board: &mut crate::Board,
     operator: Operator<'_>,
     plan: Plan<'_>,
 ) -> Result<Report, BringUpError> {

@@ -5,7 +5,7 @@ mod link;
 mod resets;
 mod wires;
 
-use board::{Board, BoardError, Event, Stream};
+use crate::{Board, BoardError, Event, Stream};
 use protocol::pins::pin_of;
 use protocol::{
     BoardSettings, CORE_HZ, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, QueryBoard,
@@ -13,11 +13,11 @@ use protocol::{
     TrainState, TriggerAlign, TriggerStart,
 };
 
-use recording::finding::{Finding, Severity};
+use crate::finding::{Finding, Severity};
 
-use crate::bench::{Heard, millis};
-use crate::train::{Extent, Grid, MAX_DELAY, TICK_OF_DOUBT, Trains};
-use crate::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
+use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::train::{Extent, Grid, MAX_DELAY, TICK_OF_DOUBT, Trains};
+use crate::bring_up::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use board::imu::Scale;
+use crate::imu::Scale;
 use protocol::{
     CORE_HZ, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, QueryImu, Status,
     TickDelta,
@@ -11,9 +11,9 @@ use protocol::{
 use twist_sync::robust::median;
 
 use super::{PERIOD, Session};
-use crate::BringUpError;
-use crate::bench::{Heard, millis};
-use crate::train::{Grid, Trains};
+use crate::bring_up::BringUpError;
+use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::train::{Grid, Trains};
 
 /// A session's messages are some 30 kB/s; this leaves room for ten.
 const MIN_THROUGHPUT: f64 = 300e3;

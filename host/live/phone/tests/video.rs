@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use video::{Pixels, Video, VideoError, presentation_times};
+use phone::video::{Pixels, Video, VideoError, presentation_times};
 
 /// Five lossless frames of 32x16 pixels, all of grey level 100.
 fn grey(path: &Path) {

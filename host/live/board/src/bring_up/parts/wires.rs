@@ -8,10 +8,10 @@ use protocol::{
 };
 
 use super::{PERIOD, Session};
-use crate::BringUpError;
-use crate::bench::millis;
-use crate::serial::Line;
-use crate::train::{Extent, MAX_DELAY, Trains};
+use crate::bring_up::BringUpError;
+use crate::bring_up::bench::millis;
+use crate::bring_up::serial::Line;
+use crate::bring_up::train::{Extent, MAX_DELAY, Trains};
 
 /// As a VLP-16 has it (`docs/wiring.md`): on its side of the gate the line is low when idle.
 /// 2027-01-01 at tick 0.

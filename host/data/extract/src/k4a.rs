@@ -18,7 +18,6 @@ use files::{Input, Sparse};
 
 pub use crate::mkv::MkvError;
 
-use crate::DeviceNanos;
 use crate::mkv::{Cluster, Frame, Header, Mkv, Track};
 
 /// The recorder's unit of time.
@@ -27,6 +26,10 @@ const RECORDER_SCALE: u64 = 1_000;
 const MAX_SIDE: u64 = 8192;
 /// How many clusters are searched for a first IMU record.
 const IMU_SEARCH: usize = 200;
+
+/// An instant of the depth camera's own clock, in nanoseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+pub struct DeviceNanos(pub i64);
 
 /// Why a file is no depth recording.
 #[derive(Debug, thiserror::Error)]

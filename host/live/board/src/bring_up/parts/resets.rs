@@ -3,16 +3,16 @@
 
 use std::time::Duration;
 
-use board::{BoardError, reset_cause};
+use crate::{BoardError, reset_cause};
 use protocol::{
     BoardModel, Failure, Hello, MIN_PULSE_WIDTH, Output, ResetCause, SELF_TEST_KEY, SelfTest,
     TickDelta,
 };
 
 use super::{NOBODY, PERIOD, Session};
-use crate::bench::{Heard, millis};
-use crate::train::{Grid, Trains};
-use crate::{BringUpError, Prompt};
+use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::train::{Grid, Trains};
+use crate::bring_up::{BringUpError, Prompt};
 
 /// How long a board may take from the link's end to a new one: start, enumeration, and a computer
 /// that has to wake.
