@@ -147,7 +147,7 @@ fn check_recorder(checks: &mut Checks, profile: &Profile) {
     const NAME: &str = "depth recorder";
     match profile.depth.recorder.command.first() {
         None => checks.good(NAME, "none in the profile: start it yourself"),
-        Some(program) if files::program(program).is_some() => checks.good(NAME, program.clone()),
+        Some(program) if system::program(program).is_some() => checks.good(NAME, program.clone()),
         Some(program) => checks.bad(
             Fault::Recorder,
             NAME,

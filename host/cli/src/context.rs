@@ -10,13 +10,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use files::Reading;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use system::Reading;
 
 use crate::fields;
 use crate::outcome::{ExitStatus, Failure};
@@ -151,7 +151,7 @@ impl Context {
     ) -> Result<T, Failure> {
         let interrupt = self.interrupt.clone();
         let bar = ReadingBar::new(self);
-        let watching = files::watch(move |reading| {
+        let watching = system::watch(move |reading| {
             bar.at(reading);
             !interrupt.requested()
         });

@@ -203,7 +203,7 @@ impl std::error::Error for Failure {}
 ///
 /// It is there and not to be overwritten, or its folder is not.
 pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Failure> {
-    if let Err(error) = files::folder_of(path).metadata() {
+    if let Err(error) = system::folder_of(path).metadata() {
         return Err(Failure::file("create", path, &error));
     }
     if overwrite || path.symlink_metadata().is_err() {
@@ -220,7 +220,7 @@ pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Fa
 ///
 /// It cannot be written.
 pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
-    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
+    system::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
 }
 
 /// What to do about a file that cannot be used, for the system's reason.

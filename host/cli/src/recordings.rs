@@ -52,7 +52,7 @@ fn check(path: &Path) -> Result<(), Failure> {
 /// The folder of a recording; a file in it stands for it.
 pub(crate) fn folder_of(recording: &Path) -> &Path {
     match recording.file_name() {
-        Some(name) if name == MCAP_FILE => files::folder_of(recording),
+        Some(name) if name == MCAP_FILE => system::folder_of(recording),
         _ => recording,
     }
 }

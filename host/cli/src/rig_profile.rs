@@ -56,7 +56,7 @@ impl Place {
     pub(crate) fn option(&self) -> String {
         match &self.path {
             Some(path) if path.as_os_str() != FILE => {
-                format!(" --profile {}", files::shell_word(path))
+                format!(" --profile {}", system::shell_word(path))
             }
             _ => String::new(),
         }

@@ -77,7 +77,7 @@ fn read_bytes(bytes: &[u8]) -> Read {
     collect(Recording::new(Cursor::new(bytes)).unwrap())
 }
 
-fn collect<R: files::Sparse>(mut recording: Recording<R>) -> Read {
+fn collect<R: system::Sparse>(mut recording: Recording<R>) -> Read {
     let mut read = Read {
         depth: Vec::new(),
         damaged: 0,

@@ -61,9 +61,9 @@ fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
 }
 
 /// Somebody who presses Ctrl-C once so many readings below a folder have begun.
-fn stop_after(readings: usize, folder: &Path) -> files::Watching {
+fn stop_after(readings: usize, folder: &Path) -> system::Watching {
     let (left, folder) = (AtomicUsize::new(readings), folder.to_owned());
-    files::watch(move |reading| {
+    system::watch(move |reading| {
         let less = |left: usize| left.checked_sub(usize::from(reading.position == 0));
         let update = |left: usize| less(left).filter(|_| left > 0);
         !reading.path.starts_with(&folder)

@@ -60,7 +60,7 @@ fn samples(imu: &[CameraImu]) -> Vec<Sample> {
 }
 
 /// Everything in an undamaged recording.
-fn contents(recording: &mut Recording<impl files::Sparse>) -> Batch {
+fn contents(recording: &mut Recording<impl system::Sparse>) -> Batch {
     let mut all = Batch::default();
     while let Some(batch) = recording.next_batch(Content::Pixels).unwrap() {
         assert!(batch.intact, "a checksum");

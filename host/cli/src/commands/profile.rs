@@ -311,5 +311,5 @@ impl Lesson {
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
-    files::read_text(path, MAX_LENGTH).map_err(|error| Failure::file("read", path, &error))
+    system::read_text(path, MAX_LENGTH).map_err(|error| Failure::file("read", path, &error))
 }

@@ -318,10 +318,10 @@ fn next_commands(
         .iter()
         .map(|(phase, place)| get_files_command(PhoneNanos(*phase), place, true))
         .collect();
-    let recording = files::shell_word(folder);
+    let recording = system::shell_word(folder);
     match to_teach {
         (Some(profile), true) => {
-            let profile = files::shell_word(profile);
+            let profile = system::shell_word(profile);
             commands.push(format!(
                 "smartdepthsync profile learn {recording} --profile {profile}"
             ));

@@ -238,7 +238,7 @@ fn asked_profile<R: BufRead>(
     })?;
     let camera = ask_camera(args, asker)?;
     let usual = camera.model.recorder.first();
-    let usual = usual.filter(|usual| files::program(usual).is_some());
+    let usual = usual.filter(|usual| system::program(usual).is_some());
     let default = usual.map_or("none", String::as_str);
     let question = "The program that records the depth camera (none: you start it yourself)?";
     let recorder = asker.ask(args.recorder.clone(), question, default, as_typed)?;

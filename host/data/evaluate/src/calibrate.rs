@@ -37,7 +37,7 @@ pub fn write_bias(
         .to_string()
         .parse()
         .map_err(|e| EvaluateError::Setting(format!("{date} cannot be written: {e}")))?;
-    let text = files::read_text(path, MAX_LENGTH).map_err(EvaluateError::io(path))?;
+    let text = system::read_text(path, MAX_LENGTH).map_err(EvaluateError::io(path))?;
     let (_, mut document) = open(&text, path)?;
     let table = table(&mut document, "frame_sync", path)?;
     // Nanoseconds are enough digits.
@@ -47,7 +47,7 @@ pub fn write_bias(
     set(table, "bias_measured", value(measured));
     let text = document.to_string();
     Profile::parse(&text, Some(path))?;
-    files::replace(path, text.as_bytes()).map_err(EvaluateError::io(path))
+    system::replace(path, text.as_bytes()).map_err(EvaluateError::io(path))
 }
 
 #[cfg(test)]

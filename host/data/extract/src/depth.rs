@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use super::ros2_depth::{DriverImage, Ros2Bag, Ros2Error};
 use super::time::{DeviceNanos, SECOND};
 use crate::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
-use files::Input;
 use recording::bag::mcap_in;
+use system::Input;
 use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.

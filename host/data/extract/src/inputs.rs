@@ -172,7 +172,7 @@ pub(crate) fn find(
         .is_dir();
     let board = mcap_in(recording)?;
     let mut remarks = Vec::new();
-    let session = match SessionFile::load(files::folder_of(&board)) {
+    let session = match SessionFile::load(system::folder_of(&board)) {
         Ok(session) => Some(session),
         Err(error) => {
             remarks.push(format!("the session's constants are not known: {error}"));

@@ -14,7 +14,7 @@
 use std::io::BufReader;
 use std::path::Path;
 
-use files::{Input, Sparse};
+use system::{Input, Sparse};
 
 pub use crate::mkv::MkvError;
 
@@ -167,11 +167,11 @@ impl Recording<BufReader<Input>> {
     ///
     /// It cannot be read or is no depth recording.
     pub fn open(path: &Path) -> Result<Self, K4aError> {
-        let file = files::open(path).map_err(K4aError::Open)?;
+        let file = system::open(path).map_err(K4aError::Open)?;
         let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
         if recording.offset == StartOffset::Lost && recording.imu.is_some() {
             // The tag is lost: look for an IMU record, in a reader of its own.
-            let file = files::open(path).map_err(K4aError::Open)?;
+            let file = system::open(path).map_err(K4aError::Open)?;
             let mut search = Self::new(BufReader::new(file))?;
             let found = search.search_offset().map_err(K4aError::Open)?;
             return Ok(Self {

@@ -3,9 +3,9 @@
 use std::io::{self, BufReader};
 use std::path::Path;
 
-use files::Input;
 use phone::rows::{RowError, Rows};
 use phone::samples::PhoneSample;
+use system::Input;
 
 use crate::faults::Faults;
 use crate::time::PhoneNanos;
@@ -22,7 +22,7 @@ pub(crate) struct PhoneRows {
 
 impl PhoneRows {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = files::open(path)?.skipping_holes();
+        let file = system::open(path)?.skipping_holes();
         let file = BufReader::with_capacity(256 * 1024, file);
         Ok(Self {
             rows: Rows::new(file),

@@ -54,8 +54,8 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String 
 
 /// The link to the report of the recording that a video lies in.
 fn recording_link(video: &Path, out: &Path) -> Option<(String, String)> {
-    let from = files::folder_of(out);
-    link_to(video, from).or_else(|| link_to(files::folder_of(video), from))
+    let from = system::folder_of(out);
+    link_to(video, from).or_else(|| link_to(system::folder_of(video), from))
 }
 
 /// The frame with lines where the flashes were found, and a drawing of the fit.

@@ -28,7 +28,7 @@ pub const REPORT_FILE: &str = "report.html";
 /// Writes a report whole or not at all. The folder may come from anywhere: a link of this
 /// name is replaced, not followed.
 fn put(path: &Path, html: &str) -> io::Result<()> {
-    let mut file = files::new_file_in(path.parent().unwrap_or(Path::new(".")))?;
+    let mut file = system::new_file_in(path.parent().unwrap_or(Path::new(".")))?;
     file.write_all(html.as_bytes())?;
-    files::put_in_place(file, path, true)
+    system::put_in_place(file, path, true)
 }

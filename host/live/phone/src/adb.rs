@@ -106,7 +106,7 @@ pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
     format!(
         "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/{FRAMES})\")\" {}",
         phase.0,
-        files::shell_word(folder)
+        system::shell_word(folder)
     )
 }
 
@@ -118,7 +118,7 @@ pub fn get_files_command(phase: PhoneNanos, folder: &Path, with_video: bool) -> 
     format!(
         "smartdepthsync phone get-files --phase {}{video} --out {}",
         phase.0,
-        files::shell_word(folder)
+        system::shell_word(folder)
     )
 }
 
@@ -215,7 +215,7 @@ fn ready(list: &str) -> Result<Vec<String>, AdbError> {
 impl Adb {
     /// The program on the search path.
     pub(crate) fn find(stop: &StopSignal) -> Result<Self, AdbError> {
-        let program = files::program("adb").ok_or(AdbError::NoProgram)?;
+        let program = system::program("adb").ok_or(AdbError::NoProgram)?;
         let stop = stop.clone();
         Ok(Self { program, stop })
     }
@@ -329,7 +329,7 @@ impl Adb {
             }
         };
         std::fs::create_dir_all(folder).map_err(io("make the folder of"))?;
-        let part = files::new_file_in(folder).map_err(io("write"))?;
+        let part = system::new_file_in(folder).map_err(io("write"))?;
         let target = part.path().to_string_lossy().into_owned();
         self.run(&["-s", device, "pull", &file.path, &target], None)?;
         let found = size(part.path()).map_err(io("read"))?;
@@ -339,7 +339,7 @@ impl Adb {
                 reason: format!("it is {} bytes there, but {found} bytes came", file.size),
             });
         }
-        files::put_in_place(part, &path, false).map_err(io("write"))?;
+        system::put_in_place(part, &path, false).map_err(io("write"))?;
         Ok(path)
     }
 

@@ -54,8 +54,8 @@ pub(super) fn receive(
     check_free(&path, overwrite)?;
     // Within it, at least CRAWL_FLOOR bytes must come.
     let window = connection.margin.saturating_mul(2);
-    let folder = files::folder_of(&path);
-    let mut file = files::new_file_in(folder).map_err(|source| PhoneError::File {
+    let folder = system::folder_of(&path);
+    let mut file = system::new_file_in(folder).map_err(|source| PhoneError::File {
         action: "create a file in",
         path: folder.to_owned(),
         source,
@@ -98,7 +98,7 @@ pub(super) fn receive(
     if connection.more_comes(GRACE) {
         return Err(PhoneError::VideoTooLong { size: header.size });
     }
-    files::put_in_place(file, &path, overwrite)
+    system::put_in_place(file, &path, overwrite)
         .map_err(|source| PhoneError::writing(&path, source))?;
     Ok(SavedVideo {
         path,

@@ -48,7 +48,7 @@ impl<R: BufRead> Rows<R> {
 ///
 /// It cannot be read, or a row is damaged: the first of them.
 pub fn read(path: &Path) -> Result<Vec<PhoneNanos>, RowError> {
-    let mut rows = Rows::new(BufReader::new(files::open(path)?.skipping_holes()));
+    let mut rows = Rows::new(BufReader::new(system::open(path)?.skipping_holes()));
     let mut times = Vec::new();
     while let Some(time) = rows.next_timestamp()? {
         if times.len() == MAX_TIMESTAMPS {

@@ -58,15 +58,15 @@ pub fn save_samples(
     overwrite: bool,
 ) -> Result<(), PhoneError> {
     let write = || {
-        let folder = files::folder_of(path);
+        let folder = system::folder_of(path);
         std::fs::create_dir_all(folder)?;
-        let file = files::new_file_in(folder)?;
+        let file = system::new_file_in(folder)?;
         let mut out = BufWriter::new(file);
         for sample in samples {
             writeln!(out, "{}", sample_line(sample))?;
         }
         let file = out.into_inner().map_err(IntoInnerError::into_error)?;
-        files::put_in_place(file, path, overwrite)
+        system::put_in_place(file, path, overwrite)
     };
     write().map_err(|source| PhoneError::writing(path, source))
 }

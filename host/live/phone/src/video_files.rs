@@ -166,7 +166,7 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, Fi
 ///
 /// Its folder cannot be read.
 pub fn of_video(video: &Path) -> io::Result<Option<VideoFiles>> {
-    let mut groups = collect(files::folder_of(video))?;
+    let mut groups = collect(system::folder_of(video))?;
     let stem = video.file_stem().and_then(|stem| stem.to_str());
     Ok(stem.and_then(|stem| groups.remove(stem)))
 }

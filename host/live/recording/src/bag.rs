@@ -88,7 +88,7 @@ pub fn foreign(path: &Path, form: &'static str) -> RecordingError {
 pub fn conversion(path: &Path) -> String {
     let mut to = path.with_extension("").into_os_string();
     to.push("-mcap");
-    let [from, to] = [path, Path::new(&to)].map(files::shell_word);
+    let [from, to] = [path, Path::new(&to)].map(system::shell_word);
     format!("rosbags-convert --src {from} --dst {to} --dst-storage mcap")
 }
 

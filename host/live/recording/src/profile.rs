@@ -355,7 +355,7 @@ impl Profile {
     /// The file cannot be read, is no TOML, has a key that is not known, or a
     /// value out of its range.
     pub fn load(path: &Path) -> Result<Self, ProfileError> {
-        let text = files::read_text(path, MAX_LENGTH).map_err(|error| ProfileError::Read {
+        let text = system::read_text(path, MAX_LENGTH).map_err(|error| ProfileError::Read {
             path: path.to_owned(),
             reason: error.to_string(),
         })?;

@@ -137,7 +137,7 @@ impl<'a> Bag<'a> {
 /// It cannot be written.
 pub fn save(folder: &Path, summary: &Summary) -> Result<(), RecordingError> {
     let path = folder.join(METADATA_FILE);
-    files::replace(&path, text(MCAP_FILE, summary).as_bytes())
+    system::replace(&path, text(MCAP_FILE, summary).as_bytes())
         .map_err(RecordingError::io("write", &path))
 }
 

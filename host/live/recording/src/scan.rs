@@ -12,8 +12,8 @@
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use files::{Input, Sparse as _};
 use mcap::records::{ChunkHeader, Record, op};
+use system::{Input, Sparse as _};
 
 use super::chunks::{self, Budget, Chunk, MAX_RECORD};
 use super::damage::{Damage, FileReport};
@@ -75,7 +75,7 @@ impl Scan {
     ///
     /// It cannot be opened.
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = files::open(path)?;
+        let file = system::open(path)?;
         let length = file.length();
         Ok(Self {
             file: BufReader::with_capacity(1 << 20, file),

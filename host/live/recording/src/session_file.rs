@@ -429,7 +429,7 @@ impl SessionFile {
                 reason: error.to_string(),
             })?;
         text.push('\n');
-        files::replace(&path, text.as_bytes()).map_err(RecordingError::io("write", &path))
+        system::replace(&path, text.as_bytes()).map_err(RecordingError::io("write", &path))
     }
 
     /// Reads it from a recording's folder.
@@ -441,7 +441,7 @@ impl SessionFile {
     pub fn load(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(SESSION_FILE);
         let text =
-            files::read_text(&path, MAX_LENGTH).map_err(RecordingError::io("read", &path))?;
+            system::read_text(&path, MAX_LENGTH).map_err(RecordingError::io("read", &path))?;
         let wrong = |reason: String| RecordingError::Session {
             path: path.clone(),
             reason,

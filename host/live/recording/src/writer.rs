@@ -151,7 +151,7 @@ impl Writer {
         let summary = self.bag.mcap.finish();
         let summary = summary.map_err(RecordingError::mcap(&self.path))?;
         self.sync()?;
-        rosbag2::save(files::folder_of(&self.path), &summary)
+        rosbag2::save(system::folder_of(&self.path), &summary)
     }
 }
 

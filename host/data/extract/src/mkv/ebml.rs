@@ -5,7 +5,7 @@
 
 use std::io::{self, Read as _, SeekFrom};
 
-use files::Sparse;
+use system::Sparse;
 
 /// Why an element could not be read.
 #[derive(Debug, thiserror::Error)]

@@ -9,7 +9,7 @@
 use std::fmt::Display;
 use std::io;
 
-use files::Sparse;
+use system::Sparse;
 
 use super::block::{Block, Check};
 use super::ebml::{self, EbmlError, Head, Source};

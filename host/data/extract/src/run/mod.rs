@@ -91,7 +91,7 @@ struct Extraction<'a> {
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
 pub fn run(job: &Job) -> Result<ExtractReport, ExtractError> {
-    steps(job).map_err(|error| match files::is_stopped(&job.recording) {
+    steps(job).map_err(|error| match system::is_stopped(&job.recording) {
         true => ExtractError::Cancelled,
         false => error,
     })
@@ -236,7 +236,7 @@ impl Extraction<'_> {
     /// Ends a run that was stopped, before what could not be read any more is taken for
     /// missing.
     fn check_stop(&self) -> Result<(), ExtractError> {
-        match files::is_stopped(&self.job.recording) {
+        match system::is_stopped(&self.job.recording) {
             true => Err(ExtractError::Cancelled),
             false => Ok(()),
         }

@@ -93,7 +93,7 @@ pub(super) fn norm(rates: [f64; 3]) -> f64 {
 /// The rows of a phone's gyroscope up to the first that is damaged; none of a file that is
 /// not there.
 fn phone_rates(file: &Path, clock: &ClockModel, delay_us: f64) -> Rates {
-    let Ok(input) = files::open(file) else {
+    let Ok(input) = system::open(file) else {
         return Vec::new();
     };
     let mut rows = Rows::new(BufReader::new(input.skipping_holes()));

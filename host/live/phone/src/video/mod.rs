@@ -10,7 +10,7 @@
 //! Both programs run within limits: a video that was mostly never written is refused, and a
 //! program is ended that gives more frames than the file can hold, more messages than any
 //! damage makes, or nothing for a minute. While one is waited for, the watchers of
-//! [`files::watch`] are asked.
+//! [`system::watch`] are asked.
 
 mod decode;
 mod probe;

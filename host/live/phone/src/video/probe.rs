@@ -93,7 +93,7 @@ pub fn probe(path: &Path) -> Result<Info, VideoError> {
 /// terabyte to its end.
 fn check_written(path: &Path) -> Result<u64, VideoError> {
     let fail = |error: std::io::Error| VideoError::NotAVideo(error.to_string());
-    let mut file = files::open(path).map_err(fail)?;
+    let mut file = system::open(path).map_err(fail)?;
     let bytes = file.length();
     let least = bytes.saturating_sub(MAX_MISSING.max(bytes / 2));
     let written = file.written(least).map_err(fail)?;
