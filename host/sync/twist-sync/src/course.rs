@@ -8,6 +8,13 @@
 //! [`STEP_COST`] for a segment (optimal partitioning, Jackson et al. 2005). A segment has
 //! two estimates at least; what only one estimate says is not believed against the rest.
 
+mod recording;
+mod search;
+
+pub use self::recording::{
+    GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
+    estimate_course,
+};
 use crate::clock::{ClockRelation, State, Wander, WithSigma};
 
 /// Innovation beyond which an estimate is left out, in sigmas.

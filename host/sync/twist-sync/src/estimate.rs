@@ -1,30 +1,37 @@
 //! One estimate of the clock relation from two recordings, or a refusal.
 //!
 //! Order of work: check each stream on its own ([`crate::stream`]); coarse lags
-//! ([`crate::coarse`]) and the choice between them ([`crate::lag`]); the full fit
-//! ([`crate::fit`]); faults that show against the other stream ([`crate::pair`])
-//! and the fit without them; sigma; gates ([`crate::gates`]).
+//! ([`coarse`]) and the choice between them ([`lag`]); the full fit ([`fit`]); faults
+//! that show against the other stream ([`pair`]) and the fit without them; sigma; gates
+//! ([`gates`]).
+
+mod axes;
+mod calibration;
+mod coarse;
+mod crosscheck;
+mod fit;
+mod gates;
+mod lag;
+mod pair;
+mod rigid;
+mod wander;
 
 use std::fmt;
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 
-use crate::axes::{self, LateAxis};
-use crate::calibration::{self, Calibration};
+use self::axes::LateAxis;
+use self::calibration::Calibration;
+use self::fit::Fit;
+pub use self::gates::Gate;
+use self::pair::{Pair, Settings};
+use self::rigid::Stretch;
 use crate::clock::{ClockRelation, Wander, WithSigma, transition};
-use crate::crosscheck;
 use crate::faults::{Fault, LeftOut, Stream, Why};
-use crate::fit::{self, Fit};
-use crate::gates::Gate;
-use crate::interpolant::Vec3;
-use crate::lag;
-use crate::pair::{Pair, Settings};
-use crate::rigid::{self, Stretch};
-use crate::samples::Made;
 use crate::signal::Signal;
-use crate::stream::CheckedStream;
+use crate::signal::interpolant::Vec3;
+use crate::stream::{CheckedStream, Made};
 use crate::track::GyroTrack;
-use crate::wander;
 
 /// Bytes that an estimate allocates and frees at once, untouched: glibc then keeps as much at the
 /// end of its heap. It would give each vector's pages back, and taking them again costs a fifth

@@ -1,4 +1,19 @@
 #![doc = include_str!("../README.md")]
+//!
+//! ## Source
+//!
+//! | module | contents |
+//! |---|---|
+//! | `track` | recordings of a gyroscope, in memory and streamed |
+//! | `signal/` | from samples to a smooth angular rate: interpolation, low-pass, prediction of a sample from its neighbours |
+//! | `stream/` | faults that one stream shows by itself: in its timestamps, in its samples, in periodic classes of samples |
+//! | `estimate/` | one estimate from two recordings of one motion: pair of streams, coarse lags and their choice, fit, parts that do not move as one body, faults against the other stream, late axes, wander of the stamps, gates |
+//! | `course/` | the relation over whole recordings: search for a first relation, estimates window by window, filter and smoother over them |
+//! | `tracker/` | a known offset, followed by exchanges with the clocks |
+//! | `clock` | the relation of two clocks, its covariance, prediction and inverse |
+//! | `coach` | the accuracy of a twist, predicted while it is made |
+//! | `faults` | faults and their report |
+//! | `robust`, `mixture`, `correlate` | statistics that several modules use |
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 // Axes and rows of 3-vectors and small matrices are indices by nature.
@@ -6,46 +21,28 @@
 // A refusal carries its report, and there is one a twist.
 #![allow(clippy::result_large_err)]
 
-mod axes;
-mod calibration;
-mod classes;
 mod clock;
 pub mod coach;
-mod coarse;
 mod correlate;
 mod course;
-mod crosscheck;
 mod estimate;
 mod faults;
-mod fit;
-mod gates;
-#[doc(hidden)] // of the workspace: no part of the interface
-pub mod interpolant;
-mod lag;
 #[doc(hidden)] // of the workspace: no part of the interface
 pub mod mixture;
-mod neighbours;
-mod pair;
-mod recording;
-mod rigid;
 #[doc(hidden)] // of the workspace: no part of the interface
 pub mod robust;
-mod samples;
-mod search;
 mod signal;
 mod stream;
-mod timestamps;
 mod track;
 pub mod tracker;
-mod wander;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
-pub use course::{ClockCourse, ClockStep, Unsupported};
-pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset};
-pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
-pub use gates::Gate;
-pub use recording::{
-    GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
-    estimate_course,
+pub use course::{
+    ClockCourse, ClockStep, GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows,
+    Unsupported, course_of_tracks, estimate_course,
 };
+pub use estimate::{Estimate, Gate, Options, Refusal, Report, Warning, estimate_offset};
+pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
+#[doc(hidden)] // of the workspace: no part of the interface
+pub use signal::interpolant;
 pub use track::{GyroSample, GyroStream, GyroTrack};

@@ -14,10 +14,12 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
+pub mod interpolant;
+pub(crate) mod neighbours;
+
 use std::cell::OnceCell;
 
-use crate::interpolant::{Uneven, Uniform, Vec3};
-use crate::neighbours;
+use self::interpolant::{Uneven, Uniform, Vec3};
 
 /// Reach of the Gaussian kernel, in standard deviations. The
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.

@@ -1,14 +1,18 @@
 //! One stream after the checks that need no other.
 
+mod classes;
+mod samples;
+mod timestamps;
+
 use std::borrow::Cow;
 
+pub(crate) use self::samples::Made;
+use self::timestamps::Pattern;
 use crate::GyroTrack;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use crate::interpolant::{Uneven, Vec3};
-use crate::neighbours::{self, Samples};
-use crate::samples::{self, Made};
+use crate::signal::interpolant::{Uneven, Vec3};
+use crate::signal::neighbours::{self, Samples};
 use crate::signal::{self, Resampled, Smooth};
-use crate::timestamps::{self, Pattern};
 
 /// Rates above this are no rates, rad/s.
 const LARGEST_RATE: f64 = 1e4;

@@ -1,6 +1,6 @@
 //! A gyroscope's recording as the sync math takes it.
 
-use crate::interpolant::Vec3;
+use crate::signal::interpolant::Vec3;
 
 /// One sample of a gyroscope in its own clock.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -17,7 +17,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-use crate::fit::{Fit, Part};
+use super::fit::{Fit, Part};
 use crate::mixture::{Supposed, mixed};
 
 /// Parts of equal information.

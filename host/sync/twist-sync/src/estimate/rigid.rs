@@ -15,11 +15,11 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::calibration::{self, Calibration};
+use super::calibration::{self, Calibration};
+use super::fit::{self, Fit, FitOptions, Link, Node};
 use crate::faults::Why;
-use crate::fit::{self, Fit, FitOptions, Link, Node};
-use crate::interpolant::Vec3;
 use crate::signal::Signal;
+use crate::signal::interpolant::Vec3;
 
 /// Blocks of time that are explained or not, seconds; longer ones where that would be more
 /// than [`MOST_BLOCKS`].

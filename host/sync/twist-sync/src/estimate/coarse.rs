@@ -10,7 +10,7 @@
 //! are returned; the fit decides between them.
 
 use crate::correlate::{Correlator, Spectrum};
-use crate::interpolant::Vec3;
+use crate::signal::interpolant::Vec3;
 
 /// Bin width of the search in seconds.
 const BIN_S: f64 = 0.02;

@@ -21,11 +21,11 @@
 //! Limits: of two classes of equal size (period 2) nobody can tell from this
 //! alone which one is right; it is reported as unresolved time.
 
-use crate::classes;
+use super::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use crate::interpolant::Vec3;
-use crate::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
 use crate::robust;
+use crate::signal::interpolant::Vec3;
+use crate::signal::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
 
 /// A sample is a spike only beyond this distance from those around it, rad/s, and so many
 /// times their own deviation.

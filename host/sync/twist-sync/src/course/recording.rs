@@ -12,7 +12,7 @@
 //! those again, up to [`LONGEST`]: what is too weak alone adds up.
 //!
 //! The offset is expected somewhere ([`Prior`]), or a first one is found by
-//! [`crate::search`].
+//! [`search`](super::search).
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -22,12 +22,11 @@ use std::mem::discriminant;
 use std::num::NonZero;
 use std::{panic, thread};
 
+use super::search;
 use crate::clock::ClockRelation;
 use crate::course::{ClockCourse, Unsupported};
-use crate::estimate::{Estimate, Options, Refusal, Warning, estimate_offset};
+use crate::estimate::{Estimate, Gate, Options, Refusal, Warning, estimate_offset};
 use crate::faults::Why;
-use crate::gates::Gate;
-use crate::search;
 use crate::track::{GyroSample, GyroStream, GyroTrack};
 
 /// Length of a window, ns.

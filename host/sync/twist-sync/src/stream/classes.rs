@@ -3,9 +3,9 @@
 
 use std::ops::RangeInclusive;
 
-use crate::interpolant::Vec3;
-use crate::neighbours::{Against, Samples, local_variances, noise_of};
 use crate::robust;
+use crate::signal::interpolant::Vec3;
+use crate::signal::neighbours::{Against, Samples, local_variances, noise_of};
 
 /// Longest period that is looked for, in samples.
 const LONGEST_PERIOD: usize = 64;

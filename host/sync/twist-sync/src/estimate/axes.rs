@@ -13,8 +13,8 @@
 
 use nalgebra::{Matrix3, Matrix4, SMatrix, Vector1, Vector2, Vector4};
 
+use super::fit::{Fit, Node};
 use crate::clock::WithSigma;
-use crate::fit::{Fit, Node};
 use crate::mixture::{Supposed, mixed};
 
 /// Probability beforehand that a given axis is late.

@@ -20,10 +20,10 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
-use crate::calibration::{Calibration, Rates, prior_strength, regress_about, rotation};
-use crate::interpolant::Vec3;
+use super::calibration::{Calibration, Rates, prior_strength, regress_about, rotation};
 use crate::robust::median;
 use crate::signal::Signal;
+use crate::signal::interpolant::Vec3;
 
 /// So far, in seconds, the slope of the model carries: what bends off is `½·x″·t²`, below
 /// 10⁻⁶ rad/s at 4 rad/s and 10 Hz, and mean-free in the shift's score.

@@ -7,13 +7,13 @@
 
 use nalgebra::Matrix2;
 
-use crate::axes::LateAxis;
-use crate::calibration::{self, Calibration};
-use crate::crosscheck::{self, Evidence, Misfit, Stretch};
+use super::axes::LateAxis;
+use super::calibration::{self, Calibration};
+use super::crosscheck::{self, Evidence, Misfit, Stretch};
+use super::fit::{self, Fit, FitOptions, Link};
+use super::rigid;
 use crate::faults::{Action, Fault, FaultKind, LeftOut, Why};
-use crate::fit::{self, Fit, FitOptions, Link};
-use crate::neighbours;
-use crate::rigid;
+use crate::signal::neighbours;
 use crate::signal::{Smooth, kernel_length_s, kernel_sigma_s};
 use crate::stream::CheckedStream;
 

@@ -27,8 +27,8 @@
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use crate::neighbours::{self, leave_out};
 use crate::robust;
+use crate::signal::neighbours::{self, leave_out};
 
 /// Below this number of jumps a sawtooth's mean is uncertain.
 const FEW_RESETS: usize = 3;

@@ -1,7 +1,7 @@
 //! Each sample against the prediction from its neighbours: Lagrange interpolation
 //! at the true times, three samples on each side.
 
-use crate::interpolant::Vec3;
+use super::interpolant::Vec3;
 use crate::robust;
 
 /// Neighbours on each side.

@@ -2,14 +2,14 @@
 
 use nalgebra::Matrix3;
 
+use super::coarse;
+use super::fit::{self, Fit, FitOptions, Link};
+use super::gates::Gate;
+use super::pair::{Pair, Settings, Signals};
+use super::rigid::{self, Stretch};
 use crate::Options;
-use crate::coarse;
 use crate::estimate::Report;
-use crate::fit::{self, Fit, FitOptions, Link};
-use crate::gates::Gate;
-use crate::interpolant::Vec3;
-use crate::pair::{Pair, Settings, Signals};
-use crate::rigid::{self, Stretch};
+use crate::signal::interpolant::Vec3;
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;

@@ -8,10 +8,10 @@
 
 use std::error::Error;
 
+use super::recording::{GyroOpener, MOST_SAMPLES, RecordingError};
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
 use crate::estimate::{Options, estimate_offset};
-use crate::recording::{GyroOpener, MOST_SAMPLES, RecordingError};
 use crate::track::{GyroSample, GyroTrack};
 
 /// Length of an average, ns: 40 ms.

@@ -11,9 +11,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 
-use crate::calibration::Calibration;
-use crate::coarse::Usable;
-use crate::fit::{Fit, Part};
+use super::calibration::Calibration;
+use super::coarse::Usable;
+use super::fit::{Fit, Part};
 use crate::robust;
 use crate::signal::Signal;
 
