@@ -34,8 +34,11 @@
 //!
 //! Limits: an edge of the photodiode is one edge; images are not made here.
 
+pub mod cable;
 mod config;
 mod family;
+pub mod flash_log;
+pub mod k4a_mkv;
 
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
@@ -47,8 +50,8 @@ pub use config::{DepthCameraConfig, DepthMode};
 pub use family::Family;
 pub(crate) use family::micros;
 
-use crate::flash_log::{FlashLog, TrueFlash};
-use crate::oscillator::{BoardTime, Oscillator, TrueTime};
+use crate::clocks::oscillator::{BoardTime, Oscillator, TrueTime};
+use crate::depth_camera::flash_log::{FlashLog, TrueFlash};
 use crate::random::{Random, Seed, Stream};
 use crate::wiring;
 use stm32f4_sim::clock::Rate;

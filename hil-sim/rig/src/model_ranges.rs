@@ -6,12 +6,12 @@
 //! study takes them back one at a time ([`ModelValues::each_without_one`]). What a rig's owner measures once (filter
 //! delays, readout, the delay of the flash) is not drawn: it is in the owner's profile.
 
+use crate::clocks::oscillator::{OscillatorConfig, Warming};
 use crate::depth_camera::micros;
 use crate::motion::gesture::Gesture;
-use crate::oscillator::{OscillatorConfig, Warming};
 use crate::phone::PhoneConfig;
 use crate::random::{Random, Seed, Stream, log_uniform};
-use crate::rig_config::RigConfig;
+use crate::whole_rig::config::RigConfig;
 
 /// Distribution over the range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

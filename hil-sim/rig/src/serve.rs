@@ -2,6 +2,8 @@
 //! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
 //! typed against it as against hardware.
 
+mod programs;
+
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,15 +13,15 @@ use std::time::Duration;
 
 use crate::imu::{Fault, SensorModel, SimImu};
 use crate::interrupt;
-use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
 use crate::motion::gesture::Gesture;
 use crate::phone::{PhoneConfig, VideoMode};
 use crate::random::Seed;
-use crate::rig_config::RigConfig;
-use crate::running_rig::{Pace, RunningRig};
-use crate::table::Table;
+use crate::serve::programs::Table;
+use crate::whole_rig::config::RigConfig;
+use crate::whole_rig::running_rig::{Pace, RunningRig};
 use crate::wiring;
+use crate::wiring::jumpers::Jumpers;
 use anyhow::{Context, Result};
 use jiff::SignedDuration;
 use stm32f4_sim::rtt::LogLine;

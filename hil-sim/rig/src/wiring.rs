@@ -2,6 +2,9 @@
 //! Black Pill, what is wired to their pins (the same, but for LEDs, auxiliary outputs and lidar),
 //! and the firmware that they run.
 
+pub mod jumpers;
+pub mod pin_log;
+
 use std::path::{Path, PathBuf};
 
 use stm32f4_sim::clock::Rate;

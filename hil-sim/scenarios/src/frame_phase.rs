@@ -7,8 +7,8 @@
 
 use serde::Serialize;
 
+use rig::clocks::oscillator::{Oscillator, TrueTime};
 use rig::depth_camera::FrameRecord;
-use rig::oscillator::{Oscillator, TrueTime};
 use rig::phone::FrameTimes;
 use stm32f4_sim::time::UNITS_PER_NANO;
 

@@ -11,10 +11,10 @@ use recording::session_file::{PhoneRecord, SessionFile, Span, Twist};
 use serde::Serialize;
 
 use crate::frame_phase::{PhaseError, PhaseSummary, phase_errors, summarise};
+use rig::clocks::oscillator::{BoardTime, Oscillator};
 use rig::depth_camera::{FrameRecord, Source};
-use rig::oscillator::{BoardTime, Oscillator};
 use rig::phone::VideoTruth;
-use rig::running_rig::RunTruth;
+use rig::whole_rig::running_rig::RunTruth;
 use stm32f4_sim::clock::{Clock, Rate};
 use stm32f4_sim::time::SimTime;
 
@@ -364,7 +364,7 @@ fn video_at(videos: &[VideoTruth], phone_ns: i64) -> Result<&VideoTruth> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rig::oscillator::{OscillatorConfig, TrueTime};
+    use rig::clocks::oscillator::{OscillatorConfig, TrueTime};
 
     fn frame(edge: SimTime) -> FrameRecord {
         FrameRecord {

@@ -19,7 +19,7 @@ enum Command {
     /// Run the board and offer its USB serial port as a pseudo-terminal.
     Serve(rig::serve::Args),
     /// Record the depth camera of a running `serve`: the recorder that its profile names.
-    RecordDepth(rig::depth_link::Args),
+    RecordDepth(rig::depth_camera::cable::Args),
     /// Run a whole session on the simulated rig and judge it by the ground truth.
     Demo(commands::demo::Args),
     /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
@@ -31,7 +31,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => rig::serve::run(&args),
-        Command::RecordDepth(args) => rig::depth_link::record(&args),
+        Command::RecordDepth(args) => rig::depth_camera::cable::record(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Study(args) => commands::study::run(&args),
         Command::Faults(args) => commands::faults::run(&args),

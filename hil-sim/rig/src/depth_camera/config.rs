@@ -1,7 +1,7 @@
 //! Properties of a depth camera, as plain data.
 
-use crate::oscillator::OscillatorConfig;
-use crate::rolling_shutter::FlashTrain;
+use crate::clocks::oscillator::OscillatorConfig;
+use crate::picture::rolling_shutter::FlashTrain;
 use crate::wiring;
 use stm32f4_sim::time::SimDuration;
 

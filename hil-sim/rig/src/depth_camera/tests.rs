@@ -1,6 +1,6 @@
 use super::config::PULSE_TOO_SHORT;
 use super::*;
-use crate::oscillator::OscillatorConfig;
+use crate::clocks::oscillator::OscillatorConfig;
 use stm32f4_sim::model_bench::Bench;
 
 const US: SimDuration = SimDuration::from_micros(1);

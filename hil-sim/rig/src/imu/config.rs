@@ -5,9 +5,9 @@ use nalgebra::Rotation3;
 use super::icm42688p::IcmRegisters;
 use super::map::RegisterMap;
 use super::mpu::MpuRegisters;
-use crate::inertial_channel::ChannelConfig;
+use crate::clocks::oscillator::OscillatorConfig;
 use crate::motion::STANDARD_GRAVITY;
-use crate::oscillator::OscillatorConfig;
+use crate::motion::inertial_channel::ChannelConfig;
 use crate::random::{Seed, Stream};
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 

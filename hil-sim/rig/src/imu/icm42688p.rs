@@ -8,7 +8,7 @@
 
 use super::log::{Values, bytes_of};
 use super::map::{InterruptPin, Measuring, RegisterMap, SignalPath, Source, Stored};
-use crate::inertial_channel::LowPass;
+use crate::motion::inertial_channel::LowPass;
 use stm32f4_sim::time::SimDuration;
 
 /// Addresses of registers: bank and number.

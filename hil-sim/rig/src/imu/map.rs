@@ -1,7 +1,7 @@
 //! Requests of a family's registers to the sensor behind them.
 
 use super::log::Values;
-use crate::inertial_channel::LowPass;
+use crate::motion::inertial_channel::LowPass;
 use stm32f4_sim::time::SimDuration;
 
 /// Clock of the internal samples.

@@ -10,7 +10,7 @@
 use super::SensorModel;
 use super::log::Values;
 use super::map::{InterruptPin, Measuring, RegisterMap, SignalPath, Source, Stored};
-use crate::inertial_channel::LowPass;
+use crate::motion::inertial_channel::LowPass;
 use stm32f4_sim::time::SimDuration;
 
 /// Addresses of registers.

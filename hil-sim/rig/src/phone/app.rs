@@ -16,10 +16,10 @@ use super::files::{Names, csv_line, name_of};
 use super::java;
 use super::request::ImuRequest;
 use super::sensors::{Kind, Sensors};
-use crate::flash_log::FlashLog;
-use crate::oscillator::{Oscillator, TrueTime};
+use crate::clocks::oscillator::{Oscillator, TrueTime};
+use crate::clocks::true_clock::{RigStopped, TrueClock};
+use crate::depth_camera::flash_log::FlashLog;
 use crate::random::Stream;
-use crate::true_clock::{RigStopped, TrueClock};
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 

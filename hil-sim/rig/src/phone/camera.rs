@@ -6,12 +6,12 @@ use rayon::prelude::*;
 
 use super::config::{CameraConfig, DARK, DARK_EVERY, EXPOSURE_SWING, PhoneConfig};
 use super::substream;
-use crate::ball;
-use crate::flash_log::FlashLog;
-use crate::oscillator::{Oscillator, TrueTime};
+use crate::clocks::oscillator::{Oscillator, TrueTime};
+use crate::depth_camera::flash_log::FlashLog;
+use crate::picture::ball;
+use crate::picture::rolling_shutter::{Flash, GreyImage, RollingShutter};
+use crate::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
 use crate::random::{Random, Stream};
-use crate::rolling_shutter::{Flash, GreyImage, RollingShutter};
-use crate::video_writer::{Mp4Writer, Quality, VideoSettings};
 
 /// Number of the frame (from 0), of those that the app gets, whose timestamp is the phase.
 const PHASE_FRAME: usize = 60;

@@ -13,8 +13,8 @@ use std::thread::JoinHandle;
 use phone_agent::{Answer, QUESTION, read_question};
 
 use super::app::App;
-use crate::link_delay::{Link, LinkRanges};
-use crate::oscillator::TrueTime;
+use crate::clocks::link_delay::{Link, LinkRanges};
+use crate::clocks::oscillator::TrueTime;
 use crate::random::Stream;
 use stm32f4_sim::shared::lock;
 

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::inertial_channel::{ChannelConfig, LowPass};
-use crate::oscillator::OscillatorConfig;
+use crate::clocks::oscillator::OscillatorConfig;
+use crate::motion::inertial_channel::{ChannelConfig, LowPass};
 use crate::random::{Random, Seed, Stream, rotation};
 
 /// Everything about one phone. [`PhoneConfig::draw`] gives a specimen.
@@ -158,7 +158,7 @@ pub struct CameraConfig {
     /// True if the app gets timestamps of frames at all (its sync recording is
     /// switched on). Without them `video_start` fails after 10 s.
     pub reports_frames: bool,
-    /// True if a [`ball`](crate::ball) swings before the camera.
+    /// True if a [`ball`](crate::picture::ball) swings before the camera.
     pub ball: bool,
 }
 
@@ -275,7 +275,7 @@ impl CameraConfig {
     /// which take as long as all.
     pub fn show_ball(&mut self) {
         let readout = self.readout_ns();
-        (self.columns, self.rows) = crate::ball::PHONE_SIZE;
+        (self.columns, self.rows) = crate::picture::ball::PHONE_SIZE;
         self.row_time_ns = readout / (self.rows as f64 - 1.0);
         self.ball = true;
     }

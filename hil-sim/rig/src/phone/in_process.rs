@@ -12,7 +12,7 @@ use anyhow::Result;
 
 use super::app::{App, Progress, Reply, Request};
 use super::{PhoneConfig, Surroundings};
-use crate::oscillator::TrueTime;
+use crate::clocks::oscillator::TrueTime;
 
 /// A request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

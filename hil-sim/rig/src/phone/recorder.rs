@@ -8,7 +8,7 @@ use super::app::{App, Phase, Recorder, Recording, State, VideoTruth};
 use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
-use crate::oscillator::TrueTime;
+use crate::clocks::oscillator::TrueTime;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 

@@ -15,9 +15,9 @@ use rayon::prelude::*;
 
 use super::config::{PhoneConfig, SensorConfig, StampErrors};
 use super::substream;
-use crate::inertial_channel::{Channel, ChannelConfig};
+use crate::clocks::oscillator::Oscillator;
 use crate::motion::Motion;
-use crate::oscillator::Oscillator;
+use crate::motion::inertial_channel::{Channel, ChannelConfig};
 use crate::random::{Random, Seed, Stream};
 
 /// Samples that share one stream of random numbers.

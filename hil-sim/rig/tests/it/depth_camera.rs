@@ -5,9 +5,9 @@ use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, UNITS_PER_TICK, train};
 use protocol::*;
+use rig::clocks::oscillator::{BoardTime, OscillatorConfig};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
 use rig::lidar::{Lidar, LidarConfig};
-use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::shared::{Shared, lock};

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use crate::board_host::{Board, UNITS_PER_TICK};
 use protocol::*;
+use rig::clocks::oscillator::{BoardTime, OscillatorConfig};
 use rig::imu::{Fault, SampleRecord, SensorModel, SimImu, SimImuConfig};
 use rig::motion::Motion;
-use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::shared::{Shared, lock};

@@ -1,13 +1,13 @@
 //! A simulated phone on a walk, asked without a socket: true time passes only as a test lets
 //! it.
 
-use rig::flash_log::FlashLog;
+use rig::clocks::oscillator::TrueTime;
+use rig::clocks::true_clock::TrueClock;
+use rig::depth_camera::flash_log::FlashLog;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::oscillator::TrueTime;
 use rig::phone::{Answer, AskedPhone, PhoneConfig, RequestId, Surroundings};
 use rig::random::{Seed, Stream};
-use rig::true_clock::TrueClock;
 
 /// A phone of a seed, and what is around it.
 pub(crate) fn on_a_walk(

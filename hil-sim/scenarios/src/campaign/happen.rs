@@ -9,7 +9,7 @@ use protocol::{
     Failure as SelfTestFailure, HostToDevice, MAX_FRAME, SELF_TEST_KEY, SelfTest, encode,
 };
 use rig::imu::Fault as ImuFault;
-use rig::virtual_rig::VirtualRig;
+use rig::whole_rig::virtual_rig::VirtualRig;
 use rig::wiring;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};

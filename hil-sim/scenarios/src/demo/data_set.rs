@@ -10,7 +10,7 @@ use crate::judge::Truth;
 use crate::programs::{Programs, ask};
 use crate::whole_chain::Recorded;
 use crate::whole_chain::extraction::{self, ExtractionFigures, table};
-use rig::k4a_mkv::device_us;
+use rig::depth_camera::k4a_mkv::device_us;
 
 /// A data set, and how right it is.
 #[derive(Debug)]

@@ -7,9 +7,9 @@ use std::time::Duration;
 use ::phone::PhoneError;
 use ::phone::agent::PhoneExchange;
 use ::session::devices::{PhoneClock, PhoneClockStarter};
-use rig::link_delay::{Link, LinkRanges};
+use rig::clocks::link_delay::{Link, LinkRanges};
 use rig::random::Stream;
-use rig::virtual_rig::VirtualRig;
+use rig::whole_rig::virtual_rig::VirtualRig;
 use stm32f4_sim::time::SimTime;
 
 use super::SharedRig;

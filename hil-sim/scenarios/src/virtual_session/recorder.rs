@@ -9,9 +9,9 @@ use std::rc::Rc;
 
 use ::session::devices::{DepthRecorder, RecorderEnd, RecorderError};
 use recording::profile::Depth;
-use rig::ball;
 use rig::depth_camera::FrameRecord;
-use rig::k4a_mkv::{self, K4aSettings};
+use rig::depth_camera::k4a_mkv::{self, K4aSettings};
+use rig::picture::ball;
 
 use super::SharedRig;
 

@@ -10,8 +10,8 @@ use mcap::records::MessageHeader;
 use recording::messages::camera::Image;
 use recording::messages::{Header, RosMessage, Time, to_cdr};
 use recording::profile::{Depth, Profile};
+use rig::depth_camera::k4a_mkv::device_us;
 use rig::depth_camera::{Family, FrameRecord};
-use rig::k4a_mkv::device_us;
 
 use crate::programs::{Programs, ask};
 use crate::virtual_session::naming_pixel;

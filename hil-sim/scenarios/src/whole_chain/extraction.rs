@@ -9,8 +9,8 @@ use serde::Serialize;
 use super::Recorded;
 use crate::programs::{Programs, ask};
 use recording::session_file::Span;
+use rig::clocks::oscillator::Oscillator;
 use rig::depth_camera::{FrameRecord, Source};
-use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;
 
 /// Largest error of a phone frame's time, µs: four stated sigmas of what a hand's twist gives.

@@ -23,10 +23,10 @@ use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
-use rig::pin_log::PinLog;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
+use rig::whole_rig::config::RigConfig;
 use rig::wiring;
+use rig::wiring::pin_log::PinLog;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 

@@ -8,7 +8,7 @@ use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
+use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use scenarios::virtual_session::{Bench, Run};
 use session::event::{Phase, SessionEvent};
@@ -84,7 +84,7 @@ impl Twisted {
     pub(crate) fn soon_after(
         &mut self,
         is_it: impl FnMut(&SessionEvent) -> bool + 'static,
-        what: impl FnOnce(&mut rig::virtual_rig::VirtualRig) + 'static,
+        what: impl FnOnce(&mut rig::whole_rig::virtual_rig::VirtualRig) + 'static,
     ) {
         self.bench.on(is_it, ms(100), what);
     }

@@ -14,11 +14,11 @@ use protocol::{
     SELF_TEST_KEY, SelfTest, SetBoard, TrainState, TriggerStart,
 };
 use rig::imu::Fault;
-use rig::jumpers::Jumpers;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
-use rig::virtual_rig::VirtualRig;
+use rig::whole_rig::config::RigConfig;
+use rig::whole_rig::virtual_rig::VirtualRig;
 use rig::wiring;
+use rig::wiring::jumpers::Jumpers;
 use scenarios::virtual_session::SharedRig;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::SimBuilder;

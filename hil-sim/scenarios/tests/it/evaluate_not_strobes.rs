@@ -11,8 +11,8 @@ use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, SessionFile};
-use rig::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
-use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
+use rig::picture::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
+use rig::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
 
 /// Any; each draws other videos.
 const SEEDS: Range<u64> = 7100..7101;

@@ -6,7 +6,7 @@ use evaluate::precision::{RecordingResult, evaluate_recording};
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Direction;
-use rig::rolling_shutter::{Flicker, Readout, RollingShutter};
+use rig::picture::rolling_shutter::{Flicker, Readout, RollingShutter};
 
 /// Row times known to the tool make the tests fast; what it does without is tested
 /// where it matters.
@@ -355,9 +355,9 @@ fn rotation_region_and_wide_mode() {
     }
     let wide = Scene {
         // As of WFOV unbinned.
-        train: rig::rolling_shutter::FlashTrain {
+        train: rig::picture::rolling_shutter::FlashTrain {
             pitch_ns: 2_515_000,
-            ..rig::rolling_shutter::FlashTrain::NFOV
+            ..rig::picture::rolling_shutter::FlashTrain::NFOV
         },
         bias_us: -222.0,
         ..scene(200.0, 16.0, 20.0, 8)

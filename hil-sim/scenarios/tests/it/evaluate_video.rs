@@ -8,8 +8,8 @@ use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings};
 use report::evaluation;
-use rig::rolling_shutter::RollingShutter;
-use rig::video_writer::Quality;
+use rig::picture::rolling_shutter::RollingShutter;
+use rig::picture::video_writer::Quality;
 
 fn scene(exposure_us: f64, row_time_us: f64, amplitude: f64, bias_us: f64) -> Scene {
     Scene {

@@ -2,7 +2,7 @@
 
 use phone::PhoneError;
 use recording::session_file::{SessionFile, SessionOutcome};
-use rig::link_delay::LinkRanges;
+use rig::clocks::link_delay::LinkRanges;
 use scenarios::judge::Truth;
 use scenarios::virtual_session::Run;
 use session::error::SessionError;

@@ -6,13 +6,13 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use rig::flash_log::FlashLog;
+use rig::clocks::oscillator::TrueTime;
+use rig::clocks::true_clock::TrueClock;
+use rig::depth_camera::flash_log::FlashLog;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::oscillator::TrueTime;
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
 use rig::random::{Seed, Stream};
-use rig::true_clock::TrueClock;
 
 use crate::support::smartdepthsync;
 

@@ -278,7 +278,7 @@ fn a_person_tries_again_marks_and_leaves() {
     rig.bench.with(|rig| rig.phones[0].leave_network());
     let answer = |rig: &mut Twisted, choice: Choice| {
         let hands = rig.bench.hands();
-        move |_: &mut rig::virtual_rig::VirtualRig| hands.answer(choice)
+        move |_: &mut rig::whole_rig::virtual_rig::VirtualRig| hands.answer(choice)
     };
     let hands = rig.bench.hands();
     rig.soon_after(

@@ -7,8 +7,8 @@ use evaluate::frame::GreyView;
 use evaluate::precision::{RecordingResult, evaluate_recording};
 use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
 use evaluate::{EvaluateError, Settings};
-use rig::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
-use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
+use rig::picture::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
+use rig::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
 
 /// A camera on the re-transmitted light of a depth camera, with the ground truth.
 #[derive(Debug, Clone)]

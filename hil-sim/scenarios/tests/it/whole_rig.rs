@@ -8,14 +8,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::support;
-use rig::jumpers::Jumpers;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::whole_rig::config::RigConfig;
+use rig::whole_rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
+use rig::wiring::jumpers::Jumpers;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use stm32f4_sim::sim::SimBuilder;

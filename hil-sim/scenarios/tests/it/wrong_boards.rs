@@ -19,8 +19,8 @@ use protocol::{
     Answer, CORE_HZ, Decoder, DeviceToHost, Hello, MAX_FRAME, MIN_PULSE_GAP, Output, QueryImu,
     Reply, Request, ResetCause, Status, TICK_HZ, TickDelta, encode,
 };
-use rig::jumpers::{Jumpers, Late};
 use rig::wiring;
+use rig::wiring::jumpers::{Jumpers, Late};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 

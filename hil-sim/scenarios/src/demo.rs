@@ -16,12 +16,12 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use recording::folder;
 use recording::profile::Profile;
-use rig::link_delay::LinkRanges;
+use rig::clocks::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
+use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use session::options::{Track, seconds};
 

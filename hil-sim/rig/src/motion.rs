@@ -14,6 +14,7 @@
 //! not modelled (only gyroscopes are compared by the synchronisation).
 
 pub mod gesture;
+pub mod inertial_channel;
 mod view;
 
 use std::sync::Arc;

@@ -5,14 +5,14 @@
 
 use std::sync::Arc;
 
+use crate::clocks::oscillator::{BoardTime, OscillatorConfig};
+use crate::clocks::true_clock::TrueClock;
+use crate::depth_camera::flash_log::FlashLog;
 use crate::depth_camera::{DepthCamera, DepthCameraConfig};
-use crate::flash_log::FlashLog;
 use crate::imu::{SensorModel, SimImu, SimImuConfig};
 use crate::motion::{Motion, MotionSpec};
-use crate::oscillator::{BoardTime, OscillatorConfig};
 use crate::phone::Surroundings;
 use crate::random::{Seed, Stream};
-use crate::true_clock::TrueClock;
 use crate::wiring::BoardKind;
 use stm32f4_sim::shared::Shared;
 use stm32f4_sim::sim::SimBuilder;

@@ -29,12 +29,12 @@ use anyhow::{Context, Result, anyhow, ensure};
 use protocol::HostToDevice;
 use recording::profile::Profile;
 use recording::session_file::SessionOutcome;
+use rig::clocks::link_delay::LinkRanges;
 use rig::depth_camera::FrameRecord;
-use rig::link_delay::LinkRanges;
 use rig::phone::PhoneConfig;
-use rig::rig_config::RigConfig;
-use rig::running_rig::RunTruth;
-use rig::virtual_rig::VirtualRig;
+use rig::whole_rig::config::RigConfig;
+use rig::whole_rig::running_rig::RunTruth;
+use rig::whole_rig::virtual_rig::VirtualRig;
 use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -222,7 +222,7 @@ pub struct Bench {
     pub out: PathBuf,
     /// True if a recorder of the depth camera is there.
     pub has_recorder: bool,
-    /// True if the depth pictures show the [`ball`](rig::ball); they name their frame otherwise.
+    /// True if the depth pictures show the [`ball`](rig::picture::ball); they name their frame otherwise.
     pub shows_ball: bool,
     fate: Rc<RecorderFate>,
     /// Over what the phone's clock is read, if it can be.

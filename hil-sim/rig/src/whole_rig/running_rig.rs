@@ -16,8 +16,8 @@
 //! use rig::motion::gesture::Gesture;
 //! use rig::phone::PhoneConfig;
 //! use rig::random::Seed;
-//! use rig::rig_config::RigConfig;
-//! use rig::running_rig::{Pace, RunningRig};
+//! use rig::whole_rig::config::RigConfig;
+//! use rig::whole_rig::running_rig::{Pace, RunningRig};
 //! use rig::wiring;
 //!
 //! # fn main() -> anyhow::Result<()> {
@@ -46,13 +46,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::owner_profile::owner_profile;
+use crate::clocks::true_clock::{BoardClockwork, TrueClock};
 use crate::phone::{PhoneConfig, SimPhone};
-use crate::pty::Pty;
-use crate::rig_config::{RigConfig, RigParts};
-use crate::run_truth::Noted;
-pub use crate::run_truth::RunTruth;
-use crate::true_clock::{BoardClockwork, TrueClock};
+use crate::whole_rig::config::{RigConfig, RigParts};
+use crate::whole_rig::ground_truth::Noted;
+pub use crate::whole_rig::ground_truth::RunTruth;
+use crate::whole_rig::owner_profile::owner_profile;
+use crate::whole_rig::pty::Pty;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};

@@ -12,7 +12,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-use crate::oscillator::{BoardTime, TrueTime};
+use crate::clocks::oscillator::{BoardTime, TrueTime};
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;

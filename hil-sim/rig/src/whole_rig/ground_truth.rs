@@ -1,10 +1,10 @@
 //! The ground truth of a run: what the models noted while it lasted.
 
+use crate::clocks::oscillator::Oscillator;
 use crate::depth_camera::FrameRecord;
 use crate::imu::SampleRecord;
-use crate::oscillator::Oscillator;
 use crate::phone::VideoTruth;
-use crate::rig_config::RigParts;
+use crate::whole_rig::config::RigParts;
 use crate::wiring;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::Sim;

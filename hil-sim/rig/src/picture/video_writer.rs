@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 
 use anyhow::{Error, Result, anyhow, bail, ensure};
 
-use crate::rolling_shutter::GreyImage;
+use crate::picture::rolling_shutter::GreyImage;
 
 /// Compression of the video.
 #[derive(Debug, Clone, Copy, PartialEq)]

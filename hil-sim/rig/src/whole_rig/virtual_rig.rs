@@ -7,12 +7,12 @@ use std::time::Duration;
 
 use anyhow::{Result, anyhow};
 
+use crate::clocks::true_clock::BoardClockwork;
 use crate::depth_camera::FrameRecord;
-use crate::owner_profile::owner_profile;
 use crate::phone::{AskedPhone, PhoneConfig};
-use crate::rig_config::{RigConfig, RigParts};
-use crate::run_truth::{Noted, RunTruth};
-use crate::true_clock::BoardClockwork;
+use crate::whole_rig::config::{RigConfig, RigParts};
+use crate::whole_rig::ground_truth::{Noted, RunTruth};
+use crate::whole_rig::owner_profile::owner_profile;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;

@@ -8,8 +8,8 @@
 //! Limits: both cameras stand at one place and have one field of view; during an exposure
 //! (0.5 ms of a row, 12.7 ms of the depth camera) it stands still.
 
+use crate::clocks::oscillator::TrueTime;
 use crate::depth_camera::FrameRecord;
-use crate::oscillator::TrueTime;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
 /// Size of the pictures that show it: of the phone, and of the depth camera.

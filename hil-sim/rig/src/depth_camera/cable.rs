@@ -5,7 +5,7 @@
 //! the camera, which then waits for its first pulse; each frame that reaches the computer
 //! goes over the socket as a line of JSON, and the camera is switched off when the recorder
 //! leaves. The recorder ([`record`]) writes the file of the Azure Kinect's recorder, with
-//! pictures of the [`ball`](crate::ball), until it is interrupted.
+//! pictures of the [`ball`](crate::picture::ball), until it is interrupted.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, BufWriter, Write as _};
@@ -18,10 +18,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 
-use crate::ball;
+use crate::depth_camera::k4a_mkv::{K4aMkvWriter, K4aSettings};
 use crate::depth_camera::{DepthCamera, FrameRecord};
 use crate::interrupt;
-use crate::k4a_mkv::{K4aMkvWriter, K4aSettings};
+use crate::picture::ball;
 use stm32f4_sim::shared::{Shared, lock};
 
 /// Wait of either side between looks whether it should end.

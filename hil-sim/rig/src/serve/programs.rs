@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::depth_link::Cable;
-use crate::link_delay::LinkRanges;
+use crate::clocks::link_delay::LinkRanges;
+use crate::depth_camera::cable::Cable;
 use crate::phone::{ClockTeller, SimPhone};
-use crate::rig_config::RigParts;
+use crate::whole_rig::config::RigParts;
 
 /// The table beside the rig, with the depth camera's cable, and programs that reach
 /// the phone's files.
 #[derive(Debug)]
-pub struct Table {
+pub(super) struct Table {
     recorder: String,
     programs: PathBuf,
     _teller: ClockTeller,
@@ -28,7 +28,7 @@ impl Table {
     /// # Errors
     ///
     /// The rig has no depth camera, or a file cannot be made.
-    pub fn new(parts: &RigParts, phone: &SimPhone, hil_sim: &Path) -> Result<Self> {
+    pub(super) fn new(parts: &RigParts, phone: &SimPhone, hil_sim: &Path) -> Result<Self> {
         let folder = tempfile::Builder::new()
             .prefix("simulated-rig-")
             .tempdir()
@@ -74,7 +74,7 @@ impl Table {
 
     /// The table of a rig profile that names the depth recorder.
     #[must_use]
-    pub fn recorder(&self) -> String {
+    pub(super) fn recorder(&self) -> String {
         format!("\n[depth.recorder]\ncommand = {}\n", self.recorder)
     }
 

@@ -49,8 +49,8 @@ mod tests;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use crate::clocks::oscillator::BoardTime;
 use crate::motion::Motion;
-use crate::oscillator::BoardTime;
 use crate::random::Seed;
 use crate::wiring;
 use stm32f4_sim::clock::Rate;

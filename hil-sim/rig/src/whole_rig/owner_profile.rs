@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 
 use crate::depth_camera::DepthCameraConfig;
 use crate::phone::PhoneConfig;
-use crate::rig_config::RigConfig;
+use crate::whole_rig::config::RigConfig;
 
 /// The profile as TOML, for `smartdepthsync record --profile`: of phones, each with its address,
 /// by these names, or of the first one without a name where there are none. The trigger is

@@ -33,12 +33,12 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use protocol::{Command, Period, SetPeriod, TICK_HZ};
 use recording::session_file::SessionOutcome;
-use rig::link_delay::LinkRanges;
+use rig::clocks::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
+use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use serde::Serialize;
 use session::event::Phase;
@@ -133,7 +133,7 @@ struct Ended {
     run: Run,
     killed: PathBuf,
     happened: Happened,
-    truth: rig::running_rig::RunTruth,
+    truth: rig::whole_rig::running_rig::RunTruth,
     edges: Vec<judge::PinEdge>,
     /// Periods of the trigger that the session has asked for.
     periods: Vec<Period>,

@@ -23,8 +23,8 @@ use std::io::{self, Seek, SeekFrom, Write};
 
 use elements::*;
 
-use crate::ball;
 use crate::depth_camera::{FrameRecord, TIMESTAMP_HZ};
+use crate::picture::ball;
 
 /// Nanoseconds in a unit of the file's time.
 const SCALE: u64 = 1_000;
@@ -77,7 +77,7 @@ impl Default for K4aSettings {
 }
 
 impl K4aSettings {
-    /// Depth images of the [`ball`](crate::ball) alone.
+    /// Depth images of the [`ball`](crate::picture::ball) alone.
     #[must_use]
     pub fn of_ball(fps: u32) -> Self {
         let (width, height) = ball::DEPTH_SIZE;

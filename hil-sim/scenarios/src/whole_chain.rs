@@ -28,15 +28,15 @@ use serde_json::Value;
 use crate::judge::{Truth, read_streams};
 use crate::programs::Programs;
 use crate::virtual_session::{Bench, write_frames};
+use rig::clocks::oscillator::{BoardTime, Oscillator, TrueTime};
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
 use rig::model_ranges::ModelValues;
 use rig::motion::gesture::Gesture;
 use rig::motion::{MotionSpec, Step};
-use rig::oscillator::{BoardTime, Oscillator, TrueTime};
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
-use rig::rig_config::RigConfig;
+use rig::whole_rig::config::RigConfig;
 use rig::wiring::{self, BoardKind};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
@@ -70,7 +70,7 @@ pub struct Plan {
     pub camera: Family,
     /// Values of the rig's models.
     pub values: ModelValues,
-    /// True if a [`ball`](rig::ball) swings before the phone's camera.
+    /// True if a [`ball`](rig::picture::ball) swings before the phone's camera.
     pub ball: bool,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.

@@ -7,7 +7,7 @@
 //! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
 //! model ranges has a row for each.
 
-use crate::oscillator::TrueTime;
+use crate::clocks::oscillator::TrueTime;
 use crate::random::{Random, log_uniform};
 use stm32f4_sim::time::SimDuration;
 

@@ -16,7 +16,7 @@
 //!
 //! Limits: the app stays in the foreground, its phone has no magnetometer (whose files are
 //! empty); its own latencies are constants of one phone; the sensors' low-pass is the
-//! one of [`crate::inertial_channel`]; the camera sees even light only; the
+//! one of [`crate::motion::inertial_channel`]; the camera sees even light only; the
 //! phone never runs out of space or battery.
 
 mod app;
@@ -37,12 +37,12 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context as _, Result};
 
-use crate::flash_log::FlashLog;
-use crate::link_delay::LinkRanges;
+use crate::clocks::link_delay::LinkRanges;
+use crate::clocks::oscillator::Oscillator;
+use crate::clocks::true_clock::TrueClock;
+use crate::depth_camera::flash_log::FlashLog;
 use crate::motion::Motion;
-use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
-use crate::true_clock::TrueClock;
 
 use sensors::{Kind, Sensors};
 use server::Link;

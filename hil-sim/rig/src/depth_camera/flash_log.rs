@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::oscillator::TrueTime;
+use crate::clocks::oscillator::TrueTime;
 use stm32f4_sim::shared::lock;
 
 /// One flash of infrared light, in true time.
