@@ -47,7 +47,7 @@ pub(crate) fn allowed() -> Result<String> {
     Ok(allowed.to_owned())
 }
 
-/// Whether an SPDX expression can be met with these licences.
+/// Returns true if an SPDX expression can be met with these licences.
 fn is_allowed(expression: &str, licences: &BTreeSet<&str>) -> bool {
     // Old manifests write a slash for OR.
     let expression = expression.replace(" / ", " OR ").replace('/', " OR ");

@@ -180,9 +180,12 @@ fn slug(title: &str) -> String {
         .trim()
         .chars()
         .filter(|c| c.is_alphanumeric() || c.is_whitespace() || "-_".contains(*c))
-        .map(|c| match c.is_whitespace() {
-            true => '-',
-            false => c.to_ascii_lowercase(),
+        .map(|c| {
+            if c.is_whitespace() {
+                '-'
+            } else {
+                c.to_ascii_lowercase()
+            }
         })
         .collect()
 }
@@ -191,7 +194,7 @@ fn slug(title: &str) -> String {
 mod tests {
     use super::*;
 
-    /// What the pages ask for is in the sources, and no link of them is broken.
+    /// The sources hold all that the pages ask for, and no link is broken.
     #[test]
     fn the_pages_of_this_tree_are_whole() {
         check().unwrap();

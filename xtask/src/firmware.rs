@@ -147,8 +147,8 @@ mod tests {
 
     use super::*;
 
-    /// What cargo makes of the runners in its configuration, with a program for the chip that is
-    /// built at once and a `probe-rs` that says how it was called. Without these flags `probe-rs
+    /// Runs the runners of cargo's configuration with a program for the chip that is built at
+    /// once and a `probe-rs` that prints its arguments. Without these flags `probe-rs
     /// run` halts the core at each reset and fault (its `cmd/run.rs`: `VectorCatchConfig`).
     #[test]
     fn the_runners_of_both_boards_catch_neither_reset_nor_fault() -> Result<()> {

@@ -16,8 +16,8 @@ const SUFFIX: [u8; 12] = [
     0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x00, 0x01, b'U', b'F', b'D', 16,
 ];
 
-/// What the flash holds, from its begin: the loaded segments at their physical
-/// addresses, 0xFF between them.
+/// Returns the content of the flash from its first address on: the loaded segments at their
+/// physical addresses, 0xFF between them.
 pub(crate) fn raw_image(elf: &Path) -> Result<Vec<u8>> {
     let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let elf = elf.as_slice();

@@ -2,25 +2,29 @@
 
 use std::env;
 use std::ffi::OsStr;
-use std::fs;
+use std::fs::{self, File};
+use std::io::{self, IsTerminal as _, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::thread;
 
 use anyhow::{Context, Result, bail};
 
-/// How many tests of a program run at once.
+/// Variable of cargo's test harness: the number of tests of a program that run at once.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
-/// Where `adb` looks for its server (the program itself asks for the port alone, on this
-/// computer): where none is, and none is started,
-/// which `adb` does only on a `localhost` by that name. So tests and simulated rigs leave
-/// alone a phone that the developer's own server has, and leave no server behind.
+/// An address at which `adb` finds no server and starts none, since it starts one only on
+/// `localhost` by that name. Tests and simulated rigs so neither use the phone of the
+/// developer's own server nor leave a server running.
 const NO_ADB: [(&str, &str); 2] = [
     ("ANDROID_ADB_SERVER_ADDRESS", "127.0.0.1"),
     ("ANDROID_ADB_SERVER_PORT", "9"),
 ];
 
-/// Tells tests and tools which firmware to run.
+/// Lines of a child's output that stand in the error of its failure.
+const LAST_LINES: usize = 20;
+
+/// Variable that names the firmware's ELF for tests and tools.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
 /// The root of the workspace.
@@ -89,31 +93,107 @@ pub(crate) fn cargo_program() -> PathBuf {
     env::var_os("CARGO").map_or_else(|| PathBuf::from("cargo"), PathBuf::from)
 }
 
-/// Runs to the end and fails with the command line if the child does.
+/// Runs to the end. What the child prints is shown at once and written to a log; if the child
+/// fails, so does this, with the command as one types it, its last lines and the log.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
-    let line = format!("{command:?}");
-    let status = command
-        .status()
-        .with_context(|| format!("cannot start {line}"))?;
+    let line = typed(command);
+    let name: String = (line.chars().take(60))
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
+        .collect();
+    let folder = target_dir().join("xtask-logs");
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let path = folder.join(format!("{name}.log"));
+    let log = File::create(&path).with_context(|| format!("cannot write {}", path.display()))?;
+    if io::stderr().is_terminal() && env::var_os("CARGO_TERM_COLOR").is_none() {
+        command.env("CARGO_TERM_COLOR", "always");
+    }
+    let mut child = (command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn())
+    .with_context(|| format!("cannot start `{line}`"))?;
+    let (out, err) = (child.stdout.take(), child.stderr.take());
+    thread::scope(|scope| {
+        if let Some(out) = out {
+            scope.spawn(|| copy(out, io::stdout(), &log));
+        }
+        if let Some(err) = err {
+            copy(err, io::stderr(), &log);
+        }
+    });
+    let status = child.wait()?;
     if !status.success() {
-        bail!("{status} from {line}");
+        let text = fs::read(&path).unwrap_or_default();
+        let text = String::from_utf8_lossy(&text);
+        let lines: Vec<&str> = text.lines().collect();
+        let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n    ");
+        bail!(
+            "`{line}` failed ({status})\n  its last lines:\n    {last}\n  all of them: {}",
+            path.display()
+        );
     }
     Ok(())
 }
 
-/// What a program prints, without the end of its last line.
+/// Copies a child's output as it comes. A reader that is gone is no reason to end the child.
+fn copy(mut from: impl Read, mut to: impl Write, mut log: &File) {
+    let mut buffer = [0; 8192];
+    while let Ok(count @ 1..) = from.read(&mut buffer) {
+        let _ = to.write_all(&buffer[..count]).and_then(|()| to.flush());
+        let _ = log.write_all(&buffer[..count]);
+    }
+}
+
+/// The command as one types it at the root: its folder if that is another one, the variables
+/// that were set for it, the program by name, and arguments in quotes where the shell needs them.
+fn typed(command: &Command) -> String {
+    let quoted = |text: &OsStr| {
+        let text = text.to_string_lossy();
+        let is_plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
+        if !text.is_empty() && text.chars().all(is_plain) {
+            text.into_owned()
+        } else {
+            format!("'{}'", text.replace('\'', r"'\''"))
+        }
+    };
+    let mut words = Vec::new();
+    let folder = command
+        .get_current_dir()
+        .filter(|folder| **folder != root());
+    if let Some(folder) = folder {
+        let from_root = folder.strip_prefix(root()).unwrap_or(folder);
+        words.extend([
+            "cd".to_owned(),
+            quoted(from_root.as_os_str()),
+            "&&".to_owned(),
+        ]);
+    }
+    for (name, value) in command.get_envs() {
+        words.extend(value.map(|value| format!("{}={}", name.to_string_lossy(), quoted(value))));
+    }
+    let program = Path::new(command.get_program());
+    let is_cargo = program.file_stem().is_some_and(|stem| stem == "cargo");
+    words.push(quoted(if is_cargo {
+        OsStr::new("cargo")
+    } else {
+        program.as_os_str()
+    }));
+    words.extend(command.get_args().map(quoted));
+    words.join(" ")
+}
+
+/// Returns the output of a program, without the end of its last line.
 pub(crate) fn text(command: &mut Command) -> Result<String> {
-    let output = command
-        .output()
-        .with_context(|| format!("cannot start {command:?}"))?;
+    let line = typed(command);
+    let output = (command.output()).with_context(|| format!("cannot start `{line}`"))?;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        bail!("{} from {command:?}: {}", output.status, said.trim());
+        let message = String::from_utf8_lossy(&output.stderr);
+        bail!("`{line}` failed ({}): {}", output.status, message.trim());
     }
     Ok(String::from_utf8(output.stdout)?.trim_end().to_owned())
 }
 
-/// Whether a program runs and answers with success.
+/// Returns true if a program runs and ends with success.
 pub(crate) fn answers(program: impl AsRef<OsStr>, args: &[&str]) -> bool {
     Command::new(program)
         .args(args)
@@ -151,10 +231,51 @@ pub(crate) fn build_programs() -> Result<()> {
     cargo("build --release --workspace --bin smartdepthsync --bin hil-sim".split(' '))
 }
 
-/// Runs the simulator that cargo has built in the release profile.
+/// Runs the simulator that cargo has built in the release profile, on this terminal.
 pub(crate) fn hil_sim<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
-    run(command(program("hil-sim"))
-        .args(args)
-        .env(ELF_VARIABLE, elf)
-        .envs(NO_ADB))
+    let mut hil_sim = command(program("hil-sim"));
+    hil_sim.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB);
+    let status = hil_sim.status();
+    let status = status.with_context(|| format!("cannot start `{}`", typed(&hil_sim)))?;
+    if !status.success() {
+        bail!("`{}` failed ({status})", typed(&hil_sim));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_names_the_command_as_typed_its_last_lines_and_its_log() {
+        let script = "seq 1000; echo broken >&2; exit 3";
+        let error = run(command("sh").args(["-c", script]).env("A", "b c")).unwrap_err();
+        let error = error.to_string();
+        assert!(
+            error.starts_with(
+                "`A='b c' sh -c 'seq 1000; echo broken >&2; exit 3'` failed (exit status: 3)"
+            ),
+            "{error}"
+        );
+        assert!(
+            error.contains("\n    1000") && error.contains("\n    broken"),
+            "{error}"
+        );
+        assert!(!error.contains("\n    900\n"), "{error}");
+        let (_, log) = error.split_once("all of them: ").unwrap();
+        assert!(
+            fs::read_to_string(log).unwrap().starts_with("1\n2\n"),
+            "{log}"
+        );
+    }
+
+    #[test]
+    fn a_command_is_shown_without_the_variables_that_are_taken_from_it() {
+        let mut cargo = command("/toolchain/bin/cargo");
+        cargo
+            .args(["build", "-p", "it's"])
+            .current_dir(root().join("firmware"));
+        assert_eq!(typed(&cargo), r"cd firmware && cargo build -p 'it'\''s'");
+    }
 }

@@ -52,7 +52,7 @@ pub(crate) fn make() -> Result<()> {
 
     // First that which runs here: it writes what goes with all.
     let own = release.programs(std::env::consts::ARCH)?;
-    said_by(&own.join(NAME), &usr.join("share"))?;
+    write_completions_and_manual(&own.join(NAME), &usr.join("share"))?;
     install(&docs::pages(Some(&own))?, &documents)?;
     fs::rename(documents.join("book-source"), documents.join("book"))?;
     for (rust, debian) in PROCESSORS {
@@ -260,8 +260,8 @@ impl Release {
     }
 }
 
-/// What the program says of itself: completions of shells and manual pages.
-fn said_by(program: &Path, share: &Path) -> Result<()> {
+/// Writes the completions of shells and the manual pages that the program prints.
+fn write_completions_and_manual(program: &Path, share: &Path) -> Result<()> {
     for (shell, place) in [
         ("bash", "bash-completion/completions/smartdepthsync"),
         ("zsh", "zsh/vendor-completions/_smartdepthsync"),

@@ -9,9 +9,9 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// What the tests need beyond Rust and [`ensure_python`]: ffmpeg, mkvmerge, a browser for the
-/// reports, a terminal emulator for the live view, another Cortex-M4 to compare ours with,
-/// processors of phones and the way to them.
+/// Installs the programs that the tests need beyond Rust and [`ensure_python`]: ffmpeg, mkvmerge,
+/// a browser for the reports, a terminal multiplexer for the live view, an emulated Cortex-M4 for
+/// comparison with ours, emulated processors of phones, and adb.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
     ensure_program("mkvmerge", "mkvtoolnix")?;
