@@ -4,7 +4,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use extract::k4a::{Content, RawImage, Recording, StartOffset};
+use extract::depth::k4a::{Content, RawImage, Recording, StartOffset};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 
 const START_US: u64 = 5_123_457;

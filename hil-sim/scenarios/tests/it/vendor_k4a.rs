@@ -7,7 +7,7 @@ use std::fs::File;
 use std::path::Path;
 use std::process::Command;
 
-use extract::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
+use extract::depth::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
 use test_support::python::run_script;

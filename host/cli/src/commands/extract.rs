@@ -12,7 +12,7 @@ use extract::geometry::View;
 use extract::inputs::InputsError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::output_dir::OutputDirError;
+use extract::output::folder::OutputDirError;
 use extract::run::{Job, run as extract};
 use phone::video_files::FilesError;
 use recording::profile::Profile;

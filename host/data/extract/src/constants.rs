@@ -9,7 +9,7 @@ use recording::session_file::{PhoneRecord, SessionFile};
 use serde::Serialize;
 use twist_sync::Prior;
 
-use super::gyro_clock::prior;
+use crate::clocks::gyro_clock::prior;
 
 /// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
 pub(crate) const PUBLISHED_DELAY_NS: i64 = 1_900_000;

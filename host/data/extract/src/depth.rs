@@ -5,12 +5,18 @@
 //! ([`DepthInput::images`]). Both give the frames in the same order, so that a
 //! frame's number is its identity.
 
+pub(crate) mod depth_clock;
+pub mod k4a;
+pub(crate) mod matching;
+mod mkv;
+pub(crate) mod ros2_bag;
+
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::ros2_depth::{DriverImage, Ros2Bag, Ros2Error};
-use super::time::{DeviceNanos, SECOND};
-use crate::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
+use self::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
+use self::ros2_bag::{DriverImage, Ros2Bag, Ros2Error};
+use crate::time::{DeviceNanos, SECOND};
 use recording::bag::mcap_in;
 use system::Input;
 use twist_sync::GyroSample;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::depth::DepthError;
 use crate::inputs::InputsError;
-use crate::output_dir::OutputDirError;
+use crate::output::folder::OutputDirError;
 
 /// Why there is no data set, or a part of it is missing.
 #[derive(Debug, thiserror::Error)]

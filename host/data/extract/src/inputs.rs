@@ -1,14 +1,18 @@
 //! What there is to extract from, and what the session says about it.
 
+pub(crate) mod board_data;
+pub(crate) mod phone_rows;
+pub(crate) mod survey;
+
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::constants::{Constants, nanos};
-use super::depth::DepthInput;
-use super::geometry::CameraFacts;
-use super::options::Options;
-use super::ros2_depth::Ros2Bag;
+use crate::constants::{Constants, nanos};
+use crate::depth::DepthInput;
+use crate::depth::ros2_bag::Ros2Bag;
+use crate::geometry::CameraFacts;
+use crate::options::Options;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::RecordingError;
 use recording::bag::{is_bag, mcap_in};

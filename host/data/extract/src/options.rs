@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use recording::profile::Profile;
 
-use super::geometry::View;
+use crate::geometry::View;
 
 /// What the user gives.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]

@@ -6,13 +6,13 @@
 use recording::error_budget::ErrorPart;
 use serde::Serialize;
 
-pub use super::constants::Constants;
-pub use super::grid::GridReport;
-pub use super::gyro_clock::WindowResult;
-use super::layout::Format;
-use super::pairs::{Histogram, Spread};
-pub use super::sample_images::FILE as SAMPLES_FILE;
-use super::survey::ImuSpan;
+pub use crate::clocks::gyro_clock::WindowResult;
+pub use crate::constants::Constants;
+use crate::frames::pairs::{Histogram, Spread};
+pub use crate::frames::trigger_offset::GridReport;
+use crate::inputs::survey::ImuSpan;
+use crate::layout::Format;
+pub use crate::output::sample_pairs::FILE as SAMPLES_FILE;
 
 /// Something that is missing or damaged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

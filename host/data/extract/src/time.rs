@@ -6,7 +6,7 @@
 //! arithmetic alone, so that no timestamp ever passes through a float (an f64
 //! of seconds since 1970 resolves 238 ns only).
 
-pub(crate) use crate::k4a::DeviceNanos;
+pub(crate) use crate::depth::k4a::DeviceNanos;
 pub(crate) use clock::PhoneNanos;
 
 /// Nanoseconds in a second.

@@ -8,8 +8,8 @@ use std::io;
 use std::path::Path;
 
 use super::SequenceTables;
-use crate::board_data::Reference;
-use crate::tables::write_rows;
+use crate::inputs::board_data::Reference;
+use crate::output::tables::write_rows;
 
 /// Writes them below `folder`; nothing if there are none.
 pub(super) fn write(folder: &Path, tables: &SequenceTables<'_>) -> io::Result<()> {

@@ -19,8 +19,8 @@ use recording::profile::{DistortionModel, Pose};
 use super::noise::Noise;
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
-use crate::image::write_whole;
-use crate::tables::write_rows;
+use crate::output::image::write_whole;
+use crate::output::tables::write_rows;
 use crate::time::in_name;
 
 pub(super) struct Euroc;

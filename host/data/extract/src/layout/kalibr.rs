@@ -20,8 +20,8 @@ use std::path::Path;
 use super::noise::Noise;
 use super::offset::{moved, write_offset};
 use super::{DataSetInfo, ImageKind, ImuTable, Layout, SequenceTables, number};
-use crate::board_data::ImuRow;
-use crate::image::write_whole;
+use crate::inputs::board_data::ImuRow;
+use crate::output::image::write_whole;
 use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Kalibr;

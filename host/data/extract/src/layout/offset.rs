@@ -4,7 +4,7 @@
 use std::io;
 use std::path::Path;
 
-use crate::image::write_whole;
+use crate::output::image::write_whole;
 use crate::time::{BoardNanos, SECOND};
 
 /// Added to board time, ns: 1,000 s.

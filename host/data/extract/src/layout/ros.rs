@@ -25,8 +25,8 @@ use recording::rosbag2::{Bag, METADATA_FILE};
 
 use super::offset::{moved, write_offset};
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
-use crate::board_data::ImuRow;
-use crate::image::{Decoded, WholeFile, read_png, write_whole};
+use crate::inputs::board_data::ImuRow;
+use crate::output::image::{Decoded, WholeFile, read_png, write_whole};
 use crate::time::BoardNanos;
 
 const BOARD_IMU: &str = ".parts/imu0.csv";

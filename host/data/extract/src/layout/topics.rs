@@ -18,8 +18,8 @@ use std::io;
 use std::path::Path;
 
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
-use crate::board_data::{ImuRow, Reference};
-use crate::tables::write_rows;
+use crate::inputs::board_data::{ImuRow, Reference};
+use crate::output::tables::write_rows;
 
 pub(super) struct Topics;
 

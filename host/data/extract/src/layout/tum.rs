@@ -12,9 +12,9 @@ use std::io;
 use std::path::Path;
 
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
-use crate::board_data::ImuRow;
-use crate::image::{depth_to_tum, write_whole};
-use crate::pairs;
+use crate::frames::pairs;
+use crate::inputs::board_data::ImuRow;
+use crate::output::image::{depth_to_tum, write_whole};
 use crate::time::{BoardNanos, SECOND, decimal_seconds, seconds_in_name};
 
 /// Colour and depth of one capture lie nearer than this: half a period at 30 fps.

@@ -3,18 +3,18 @@
 use super::geometry_part::DepthView;
 use super::{Extraction, rate_of};
 use crate::constants::Constants;
+use crate::depth::depth_clock::{DepthMatch, FrameState, MatchError};
+use crate::depth::k4a::ColorTrack;
+use crate::depth::matching::{Matched, Matching};
+use crate::depth::ros2_bag::Ros2Bag;
 use crate::depth::{DepthIndex, DepthInput};
-use crate::depth_clock::{DepthMatch, FrameState, MatchError};
-use crate::depth_match::{Matched, Matching};
 use crate::error::ExtractError;
-use crate::image_tables::{CameraPaths, DepthImageView, DepthOutcome, DepthPaths, write_depth};
-use crate::k4a::ColorTrack;
+use crate::inputs::survey::Survey;
 use crate::layout::{DataSetInfo, ImageKind, calibration_path, number};
+use crate::output::images::{CameraPaths, DepthImageView, DepthOutcome, DepthPaths, write_depth};
+use crate::output::sequences::Sequences;
+use crate::output::tables::{self, CameraFrame, DepthFrame};
 use crate::report::DepthReport;
-use crate::ros2_depth::Ros2Bag;
-use crate::sequence::Sequences;
-use crate::survey::Survey;
-use crate::tables::{self, CameraFrame, DepthFrame};
 use recording::camera::Center;
 
 /// The depth camera's part after reading.

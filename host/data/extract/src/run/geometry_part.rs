@@ -5,7 +5,7 @@ use recording::profile::{Intrinsics, Pose};
 use super::Extraction;
 use super::depth_part::Depth;
 use crate::error::ExtractError;
-use crate::geometry::k4a::{self, Calibration};
+use crate::geometry::calibration::{self, Calibration};
 use crate::geometry::lens::Lens;
 use crate::geometry::register::Registration;
 use crate::geometry::{CameraFacts, Cameras, View};
@@ -99,7 +99,7 @@ fn read_calibration(depth: &Depth) -> Result<Calibration, String> {
         .as_ref()
         .ok_or("the depth recording has no calibration.json")?;
     let color = index.color.as_ref().map(|color| color.size);
-    let calibration = k4a::read(json, index.mode.as_deref(), color)?;
+    let calibration = calibration::read(json, index.mode.as_deref(), color)?;
     if calibration.depth.size == index.size {
         return Ok(calibration);
     }

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use super::Extraction;
-use crate::board_data::{Reference, TimePair};
 use crate::error::ExtractError;
-use crate::image_tables::{DepthOutcome, VideoOutcome};
+use crate::frames::pairs::Pair;
+use crate::inputs::board_data::{Reference, TimePair};
 use crate::layout::{DataSetInfo, ImageKind, ImageRow, SequenceTables, file_names};
-use crate::pairs::Pair;
+use crate::output::images::{DepthOutcome, VideoOutcome};
+use crate::output::sample_pairs;
+use crate::output::sequences::Sequences;
+use crate::output::tables::{CameraFrame, ColorFrame, DepthFrame};
 use crate::report::SequenceReport;
-use crate::sample_images;
-use crate::sequence::Sequences;
-use crate::tables::{CameraFrame, ColorFrame, DepthFrame};
 
 /// What there is for all sequences.
 pub(super) struct Written<'a> {
@@ -80,12 +80,12 @@ impl Extraction<'_> {
         data: &Path,
         tables: &SequenceTables<'_>,
     ) -> Result<bool, ExtractError> {
-        let pairs = sample_images::samples(data, tables);
+        let pairs = sample_pairs::samples(data, tables);
         if pairs.iter().any(|(color, _)| !color.exists()) {
             return Ok(false);
         }
-        match sample_images::draw(&pairs) {
-            Ok(svg) => self.write(sample_images::FILE, svg.as_bytes())?,
+        match sample_pairs::draw(&pairs) {
+            Ok(svg) => self.write(sample_pairs::FILE, svg.as_bytes())?,
             // The images are right or wrong by themselves; the report does without.
             Err(error) => self
                 .remarks

@@ -8,11 +8,11 @@ use crate::constants::Constants;
 use crate::error::ExtractError;
 use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
+use crate::inputs::survey::Survey;
 use crate::layout::DataSetInfo;
+use crate::output::sequences::Sequences;
+use crate::output::tables::{self, DepthFrame};
 use crate::report::OtherReport;
-use crate::sequence::Sequences;
-use crate::survey::Survey;
-use crate::tables::{self, DepthFrame};
 
 impl Extraction<'_> {
     /// Extracts one of them. `depth_center` (ns) is from pulse to depth timestamp.

@@ -7,19 +7,19 @@ use phone::video_files::VideoFiles;
 use phone::video::{Pixels, Video, VideoError, presentation_times};
 
 use super::Extraction;
+use crate::clocks::phone_clock::{self, PhoneClock};
 use crate::error::ExtractError;
 use crate::faults::Faults;
-use crate::frames::{Alignment, align};
-use crate::image_tables::{VideoOutcome, write_video};
-use crate::imu_tables::{Joiner, TableWriter, in_board_time};
+use crate::frames::video_rows::{Alignment, align};
 use crate::inputs::PhoneInput;
+use crate::inputs::phone_rows::PhoneRows;
+use crate::inputs::survey::{ImuSpan, Survey};
 use crate::layout::ImageKind;
-use crate::phone_clock::{self, PhoneClock};
-use crate::phone_rows::PhoneRows;
+use crate::output::images::{VideoOutcome, write_video};
+use crate::output::imu_tables::{Joiner, TableWriter, in_board_time};
+use crate::output::sequences::Sequences;
+use crate::output::tables::{self, ColorFrame};
 use crate::report::{ClockReport, Loss, PhoneReport};
-use crate::sequence::Sequences;
-use crate::survey::{ImuSpan, Survey};
-use crate::tables::{self, ColorFrame};
 use crate::time::PhoneNanos;
 
 /// The phone's part after reading.

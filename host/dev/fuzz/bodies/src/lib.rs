@@ -12,7 +12,7 @@ use std::io::Cursor;
 
 use board::Conversation;
 use evaluate::source::read_timestamps;
-use extract::k4a::{Content, Recording};
+use extract::depth::k4a::{Content, Recording};
 use phone::answer::{self, Answer, Lines};
 use phone::file_name::safe_file_name;
 use phone::requests::{ImuBody, VideoHeader, VideoStart};

@@ -12,11 +12,11 @@ use std::sync::mpsc::sync_channel;
 use phone::video::Video;
 use rayon::prelude::*;
 
-use super::depth::{CameraImage, DepthImage, DepthInput};
-use super::error::ExtractError;
-use super::geometry::register::Registration;
-use super::image::{Pixels, encode_png, write_whole};
-use super::layout::Layout;
+use crate::depth::{CameraImage, DepthImage, DepthInput};
+use crate::error::ExtractError;
+use crate::geometry::register::Registration;
+use crate::layout::Layout;
+use crate::output::image::{Pixels, encode_png, write_whole};
 
 /// Bytes in a batch.
 const BATCH_BYTES: usize = 16 << 20;

@@ -286,4 +286,4 @@ fn decide(
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

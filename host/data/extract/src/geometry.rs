@@ -1,7 +1,7 @@
 //! How the cameras see and where they are: lenses, the depth camera's own calibration,
 //! and depth images as another camera would see them.
 
-pub(crate) mod k4a;
+pub(crate) mod calibration;
 pub(crate) mod lens;
 pub(crate) mod register;
 
@@ -14,7 +14,7 @@ use recording::profile::{Direction, Intrinsics, Pose};
 ///
 /// What was found and what was expected.
 pub fn check_calibration(json: &[u8], mode: &str, color: Option<(u32, u32)>) -> Result<(), String> {
-    k4a::read(json, Some(mode), color).map(drop)
+    calibration::read(json, Some(mode), color).map(drop)
 }
 
 /// Which camera's view depth images are given in.

@@ -16,9 +16,9 @@ use std::path::Path;
 
 use system::{Input, Sparse};
 
-pub use crate::mkv::MkvError;
+pub use crate::depth::mkv::MkvError;
 
-use crate::mkv::{Cluster, Frame, Header, Mkv, Track};
+use crate::depth::mkv::{Cluster, Frame, Header, Mkv, Track};
 
 /// The recorder's unit of time.
 const RECORDER_SCALE: u64 = 1_000;

@@ -25,24 +25,24 @@ use std::path::{Path, PathBuf};
 use index_files::Written;
 use phone_part::Phone;
 
-use super::board_data::BoardEvent;
-use super::constants::{self, Constants};
-use super::depth::DepthInput;
-use super::error::ExtractError;
-use super::grid::{self, GridReport};
-use super::image::write_whole;
-use super::imu_tables::TableWriter;
-use super::inputs::{Inputs, PhoneInput};
-use super::layout::{DataSetInfo, Format, Layout};
-use super::options::Options;
-use super::output_dir::{FileMark, OutputDir, check_outside};
-use super::pairs::{self, Pair};
-use super::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
-use super::sequence::Sequences;
-use super::streams::each_event;
-use super::survey::{ImuSpan, Survey, survey};
-use super::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
-use super::time::BoardNanos;
+use crate::clocks::streams::each_event;
+use crate::constants::{self, Constants};
+use crate::depth::DepthInput;
+use crate::error::ExtractError;
+use crate::frames::pairs::{self, Pair};
+use crate::frames::trigger_offset::{self, GridReport};
+use crate::inputs::board_data::BoardEvent;
+use crate::inputs::survey::{ImuSpan, Survey, survey};
+use crate::inputs::{Inputs, PhoneInput};
+use crate::layout::{DataSetInfo, Format, Layout};
+use crate::options::Options;
+use crate::output::folder::{FileMark, OutputDir, check_outside};
+use crate::output::image::write_whole;
+use crate::output::imu_tables::TableWriter;
+use crate::output::sequences::Sequences;
+use crate::output::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
+use crate::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
+use crate::time::BoardNanos;
 use recording::error_budget::ErrorPart;
 
 /// The most gaps between pulses that are listed one by one.
@@ -205,7 +205,7 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
 impl<'a> Extraction<'a> {
     /// Finds the inputs, and opens the output folder.
     fn open(job: &'a Job) -> Result<Self, ExtractError> {
-        let inputs = super::inputs::find(
+        let inputs = crate::inputs::find(
             &job.recording,
             job.phone.as_deref(),
             job.depth.as_deref(),
@@ -347,7 +347,7 @@ impl Extraction<'_> {
             .filter(|pulse| (from..=to).contains(&pulse.at.0))
             .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
             .collect();
-        grid::measure(&middles, &centres)
+        trigger_offset::measure(&middles, &centres)
     }
 
     /// The pairs with the frames of a phone, whose clock is known so well.

@@ -4,7 +4,7 @@
 //! exposure of the middle row against the depth camera's centre of exposure, no
 //! further apart than half a frame period. Every frame is in at most one pair.
 
-use super::time::BoardNanos;
+use crate::time::BoardNanos;
 
 /// Pairs of an aligned recording that are further apart are left out unless asked for, ns: twice
 /// what the constants of a rig are that nobody has measured.

@@ -13,7 +13,7 @@ use std::time::UNIX_EPOCH;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::image::write_whole;
+use crate::output::image::write_whole;
 
 /// Version of what is in the output folder: a new one cannot go on in an old one's.
 const VERSION: u32 = 2;

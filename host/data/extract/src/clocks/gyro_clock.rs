@@ -6,7 +6,7 @@
 //! Limits: what gyroscopes cannot see, the constant difference of the two low-pass
 //! delays, goes in as configuration and stays in the result.
 
-use super::time::{BoardNanos, ClockNanos, SECOND};
+use crate::time::{BoardNanos, ClockNanos, SECOND};
 use clock::ClockModel;
 use twist_sync::{ClockCourse, Prior, RecordingClock};
 

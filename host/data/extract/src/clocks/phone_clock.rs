@@ -4,15 +4,15 @@
 
 use std::path::Path;
 
-use super::board_data::Reference;
-use super::error::ExtractError;
-use super::gyro_clock::{self, residual_rms, window_results};
-use super::inputs::PhoneInput;
-use super::report::ClockReport;
-use super::streams::{self, OtherGyro, Span, related};
-use super::survey::Survey;
-use super::tables::ColorFrame;
-use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
+use crate::clocks::gyro_clock::{self, residual_rms, window_results};
+use crate::clocks::streams::{self, OtherGyro, Span, related};
+use crate::error::ExtractError;
+use crate::inputs::PhoneInput;
+use crate::inputs::board_data::Reference;
+use crate::inputs::survey::Survey;
+use crate::output::tables::ColorFrame;
+use crate::report::ClockReport;
+use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockModel;
 use session::train::frame_period;
 use twist_sync::tracker::{Asked, Exchange, followed};
@@ -226,10 +226,10 @@ impl PhoneClock {
 mod tests {
     use std::path::PathBuf;
 
-    use super::super::board_data::TimePair;
-    use super::super::constants::Constants;
-    use super::super::survey::PhoneClocks;
     use super::*;
+    use crate::constants::Constants;
+    use crate::inputs::board_data::TimePair;
+    use crate::inputs::survey::PhoneClocks;
     use clock::{BoardSeconds, Wander};
 
     fn model(offset: f64) -> ClockModel {

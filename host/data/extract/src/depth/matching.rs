@@ -8,17 +8,17 @@
 
 use std::path::Path;
 
-use super::board_data::Reference;
-use super::constants::Constants;
-use super::depth::{DepthIndex, DepthInput};
-use super::depth_clock::{
+use crate::clocks::gyro_clock;
+use crate::clocks::streams::{self, OtherGyro, Span, related};
+use crate::constants::Constants;
+use crate::depth::depth_clock::{
     Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
-use super::error::ExtractError;
-use super::gyro_clock;
-use super::streams::{self, OtherGyro, Span, related};
-use super::survey::Survey;
-use super::time::{BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use crate::depth::{DepthIndex, DepthInput};
+use crate::error::ExtractError;
+use crate::inputs::board_data::Reference;
+use crate::inputs::survey::Survey;
+use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
 use twist_sync::Options;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay

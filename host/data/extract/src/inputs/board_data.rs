@@ -28,9 +28,9 @@ use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
 use twist_sync::tracker::{Asked, Exchange};
 
-use super::depth_clock::PulseTime;
-use super::time::BoardNanos;
+use crate::depth::depth_clock::PulseTime;
 use crate::faults::Faults;
+use crate::time::BoardNanos;
 
 /// How many samples wait for their temperature.
 const WAITING: usize = 64;

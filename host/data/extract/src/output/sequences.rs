@@ -6,7 +6,7 @@
 
 use std::path::PathBuf;
 
-use super::time::BoardNanos;
+use crate::time::BoardNanos;
 
 /// The marks of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -8,11 +8,11 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::board_data::ImuRow;
-use super::image::WholeFile;
-use super::layout::ImuTable;
-use super::sequence::Sequences;
-use super::time::{BoardNanos, PhoneNanos, PiecewiseMap};
+use crate::inputs::board_data::ImuRow;
+use crate::layout::ImuTable;
+use crate::output::image::WholeFile;
+use crate::output::sequences::Sequences;
+use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap};
 use phone::samples::PhoneSample;
 
 /// Rows that are made at a time.

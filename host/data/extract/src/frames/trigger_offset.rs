@@ -7,9 +7,9 @@
 //! (pulse and constant) to the nearest frame, followed over the places where another
 //! frame becomes the nearest.
 
-use super::depth_clock::fit::straight;
-use super::pairs::nearest;
-use super::time::{BoardNanos, median_step};
+use crate::depth::depth_clock::fit::straight;
+use crate::frames::pairs::nearest;
+use crate::time::{BoardNanos, median_step};
 
 /// Pulses that a line is fitted through, at least.
 const MIN_PULSES: usize = 10;

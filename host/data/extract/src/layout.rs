@@ -20,10 +20,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::noise::Noise;
-use super::board_data::{ImuRow, Reference, TimePair};
-use super::constants::Constants;
-use super::geometry::{Cameras, View};
-use super::time::{BoardNanos, in_name};
+use crate::constants::Constants;
+use crate::geometry::{Cameras, View};
+use crate::inputs::board_data::{ImuRow, Reference, TimePair};
+use crate::time::{BoardNanos, in_name};
 
 /// Which format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]

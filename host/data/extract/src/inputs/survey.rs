@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use super::board_data::{BoardEvent, Reference, TimePair};
-use super::depth_clock::PulseTime;
-use super::error::ExtractError;
-use super::streams::each_event;
-use super::time::{BoardNanos, SECOND, median_step};
+use crate::clocks::streams::each_event;
+use crate::depth::depth_clock::PulseTime;
+use crate::error::ExtractError;
+use crate::inputs::board_data::{BoardEvent, Reference, TimePair};
+use crate::time::{BoardNanos, SECOND, median_step};
 use clock::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
 

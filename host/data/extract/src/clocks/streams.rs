@@ -4,11 +4,11 @@ use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BoardEvent, BoardStream};
-use super::depth::{DepthError, DepthInput};
-use super::error::ExtractError;
-use super::phone_rows::PhoneRows;
-use super::time::BoardNanos;
+use crate::depth::{DepthError, DepthInput};
+use crate::error::ExtractError;
+use crate::inputs::board_data::{BoardEvent, BoardStream};
+use crate::inputs::phone_rows::PhoneRows;
+use crate::time::BoardNanos;
 use twist_sync::{
     GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
     estimate_course,
@@ -153,7 +153,7 @@ pub(crate) fn camera<'a>(input: &DepthInput) -> Result<GyroStream<'a, StreamErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::survey::survey;
+    use crate::inputs::survey::survey;
     use board::imu::Sample;
     use protocol::{ImuFlags, Ticks};
 

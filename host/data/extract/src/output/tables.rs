@@ -6,11 +6,11 @@ use std::path::Path;
 use recording::profile::Direction;
 use serde::Serialize;
 
-use super::depth::DepthIndex;
-use super::depth_clock::{DepthMatch, FrameState, PulseTime};
-use super::image::WholeFile;
-use super::pairs::{Pair, nearest};
-use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
+use crate::depth::DepthIndex;
+use crate::depth::depth_clock::{DepthMatch, FrameState, PulseTime};
+use crate::frames::pairs::{Pair, nearest};
+use crate::output::image::WholeFile;
+use crate::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
 
 /// A frame of the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,7 +10,7 @@ use base64::engine::general_purpose::STANDARD;
 use image::imageops::{FilterType, resize};
 use image::{GrayImage, ImageFormat, ImageResult, Luma};
 
-use super::layout::SequenceTables;
+use crate::layout::SequenceTables;
 
 /// The strip's file in the output folder.
 pub const FILE: &str = "sample_pairs.svg";
