@@ -4,6 +4,9 @@
 //! that of the grid.
 
 use anyhow::{Context, Result, bail};
+use clock::rates::Course;
+use clock::train::frame_period;
+use clock::twists::Twists;
 use clock::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use jiff::Timestamp;
 use protocol::mpu9150::ADDRESS;
@@ -23,9 +26,6 @@ use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
 use session::alignment::{plan, skew_prior, stated_sigma_us_at};
 use session::learn::{Frames, Origin, learnt};
-use session::rates::Course;
-use session::train::frame_period;
-use session::twists::Twists;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model_bench::Bench;
 use stm32f4_sim::shared::lock;

@@ -6,6 +6,7 @@
 //! phone's frames.
 
 use anyhow::{Context as _, Result};
+use clock::twists::Twists;
 use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
 use protocol::Ticks;
@@ -18,7 +19,6 @@ use rig::random::{Random, Seed, Stream, log_uniform};
 use rig::wiring::UNITS_PER_TICK;
 use session::alignment::{phase_sigma_us_at, plan};
 use session::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
-use session::twists::Twists;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 

@@ -14,6 +14,7 @@ use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, write_file};
 use crate::recordings::{self, RecordingArg};
 use crate::rig_profile::ProfileArg;
+use clock::train::frame_period;
 use phone::rows::RowError;
 use phone::{frame_timestamps, video_files};
 use recording::camera::{DEFAULT_CAMERA, Model};
@@ -22,7 +23,6 @@ use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 use report::summary::facts_text;
 use session::learn;
-use session::train::frame_period;
 
 /// Options of `profile`.
 #[derive(Debug, clap::Args)]

@@ -16,8 +16,8 @@ use crate::profile::{Phone, Profile};
 use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
-use clock::ClockModel;
-use clock::PhoneNanos;
+use clock::rates::RateChange;
+use clock::{ClockModel, PhoneNanos};
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 2;
@@ -304,19 +304,6 @@ impl Alignment {
             false => ErrorPart::Clocks,
         }
     }
-}
-
-/// How the skew of two clocks changes while a rig warms up, as far as it is known.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct RateChange {
-    /// Change of the skew at the relation's reference, 1/s; it dies away.
-    pub per_s: f64,
-    /// Variance of it, 1/s².
-    pub variance: f64,
-    /// Covariance with the offset.
-    pub with_offset: f64,
-    /// Covariance with the skew, 1/s.
-    pub with_skew: f64,
 }
 
 /// Where a frame period comes from.

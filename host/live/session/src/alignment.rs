@@ -19,13 +19,13 @@
 //! both are taken from the profile once they have been learnt. A frame period in the
 //! phone's time stays, unless it follows the exposure; a skew ages, and moves with the
 //! temperature ([`aged`]) and while the rig warms up: twists at a distance before the
-//! recording know today's ([`crate::twists`]).
+//! recording know today's ([`clock::twists`]).
 
 use jiff::Timestamp;
 use protocol::TICK_HZ;
 
-use crate::rates::{CONSISTENT_SIGMAS, Course, Rate, warming_share};
-use crate::twists::KnownSkew;
+use clock::rates::{CONSISTENT_SIGMAS, Course, Rate, warming_share};
+use clock::twists::KnownSkew;
 use clock::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};

@@ -10,8 +10,9 @@ use std::sync::Arc;
 use board::finding::{Finding, Severity};
 use board::imu::{Sample, Scale};
 use clock::ClockModel;
+use clock::rates::RateChange;
 use protocol::{DeviceToHost, ResetCause, Ticks};
-use recording::session_file::{Alignment, Placement, RateChange, SessionOutcome, Video};
+use recording::session_file::{Alignment, Placement, SessionOutcome, Video};
 use serde::{Serialize, Serializer};
 
 use crate::devices::RecorderEnd;

@@ -1,5 +1,5 @@
 //! What a recording teaches about the phone's clocks: the distance of its
-//! frames in its own time ([`crate::train`]), and the rate of its clock against the
+//! frames in its own time ([`clock::train`]), and the rate of its clock against the
 //! board's, from the session's twists or from an extraction. Both go into the rig
 //! profile.
 
@@ -111,7 +111,7 @@ pub fn into_profile(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::{FramePeriod, frame_period};
+    use clock::train::{FramePeriod, frame_period};
     use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
     use recording::profile::DEFAULT;
     use recording::session_file::Twist;

@@ -23,8 +23,7 @@
 //! - [`phones`], `videos`, `tracking`: the phones, their videos, the reference's clock.
 //! - `auxiliary`, `housekeeping`: auxiliary outputs; disk and depth recorder.
 //! - [`hardware`], [`recorder_process`]: devices on hardware.
-//! - [`alignment`], [`rates`], [`twists`], [`train`], [`steering`], [`learn`]: the
-//!   mathematics of the phone's frames and the trigger's grid.
+//! - [`alignment`], [`steering`], [`learn`]: the phone's frames and the trigger's grid.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
@@ -43,15 +42,12 @@ pub mod log;
 pub mod monitors;
 pub mod options;
 pub mod phones;
-pub mod rates;
 pub mod recorder_process;
 pub mod run;
 pub mod session;
 pub mod steering;
 pub mod steps;
 mod tracking;
-pub mod train;
 pub mod twist;
-pub mod twists;
 mod videos;
 pub mod watch;

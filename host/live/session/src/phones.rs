@@ -10,17 +10,17 @@
 use std::time::Duration;
 
 use clock::ClockModel;
+use clock::rates::RateChange;
 use phone::PhoneError;
 use phone::task::Pending;
 use protocol::Ticks;
 use recording::profile::{Phone as PhoneProfile, Profile};
-use recording::session_file::RateChange;
 
 use crate::devices::{Clock, Phone};
 use crate::error::{SessionError, Stop};
 use crate::event::PhoneName;
 use crate::options::seconds;
-use crate::rates::Course;
+use clock::rates::Course;
 
 /// The place of the phone to whose frames the trigger is aligned.
 pub(crate) const REFERENCE: usize = 0;

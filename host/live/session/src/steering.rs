@@ -192,7 +192,7 @@ fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u
 pub(crate) mod tests {
     use super::*;
     use crate::alignment::plan;
-    use crate::twists::Twists;
+    use clock::twists::Twists;
     use clock::{PhoneNanos, Wander};
     use recording::profile::Profile;
     use recording::session_file::Video;

@@ -21,9 +21,9 @@ use crate::log::Log;
 use crate::monitors::BoardGyro;
 use crate::options::Options;
 use crate::phones::{Phones, REFERENCE};
-use crate::rates::Course;
 use crate::session::Session;
-use crate::twists::{KnownSkew, Twists};
+use clock::rates::Course;
+use clock::twists::{KnownSkew, Twists};
 
 /// How often a twist is tried when nobody is there to decide.
 const TRIES: usize = 3;

@@ -6,7 +6,10 @@
 //! other is [`ClockModel`].
 
 mod model;
+pub mod rates;
 mod tracks;
+pub mod train;
+pub mod twists;
 
 pub use model::ClockModel;
 pub use tracks::{board_track, phone_track};

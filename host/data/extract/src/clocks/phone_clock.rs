@@ -14,7 +14,7 @@ use crate::output::tables::ColorFrame;
 use crate::report::ClockReport;
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockModel;
-use session::train::frame_period;
+use clock::train::frame_period;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 

@@ -1,9 +1,9 @@
 use jiff::civil::date;
 
 use super::*;
-use crate::twists::Twists;
 use clock::PhoneNanos;
-use recording::session_file::RateChange;
+use clock::rates::RateChange;
+use clock::twists::Twists;
 
 /// Of a rig whose constants are known exactly.
 fn profile() -> Profile {

@@ -1,6 +1,6 @@
 //! The sentence of an event, as the recording's log and `session.json` keep it.
 
-use crate::rates::PLANNED_S;
+use clock::rates::PLANNED_S;
 use std::fmt::{self, Display, Formatter};
 
 use board::reset_cause;

@@ -7,10 +7,10 @@
 //! with its own Kalman filter ([`Course`]) and weighed by how well it foretold what came.
 //! Together they are one [`Course`] of their mean and covariance.
 
-use clock::{BoardSeconds, ClockModel};
 use twist_sync::tracker::WARMING_S;
 
 use crate::rates::{Course, Fit, Rate};
+use crate::{BoardSeconds, ClockModel};
 
 /// What the skew changes by in the first ten minutes, 1-sigma: still, some, much; equally
 /// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
@@ -106,8 +106,8 @@ impl Twists {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Wander;
     use crate::rates::PLANNED_S;
-    use clock::Wander;
 
     /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
     /// dying away within `fades` seconds.

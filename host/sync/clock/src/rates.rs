@@ -17,10 +17,11 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
-use clock::{BoardSeconds, ClockModel, Wander};
-use recording::session_file::RateChange;
+use serde::{Deserialize, Serialize};
 use twist_sync::mixture::{Supposed, mixed};
 use twist_sync::tracker::WARMING_S;
+
+use crate::{BoardSeconds, ClockModel, Wander};
 
 /// 1-sigma of the logarithm of [`WARMING_S`]: a factor of two.
 const WARMING_FACTOR_LN: f64 = std::f64::consts::LN_2;
@@ -54,10 +55,11 @@ fn of_longer_warming(t: f64) -> Vector3<f64> {
 }
 
 /// How far a value may be from what was known of it before, in sigmas of both.
-pub(crate) const CONSISTENT_SIGMAS: f64 = 5.0;
+pub const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// What `since_s` seconds of warming are of that in the first ten minutes.
-pub(crate) fn warming_share(since_s: f64) -> f64 {
+#[must_use]
+pub fn warming_share(since_s: f64) -> f64 {
     of_skew(since_s) / of_skew(TEN_MINUTES_S)
 }
 
@@ -91,6 +93,19 @@ impl Fit {
     pub(crate) fn is_consistent(&self) -> bool {
         self.distance <= CONSISTENT_SIGMAS * CONSISTENT_SIGMAS
     }
+}
+
+/// How the skew of two clocks changes while a rig warms up, as far as it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RateChange {
+    /// Change of the skew at the relation's reference, 1/s; it dies away.
+    pub per_s: f64,
+    /// Variance of it, 1/s².
+    pub variance: f64,
+    /// Covariance with the offset.
+    pub with_offset: f64,
+    /// Covariance with the skew, 1/s.
+    pub with_skew: f64,
 }
 
 /// The relation of the clocks at the last twist, and how its skew changes.
@@ -209,7 +224,8 @@ impl Course {
     /// How far the offset at a board time is from where the mean rate from another time on
     /// would have it ([`Self::rate_from`]), s: a train of even pulses does not follow a rate
     /// that changes.
-    pub(crate) fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
+    #[must_use]
+    pub fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
         let base = self.clock.offset;
         let (start, _) = self.predicted(from, base);
         let (then, _) = self.predicted(at, base);

@@ -6,8 +6,9 @@
 //! with a 1-sigma of `σ·√12 / N^1.5` intervals: 1 µs of jitter over 5 min is
 //! 0.004 ns a frame. Both `profile learn` and `extract` take the period from here.
 
-use clock::PhoneNanos;
 use twist_sync::robust::Line;
+
+use crate::PhoneNanos;
 
 /// The least number of frames.
 const MIN_FRAMES: usize = 300;
