@@ -262,7 +262,7 @@ impl Truth {
         Ok(Verdict {
             others: self.judge_others(&session, span)?,
             twist: self.judge_twist(&self.phone, &twist),
-            offset_start: self.error_of(&self.phone, &alignment.clock, span.from),
+            offset_start: self.error_of(&self.phone, &alignment.plan.clock, span.from),
             offset_end: self.error_of(&self.phone, &clock, span.to),
             phase,
             phases,

@@ -24,7 +24,7 @@ use rig::random::{Seed, Stream};
 use rig::whole_rig::config::{RigConfig, RigParts};
 use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
-use session::alignment::{plan, skew_prior, stated_sigma_us_at};
+use session::alignment::{plan, skew_prior};
 use session::learn::{Frames, Origin, learnt};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model_bench::Bench;
@@ -388,12 +388,12 @@ impl Rig {
         let arrived = self.middle(&frames, first)?;
         let at = self.board().board_at(arrived);
         let at = BoardSeconds(at.as_secs_f64());
-        let stated = alignment.clock.offset_at(at);
+        let stated = alignment.plan.clock.offset_at(at);
         let (offset, skew) = self.truth(at);
-        let relation = alignment.clock;
+        let relation = alignment.plan.clock;
         Ok(Judged {
             phase_us: start,
-            phase_sigma_us: stated_sigma_us_at(&alignment, at),
+            phase_sigma_us: alignment.stated_sigma_us_at(at),
             drift_us_per_min: (five - start) / 5.0,
             drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
             offset_us: (stated.value - offset) * 1e6,
@@ -413,11 +413,11 @@ impl Rig {
     fn phase_us(&self, alignment: &Alignment, frames: &FrameTimes, frame: usize) -> Result<f64> {
         let middle = self.middle(frames, frame)?;
         let tick = self.board().board_at(middle).units() / UNITS_PER_TICK;
-        let period = u128::from(alignment.period_q32);
+        let period = u128::from(alignment.plan.period_q32);
         let lead = (alignment.center_offset_us * 1e-6 * f64::from(TICK_HZ)) as u64;
-        let since = u128::from(tick.saturating_sub(alignment.anchor.0 + lead)) << 32;
+        let since = u128::from(tick.saturating_sub(alignment.plan.anchor.0 + lead)) << 32;
         let nearest = (since + period / 2) / period;
-        let edge = alignment.anchor.0 + u64::try_from((nearest * period) >> 32)?;
+        let edge = alignment.plan.anchor.0 + u64::try_from((nearest * period) >> 32)?;
         let edge = self
             .board()
             .true_at(SimTime::from_units(edge * UNITS_PER_TICK));

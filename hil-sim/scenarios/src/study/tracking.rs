@@ -6,6 +6,7 @@
 //! phone's frames.
 
 use anyhow::{Context as _, Result};
+use clock::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
 use clock::twists::Twists;
 use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
@@ -17,8 +18,7 @@ use rig::clocks::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
 use rig::model_ranges::{WANDER_PPM, WARMING_PPM, WARMING_S};
 use rig::random::{Random, Seed, Stream, log_uniform};
 use rig::wiring::UNITS_PER_TICK;
-use session::alignment::{phase_sigma_us_at, plan};
-use session::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
+use session::alignment::plan;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
@@ -333,7 +333,7 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
     let clocks = Clocks::drawn(seed, &mut random, end + 60.0, place);
     let twist = twist(&clocks, begin + TO_TWIST_S, &mut random);
     let (alignment, frames) = align(&clocks, twist, video_at, &mut random)?;
-    let mut steering = Steering::new(&alignment, 1);
+    let mut steering = Steering::new(&alignment.plan, 1);
     let ticks = |at: f64| BoardSeconds(read(&clocks.board, at)).ticks();
     let mut result = Session {
         looks: Vec::new(),
@@ -346,7 +346,7 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
                 let edge = steering.edge_from(ticks(at));
                 result.looks.push(Look {
                     error_us: frames.error_us(&clocks, edge)?,
-                    sigma_us: phase_sigma_us_at(&alignment, ticks(at).into()),
+                    sigma_us: alignment.plan.phase_sigma_us_at(ticks(at).into()),
                 });
                 at += JUDGED_EVERY_S;
             }

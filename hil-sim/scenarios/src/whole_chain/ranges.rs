@@ -6,7 +6,6 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use clock::BoardSeconds;
-use session::alignment::phase_sigma_us_at;
 
 use super::{Plan, evaluation, extraction, record};
 use crate::programs::Programs;
@@ -53,7 +52,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
         figure(
             "phase at the start (µs)",
             phase.start_us,
-            Some(phase_sigma_us_at(alignment, start).hypot(2.0 * of_mean)),
+            Some(alignment.plan.phase_sigma_us_at(start).hypot(2.0 * of_mean)),
         ),
         figure(
             "drift (µs/min)",

@@ -7,7 +7,6 @@ use crate::whole_chain::programs;
 use protocol::Ticks;
 use scenarios::programs::ask;
 use scenarios::whole_chain::{self, Plan, Recorded, evaluation};
-use session::alignment::phase_sigma_us_at;
 use stm32f4_sim::time::SimDuration;
 
 /// Twists before the recording that is measured, and before the next one, whose skew is learnt.
@@ -21,7 +20,7 @@ const LEARNT_TWISTS: u32 = 4;
 /// 1-sigma of the phase at a tick, as the recording's session states it, µs.
 fn phase_sigma_us(recorded: &Recorded, at: Ticks) -> f64 {
     let alignment = recorded.session.alignment.as_ref().unwrap();
-    phase_sigma_us_at(alignment, at.into())
+    alignment.plan.phase_sigma_us_at(at.into())
 }
 
 /// One twist knows the skew of the clocks to 1 to 3 ppm, which is 10 to 30 µs within a

@@ -241,7 +241,7 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
     let session = SessionFile::load(&folder).unwrap();
     let tracking = session.tracking.unwrap();
     let alignment = session.alignment.unwrap();
-    let (mut exchanges, mut periods) = ([0, 0], vec![alignment.period_q32 as f64]);
+    let (mut exchanges, mut periods) = ([0, 0], vec![alignment.plan.period_q32 as f64]);
     for entry in Reader::open(&folder).unwrap() {
         match entry.unwrap().item {
             Item::Exchange(exchange) => {

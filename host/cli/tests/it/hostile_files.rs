@@ -171,9 +171,9 @@ fn numbers_beyond_all_reason_are_left_out_of_a_report() {
     writer.finish().unwrap();
     let mut session = synthetic::session();
     if let Some(alignment) = &mut session.alignment {
-        alignment.clock.covariance = [[1e308, 0.0], [0.0, 1e308]];
-        alignment.frame_period_ns = 1e-300;
-        session.phones[0].clock = Some(alignment.clock);
+        alignment.plan.clock.covariance = [[1e308, 0.0], [0.0, 1e308]];
+        alignment.plan.frames.period_ns = 1e-300;
+        session.phones[0].clock = Some(alignment.plan.clock);
     }
     session.save(&folder).unwrap();
     let output = limited(&["verify", utf8(&folder)]);

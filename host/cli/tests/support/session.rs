@@ -1,9 +1,11 @@
 //! The session file of a recording that went well, of a rig that is not there.
 
+use clock::alignment::GridPlan;
+use clock::frames::{FramePeriodSource, Frames};
 use clock::{BoardSeconds, ClockModel, Wander};
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::profile::Profile;
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
+use recording::session_file::{Alignment, SessionFile, SessionOutcome, Span};
 
 /// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
 /// 0.1 ppm.
@@ -31,11 +33,17 @@ pub(crate) fn session(
         middle_row_us: 5_503.0,
         center_offset_us: 6_362.5,
         constant_sigma_us: Some(100.0),
-        frame_period_ns,
-        frame_period_source: FramePeriodSource::VideoStart,
-        clock,
-        anchor,
-        period_q32: period.0,
+        plan: GridPlan {
+            frames: Frames {
+                period_ns: frame_period_ns,
+                source: FramePeriodSource::VideoStart,
+                ..Frames::default()
+            },
+            clock,
+            anchor,
+            period_q32: period.0,
+            ..GridPlan::default()
+        },
         phase_sigma_us: 3.0,
         drift_sigma_us_per_min: 10.0,
         arrival_pulse: Some(0),

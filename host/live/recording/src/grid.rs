@@ -1,27 +1,17 @@
 //! The grid that the trigger's pulses are on.
 
+pub use clock::steering::Grid;
 use protocol::{Period, TickDelta, Ticks};
 
 use super::messages::TriggerPeriod;
 use super::session_file::Alignment;
 
-/// A grid of edges.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Grid {
-    /// One edge.
-    pub anchor: Ticks,
-    /// Its fraction, in 2⁻³² ticks.
-    pub fraction: u32,
-    /// Distance of edges.
-    pub period: Period,
-}
-
 impl From<&Alignment> for Grid {
     fn from(alignment: &Alignment) -> Self {
         Self {
-            anchor: alignment.anchor,
+            anchor: alignment.plan.anchor,
             fraction: 0,
-            period: Period(alignment.period_q32),
+            period: Period(alignment.plan.period_q32),
         }
     }
 }

@@ -4,7 +4,6 @@
 //! It is written again at every step (to a temporary file that then replaces it),
 //! so a kill leaves the state of the last step, without an outcome.
 
-use std::fmt::{self, Display, Formatter};
 use std::path::{Component, Path, PathBuf};
 
 use protocol::{ImuSetup, Ticks};
@@ -16,8 +15,8 @@ use crate::profile::{Phone, Profile};
 use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
-use clock::rates::RateChange;
-use clock::{ClockModel, PhoneNanos};
+use clock::alignment::{GridPlan, Placement};
+use clock::{BoardSeconds, ClockModel, PhoneNanos};
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 2;
@@ -127,36 +126,6 @@ pub struct PhoneRecord {
     pub placement: Option<Placement>,
 }
 
-/// Where the frames of a phone lie against the trigger's grid, which follows
-/// another phone. As predicted from clocks and frame period; an extraction
-/// measures it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Placement {
-    /// Middle of exposure of the middle row minus that of the nearest depth image,
-    /// at the phone's first frame, µs; within half a period of the grid.
-    pub offset_us: f64,
-    /// 1-sigma of it, µs, without the constants'.
-    pub offset_sigma_us: f64,
-    /// How it changes, µs/min: the two phones' frame periods differ.
-    pub drift_us_per_min: f64,
-    /// 1-sigma of it, µs/min.
-    pub drift_sigma_us_per_min: f64,
-}
-
-impl Display for Placement {
-    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "its frames are {:+.1} ± {:.1} µs from the depth images, moving by {:+.1} ± {:.1} \
-             µs/min (1-sigma); they cannot be shifted",
-            self.offset_us,
-            self.offset_sigma_us,
-            self.drift_us_per_min,
-            self.drift_sigma_us_per_min
-        )
-    }
-}
-
 /// One twist.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Twist {
@@ -250,25 +219,9 @@ pub struct Alignment {
     /// Whether that is of a measured bias, and not of what was assumed.
     #[serde(default)]
     pub bias_is_measured: bool,
-    /// Distance of phone frames in the phone's time, ns.
-    pub frame_period_ns: f64,
-    /// 1-sigma of it, ns, where it is known.
-    pub frame_period_sigma_ns: Option<f64>,
-    /// 1-sigma of the timestamps of frames that was assumed, ns.
-    pub frame_jitter_ns: Option<f64>,
-    /// Where the frame period comes from: `learnt` or `video_start`.
-    pub frame_period_source: FramePeriodSource,
-    /// The relation of the clocks that was used.
-    pub clock: ClockModel,
-    /// How its skew changes, from its reference on.
-    #[serde(default)]
-    pub change: RateChange,
-    /// Temperature of the board's IMU at the last twist, °C.
-    pub board_temperature_c: Option<f64>,
-    /// An edge of the grid.
-    pub anchor: Ticks,
-    /// Period of the grid in 2⁻³² ticks.
-    pub period_q32: u64,
+    /// The grid.
+    #[serde(flatten)]
+    pub plan: GridPlan,
     /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, with the
     /// constant's where there is one.
     pub phase_sigma_us: f64,
@@ -289,6 +242,14 @@ impl Alignment {
         together(total, Some(self.largest_part(total)))
     }
 
+    /// Predicted 1-sigma of the phase at a board time, µs, with that of the rig's constants, which no
+    /// twist reduces.
+    #[must_use]
+    pub fn stated_sigma_us_at(&self, at: BoardSeconds) -> f64 {
+        let constant_us = self.constant_sigma_us.unwrap_or_default();
+        self.plan.phase_sigma_us_at(at).hypot(constant_us)
+    }
+
     /// Tells whether the cameras are known to expose together, and not only believed to.
     #[must_use]
     pub fn is_sure(&self) -> bool {
@@ -304,17 +265,6 @@ impl Alignment {
             false => ErrorPart::Clocks,
         }
     }
-}
-
-/// Where a frame period comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FramePeriodSource {
-    /// From the profile.
-    #[default]
-    Learnt,
-    /// From the answer to `video_start`.
-    VideoStart,
 }
 
 /// A marker of the user.

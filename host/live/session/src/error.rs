@@ -11,9 +11,9 @@ use protocol::{ResetCause, Ticks, TrainState};
 use recording::RecordingError;
 use recording::profile::ProfileError;
 
-use crate::alignment::AlignmentError;
 use crate::checks::Fault;
 use crate::devices::RecorderError;
+use clock::alignment::AlignmentError;
 
 /// Why a session, or a step of it, failed. What to do about it is the program's to say.
 #[derive(Debug, thiserror::Error)]

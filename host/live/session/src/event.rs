@@ -10,9 +10,10 @@ use std::sync::Arc;
 use board::finding::{Finding, Severity};
 use board::imu::{Sample, Scale};
 use clock::ClockModel;
+use clock::alignment::Placement;
 use clock::rates::RateChange;
 use protocol::{DeviceToHost, ResetCause, Ticks};
-use recording::session_file::{Alignment, Placement, SessionOutcome, Video};
+use recording::session_file::{Alignment, SessionOutcome, Video};
 use serde::{Serialize, Serializer};
 
 use crate::devices::RecorderEnd;

@@ -23,7 +23,8 @@
 //! - [`phones`], `videos`, `tracking`: the phones, their videos, the reference's clock.
 //! - `auxiliary`, `housekeeping`: auxiliary outputs; disk and depth recorder.
 //! - [`hardware`], [`recorder_process`]: devices on hardware.
-//! - [`alignment`], [`steering`], [`learn`]: the phone's frames and the trigger's grid.
+//! - [`alignment`], [`learn`]: what the mathematics of [`clock`] takes from the profile, and what
+//!   a recording adds to it.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
@@ -45,7 +46,6 @@ pub mod phones;
 pub mod recorder_process;
 pub mod run;
 pub mod session;
-pub mod steering;
 pub mod steps;
 mod tracking;
 pub mod twist;

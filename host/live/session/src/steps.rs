@@ -4,11 +4,11 @@ use board::imu::{ImuLook, Scale};
 use clock::ClockModel;
 use protocol::{
     AlignPlan, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks, TrainState,
-    TriggerAlign, TriggerStart, TriggerStatus,
+    TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 
-use crate::alignment::{phase_sigma_us_now, plan, stated_sigma_us_at};
+use crate::alignment::plan;
 use crate::auxiliary;
 use crate::checks::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::devices::Wish;
@@ -158,21 +158,13 @@ fn align(session: &mut Session<'_>, clock: &ClockModel, video: &Video) -> Result
             .log
             .report(SessionEvent::AlignmentRemark { remark })?;
     }
-    let alignment = planned.alignment;
-    let align = TriggerAlign {
-        anchor: alignment.anchor,
-        anchor_fraction: 0,
-        period: Period(alignment.period_q32),
-        slew: session.profile.slew(),
-    };
-    let plan = session.call(|board| board.align(Output::Camera, align))?;
-    let alignment = Alignment {
-        arrival_pulse: Some(plan.arrival_pulse),
-        arrival: Some(plan.arrival),
-        phase_sigma_us: stated_sigma_us_at(&alignment, plan.arrival.into()),
-        board_temperature_c: twist_temperature(&session.log.phone(REFERENCE).twists),
-        ..alignment
-    };
+    let plan = session.call(|board| board.align(Output::Camera, planned.command))?;
+    let mut alignment = planned.alignment;
+    alignment.arrival_pulse = Some(plan.arrival_pulse);
+    alignment.arrival = Some(plan.arrival);
+    alignment.phase_sigma_us = alignment.stated_sigma_us_at(plan.arrival.into());
+    let twists = &session.log.phone(REFERENCE).twists;
+    alignment.plan.board_temperature_c = twist_temperature(twists);
     session.log.file.alignment = Some(alignment);
     session.log.save()?;
     session.log.report(SessionEvent::Aligning {
@@ -239,20 +231,16 @@ fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(
 
 /// Records, until the time is up or somebody stops it.
 fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
-    let period = Period(alignment.period_q32);
+    let grid = Grid::from(alignment);
     let settled = alignment.arrival.map(|arrival| {
-        let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
+        let wait = u64::from(grid.period.ticks()) * SETTLING_PERIODS;
         Ticks(arrival.0.saturating_add(wait))
     });
     let settled = settled.unwrap_or_default();
     session.pump_until(|session| (session.now() >= settled).then_some(()))?;
     // What is counted lies in the span.
     let from = session.now();
-    session.begin_recording(Grid {
-        anchor: alignment.anchor,
-        fraction: 0,
-        period,
-    });
+    session.begin_recording(grid);
     session.log.save()?;
     let end = options.duration.map(|ticks| from.0.saturating_add(ticks));
     session.log.report(SessionEvent::RecordingStarted {
@@ -344,8 +332,12 @@ fn is_twist_due(session: &Session<'_>) -> bool {
     };
     let tracked = session.tracking.as_ref().and_then(|t| t.sigma_us());
     let temperature = session.monitors.temperature;
-    let sigma_us =
-        tracked.unwrap_or_else(|| phase_sigma_us_now(alignment, session.now().into(), temperature));
+    let untracked = || {
+        alignment
+            .plan
+            .phase_sigma_us_now(session.now().into(), temperature)
+    };
+    let sigma_us = tracked.unwrap_or_else(untracked);
     sigma_us > session.profile.align.max_offset_sigma_us
 }
 

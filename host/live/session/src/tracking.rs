@@ -3,7 +3,7 @@
 //! A program on the phone ([`PhoneClock`]) and the board are asked for their time many times
 //! a second. Their answers go into the recording and to the tracker
 //! ([`twist_sync::tracker`]), which has the clocks' offset from the twist and follows its
-//! change. While the recording runs, the trigger's period follows ([`crate::steering`]).
+//! change. While the recording runs, the trigger's period follows ([`clock::steering`]).
 //!
 //! Where the phone's clock cannot be read any more, the period stays as it is, as in a
 //! session without tracking. That is reported, and stands in the recording's log.
@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use board::BoardError;
 use clock::ClockModel;
+use clock::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use protocol::{Period, Ticks};
 use recording::messages::{ClockExchange, Header};
 use recording::session_file::TrackInfo;
@@ -23,7 +24,6 @@ use crate::event::{SessionEvent, Tracked};
 use crate::link::BoardLink;
 use crate::log::Log;
 use crate::options::Track;
-use crate::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use crate::watch::Watch;
 
 /// The board is asked so often.
@@ -291,7 +291,7 @@ impl Tracking {
         };
         let ratio = log.file.profile.frame_ratio();
         self.following = Some(Following {
-            steering: Steering::new(alignment, ratio),
+            steering: Steering::new(&alignment.plan, ratio),
             stepped: now,
             is_lost: false,
             unanswered: None,
@@ -374,14 +374,34 @@ fn report_lock(log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::steering::tests::{alignment, clock};
-    use clock::BoardSeconds;
+    use clock::alignment::{GridPlan, Target};
+    use clock::frames::Frames;
+    use clock::twists::Twists;
+    use clock::{BoardSeconds, PhoneSeconds, Wander};
+
+    fn clock(skew: f64) -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 5.0,
+            skew,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander::default(),
+        }
+    }
 
     #[test]
     fn a_step_without_an_answer_is_asked_for_again_before_any_other() {
         let clock = clock(1e-5);
+        let frames = Frames::known(None, 1e9 / 30.0, Some(1_000.0), &mut Vec::new());
+        let target = Target {
+            middle: PhoneSeconds(106.006),
+            lead_s: 6_362.5e-6,
+            ratio: 1,
+            depth_fps: 30,
+        };
+        let plan = GridPlan::new(&Twists::of(clock).course(), frames, &target).unwrap();
         let mut following = Following {
-            steering: Steering::new(&alignment(&clock), 1),
+            steering: Steering::new(&plan, 1),
             stepped: Duration::ZERO,
             is_lost: false,
             unanswered: None,

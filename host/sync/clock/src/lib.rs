@@ -5,8 +5,11 @@
 //! uptime), far below one tick (20.8 ns). The only way from one clock to the
 //! other is [`ClockModel`].
 
+pub mod alignment;
+pub mod frames;
 mod model;
 pub mod rates;
+pub mod steering;
 mod tracks;
 pub mod train;
 pub mod twists;

@@ -55,7 +55,7 @@ fn of_longer_warming(t: f64) -> Vector3<f64> {
 }
 
 /// How far a value may be from what was known of it before, in sigmas of both.
-pub const CONSISTENT_SIGMAS: f64 = 5.0;
+pub(crate) const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// What `since_s` seconds of warming are of that in the first ten minutes.
 #[must_use]
@@ -224,8 +224,7 @@ impl Course {
     /// How far the offset at a board time is from where the mean rate from another time on
     /// would have it ([`Self::rate_from`]), s: a train of even pulses does not follow a rate
     /// that changes.
-    #[must_use]
-    pub fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
+    pub(crate) fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
         let base = self.clock.offset;
         let (start, _) = self.predicted(from, base);
         let (then, _) = self.predicted(at, base);

@@ -1,11 +1,10 @@
 //! What is shown of the state, at a moment.
 
+use clock::alignment::Placement;
 use clock::{BoardSeconds, ClockModel};
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::error_budget::{COARSE_US, ErrorPart};
-use recording::session_file::Placement;
 use serde::Serialize;
-use session::alignment::phase_sigma_us_now;
 use session::event::{Phase, Tracked};
 
 use super::State;
@@ -252,10 +251,10 @@ impl State {
         if alignment.arrival.is_none_or(|arrival| at < arrival) {
             return None;
         }
-        let off = Period(alignment.period_q32).phase_error(alignment.anchor, at);
+        let off = Period(alignment.plan.period_q32).phase_error(alignment.plan.anchor, at);
         let off_us = off.0 as f64 * 1e6 / f64::from(TICK_HZ);
         let now = BoardSeconds::from(self.now);
-        let untracked_us = || phase_sigma_us_now(alignment, now, self.temperature);
+        let untracked_us = || alignment.plan.phase_sigma_us_now(now, self.temperature);
         let tracked_us = self.tracked.map(|tracked| tracked.sigma_us);
         let constant_us = alignment.constant_sigma_us.unwrap_or_default();
         let sigma_us = tracked_us.unwrap_or_else(untracked_us).hypot(constant_us);

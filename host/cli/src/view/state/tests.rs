@@ -4,9 +4,10 @@ use super::rate::Rate;
 use super::*;
 use std::sync::Arc;
 
+use clock::alignment::{GridPlan, Placement};
+use clock::frames::Frames;
 use clock::{BoardSeconds, ClockModel, Wander};
 use protocol::Period;
-use recording::session_file::Placement;
 use session::error::SessionError;
 use session::event::{PhoneName, Step};
 
@@ -50,10 +51,16 @@ fn clock_since(reference: f64) -> ClockModel {
 fn aligned(clock: ClockModel, seconds: f64) -> Alignment {
     let anchor = BoardSeconds(seconds).ticks();
     Alignment {
-        frame_period_ns: 1e9 / 30.0,
-        clock,
-        anchor,
-        period_q32: Period::from_ticks(1_600_000).0,
+        plan: GridPlan {
+            frames: Frames {
+                period_ns: 1e9 / 30.0,
+                ..Frames::default()
+            },
+            clock,
+            anchor,
+            period_q32: Period::from_ticks(1_600_000).0,
+            ..GridPlan::default()
+        },
         phase_sigma_us: 3.0,
         drift_sigma_us_per_min: 1.0,
         arrival_pulse: Some(100),
@@ -214,7 +221,7 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
     assert_eq!((now.offset_s, now.age_s), (94_000.25, 0.0));
 
     let alignment = aligned(clock, 20.0);
-    let anchor = alignment.anchor;
+    let anchor = alignment.plan.anchor;
     state.take(&at(
         19.0,
         SessionEvent::Aligning {

@@ -15,7 +15,6 @@ use recording::folder::{bytes_of, depth_recordings};
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, Span,
 };
-use session::alignment::drift_sigma_over;
 
 use super::{facts, seconds};
 use crate::summary::Summary;
@@ -227,11 +226,11 @@ fn alignment(session: &SessionFile) -> Finding {
     };
     // How well the cameras expose together is the first sentence of all.
     let span = session.recorded.unwrap_or(Span {
-        from: alignment.anchor,
-        to: alignment.anchor,
+        from: alignment.plan.anchor,
+        to: alignment.plan.anchor,
     });
     let length_s = seconds(span.from, span.to);
-    let drift = drift_sigma_over(&alignment, length_s);
+    let drift = alignment.plan.drift_sigma_over(length_s);
     let mut found = format!("drift ± {drift:.1} µs/min (1-sigma) over these {length_s:.0} s");
     let mut next = Vec::new();
     let mut verdict = match alignment.is_sure() {

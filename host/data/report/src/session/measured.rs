@@ -135,7 +135,7 @@ impl Frames {
             middles: middles.collect(),
             next: 0,
             center_s: (alignment.center_offset_us + alignment.bias_us) * 1e-6,
-            half_s: alignment.frame_period_ns * 0.5e-9,
+            half_s: alignment.plan.frames.period_ns * 0.5e-9,
         })
     }
 

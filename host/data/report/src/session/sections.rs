@@ -10,8 +10,7 @@ use crate::page::Page;
 use board::finding::Severity;
 use clock::BoardSeconds;
 use recording::error_budget::{ErrorPart, micros_text};
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, Span};
-use session::alignment::phase_sigma_us_at;
+use recording::session_file::{Alignment, SessionFile, Span};
 
 pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let Some(phone) = session.reference() else {
@@ -95,10 +94,11 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
             "phone's frame period",
             format!(
                 "{:.3} ns, {}",
-                alignment.frame_period_ns,
-                match alignment.frame_period_source {
-                    FramePeriodSource::Learnt => "learnt from earlier recordings",
-                    FramePeriodSource::VideoStart => "as the phone reported it at the start",
+                alignment.plan.frames.period_ns,
+                match alignment.plan.frames.source {
+                    clock::frames::FramePeriodSource::Learnt => "learnt from earlier recordings",
+                    clock::frames::FramePeriodSource::VideoStart =>
+                        "as the phone reported it at the start",
                 }
             ),
         ),
@@ -158,7 +158,7 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
 /// recording, with its 1-sigma.
 pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
     let (span, alignment) = (session.recorded?, session.alignment?);
-    let sigma_us = |at| phase_sigma_us_at(&alignment, at);
+    let sigma_us = |at| alignment.plan.phase_sigma_us_at(at);
     let band = times(span).map(|at| (at.0, -alignment.shift_us, sigma_us(at)));
     Some(("predicted, 1-sigma", Data::Band(band.collect())))
 }

@@ -23,7 +23,7 @@ impl Pulses {
             return Self::default();
         };
         let closed = session.outcome.and(session.recorded);
-        let from = alignment.arrival.unwrap_or(alignment.anchor);
+        let from = alignment.arrival.unwrap_or(alignment.plan.anchor);
         Self {
             grid: Some(FollowedGrid::new(Grid::from(&alignment))),
             held: Some((from, closed.map_or(Ticks(u64::MAX), |span| span.to))),

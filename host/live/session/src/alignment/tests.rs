@@ -1,9 +1,10 @@
 use jiff::civil::date;
 
 use super::*;
-use clock::PhoneNanos;
+use clock::frames::FramePeriodSource;
 use clock::rates::RateChange;
 use clock::twists::Twists;
+use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 
 /// Of a rig whose constants are known exactly.
 fn profile() -> Profile {
@@ -64,7 +65,7 @@ fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
     let planned = plan(&profile, &course(), &video()).unwrap();
     let alignment = planned.alignment;
     // Back from the edge to the phone's time: the same instant.
-    let middle_board = BoardSeconds(alignment.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
+    let middle_board = BoardSeconds(alignment.plan.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
     let middle_phone = clock().to_phone(middle_board).0;
     let wanted = 36_110.0 + (2_000.0 + 5_503.0) * 1e-6;
     assert!(
@@ -73,10 +74,10 @@ fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
     );
 
     // The period in board ticks: the phone's seconds are shorter than the board's.
-    let ticks = alignment.period_q32 as f64 / 4_294_967_296.0;
+    let ticks = alignment.plan.period_q32 as f64 / 4_294_967_296.0;
     let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
     assert!((ticks - expected).abs() < 1e-8);
-    assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
+    assert_eq!(alignment.plan.frames.source, FramePeriodSource::VideoStart);
     // 1 ppm of skew, 3.6 ppm of frame period.
     assert!((alignment.drift_sigma_us_per_min - 224.0).abs() < 1.0);
     assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 25.0).sqrt()).abs() < 0.05);
@@ -87,16 +88,16 @@ fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
 fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
     let profile = profile();
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
-    let anchor = alignment.anchor.as_secs_f64();
-    let at_anchor = phase_sigma_us_at(&alignment, BoardSeconds(anchor));
+    let anchor = alignment.plan.anchor.as_secs_f64();
+    let at_anchor = alignment.plan.phase_sigma_us_at(BoardSeconds(anchor));
     // A tick of the anchor is rounded.
     assert!((at_anchor - alignment.phase_sigma_us).abs() < 1e-6);
     // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
     // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
     let since = 160.0 - anchor;
-    let period_us = since * video_start_sigma_ns(FRAME_JITTER_NS) / 33_330_652.542 * 1e6;
+    let period_us = since * (2.0_f64.sqrt() * 5_000.0 / 59.0) / 33_330_652.542 * 1e6;
     let expected = (9.0 + 60.0_f64.powi(2) + 25.0 + period_us.powi(2)).sqrt();
-    let found = phase_sigma_us_at(&alignment, BoardSeconds(160.0));
+    let found = alignment.plan.phase_sigma_us_at(BoardSeconds(160.0));
     // The clocks' wander adds a little.
     assert!(
         (0.0..0.1).contains(&(found - expected)),
@@ -114,11 +115,11 @@ fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
     // Where the train arrives, seconds after the twist, it is nothing.
     assert!((warming.phase_sigma_us / steady.phase_sigma_us - 1.0).abs() < 0.01);
     let late = BoardSeconds(400.0);
-    let of = |alignment: &Alignment| phase_sigma_us_at(alignment, late);
+    let of = |alignment: &Alignment| alignment.plan.phase_sigma_us_at(late);
     assert!(of(&warming) > 1.02 * of(&steady));
     // 0.3 ppm a degree, on the average of 300 s.
-    warming.board_temperature_c = Some(25.0);
-    let at = |celsius| phase_sigma_us_now(&warming, late, celsius);
+    warming.plan.board_temperature_c = Some(25.0);
+    let at = |celsius| warming.plan.phase_sigma_us_now(late, celsius);
     assert_eq!((at(None), at(Some(25.0))), (of(&warming), of(&warming)));
     let expected = of(&warming).hypot(0.3 * 4.0 * 300.0 / 2.0);
     assert!((at(Some(29.0)) - expected).abs() < 1e-6);
@@ -136,7 +137,7 @@ fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
                 ..video()
             };
             let planned = plan(&profile, &course(), &video).unwrap();
-            let found = planned.alignment.frame_period_ns;
+            let found = planned.alignment.plan.frames.period_ns;
             assert!((found - true_ns).abs() < 3.0, "{odd}: {found}");
             let said = planned.remarks.iter().any(|text| text.contains(word));
             assert!(said, "{:?}", planned.remarks);
@@ -149,7 +150,7 @@ fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
         ..video()
     };
     let planned = plan(&profile, &course(), &video).unwrap();
-    assert_eq!(planned.alignment.frame_period_ns, 33_500_000.0);
+    assert_eq!(planned.alignment.plan.frames.period_ns, 33_500_000.0);
 }
 
 #[test]
@@ -202,16 +203,16 @@ fn a_learnt_period_is_used_unless_it_does_not_fit() {
     let mut profile = profile();
     profile.phone.learnt = Some(learnt());
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
-    assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
+    assert_eq!(alignment.plan.frames.source, FramePeriodSource::Learnt);
     // What the phone reports, known to 48 ns, counts for nothing beside it.
-    assert!((alignment.frame_period_ns - 33_330_650.0).abs() < 1e-5);
-    assert!((alignment.frame_period_sigma_ns.unwrap() - 0.02).abs() < 1e-6);
+    assert!((alignment.plan.frames.period_ns - 33_330_650.0).abs() < 1e-5);
+    assert!((alignment.plan.frames.sigma_ns.unwrap() - 0.02).abs() < 1e-6);
 
     let mut other = video();
     other.frame_duration_ns = 33_333_333.0;
     let planned = plan(&profile, &course(), &other).unwrap();
     assert_eq!(
-        planned.alignment.frame_period_source,
+        planned.alignment.plan.frames.source,
         FramePeriodSource::VideoStart
     );
     assert!(planned.remarks[0].contains("does not fit"));
@@ -229,7 +230,7 @@ fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase(
     };
     let source = |profile: &Profile| {
         let alignment = plan(profile, &course(), &far).unwrap().alignment;
-        alignment.frame_period_source
+        alignment.plan.frames.source
     };
     // 900 ns are 7 sigmas of 5 µs, and 2 of 20 µs.
     assert_eq!(source(&profile), FramePeriodSource::VideoStart);
@@ -239,13 +240,15 @@ fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase(
     let shaken = plan(&profile, &course(), &video()).unwrap().alignment;
     let expected = (steady.phase_sigma_us.powi(2) - 25.0 + 400.0).sqrt();
     assert!((shaken.phase_sigma_us - expected).abs() < 1e-6);
-    let again = phase_sigma_us_at(&shaken, BoardSeconds(shaken.anchor.as_secs_f64()));
+    let again = shaken
+        .plan
+        .phase_sigma_us_at(BoardSeconds(shaken.plan.anchor.as_secs_f64()));
     assert!((again - expected).abs() < 1e-6);
     // What `video_start` reports is known as badly.
     let mut file = shaken;
-    file.frame_period_sigma_ns = None;
-    let at = BoardSeconds(shaken.anchor.as_secs_f64() + 60.0);
-    let more = phase_sigma_us_at(&file, at).powi(2) - phase_sigma_us_at(&shaken, at).powi(2);
+    file.plan.frames.sigma_ns = None;
+    let at = BoardSeconds(shaken.plan.anchor.as_secs_f64() + 60.0);
+    let more = file.plan.phase_sigma_us_at(at).powi(2) - shaken.plan.phase_sigma_us_at(at).powi(2);
     let drift = 60e6 * std::f64::consts::SQRT_2 * 20_000.0 / 59.0 / 33_330_650.0;
     assert!((more.sqrt() / drift - 1.0).abs() < 1e-3, "{more} {drift}");
 }
@@ -265,8 +268,8 @@ fn a_period_learnt_with_another_exposure_is_weighed_with_the_reported_one() {
             ..video()
         };
         let planned = plan(profile, &course(), &video).unwrap();
-        let more = planned.alignment.frame_period_ns - learnt().frame_period_ns;
-        let sigma = planned.alignment.frame_period_sigma_ns.unwrap();
+        let more = planned.alignment.plan.frames.period_ns - learnt().frame_period_ns;
+        let sigma = planned.alignment.plan.frames.sigma_ns.unwrap();
         let said = planned
             .remarks
             .iter()
@@ -308,10 +311,8 @@ fn another_phone_is_placed_against_the_grid() {
     };
     for fps in [30, 5] {
         profile.depth.fps = fps;
-        let alignment = Alignment {
-            period_q32: alignment.period_q32 * u64::from(profile.frame_ratio()),
-            ..alignment
-        };
+        let mut alignment = alignment;
+        alignment.plan.period_q32 *= u64::from(profile.frame_ratio());
         let placed = placement(
             &profile,
             &profile.phone,
@@ -345,9 +346,12 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
             "{stated:?}"
         );
         // Another twist makes the rest smaller, so the rest says when one is due.
-        assert_eq!(phase_sigma_us_at(stated, at), phase_sigma_us_at(&exact, at));
-        let later = phase_sigma_us_at(&exact, at).hypot(constant_us);
-        assert!((stated_sigma_us_at(stated, at) - later).abs() < 1e-9);
+        assert_eq!(
+            stated.plan.phase_sigma_us_at(at),
+            exact.plan.phase_sigma_us_at(at)
+        );
+        let later = exact.plan.phase_sigma_us_at(at).hypot(constant_us);
+        assert!((stated.stated_sigma_us_at(at) - later).abs() < 1e-9);
         let placed = |profile: &Profile| {
             placement(profile, &profile.phone, &course(), &video(), stated).offset_sigma_us
         };
@@ -403,8 +407,8 @@ fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
     let fast = plan(&profile, &course(), &video()).unwrap().alignment;
     profile.depth.fps = 5;
     let slow = plan(&profile, &course(), &video()).unwrap().alignment;
-    assert_eq!(slow.anchor, fast.anchor);
-    assert!(slow.period_q32.abs_diff(6 * fast.period_q32) <= 4);
+    assert_eq!(slow.plan.anchor, fast.plan.anchor);
+    assert!(slow.plan.period_q32.abs_diff(6 * fast.plan.period_q32) <= 4);
 }
 
 #[test]

@@ -17,13 +17,11 @@
 //! What a frame's period is in the phone's time, nothing here learns: 1 ppb of it is 3.6 µs
 //! an hour.
 
-use clock::{BoardSeconds, ClockModel, PhoneSeconds};
 use protocol::{Period, TICK_HZ, Ticks};
 use twist_sync::tracker::{Asked, Tracker};
 
-use crate::alignment::frames_sigma_us;
-use recording::grid::Grid;
-use recording::session_file::Alignment;
+use crate::alignment::GridPlan;
+use crate::{BoardSeconds, ClockModel, PhoneSeconds};
 
 /// A phase is brought back within about so long, s.
 const CATCH_UP_S: f64 = 10.0;
@@ -73,10 +71,21 @@ const Q32: f64 = 4_294_967_296.0;
 /// Fraction bits of positions.
 const FRACTION_BITS: u32 = 32;
 
+/// A grid of edges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// One edge.
+    pub anchor: Ticks,
+    /// Its fraction, in 2⁻³² ticks.
+    pub fraction: u32,
+    /// Distance of edges.
+    pub period: Period,
+}
+
 /// The trigger's grid, and where the phone's frames are.
 #[derive(Clone, Debug)]
 pub struct Steering {
-    alignment: Alignment,
+    plan: GridPlan,
     /// Phone's time at the alignment's anchor.
     begin: PhoneSeconds,
     /// Phone's time from one wanted edge to the next, s.
@@ -89,14 +98,14 @@ pub struct Steering {
 impl Steering {
     /// From an alignment on; `ratio` phone frames to a depth frame.
     #[must_use]
-    pub fn new(alignment: &Alignment, ratio: u32) -> Self {
-        let anchor = alignment.anchor;
+    pub fn new(plan: &GridPlan, ratio: u32) -> Self {
+        let anchor = plan.anchor;
         Self {
-            alignment: *alignment,
-            begin: alignment.clock.to_phone(anchor.into()),
-            frame_s: alignment.frame_period_ns * 1e-9 * f64::from(ratio),
+            plan: *plan,
+            begin: plan.clock.to_phone(anchor.into()),
+            frame_s: plan.frames.period_ns * 1e-9 * f64::from(ratio),
             edge: (0, u128::from(anchor.0) << FRACTION_BITS),
-            period: Period(alignment.period_q32),
+            period: Period(plan.period_q32),
         }
     }
 
@@ -127,7 +136,7 @@ impl Steering {
     #[must_use]
     pub fn phase_sigma_us(&self, clock: &ClockModel, at: BoardSeconds) -> f64 {
         let offset_us = clock.offset_at(at).sigma * 1e6;
-        offset_us.hypot(frames_sigma_us(&self.alignment, at))
+        offset_us.hypot(self.plan.frames_sigma_us(at))
     }
 
     /// The period that is followed now.
@@ -141,7 +150,7 @@ impl Steering {
     #[must_use]
     pub fn wanted(&self, clock: &ClockModel, at: Ticks, since_s: f64) -> Option<Period> {
         let phase = self.phase_s(clock, at);
-        let aligned = self.alignment.period_q32 as f64;
+        let aligned = self.plan.period_q32 as f64;
         let ticks = self.frame_s / (1.0 + clock.skew) * f64::from(TICK_HZ);
         let wanted = ticks * Q32 * (1.0 - phase / CATCH_UP_S);
         let now = self.period.0 as f64;
@@ -189,13 +198,12 @@ fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-    use crate::alignment::plan;
-    use clock::twists::Twists;
-    use clock::{PhoneNanos, Wander};
-    use recording::profile::Profile;
-    use recording::session_file::Video;
+    use crate::Wander;
+    use crate::alignment::Target;
+    use crate::frames::Frames;
+    use crate::twists::Twists;
 
     /// The answer to a step may come late, or be that to its repetition.
     #[test]
@@ -217,8 +225,8 @@ pub(crate) mod tests {
     fn the_train_comes_back_onto_the_frames_from_either_side() {
         for sign in [1.0, -1.0] {
             let believed = clock(1e-5);
-            let mut steering = Steering::new(&alignment(&believed), 1);
-            let begin = steering.alignment.anchor;
+            let mut steering = Steering::new(&plan(&believed), 1);
+            let begin = steering.plan.anchor;
             let mut is = clock(1e-5 + sign * 2e-6);
             let at_begin = BoardSeconds::from(begin);
             is.offset += believed.to_phone(at_begin).0 - is.to_phone(at_begin).0 + sign * 30e-6;
@@ -239,7 +247,7 @@ pub(crate) mod tests {
         }
     }
 
-    pub(crate) fn clock(skew: f64) -> ClockModel {
+    fn clock(skew: f64) -> ClockModel {
         ClockModel {
             reference: BoardSeconds(100.0),
             offset: 5.0,
@@ -249,15 +257,14 @@ pub(crate) mod tests {
         }
     }
 
-    pub(crate) fn alignment(clock: &ClockModel) -> Alignment {
-        let video = Video {
-            phase: PhoneNanos(106_000_000_000),
-            frame_duration_ns: 1e9 / 30.0,
-            exposure_ns: Some(1_000_000),
-            boot_minus_frames_ns: 0,
+    fn plan(clock: &ClockModel) -> GridPlan {
+        let frames = Frames::known(None, 1e9 / 30.0, Some(1_000.0), &mut Vec::new());
+        let target = Target {
+            middle: PhoneSeconds(106.006),
+            lead_s: 6_362.5e-6,
+            ratio: 1,
+            depth_fps: 30,
         };
-        let profile = Profile::published().unwrap();
-        let course = Twists::of(*clock).course();
-        plan(&profile, &course, &video).unwrap().alignment
+        GridPlan::new(&Twists::of(*clock).course(), frames, &target).unwrap()
     }
 }
