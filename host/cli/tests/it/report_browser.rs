@@ -16,7 +16,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
     let parent = tempfile::tempdir().unwrap();
     let folder = make(parent.path(), Wrong::default());
     let mut session = SessionFile::load(&folder).unwrap();
-    let clock = session.alignment.unwrap().clock;
+    let clock = session.alignment.unwrap().plan.clock;
     session.phones[0].clock = Some(clock);
     session.phones[0].twists.push(Twist {
         phone_gyro: Some(String::from("twist_1_phone_gyro.csv")),
