@@ -12,7 +12,7 @@ use crate::whole_rig::WholeRig;
 use board::finding::Severity;
 use recording::reader::Reader;
 use recording::session_file::{SessionFile, SessionOutcome};
-use report::verify::verify;
+use recording::verify::verify;
 
 const PATIENCE: Duration = Duration::from_secs(90);
 

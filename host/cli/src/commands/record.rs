@@ -23,7 +23,7 @@ use phone::task::PhoneTask;
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
-use report::session::{files_to_fetch, has_recorded, summary};
+use report::session::{files_to_fetch, summary};
 use report::summary::{Summary, findings_text};
 use session::devices::{Phone, SystemClock};
 use session::hardware::{AdbClockStarter, SerialConnector};
@@ -182,7 +182,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     } = record(args, &profile, &place, context)?;
     let outcome = match result {
         // Nothing between begin and end is not what was asked for.
-        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!has_recorded(&file)),
+        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!file.has_recorded()),
         Ok(SessionOutcome::Loss) => ExitStatus::Loss,
         Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
         Ok(SessionOutcome::Failed) => ExitStatus::Error,
@@ -193,7 +193,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             return Err(error.into());
         }
     };
-    let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
+    let (learnt, not_learnt) = match to_teach.filter(|_| file.has_recorded()) {
         Some(profile) => match learn(profile, &folder, &file, None, None) {
             Ok(learnt) => {
                 learnt_now(&mut file, &folder)?;
@@ -310,7 +310,7 @@ fn next_commands(
     to_teach: (Option<&Path>, bool),
     place: &Place,
 ) -> Vec<String> {
-    if !has_recorded(session) {
+    if !session.has_recorded() {
         return Vec::new();
     }
     let missing = files_to_fetch(folder, session);

@@ -1,4 +1,4 @@
-//! `smartdepthsync verify`: is a recording whole; its report.
+//! `smartdepthsync verify`: checks that a recording is whole, and writes its report again.
 
 use std::path::{Path, PathBuf};
 
@@ -7,8 +7,10 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use board::finding::Severity;
 use recording::RecordingError;
+use recording::verify::{Verification, verify};
 use report::session::write_again;
-use report::verify::verify;
+use report::verification;
+use serde::Serialize;
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
 /// grid, times that go on. Its report is written again, into its folder.
@@ -22,6 +24,14 @@ pub(crate) struct Args {
     recording: RecordingArg,
 }
 
+#[derive(Serialize)]
+struct Verified {
+    #[serde(flatten)]
+    verification: Verification,
+    /// The page that was written again; nothing without `session.json`.
+    report: Option<PathBuf>,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -30,22 +40,25 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
     let verified = context.over_files(|| {
-        let mut verified = verify(&recording)?;
-        verified.report = write_report(recordings::folder_of(&recording), context);
-        Ok::<_, RecordingError>(verified)
+        let verification = verify(&recording)?;
+        let report = write_report(recordings::folder_of(&recording), context);
+        Ok::<_, RecordingError>(Verified {
+            verification,
+            report,
+        })
     })?;
     context.print_checks(&verified, || {
         let report = verified.report.iter();
         let report = report.map(|path| format!("report {}\n", path.display()));
-        verified.summary().text() + &report.collect::<String>()
+        verification::summary(&verified.verification).text() + &report.collect::<String>()
     })?;
-    Ok(match verified.severity {
+    Ok(match verified.verification.severity {
         Severity::Good => ExitStatus::Good,
         Severity::Check | Severity::Bad => ExitStatus::Loss,
     })
 }
 
-/// Writes the report of a recording that has a session; one that cannot be written is told.
+/// Writes the report of a recording that has a session, and warns if it cannot be written.
 fn write_report(folder: &Path, context: &Context) -> Option<PathBuf> {
     let written = write_again(folder);
     if let Err(error) = &written

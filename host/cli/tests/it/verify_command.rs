@@ -10,15 +10,15 @@ use protocol::ImuFlags;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use recording::reader::{Entry, Reader};
 use recording::session_file::{ImuInfo, SessionFile};
-use report::verify::{Report, verify};
+use recording::verify::{Verification, verify};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use crate::support::{imu_setup, json, run};
 
 const MCAP: &str = "recording.mcap";
 
-fn kinds(report: &Report) -> Vec<&str> {
-    let findings = report.findings.iter();
+fn kinds(verification: &Verification) -> Vec<&str> {
+    let findings = verification.findings.iter();
     findings.map(|finding| finding.kind.as_str()).collect()
 }
 

@@ -6,8 +6,7 @@
 //!
 //! - [`summary`] is the head of every report: what the terminal prints, and the page begins
 //!   with. [`page`] is the frame of the rest, [`chart`] draws into it.
-//! - [`session`], [`extraction`], [`evaluation`], [`board_test`]: a report each.
-//! - [`verify`] checks whether a recording is whole.
+//! - [`session`], [`verification`], [`extraction`], [`evaluation`], [`board_test`]: a report each.
 #![forbid(unsafe_code)]
 
 pub mod board_test;
@@ -17,7 +16,7 @@ pub mod extraction;
 pub mod page;
 pub mod session;
 pub mod summary;
-pub mod verify;
+pub mod verification;
 
 use std::io::{self, Write as _};
 use std::path::Path;

@@ -23,7 +23,7 @@ use board::finding::{Finding, Severity};
 use board::{StreamCount, reset_cause};
 use judgement::findings;
 pub(crate) use judgement::sentence;
-pub use judgement::{files_to_fetch, has_recorded, summary};
+pub use judgement::{files_to_fetch, summary};
 use recording::RecordingError;
 use recording::session_file::{PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;

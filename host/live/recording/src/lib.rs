@@ -24,6 +24,7 @@
 //! - [`bag`]: the one file of a recording or of another program's bag.
 //! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
+//! - [`verify`]: checks that a recording is complete and agrees with itself.
 //!
 //! The format is described in `docs/formats.md`.
 
@@ -44,6 +45,7 @@ pub mod rosbag2;
 mod scan;
 pub mod session_file;
 pub mod topic;
+pub mod verify;
 pub mod walk;
 pub mod writer;
 

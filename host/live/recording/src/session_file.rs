@@ -311,6 +311,13 @@ impl SessionFile {
         }
     }
 
+    /// Returns true if the recording holds anything between its begin and its end.
+    #[must_use]
+    pub fn has_recorded(&self) -> bool {
+        self.recorded
+            .is_some_and(|span| span.to > span.from || self.outcome.is_none())
+    }
+
     /// When the session began, if [`Self::started`] is a time.
     #[must_use]
     pub fn began(&self) -> Option<jiff::Timestamp> {

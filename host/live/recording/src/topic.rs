@@ -5,6 +5,8 @@
 //! Each fact is on one topic. The running number of a message is the board's own where the
 //! board numbers them, so that a gap shows what was lost anywhere on the way.
 
+use board::Stream;
+
 use super::messages::{
     Capture, CdrError, ClockExchange, ClockModel, DiagnosticArray, Imu, ImuFlags, LinkFrame, Log,
     Pulse, RosMessage as _, Temperature, TimeReference, TriggerPeriod, from_cdr, to_cdr,
@@ -128,6 +130,20 @@ impl Topic {
     #[must_use]
     pub fn of(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)
+    }
+
+    /// Returns the stream of the board whose numbers its messages carry.
+    #[must_use]
+    pub const fn stream(self) -> Option<Stream> {
+        Some(match self {
+            Self::Status => Stream::Status,
+            Self::Pulse => Stream::Pulses,
+            Self::Capture => Stream::Captures,
+            Self::Imu => Stream::Imu,
+            Self::Output => Stream::Outputs,
+            Self::Gnss => Stream::Pps,
+            _ => return None,
+        })
     }
 }
 

@@ -8,7 +8,6 @@ use protocol::Ticks;
 use super::MAX_LISTED;
 use super::measured::{Frames, TwistRates, norm};
 use crate::chart::Envelope;
-use crate::verify::numbers::stream_of;
 use board::{Stream, follow};
 use recording::RecordingError;
 use recording::reader::{Entry, Item, Reader};
@@ -87,7 +86,7 @@ impl Curves {
 
     /// Follows the board's number of a message.
     fn number(&mut self, at: Ticks, entry: &Entry) {
-        let Some(stream) = stream_of(entry.item.topic()) else {
+        let Some(stream) = entry.item.topic().stream() else {
             return;
         };
         let Some(expected) = self.expected.get_mut(stream as usize) else {

@@ -22,13 +22,14 @@ use crate::summary::Summary;
 /// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`.
 #[must_use]
 pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
-    let parts = match has_recorded(session) {
-        false => vec![nothing_recorded(session)],
-        true => vec![
+    let parts = if session.has_recorded() {
+        vec![
             board_and_phone(folder, session),
             alignment(session),
             depth(folder, session),
-        ],
+        ]
+    } else {
+        vec![nothing_recorded(session)]
     };
     let severities = parts.iter().map(|part| part.severity);
     let severity = severities.max().unwrap_or(Severity::Good);
@@ -72,15 +73,8 @@ pub(super) fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> 
     let checks = session.preflight.iter();
     checks.filter(|check| {
         let is_said = [CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK].contains(&check.kind.as_str());
-        check.severity != Severity::Good && !(is_said && has_recorded(session))
+        check.severity != Severity::Good && !(is_said && session.has_recorded())
     })
-}
-
-/// Whether there is anything between begin and end of the recording.
-#[must_use]
-pub fn has_recorded(session: &SessionFile) -> bool {
-    let span = session.recorded;
-    span.is_some_and(|span| span.to > span.from || session.outcome.is_none())
 }
 
 fn part(name: &str, severity: Severity, found: String, next: Vec<String>) -> Finding {

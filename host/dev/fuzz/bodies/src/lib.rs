@@ -21,7 +21,7 @@ use phone::video::{parse_presentation_times, parse_probe};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
-use report::verify::verify;
+use recording::verify::verify;
 
 /// Any bytes as a depth recording: no panic, no unbounded memory.
 pub fn depth_recording(data: &[u8]) {
@@ -136,8 +136,8 @@ pub fn recording(data: &[u8]) {
             }
         }
     }
-    if let Ok(report) = verify(&place) {
-        assert!(report.file.bytes == data.len() as u64);
+    if let Ok(verified) = verify(&place) {
+        assert!(verified.file.bytes == data.len() as u64);
     }
 }
 

@@ -1,20 +1,20 @@
-//! The pulses of the trigger on the grid of the alignment.
+//! Checks that the pulses of the trigger lie on the grid of the alignment.
 
+use super::GridCheck;
+use super::findings::Findings;
+use crate::grid::{FollowedGrid, Grid};
+use crate::messages::{Pulse, TriggerPeriod};
+use crate::session_file::SessionFile;
 use protocol::Ticks;
-use recording::grid::{FollowedGrid, Grid};
-use recording::messages::{Pulse, TriggerPeriod};
-use recording::session_file::SessionFile;
 
-use super::{Findings, GridReport};
-
-/// The checks of the pulses while they run.
+/// The checks in progress.
 #[derive(Default)]
 pub(super) struct Pulses {
-    /// The grid of the alignment, from change to change of the period.
+    /// The grid of the alignment; it follows the changes of the period.
     grid: Option<FollowedGrid>,
-    /// What is held against it.
-    held: Option<(Ticks, Ticks)>,
-    report: GridReport,
+    /// First and last board time of the pulses that must lie on it.
+    span: Option<(Ticks, Ticks)>,
+    check: GridCheck,
 }
 
 impl Pulses {
@@ -26,35 +26,35 @@ impl Pulses {
         let from = alignment.arrival.unwrap_or(alignment.plan.anchor);
         Self {
             grid: Some(FollowedGrid::new(Grid::from(&alignment))),
-            held: Some((from, closed.map_or(Ticks(u64::MAX), |span| span.to))),
+            span: Some((from, closed.map_or(Ticks(u64::MAX), |span| span.to))),
             ..Self::default()
         }
     }
 
-    /// The trigger has another period from an edge on.
+    /// Changes the period of the grid from an edge on.
     pub(super) fn follow(&mut self, period: &TriggerPeriod) {
         if let Some(grid) = &mut self.grid {
             grid.follow(period.into());
         }
     }
 
-    pub(super) fn report(&self) -> Option<GridReport> {
-        self.grid.as_ref().map(|_| self.report)
+    pub(super) fn report(&self) -> Option<GridCheck> {
+        self.grid.as_ref().map(|_| self.check)
     }
 
     pub(super) fn pulse(&mut self, pulse: &Pulse, findings: &mut Findings) {
         let at = Ticks(pulse.ticks);
-        let (Some(grid), Some((from, to))) = (&self.grid, self.held) else {
+        let (Some(grid), Some((from, to))) = (&self.grid, self.span) else {
             return;
         };
         if at < from || at > to {
             return;
         }
         let off = grid.off(at).0.unsigned_abs();
-        self.report.checked += 1;
+        self.check.checked += 1;
         if off != 0 {
-            self.report.off += 1;
-            self.report.worst_ticks = self.report.worst_ticks.max(off);
+            self.check.off += 1;
+            self.check.worst_ticks = self.check.worst_ticks.max(off);
             findings.bad("off_grid", Some(at), || {
                 let number = pulse.number;
                 format!("pulse {number} is {off} ticks off the grid of the alignment")

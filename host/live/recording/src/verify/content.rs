@@ -1,45 +1,44 @@
-//! The messages of a recording: whether they agree with each other.
+//! Checks that the messages of a recording agree with each other.
 //!
-//! Everything is followed message by message; nothing but a few states is kept,
-//! so hours of recording need no memory.
+//! Messages are followed one by one and only a few states are kept, so memory does not grow with
+//! the length of the recording.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use protocol::Ticks;
-use recording::diagnostics::BoardCounters;
-use recording::session_file::SessionFile;
-use recording::walk::{Event, FileReport, Message};
-use recording::{Item, Topic};
 
-use super::numbers::{Numbers, stream_of};
+use super::findings::Findings;
+use super::numbers::Numbers;
 use super::pulses::Pulses;
-use super::{FORM, Findings, Report};
+use crate::diagnostics::BoardCounters;
+use crate::session_file::SessionFile;
+use crate::walk::{Event, Message};
+use crate::{Item, Topic};
 
-/// Kind of the log's entry for a frame that came damaged.
+/// Function of the log entry for a frame that arrived damaged.
 const DAMAGED: &str = "damaged";
 
-/// Whether messages of a topic come in the order of their times. Pulses of several
-/// outputs may fall on one tick.
+/// Returns true if messages of a topic are written in the order of their times. Pulses of
+/// several outputs may fall on one tick.
 const fn in_order(topic: Topic) -> bool {
     use Topic::{Capture, Gnss, Imu, Pulse, Status, Temperature};
     matches!(topic, Imu | Temperature | Pulse | Capture | Status | Gnss)
 }
 
-/// The checks while they run.
+/// The checks in progress.
 pub(super) struct Content {
-    /// Time of the last message of each topic whose times go on.
+    /// Time of the last message on each topic whose times increase.
     last: BTreeMap<&'static str, Ticks>,
     /// First and last board time.
-    span: Option<[Ticks; 2]>,
-    numbers: Numbers,
-    pulses: Pulses,
-    /// Something is missing in the file here.
+    pub(super) span: Option<[Ticks; 2]>,
+    pub(super) numbers: Numbers,
+    pub(super) pulses: Pulses,
+    /// True if messages may be missing in the file right before the next one.
     after_gap: bool,
 }
 
 impl Content {
-    /// Before the first message.
+    /// Creates the state before the first message.
     pub(super) fn new(session: Option<&SessionFile>) -> Self {
         let imu = session.and_then(|session| session.imu.as_ref());
         Self {
@@ -51,35 +50,8 @@ impl Content {
         }
     }
 
-    /// What came of it, of `recording` whose bytes are `file`.
-    pub(super) fn finish(
-        self,
-        recording: &Path,
-        file: FileReport,
-        session: Option<&SessionFile>,
-        mut findings: Findings,
-    ) -> Report {
-        let damaged_frames = self.numbers.damaged_frames();
-        let streams = self.numbers.finish(&mut findings);
-        Report {
-            form: FORM,
-            recording: recording.display().to_string(),
-            severity: findings.worst(),
-            file,
-            board_time_s: self.span.map(|span| span.map(|at| at.as_secs_f64())),
-            damaged_frames,
-            grid: self.pulses.report(),
-            streams,
-            findings: findings.0,
-            alignment: session
-                .and_then(|session| session.alignment)
-                .map(|alignment| alignment.promise()),
-            report: None,
-        }
-    }
-
-    /// Takes what was read of the file.
-    pub(super) fn take(&mut self, event: Event<'_>, findings: &mut Findings) {
+    /// Checks the next part of the file.
+    pub(super) fn check(&mut self, event: Event<'_>, findings: &mut Findings) {
         match event {
             Event::Message(message) => self.message(&message, findings),
             Event::Damage(damage) => {
@@ -109,7 +81,7 @@ impl Content {
         self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log | Topic::ImuFlags));
     }
 
-    /// Times of a topic go on.
+    /// Checks that the times of a topic increase.
     fn time(&mut self, topic: &'static str, at: Ticks, findings: &mut Findings) {
         if let Some(last) = self.last.insert(topic, at)
             && at <= last
@@ -123,7 +95,7 @@ impl Content {
         self.span = Some([from.min(at), to.max(at)]);
     }
 
-    /// What a message says, against the ones before it.
+    /// Checks a message against the ones before it.
     fn item(&mut self, item: &Item, message: &Message<'_>, findings: &mut Findings) {
         let at = message.at();
         match item {
@@ -146,7 +118,7 @@ impl Content {
             Item::Period(period) => self.pulses.follow(period),
             _ => {}
         }
-        if let Some(stream) = stream_of(item.topic()) {
+        if let Some(stream) = item.topic().stream() {
             let number = message.header.sequence;
             self.numbers.number(stream, number, at, findings);
         }

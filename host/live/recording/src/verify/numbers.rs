@@ -1,44 +1,31 @@
-//! The numbers that the board gave its messages against what the board itself counts.
+//! Checks the numbers that the board gave its messages against its own counters.
 
 use std::collections::BTreeMap;
 
 use board::finding::Severity;
 use board::{Stream, follow};
 use protocol::{TICK_HZ, Ticks};
-use recording::Topic;
-use recording::diagnostics::BoardCounters;
-use recording::messages::ImuFlags;
-use recording::walk::Message;
 
-use super::{Findings, StreamReport};
-
-/// The stream whose numbers the messages of a topic have.
-pub(crate) const fn stream_of(topic: Topic) -> Option<Stream> {
-    Some(match topic {
-        Topic::Status => Stream::Status,
-        Topic::Pulse => Stream::Pulses,
-        Topic::Capture => Stream::Captures,
-        Topic::Imu => Stream::Imu,
-        Topic::Output => Stream::Outputs,
-        Topic::Gnss => Stream::Pps,
-        _ => return None,
-    })
-}
+use super::StreamCheck;
+use super::findings::Findings;
+use crate::diagnostics::BoardCounters;
+use crate::messages::ImuFlags;
+use crate::walk::Message;
 
 #[derive(Default)]
 struct Numbered {
     expected: Option<u32>,
-    report: StreamReport,
+    counts: StreamCheck,
 }
 
-/// The checks while they run.
+/// The checks in progress.
 #[derive(Default)]
 pub(super) struct Numbers {
     streams: [Numbered; Stream::ALL.len()],
     /// Nominal ticks from sample to sample.
     imu_interval: Option<u64>,
     last_imu: Option<(Ticks, u32)>,
-    /// Time of a sample that the board gives a reason for a silence before.
+    /// Time of the next sample, if the board explains a silence before it.
     has_reason: Option<Ticks>,
     epoch: Option<u32>,
     /// The first and the last status.
@@ -54,14 +41,14 @@ impl Numbers {
         }
     }
 
-    /// Takes the counters of a status.
+    /// Checks the counters of a status message.
     pub(super) fn status(&mut self, status: BoardCounters, at: Ticks, findings: &mut Findings) {
-        self.life(status.epoch, at, findings);
+        self.check_epoch(status.epoch, at, findings);
         let first = self.statuses.map_or(status, |(first, _)| first);
         self.statuses = Some((first, status));
     }
 
-    /// A frame of the link came damaged, for the reason `why`.
+    /// Counts a frame of the link that arrived damaged, for the reason `why`.
     pub(super) fn damaged(&mut self, why: &str, at: Ticks, findings: &mut Findings) {
         self.damaged_frames += 1;
         findings.check("frame_damaged", Some(at), || {
@@ -69,13 +56,13 @@ impl Numbers {
         });
     }
 
-    /// Something is missing in the file here.
+    /// Forgets the last sample: messages may be missing in the file here.
     pub(super) fn forget(&mut self) {
         self.last_imu = None;
     }
 
-    /// The board has this epoch. A recording is of one life of the board.
-    fn life(&mut self, epoch: u32, at: Ticks, findings: &mut Findings) {
+    /// Checks that the board was not reset: a recording covers one epoch of the board.
+    fn check_epoch(&mut self, epoch: u32, at: Ticks, findings: &mut Findings) {
         if self
             .epoch
             .replace(epoch)
@@ -92,26 +79,32 @@ impl Numbers {
         }
     }
 
-    /// The board's number of a message must follow on the one before.
-    pub(super) fn number(&mut self, of: Stream, number: u32, at: Ticks, findings: &mut Findings) {
-        let Some(stream) = self.streams.get_mut(of as usize) else {
+    /// Checks that the board's number of a message follows the previous one.
+    pub(super) fn number(
+        &mut self,
+        stream: Stream,
+        number: u32,
+        at: Ticks,
+        findings: &mut Findings,
+    ) {
+        let Some(numbered) = self.streams.get_mut(stream as usize) else {
             return;
         };
-        match follow(&mut stream.expected, number) {
+        match follow(&mut numbered.expected, number) {
             None => findings.bad("number_backwards", Some(at), || {
-                format!("the board's numbers of {of} go back to {number}")
+                format!("the board's numbers of {stream} go back to {number}")
             }),
-            Some(gap) => stream.report.missing += u64::from(gap),
+            Some(gap) => numbered.counts.missing += u64::from(gap),
         }
-        stream.report.received += 1;
+        numbered.counts.received += 1;
     }
 
-    /// Takes what the board says of the sample that comes next.
+    /// Remembers the flags of the sample that comes next.
     pub(super) fn flags(&mut self, at: Ticks, flags: &ImuFlags) {
         self.has_reason = Some(at).filter(|_| flags.after_loss || flags.first);
     }
 
-    /// Silence between samples must have a reason.
+    /// Checks that the board explains a silence before a sample.
     pub(super) fn sample(
         &mut self,
         message: &Message<'_>,
@@ -145,53 +138,51 @@ impl Numbers {
         self.damaged_frames
     }
 
-    /// What came of it, by the streams' names.
-    pub(super) fn finish(
-        mut self,
-        findings: &mut Findings,
-    ) -> BTreeMap<&'static str, StreamReport> {
+    /// Returns the counts by the streams' names.
+    pub(super) fn finish(mut self, findings: &mut Findings) -> BTreeMap<&'static str, StreamCheck> {
         self.share_drops();
-        for (stream, of) in self.streams.iter().zip(Stream::ALL) {
-            let StreamReport {
+        for (stream, name) in self.streams.iter().zip(Stream::ALL) {
+            let StreamCheck {
                 missing,
                 dropped_by_board: dropped,
                 ..
-            } = stream.report;
+            } = stream.counts;
             if missing > 0 {
                 let lost = missing - dropped;
                 findings.add(Severity::Check, "messages_missing", (None, missing), || {
                     format!(
-                        "{missing} messages of {of} are missing by the board's numbers: {dropped} \
+                        "{missing} messages of {name} are missing by the board's numbers: {dropped} \
                          the board dropped itself, {lost} were lost on the link or with a damaged \
                          part"
                     )
                 });
             }
         }
-        let reports = Stream::ALL.iter().zip(&self.streams);
-        reports
-            .filter(|(of, _)| **of != Stream::Filler)
-            .map(|(of, stream)| (of.name(), stream.report))
+        let streams = Stream::ALL.iter().zip(&self.streams);
+        streams
+            .filter(|(stream, _)| **stream != Stream::Filler)
+            .map(|(stream, numbered)| (stream.name(), numbered.counts))
             .collect()
     }
 
-    /// Of what is missing, what the board dropped itself. Pulses per second are counted with
-    /// the auxiliary outputs.
+    /// Attributes missing messages to the board as far as its counters of drops say so. The
+    /// board counts pulses per second with those of the auxiliary outputs.
     fn share_drops(&mut self) {
         let Some((first, last)) = self.statuses else {
             return;
         };
         let mut left_of_outputs = 0;
-        for (stream, of) in self.streams.iter_mut().zip(Stream::ALL) {
-            let counted = |status: BoardCounters| of.dropped(&status.dropped).unwrap_or_default();
-            let dropped = match of {
+        for (numbered, stream) in self.streams.iter_mut().zip(Stream::ALL) {
+            let counted =
+                |status: BoardCounters| stream.dropped(&status.dropped).unwrap_or_default();
+            let dropped = match stream {
                 Stream::Pps => left_of_outputs,
                 _ => u64::from(counted(last).wrapping_sub(counted(first))),
             };
-            let report = &mut stream.report;
-            report.dropped_by_board = dropped.min(report.missing);
-            if of == Stream::Outputs {
-                left_of_outputs = dropped - report.dropped_by_board;
+            let counts = &mut numbered.counts;
+            counts.dropped_by_board = dropped.min(counts.missing);
+            if stream == Stream::Outputs {
+                left_of_outputs = dropped - counts.dropped_by_board;
             }
         }
     }

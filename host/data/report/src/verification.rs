@@ -1,0 +1,74 @@
+//! The check of a recording in words.
+
+use board::finding::Severity;
+use recording::verify::{GridCheck, StreamCheck, Verification};
+
+use crate::session::sentence;
+use crate::summary::Summary;
+
+/// Returns verdict, findings and figures of a check.
+#[must_use]
+pub fn summary(verification: &Verification) -> Summary {
+    let text = match verification.severity {
+        Severity::Good => "Good: every byte and every number is right.",
+        Severity::Check => "Check: what is there is right, something is missing.",
+        Severity::Bad => "Bad: parts cannot be read or contradict each other.",
+    };
+    let alignment = verification.alignment.iter();
+    let alignment: String = alignment
+        .map(|promise| format!(" {}", sentence(promise)))
+        .collect();
+    let file = &verification.file;
+    let mut facts = vec![
+        ("recording", verification.recording.clone()),
+        (
+            "file",
+            format!(
+                "{} bytes, {} chunks good, {} damaged, {} messages, {}",
+                file.bytes,
+                file.chunks,
+                file.bad_chunks,
+                file.messages,
+                if file.closed { "closed" } else { "not closed" }
+            ),
+        ),
+    ];
+    if let Some([from, to]) = verification.board_time_s {
+        facts.push(("board time", format!("{from:.3} s to {to:.3} s")));
+    }
+    for (name, stream) in &verification.streams {
+        let StreamCheck {
+            received,
+            missing,
+            dropped_by_board: dropped,
+        } = stream;
+        let text =
+            format!("{received} received, {missing} missing ({dropped} dropped by the board)");
+        facts.push((name, text));
+    }
+    if let Some(grid) = &verification.grid {
+        let GridCheck {
+            checked,
+            off,
+            worst_ticks,
+        } = grid;
+        let most = match off {
+            0 => String::new(),
+            _ => format!(", the furthest by {worst_ticks} ticks"),
+        };
+        let text = format!("{checked} pulses held against it, {off} off{most}");
+        facts.push(("grid", text));
+    }
+    if verification.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
+        let next = "`smartdepthsync extract` reads what is there, after the damage too; for other \
+                    programs `mcap recover` makes a whole file of what is before it";
+        facts.push(("next", next.to_owned()));
+    }
+    Summary {
+        title: format!("Check of {}", verification.recording),
+        severity: verification.severity,
+        text: format!("{text}{alignment}"),
+        parts: verification.findings.clone(),
+        facts,
+    }
+}
