@@ -20,13 +20,13 @@
 //! The logic runs against [`CompareOutput`], on the board and in tests.
 
 use protocol::{
-    MIN_START_LEAD, OutputStatus, Period, Readback, Refusal, TickDelta, Ticks, TrainState,
-    TriggerStart, TriggerStatus,
+    EdgeTime, MIN_START_LEAD, OutputStatus, Period, Readback, Refusal, TickDelta, Ticks,
+    TrainState, TriggerStart, TriggerStatus,
 };
 
 use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN, WAKE_LEAD};
 use crate::timebase::Timebase;
-use crate::trigger::{Alignment, Edge, Limits, Position, Train};
+use crate::trigger::{Alignment, Edge, Limits, Train};
 
 /// What the output does when the counter reaches the compare value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -320,7 +320,7 @@ impl Pulser {
 
     /// Arms the rising edge, or a point on the way to it.
     fn arm_rise<O: CompareOutput + ?Sized>(&mut self, output: &mut O, time: &Timebase, edge: Edge) {
-        let at = edge.position.ticks();
+        let at = edge.position.ticks;
         if wakes_before(output, time, at) {
             self.stage = Stage::Waypoint(edge);
         } else {
@@ -390,7 +390,7 @@ impl Pulser {
     fn due(&self) -> Option<Ticks> {
         match self.stage {
             Stage::Idle => None,
-            Stage::Waypoint(edge) => Some(edge.position.ticks()),
+            Stage::Waypoint(edge) => Some(edge.position.ticks),
             Stage::Rise(_, at) => Some(at),
             Stage::Pulse(_, at) | Stage::High(_, at) | Stage::Fall(_, at) => {
                 Some(at + TickDelta(self.width().into()))
@@ -444,16 +444,16 @@ impl Pulser {
     }
 
     /// Where the edge after the armed one belongs.
-    fn next_position(&self) -> Position {
+    fn next_position(&self) -> EdgeTime {
         let train = self.train;
-        train.map_or(Position::default(), |mut train| train.advance().position)
+        train.map_or(EdgeTime::default(), |mut train| train.advance().position)
     }
 
     /// The state of the train and where it goes on, as it is reported to the host.
     #[must_use]
     pub fn status(&self, now: Ticks) -> TriggerStatus {
         let next = match self.stage {
-            Stage::Idle => Position::default(),
+            Stage::Idle => EdgeTime::default(),
             Stage::Pulse(..) if self.has_risen(now) => self.next_position(),
             Stage::Waypoint(edge) | Stage::Rise(edge, _) | Stage::Pulse(edge, _) => edge.position,
             Stage::High(..) | Stage::Fall(..) => self.next_position(),
@@ -464,8 +464,7 @@ impl Pulser {
             period: self.train.map_or(Period(0), |train| train.period()),
             width: self.width(),
             pulses: self.pulses(now),
-            next_edge: next.ticks(),
-            next_fraction: next.fraction(),
+            next_edge: next,
             late: self.late,
             readback: self.readback,
         }

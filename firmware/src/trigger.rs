@@ -15,38 +15,12 @@
 //! which the interrupt calls, only adds.
 
 use protocol::{
-    AlignPlan, MAX_TIME_AWAY, MIN_OUTPUT_GAP, MIN_OUTPUT_WIDTH, MIN_PULSE_GAP, MIN_PULSE_WIDTH,
-    Period, Refusal, TickDelta, Ticks, TriggerAlign, TriggerStart,
+    AlignPlan, EdgeGrid, EdgeTime, MAX_TIME_AWAY, MIN_OUTPUT_GAP, MIN_OUTPUT_WIDTH, MIN_PULSE_GAP,
+    MIN_PULSE_WIDTH, Period, Refusal, TickDelta, Ticks, TriggerAlign, TriggerStart,
 };
 
-/// Fraction bits of positions and periods.
+/// Fraction bits of periods and of what is left to move.
 const FRACTION_BITS: u32 = 32;
-
-/// An instant in Q64.32 ticks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Position(pub(crate) u128);
-
-impl Position {
-    /// The start of tick `ticks`.
-    const fn from_ticks(ticks: Ticks) -> Self {
-        Self((ticks.0 as u128) << FRACTION_BITS)
-    }
-
-    /// A fraction, in 2⁻³² ticks, after the start of tick `ticks`.
-    const fn new(ticks: Ticks, fraction: u32) -> Self {
-        Self(Self::from_ticks(ticks).0 | fraction as u128)
-    }
-
-    /// The tick of an edge here: the floor.
-    pub(crate) const fn ticks(self) -> Ticks {
-        Ticks((self.0 >> FRACTION_BITS) as u64)
-    }
-
-    /// In 2⁻³² ticks.
-    pub(crate) const fn fraction(self) -> u32 {
-        self.0 as u32
-    }
-}
 
 /// A rising edge that is to be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +28,7 @@ pub(crate) struct Edge {
     /// Number in the train, from 0.
     pub(crate) number: u64,
     /// Where exactly it belongs.
-    pub(crate) position: Position,
+    pub(crate) position: EdgeTime,
     /// On the grid (false on the way to another).
     pub(crate) aligned: bool,
     /// The id of the align that this edge completes.
@@ -139,7 +113,7 @@ pub struct Train {
     limits: Limits,
     period: Period,
     number: u64,
-    position: Position,
+    position: EdgeTime,
     aligned: bool,
     slew: Option<Slew>,
 }
@@ -167,12 +141,9 @@ impl Train {
         soonest: Ticks,
     ) -> Result<Self, Refusal> {
         limits.check_period(start.period, start.width)?;
-        let (first, fraction) = match start.first_edge {
-            Some(first) => (first, start.first_fraction),
-            None => (soonest, 0),
-        };
-        check_near(first, now)?;
-        if first < earliest {
+        let first = start.first_edge.unwrap_or(soonest.into());
+        check_near(first.ticks, now)?;
+        if first.ticks < earliest {
             return Err(Refusal::TimeOutOfRange { now });
         }
         Ok(Self {
@@ -180,7 +151,7 @@ impl Train {
             limits,
             period: start.period,
             number: 0,
-            position: Position::new(first, fraction),
+            position: first,
             aligned: true,
             slew: None,
         })
@@ -218,19 +189,18 @@ impl Train {
     /// Goes on to the next edge, which is to be armed now.
     pub(crate) fn advance(&mut self) -> Edge {
         self.number = self.number.wrapping_add(1);
-        let mut position = self.position.0.wrapping_add(u128::from(self.period.0));
+        self.position = self.position + self.period;
         let mut arrived = None;
         if let Some(slew) = &mut self.slew {
             let step = slew.left.clamp(-slew.most_earlier, slew.most_later);
             slew.left -= step;
-            position = position.wrapping_add_signed(i128::from(step));
+            self.position = EdgeTime::from_raw(self.position.raw() + i128::from(step));
             self.aligned = slew.left == 0;
             if self.aligned {
                 arrived = Some(slew.command);
                 self.slew = None;
             }
         }
-        self.position = Position(position);
         Edge {
             arrived,
             ..self.edge()
@@ -250,10 +220,9 @@ impl Train {
             return Err(Refusal::SlewOutOfRange { max });
         }
 
-        // Both below 2⁹⁶: the difference fits easily.
         let period = i128::from(to.period.0);
-        let anchor = Position::new(to.anchor, to.anchor_fraction).0 as i128;
-        let beyond = (self.position.0 as i128 - anchor).rem_euclid(period);
+        let grid = EdgeGrid::new(to.anchor, to.period);
+        let beyond = i128::from(grid.since_edge(self.position).unwrap_or(0));
         let shift = if beyond * 2 <= period {
             -beyond
         } else {
@@ -269,13 +238,13 @@ impl Train {
         let frames = shift.unsigned_abs().div_ceil(most.unsigned_abs().into());
         let pulses = frames.max(1);
         // At least 0 even so: the train is at least half a period past zero.
-        let arrival = self.position.0 as i128 + shift + pulses as i128 * period;
+        let arrival = self.position.raw() + shift + pulses as i128 * period;
         Ok(Alignment {
             plan: AlignPlan {
                 shift: TickDelta((shift >> FRACTION_BITS) as i64),
                 frames: u32::try_from(frames).unwrap_or(u32::MAX),
                 arrival_pulse: self.number.wrapping_add(pulses as u64),
-                arrival: Position(arrival.unsigned_abs()).ticks(),
+                arrival: EdgeTime::from_raw(arrival).ticks,
             },
             period: to.period,
             slew: Slew {

@@ -6,10 +6,11 @@
 use serde::{Deserialize, Serialize};
 
 use crate::board::BoardSettings;
+use crate::edges::Period;
 use crate::gnss::{GnssReport, GnssSettings};
 use crate::imu::{ImuConfig, ImuSetup};
 use crate::trigger::{AlignPlan, Output, TriggerAlign, TriggerStart, TriggerStatus};
-use crate::units::{Period, Ticks};
+use crate::units::Ticks;
 
 /// A command with the type of its reply.
 pub trait Request: Clone + Into<Command> {

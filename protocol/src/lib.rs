@@ -5,7 +5,8 @@
 //!
 //! The modules form layers: each imports only from those before it.
 //!
-//! - [`units`]: board time ([`Ticks`], [`TickDelta`], [`Period`]).
+//! - [`units`]: board time in whole ticks ([`Ticks`], [`TickDelta`]).
+//! - [`edges`]: board time finer than a tick ([`Period`], [`EdgeTime`], [`EdgeGrid`]).
 //! - [`framing`]: how a message of any type is put on the wire (postcard, CRC-32,
 //!   COBS, a zero byte after each frame) and taken off again.
 //! - [`trigger`], [`capture`], [`imu`], [`gnss`]: settings, events and status of the
@@ -32,6 +33,7 @@
 pub mod board;
 pub mod capture;
 pub mod commands;
+pub mod edges;
 pub mod framing;
 pub mod gnss;
 pub mod icm42688p;
@@ -46,6 +48,7 @@ pub mod usb;
 pub use board::*;
 pub use capture::*;
 pub use commands::*;
+pub use edges::{EdgeGrid, EdgeTime, Period};
 pub use framing::{
     Decoder, FrameError, LinkCounters, MAX_FRAME, decode_frame, encode, hello_version,
 };
@@ -53,9 +56,9 @@ pub use gnss::*;
 pub use imu::*;
 pub use messages::*;
 pub use trigger::*;
-pub use units::{Period, TICK_HZ, TickDelta, Ticks};
+pub use units::{TICK_HZ, TickDelta, Ticks};
 
 /// Version of the wire format. Host and board must agree on it exactly; it is
 /// the first field of [`Hello`], whose position never changes, so that a host
 /// can read the version of any board.
-pub const PROTOCOL_VERSION: u16 = 8;
+pub const PROTOCOL_VERSION: u16 = 9;

@@ -2,14 +2,14 @@
 //! how it fares.
 //!
 //! All four outputs are in the one timebase, take the same commands and send the same
-//! messages. A first edge or an anchor has a fraction of a tick, as a period has, so
-//! that a train can be put on an exact multiple of another one and stay on it for ever:
-//! the next edge of any train is given with its fraction
-//! ([`TriggerStatus::next_fraction`]).
+//! messages. The first edge of a train and the next edge of a running one have a fraction
+//! of a tick, as a period has, so that a train can be started on an exact multiple of
+//! another one and stay on it for ever.
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
+use crate::edges::{EdgeTime, Period};
+use crate::units::{TICK_HZ, TickDelta, Ticks};
 
 /// The shortest pulse of the camera's output, in ticks: 10 µs.
 ///
@@ -95,9 +95,7 @@ pub struct TriggerStart {
     pub width: u32,
     /// The first rising edge, [`MIN_START_LEAD`] to [`MAX_TIME_AWAY`] from now;
     /// `None`: as soon as possible.
-    pub first_edge: Option<Ticks>,
-    /// Fraction of `first_edge`, in 2⁻³² ticks; of no meaning without one.
-    pub first_fraction: u32,
+    pub first_edge: Option<EdgeTime>,
 }
 
 /// "Some pulse edge falls at `anchor`, the period is `period`."
@@ -106,8 +104,6 @@ pub struct TriggerAlign {
     /// A tick of the wanted grid, in the past or the future, at most one hour
     /// away.
     pub anchor: Ticks,
-    /// Fraction of `anchor`, in 2⁻³² ticks.
-    pub anchor_fraction: u32,
     /// The period from now on.
     pub period: Period,
     /// The most ticks that the distance of two pulses may differ from `period`
@@ -143,11 +139,8 @@ pub struct TriggerStatus {
     pub width: u32,
     /// Rising edges that this train has made.
     pub pulses: u64,
-    /// The next rising edge and its fraction, in Q64.32 split in two: an
-    /// observer can go on with the arithmetic exactly.
-    pub next_edge: Ticks,
-    /// Fraction of `next_edge`, in 2⁻³² ticks.
-    pub next_fraction: u32,
+    /// The next rising edge: with `period`, all edges after it follow exactly.
+    pub next_edge: EdgeTime,
     /// Edges that were armed too late and came at a later time than asked for.
     /// Must be 0.
     pub late: u32,

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use protocol::{MIN_OUTPUT_WIDTH, TriggerAlign};
+use protocol::{EdgeGrid, MIN_OUTPUT_WIDTH, TriggerAlign};
 
 use super::*;
 
@@ -194,8 +194,7 @@ fn start(picos: u64, width: u32, first: u64) -> TriggerStart {
     TriggerStart {
         period: Period::from_picos(picos).unwrap(),
         width,
-        first_edge: Some(Ticks(first)),
-        first_fraction: 0,
+        first_edge: Some(Ticks(first).into()),
     }
 }
 
@@ -249,9 +248,10 @@ fn edges_beyond_the_reach_are_made_on_their_ticks() {
             rig.mock.reach = 24_000;
             let start = start(picos, width, 1_000_000);
             rig.start(start).unwrap();
+            let grid = EdgeGrid::new(Ticks(1_000_000), start.period);
             for k in 0..300_i64 {
                 let pulse = rig.next_pulse(if k % 2 == 0 { latency } else { 10 });
-                assert_eq!(pulse.at, start.period.edge(Ticks(1_000_000), k));
+                assert_eq!(pulse.at, grid.edge(k).ticks);
             }
             let edges = rig.mock.edges.borrow();
             for pair in edges.chunks(2) {
@@ -418,7 +418,6 @@ fn an_align_is_adopted_and_its_arrival_reported_once() {
     rig.next_pulse(50);
     let to = TriggerAlign {
         anchor: Ticks(1_000_777),
-        anchor_fraction: 0,
         period: begin.period,
         slew: 100,
     };
@@ -479,12 +478,10 @@ fn the_status_tells_the_next_edge_exactly() {
     for mut rig in Rig::both(0) {
         let begin = start(33_330_652_540, 576, 1_000_000);
         rig.start(begin).unwrap();
-        for k in 1..50_u64 {
+        let grid = EdgeGrid::new(Ticks(1_000_000), begin.period);
+        for k in 1..50 {
             rig.next_pulse(50);
-            let status = rig.status();
-            let exact = (1_000_000_u128 << 32) + u128::from(k) * u128::from(begin.period.0);
-            let next = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
-            assert_eq!(next, exact);
+            assert_eq!(rig.status().next_edge, grid.edge(k));
         }
     }
 }

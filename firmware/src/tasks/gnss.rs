@@ -88,8 +88,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
     let train = TriggerStart {
         period: Period::from_ticks(TICK_HZ),
         width: settings.pulse_width,
-        first_edge: Some(start_of(second)),
-        first_fraction: 0,
+        first_edge: Some(start_of(second).into()),
     };
     outputs::set_pps_inverted(settings.pulse_inverted);
     outputs::with_line(Line::Pps, |pulser, output, time| {

@@ -11,8 +11,7 @@ fn train(period: Period, first: u64) -> Train {
     let start = TriggerStart {
         period,
         width: WIDTH,
-        first_edge: Some(Ticks(first)),
-        first_fraction: 0,
+        first_edge: Some(Ticks(first).into()),
     };
     Train::new(start, Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap()
 }
@@ -20,7 +19,6 @@ fn train(period: Period, first: u64) -> Train {
 fn align(anchor: u64, period: Period, slew: u32) -> TriggerAlign {
     TriggerAlign {
         anchor: Ticks(anchor),
-        anchor_fraction: 0,
         period,
         slew,
     }
@@ -33,7 +31,6 @@ fn values_out_of_bounds_are_refused_with_the_bounds() {
         period: Period::from_ticks(1_600_000),
         width: WIDTH,
         first_edge: None,
-        first_fraction: 0,
     };
     let new = |start: TriggerStart| Train::new(start, Limits::CAMERA, now, now, now).map(|_| ());
     assert_eq!(new(good), Ok(()));
@@ -58,11 +55,11 @@ fn values_out_of_bounds_are_refused_with_the_bounds() {
         assert_eq!(refused, Err(Refusal::WidthOutOfRange { min, max }));
     }
     for first in [0, now.0 - 1, now.0 + MAX_TIME_AWAY + 1, u64::MAX] {
-        let first_edge = Some(Ticks(first));
+        let first_edge = Some(Ticks(first).into());
         let refused = new(TriggerStart { first_edge, ..good });
         assert_eq!(refused, Err(Refusal::TimeOutOfRange { now }));
     }
-    let first_edge = Some(Ticks(now.0 + MAX_TIME_AWAY));
+    let first_edge = Some(Ticks(now.0 + MAX_TIME_AWAY).into());
     assert_eq!(new(TriggerStart { first_edge, ..good }), Ok(()));
 
     let mut train = train(good.period, now.0);
@@ -97,7 +94,6 @@ fn a_wide_pulse_bounds_the_slew_and_the_period() {
         period,
         width: 90_000,
         first_edge: None,
-        first_fraction: 0,
     };
     let mut train = Train::new(start, Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap();
     let max = 100_000 - 90_000 - MIN_PULSE_GAP;
@@ -116,12 +112,12 @@ fn a_wide_pulse_bounds_the_slew_and_the_period() {
     let mut last = train.edge();
     for _ in 0..jump.plan.frames {
         let edge = train.advance();
-        let distance = (edge.position.ticks() - last.position.ticks()).0;
+        let distance = (edge.position.ticks - last.position.ticks).0;
         assert!(distance >= i64::from(90_000 + MIN_PULSE_GAP));
         last = edge;
     }
     assert_eq!(last.arrived, Some(1));
-    assert_eq!((last.position.ticks().0 + 40_000) % 100_000, 0);
+    assert_eq!((last.position.ticks.0 + 40_000) % 100_000, 0);
 }
 
 /// Walks to the arrival and checks every pulse on the way. Returns the edge.
@@ -130,7 +126,7 @@ fn walk(train: &mut Train, to: &TriggerAlign, plan: &AlignPlan, command: u32) ->
     loop {
         let edge = train.advance();
         assert_eq!(edge.number, last.number + 1);
-        let distance = (edge.position.0 - last.position.0) as i128;
+        let distance = edge.position.raw() - last.position.raw();
         let beyond = (distance - i128::from(to.period.0)).unsigned_abs();
         if to.slew > 0 {
             assert!(
@@ -143,13 +139,9 @@ fn walk(train: &mut Train, to: &TriggerAlign, plan: &AlignPlan, command: u32) ->
             assert_eq!(edge.arrived, Some(command));
             assert!(edge.aligned);
             assert_eq!(edge.number, plan.arrival_pulse);
-            assert_eq!(edge.position.ticks(), plan.arrival);
-            let off = edge.position.0 as i128 - ((i128::from(to.anchor.0)) << 32);
-            assert_eq!(
-                off.rem_euclid(i128::from(to.period.0)),
-                0,
-                "not on the grid"
-            );
+            assert_eq!(edge.position.ticks, plan.arrival);
+            let grid = EdgeGrid::new(to.anchor, to.period);
+            assert_eq!(grid.since_edge(edge.position), Some(0), "not on the grid");
             return edge;
         }
         assert!(!edge.aligned);
@@ -167,7 +159,7 @@ fn one_tick_of_anchor_is_one_tick_of_phase() {
         let to = align(anchor, period, 0);
         let alignment = train.align(1, &to, Ticks(0)).unwrap();
         assert!(train.adopt(&alignment));
-        edges.push(walk(&mut train, &to, &alignment.plan, 1).position.ticks().0);
+        edges.push(walk(&mut train, &to, &alignment.plan, 1).position.ticks.0);
     }
     for pair in edges.windows(2) {
         assert_eq!(pair[1] - pair[0], 1);
@@ -242,7 +234,7 @@ fn a_new_period_goes_on_from_the_armed_edge() {
     train.set_period(new).unwrap();
     for k in 1..1000 {
         let edge = train.advance();
-        assert_eq!(edge.position.ticks(), new.edge(Ticks(1_100_000), k));
+        assert_eq!(edge.position, EdgeGrid::new(Ticks(1_100_000), new).edge(k));
         assert!(edge.aligned);
     }
 }
@@ -273,7 +265,7 @@ proptest! {
     ) {
         let new = Period(if keep { old } else { new });
         let now = Ticks(first);
-        let start = TriggerStart { period: Period(old), width: WIDTH, first_edge: Some(now), first_fraction: 0 };
+        let start = TriggerStart { period: Period(old), width: WIDTH, first_edge: Some(now.into()) };
         let mut train = Train::new(start, Limits::CAMERA, now, now, now).unwrap();
         train.advance();
         let step = (new.ticks() / 2).checked_div(parts).unwrap_or(0);
@@ -287,6 +279,6 @@ proptest! {
         // It stays on the grid.
         let at = train.edge().position;
         let next = train.advance();
-        prop_assert_eq!(next.position.0, at.0 + u128::from(new.0));
+        prop_assert_eq!(next.position.raw(), at.raw() + i128::from(new.0));
     }
 }

@@ -33,7 +33,7 @@ fn decimal(text: &str) -> Result<f64, &'static str> {
 
 /// A period of so many ticks.
 fn period(ticks: f64) -> Result<Period, &'static str> {
-    let period = Period((ticks * 2_f64.powi(32)).round() as u64);
+    let period = Period::from_ticks_f64(ticks);
     let in_bounds = period.in_bounds();
     in_bounds.then_some(period).ok_or(PERIOD_OUT_OF_RANGE)
 }

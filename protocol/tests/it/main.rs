@@ -3,5 +3,5 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod decoder;
+mod edges;
 mod golden;
-mod phase_error;

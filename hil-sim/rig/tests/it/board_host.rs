@@ -228,7 +228,6 @@ pub(crate) const fn train(period: Period, width: u32) -> TriggerStart {
         period,
         width,
         first_edge: None,
-        first_fraction: 0,
     }
 }
 

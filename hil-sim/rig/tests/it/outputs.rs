@@ -27,17 +27,10 @@ fn picos(picos: u64) -> Period {
     Period::from_picos(picos).unwrap()
 }
 
-/// The exact place of edge `k`, in 2⁻³² ticks.
-fn place(from: u128, period: Period, k: u64) -> u128 {
-    from + u128::from(k) * u128::from(period.0)
-}
-
 /// A train as it was commanded, checked edge by edge.
 struct Train {
     pin: Pin,
-    /// Place of edge 0, in 2⁻³² ticks.
-    from: u128,
-    period: Period,
+    grid: EdgeGrid,
     width: u32,
     /// Edges seen at the pin, rising and falling.
     seen: u64,
@@ -48,8 +41,7 @@ impl Train {
     fn new(pin: Pin, status: &TriggerStatus) -> Self {
         Self {
             pin,
-            from: (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction),
-            period: status.period,
+            grid: EdgeGrid::new(status.next_edge, status.period),
             width: status.width,
             seen: 0,
             reported: 0,
@@ -57,7 +49,7 @@ impl Train {
     }
 
     fn expected(&self, number: u64) -> u64 {
-        (place(self.from, self.period, number) >> 32) as u64
+        self.grid.edge(number as i64).ticks.0
     }
 
     /// Takes the next edge of the pin.
@@ -124,7 +116,7 @@ impl Bench {
     /// The camera's train, and all others, each beginning at `first`.
     fn start_all(&mut self, camera: Period, periods: [Period; 3], first: Ticks) {
         let from_first = |period, width| TriggerStart {
-            first_edge: Some(first),
+            first_edge: Some(first.into()),
             ..train(period, width)
         };
         let status = self.board.start(from_first(camera, WIDTH));
@@ -133,7 +125,7 @@ impl Bench {
             let status = self.start(output, from_first(period, OUTPUT_WIDTH));
             assert_eq!(
                 (status.next_edge, status.state),
-                (first, TrainState::Waiting)
+                (first.into(), TrainState::Waiting)
             );
             let pin = PINS[usize::from(output.number()) - 1];
             self.trains.push(Train::new(pin, &status));
@@ -150,8 +142,7 @@ impl Bench {
         let next = Ticks((self.board.now().0 / second + 1) * second);
         self.trains.push(Train {
             pin: Pin::PE9,
-            from: u128::from(next.0) << 32,
-            period: Period::from_ticks(TICK_HZ),
+            grid: EdgeGrid::new(next, Period::from_ticks(TICK_HZ)),
             width: gnss.pulse_width,
             seen: 0,
             reported: 0,
@@ -196,12 +187,12 @@ impl Bench {
     /// Number of pulses of the slowest train that have one of each other train within so
     /// many ticks, by the arithmetic of the edges that were seen.
     fn coincidences(&self, within: u64) -> usize {
-        let slow = self.trains.iter().max_by_key(|train| train.period.0);
+        let slow = self.trains.iter().max_by_key(|train| train.grid.period);
         let slow = slow.expect("trains run");
         let near = |train: &Train, at: u64| {
-            let since = (u128::from(at) << 32).saturating_sub(train.from);
-            let k = (since / u128::from(train.period.0)) as u64;
-            (k..=k + 1).any(|k| train.expected(k).abs_diff(at) <= within)
+            let (next, _) = train.grid.first_from(Ticks(at));
+            let mut around = next.saturating_sub(1)..=next;
+            around.any(|k| train.expected(k).abs_diff(at) <= within)
         };
         (0..slow.seen / 2)
             .map(|k| slow.expected(k))
@@ -352,17 +343,16 @@ fn a_multiple_stays_on_every_sixth_pulse() {
     bench.trains.push(Train::new(Pin::PA5, &status));
     bench.board.run(777);
     let status = bench.board.trigger();
-    let next = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
-    assert_ne!(status.next_fraction, 0, "the train has a fraction by now");
-    let join = place(next, status.period, 5);
+    let next = status.next_edge;
+    assert_ne!(next.fraction, 0, "the train has a fraction by now");
+    let join = EdgeGrid::new(next, status.period).edge(5);
     let sixth = TriggerStart {
         period: Period(status.period.0 * 6),
         width: OUTPUT_WIDTH,
-        first_edge: Some(Ticks((join >> 32) as u64)),
-        first_fraction: join as u32,
+        first_edge: Some(join),
     };
     let joined = bench.start(Output::Two, sixth);
-    assert_eq!(joined.next_fraction, join as u32);
+    assert_eq!(joined.next_edge, join);
     bench.trains.push(Train::new(Pin::PE11, &joined));
     let mut camera = Vec::new();
     let mut slow = Vec::new();
@@ -431,8 +421,10 @@ fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
     // A first edge minutes ahead, beyond what a 32-bit compare tells from the past.
     let first = Ticks(bench.board.now().0 + 100 * u64::from(TICK_HZ) + 12_345);
     let far = TriggerStart {
-        first_edge: Some(first),
-        first_fraction: 0xFFFF_FFFF,
+        first_edge: Some(EdgeTime {
+            ticks: first,
+            fraction: u32::MAX,
+        }),
         ..good
     };
     let status = bench.start(Output::Four, far);

@@ -27,7 +27,8 @@ fn start(board: &mut Board, period: Period, width: u32) -> TriggerStatus {
 
 /// Checks every pulse at the pin and every report against
 /// `floor(first + k · period)`, from pulse 0 on. Returns how many there were.
-pub(crate) fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> usize {
+pub(crate) fn check_train(board: &mut Board, first: EdgeTime, period: Period, width: u32) -> usize {
+    let grid = EdgeGrid::new(first, period);
     board.stop();
     board.run(1_100);
     let edges = board.rig.take_edges();
@@ -37,7 +38,7 @@ pub(crate) fn check_train(board: &mut Board, first: Ticks, period: Period, width
     assert_eq!(status.pulses as usize, pins.len());
     let mut epoch = Epoch::default();
     for (k, &(rise, fall)) in pins.iter().enumerate() {
-        let expected = period.edge(first, k as i64);
+        let expected = grid.edge(k as i64).ticks;
         assert_eq!(epoch.tick(rise, expected), expected, "pulse {k} at the pin");
         let high = fall.units() - rise.units();
         assert_eq!(
@@ -48,7 +49,7 @@ pub(crate) fn check_train(board: &mut Board, first: Ticks, period: Period, width
     }
     // Reports: those that came are exact, each says which pulse it is.
     for report in &board.pulses {
-        let expected = period.edge(first, report.number as i64);
+        let expected = grid.edge(report.number as i64).ticks;
         assert_eq!(report.at, expected, "report of pulse {}", report.number);
         assert!(report.aligned);
     }
@@ -173,7 +174,6 @@ pub(crate) fn check_aligns(
                 0 => Ticks(now.0 + away),
                 _ => Ticks(now.0.saturating_sub(away)),
             },
-            anchor_fraction: next() as u32,
             period,
             slew: match round % 10 {
                 9 => 0,
@@ -198,10 +198,9 @@ pub(crate) fn check_aligns(
             (plan.arrival_pulse, plan.arrival)
         );
         // On the grid itself: anchor + j · period for a whole j, exactly.
-        let anchor = i128::from(to.anchor.0) << 32 | i128::from(to.anchor_fraction);
         let away = (arrived.at - to.anchor).as_secs_f64() / period.as_secs_f64();
-        let exact = anchor + away.round() as i128 * i128::from(period.0);
-        assert_eq!(i128::from(arrived.at.0), exact >> 32, "round {round}");
+        let exact = EdgeGrid::new(to.anchor, period).edge(away.round() as i64);
+        assert_eq!(arrived.at, exact.ticks, "round {round}");
 
         board.run(40);
         let pins = pulses_of(&board.rig.take_edges(), pin);

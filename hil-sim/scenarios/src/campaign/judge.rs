@@ -240,7 +240,7 @@ fn compare(
 fn train(alignment: &Alignment, session: &EndedSession) -> Result<(Train, u64, Ticks)> {
     let number = alignment.arrival_pulse.context("no arrival was planned")?;
     let arrival = alignment.arrival.context("no arrival was planned")?;
-    let period = protocol::Period(alignment.plan.period_q32);
+    let period = alignment.plan.period;
     let since = (i128::from(arrival.0) - i128::from(alignment.plan.anchor.0)) << 32;
     let edges = (since + i128::from(period.0 / 2)).div_euclid(i128::from(period.0));
     let train = Train {

@@ -413,7 +413,7 @@ impl Rig {
     fn phase_us(&self, alignment: &Alignment, frames: &FrameTimes, frame: usize) -> Result<f64> {
         let middle = self.middle(frames, frame)?;
         let tick = self.board().board_at(middle).units() / UNITS_PER_TICK;
-        let period = u128::from(alignment.plan.period_q32);
+        let period = u128::from(alignment.plan.period.0);
         let lead = (alignment.center_offset_us * 1e-6 * f64::from(TICK_HZ)) as u64;
         let since = u128::from(tick.saturating_sub(alignment.plan.anchor.0 + lead)) << 32;
         let nearest = (since + period / 2) / period;

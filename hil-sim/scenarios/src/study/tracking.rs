@@ -10,7 +10,7 @@ use clock::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
 use clock::twists::Twists;
 use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
-use protocol::Ticks;
+use protocol::EdgeTime;
 use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
 use rig::clocks::link_delay::{Link, LinkRanges};
@@ -314,12 +314,12 @@ fn align(
 
 impl Frames {
     /// The nearest edge's time less that of its frame, µs, in the phone's true time.
-    fn error_us(&self, clocks: &Clocks, edge: (u64, u128)) -> Result<f64> {
-        let units = (edge.1 * u128::from(UNITS_PER_TICK)) >> 32;
+    fn error_us(&self, clocks: &Clocks, (number, edge): (u64, EdgeTime)) -> Result<f64> {
+        let units = (edge.raw() * i128::from(UNITS_PER_TICK)) >> 32;
         let units = u64::try_from(units).context("an edge beyond all time")?;
         let at = clocks.board.when_elapsed(units);
         let phone = clocks.phone.elapsed_at(at) as f64 / UNITS_PER_SECOND as f64;
-        Ok((phone - self.first - edge.0 as f64 * self.period_ns * 1e-9) * 1e6)
+        Ok((phone - self.first - number as f64 * self.period_ns * 1e-9) * 1e6)
     }
 }
 
@@ -397,7 +397,7 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
             let now = ticks(at + 0.05);
             if let Some(period) = steering.wanted(&relation, now, at - steered) {
                 let (_, edge) = steering.edge_from(now);
-                steering.follow(Ticks(u64::try_from(edge >> 32)?), edge as u32, period);
+                steering.follow(edge, period);
             }
             steered = at;
         }

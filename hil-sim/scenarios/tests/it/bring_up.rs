@@ -393,7 +393,6 @@ fn a_board_in_use_is_left_alone() {
         period: Period::from_picos(33_333_333_333).unwrap(),
         width: MIN_PULSE_WIDTH,
         first_edge: None,
-        first_fraction: 0,
     };
     bench.board.start_trigger(Output::Camera, start).unwrap();
     let refused = bench.measure(&Part::ALL);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use board::finding::Severity;
-use protocol::{ImuClock, ImuModel, Period};
+use protocol::{ImuClock, ImuModel};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -241,7 +241,7 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
     let session = SessionFile::load(&folder).unwrap();
     let tracking = session.tracking.unwrap();
     let alignment = session.alignment.unwrap();
-    let (mut exchanges, mut periods) = ([0, 0], vec![alignment.plan.period_q32 as f64]);
+    let (mut exchanges, mut periods) = ([0, 0], vec![alignment.plan.period.0 as f64]);
     for entry in Reader::open(&folder).unwrap() {
         match entry.unwrap().item {
             Item::Exchange(exchange) => {
@@ -249,8 +249,8 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
                 exchanges[usize::from(exchange.header.frame_id != "board")] += 1;
             }
             Item::Period(step) => {
-                assert!(Period(step.period_q32).in_bounds());
-                periods.push(step.period_q32 as f64);
+                assert!(step.grid.period.in_bounds());
+                periods.push(step.grid.period.0 as f64);
             }
             _ => {}
         }

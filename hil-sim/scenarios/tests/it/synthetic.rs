@@ -16,7 +16,7 @@ use std::sync::Arc;
 use board::imu::Sample;
 use clock::BoardSeconds;
 use clock::{ClockModel, Wander};
-use protocol::{ImuFlags, Period, Pulse, TICK_HZ, Ticks};
+use protocol::{EdgeGrid, ImuFlags, Period, Pulse, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use recording::writer::Writer;
@@ -285,7 +285,7 @@ fn make_train(
     let frame_board = |n: f64| rig.board_of_phone(first_frame + n * period);
     // What the session would know of the period: right at the video's beginning.
     let period_board = (frame_board(300.0) - frame_board(0.0)) / 300.0;
-    let grid = Period::from_picos((period_board * 1000.0).round() as u64).unwrap();
+    let period = Period::from_picos((period_board * 1000.0).round() as u64).unwrap();
     let middle = 0.5 * (EXPOSURE_NS + READOUT_NS) - FLASH_DELAY_NS - HALF_TRAIN_NS;
     let anchor = frame_board(0.0) + middle;
     // The train begins 1 s after the reset, away from the grid if it is to move.
@@ -294,12 +294,13 @@ fn make_train(
     let off = if config.slew { 9_000_000.0 } else { 0.0 };
     let start = Ticks(((on_grid - off) * 6.0 / 125.0).round() as u64);
     let (mut moved, total, step) = (0_i64, (off * 6.0 / 125.0) as i64, 4_800_i64);
+    let grid = EdgeGrid::new(start, period);
     let mut train = Vec::new();
     for number in 0.. {
         if number >= 200 {
             moved += (total - moved).clamp(-step, step);
         }
-        let at = Ticks(grid.edge(start, number).0.saturating_add_signed(moved));
+        let at = Ticks(grid.edge(number).ticks.0.saturating_add_signed(moved));
         if at.0 + 48_000 >= end {
             break;
         }

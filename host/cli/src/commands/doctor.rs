@@ -191,7 +191,6 @@ fn check_trigger(
             period: Period::from_ticks(TICK_HZ / profile.depth.fps),
             width: profile.pulse_width(),
             first_edge: None,
-            first_fraction: 0,
         };
         board.start_trigger(Output::Camera, start)?;
         let listened = listen_for(board, context, TRIGGER_TIME, |_| {});

@@ -7,10 +7,10 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use crate::support::{Behaviour, StandIn, code, frame, imu_setup, json, polite, run_line};
 use protocol::{
-    AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, HostToDevice, ImuFlags,
-    ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong, QueryImu,
-    QueryTrigger, Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks, TrainState,
-    TriggerStatus,
+    AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, EdgeTime, HostToDevice,
+    ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
+    QueryImu, QueryTrigger, Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks,
+    TrainState, TriggerStatus,
 };
 use serde_json::Value;
 
@@ -29,8 +29,10 @@ fn status(period: Period, width: u32) -> TriggerStatus {
         period,
         width,
         pulses: 10,
-        next_edge: Ticks(100),
-        next_fraction: 1 << 31,
+        next_edge: EdgeTime {
+            ticks: Ticks(100),
+            fraction: 1 << 31,
+        },
         late: 0,
         readback: Readback {
             seen: 10,
@@ -79,7 +81,7 @@ fn a_period_in_microseconds_reaches_the_board() {
     let exact = Period::from_picos(33_330_652_540).unwrap();
     assert!(start.period.0.abs_diff(exact.0) <= 2, "{:?}", start.period);
     assert_eq!(start.width, 600);
-    assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
+    assert_eq!(start.first_edge, Some(Ticks(4_800_000_000).into()));
     let report = json(&done);
     assert_eq!(report["period_ns"], "33330652.540");
     assert_eq!(report["period_ticks"], 1_599_871);

@@ -41,7 +41,7 @@ pub(crate) fn session(
             },
             clock,
             anchor,
-            period_q32: period.0,
+            period,
             ..GridPlan::default()
         },
         phase_sigma_us: 3.0,

@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use board::imu::Sample;
 use protocol::{
-    Dropped, ImuClock, ImuFlags, ImuState, ImuStatus, Output, Period, Pulse, Status, TICK_HZ,
-    Ticks, TrainState, TriggerStatus,
+    Dropped, EdgeGrid, ImuClock, ImuFlags, ImuState, ImuStatus, Output, Period, Pulse, Status,
+    TICK_HZ, Ticks, TrainState, TriggerStatus,
 };
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -56,7 +56,7 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
             period: PERIOD,
             width: 576,
             pulses,
-            next_edge: Ticks(1),
+            next_edge: Ticks(1).into(),
             ..TriggerStatus::default()
         },
         trigger_latency: 5,
@@ -91,8 +91,9 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
         let steps = number + u64::from(late);
         events.push((ANCHOR.0 + 5_000 + steps * 96_000, 0, number));
     }
+    let grid = EdgeGrid::new(ANCHOR, PERIOD);
     for number in 0..SECONDS * 30 {
-        let mut at = PERIOD.edge(ANCHOR, number as i64).0;
+        let mut at = grid.edge(number as i64).ticks.0;
         if let Some((late, by)) = wrong.pulse_late
             && late == number
         {

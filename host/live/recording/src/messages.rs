@@ -9,6 +9,7 @@
 
 pub mod camera;
 
+use protocol::EdgeGrid;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -343,12 +344,9 @@ impl RosMessage for ClockExchange {
 pub struct TriggerPeriod {
     /// That edge's time.
     pub header: Header,
-    /// Its tick; the edge is on the old grid and on the new one.
-    pub ticks: u64,
-    /// Its fraction, in 2⁻³² ticks.
-    pub fraction: u32,
-    /// The period from there on, in 2⁻³² ticks.
-    pub period_q32: u64,
+    /// The grid from there on, anchored at an edge that is on the old grid too; in the file
+    /// `ticks`, `fraction` and `period_q32`.
+    pub grid: EdgeGrid,
     /// By how much the grid was late on the phone's frames, µs.
     pub phase_us: f64,
     /// 1-sigma of it, µs.

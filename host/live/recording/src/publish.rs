@@ -2,11 +2,10 @@
 
 use std::time::{Duration, UNIX_EPOCH};
 
-use protocol::{CaptureChannel, Edge, Ticks};
+use protocol::{CaptureChannel, Edge, EdgeGrid, Ticks};
 
 use super::RecordingError;
 use super::diagnostics::diagnostics;
-use super::grid::Grid;
 use super::messages::{
     Capture, ClockExchange, ClockModel, Header, Imu, ImuFlags, LinkFrame, Log, Pulse, Temperature,
     Time, TimeReference, TriggerPeriod,
@@ -221,18 +220,16 @@ impl Writer {
     /// As [`Writer::imu`].
     pub fn trigger_period(
         &mut self,
-        grid: Grid,
+        grid: EdgeGrid,
         (phase_us, phase_sigma_us): (f64, f64),
     ) -> Result<(), RecordingError> {
         let period = Item::Period(TriggerPeriod {
-            header: header(grid.anchor, "board"),
-            ticks: grid.anchor.0,
-            fraction: grid.fraction,
-            period_q32: grid.period.0,
+            header: header(grid.anchor.ticks, "board"),
+            grid,
             phase_us,
             phase_sigma_us,
         });
-        self.write(grid.anchor, None, period)
+        self.write(grid.anchor.ticks, None, period)
     }
 
     /// Something that was said. `kind` is a stable word for it.

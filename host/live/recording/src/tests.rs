@@ -57,7 +57,7 @@ fn status(at: Ticks) -> Status {
             period: Period::MIN,
             width: 576,
             pulses: 3,
-            next_edge: Ticks(1),
+            next_edge: Ticks(1).into(),
             ..TriggerStatus::default()
         },
         trigger_latency: 5,

@@ -8,7 +8,7 @@
 use board::BoardError;
 use board::gnss::{self, parse_baud};
 use protocol::{
-    Output, Period, QueryTrigger, Refusal, StopGnss, StopTrigger, TICK_HZ, Ticks, TrainState,
+    EdgeGrid, Output, Period, QueryTrigger, Refusal, StopGnss, StopTrigger, TICK_HZ, TrainState,
     TriggerStart, TriggerStatus,
 };
 use recording::profile::{Lidar, TriggerOutput};
@@ -22,9 +22,6 @@ const LEAD: u64 = TICK_HZ as u64 / 2;
 
 /// How often a start is tried, each from twice as far ahead: 16 s at last.
 const ATTEMPTS: u32 = 6;
-
-/// Fraction bits of places and periods.
-const FRACTION_BITS: u32 = 32;
 
 /// Starts what the profile names.
 ///
@@ -101,15 +98,14 @@ fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<T
     let ticks_per_us = f64::from(TICK_HZ / 1_000_000);
     let period = camera.period.0.checked_mul(sensor.every.into())?;
     let period = Some(Period(period)).filter(|period| period.in_bounds())?;
-    let next = (u128::from(camera.next_edge.0) << FRACTION_BITS) | u128::from(camera.next_fraction);
     let pulses = lead.div_ceil(u64::from(camera.period.ticks().max(1)));
-    let delay = sensor.delay_us * ticks_per_us * (1_u64 << FRACTION_BITS) as f64;
-    let first = next + u128::from(pulses) * u128::from(camera.period.0) + delay.round() as u128;
+    let pulse = EdgeGrid::new(camera.next_edge, camera.period).edge(i64::try_from(pulses).ok()?);
+    // A delay has the resolution of a period.
+    let delay = Period::from_ticks_f64(sensor.delay_us * ticks_per_us);
     Some(TriggerStart {
         period,
         width: (sensor.width_us * ticks_per_us).round() as u32,
-        first_edge: Some(Ticks((first >> FRACTION_BITS) as u64)),
-        first_fraction: first as u32,
+        first_edge: Some(pulse + delay),
     })
 }
 
@@ -129,6 +125,8 @@ fn start_lidar(session: &mut Session<'_>, lidar: &Lidar) -> Result<(), Stop> {
 
 #[cfg(test)]
 mod tests {
+    use protocol::{EdgeTime, Ticks};
+
     use super::*;
 
     #[test]
@@ -140,8 +138,10 @@ mod tests {
             period,
             width: 576,
             pulses: 77,
-            next_edge: Ticks(123_456_789),
-            next_fraction: 0x1234_5678,
+            next_edge: EdgeTime {
+                ticks: Ticks(123_456_789),
+                fraction: 0x1234_5678,
+            },
             ..TriggerStatus::default()
         };
         let sensor = TriggerOutput {
@@ -154,21 +154,18 @@ mod tests {
         let start = joined(&sensor, &camera, LEAD).unwrap();
         assert_eq!(start.period.0, 6 * period.0);
         assert_eq!(start.width, 4_800);
-        let place = |ticks: Ticks, fraction: u32| {
-            (u128::from(ticks.0) << FRACTION_BITS) | u128::from(fraction)
-        };
-        let first = place(start.first_edge.unwrap(), start.first_fraction);
-        let next = place(camera.next_edge, camera.next_fraction);
-        assert_eq!((first - next) % u128::from(period.0), 0);
-        assert!((first - next) >> FRACTION_BITS >= u128::from(LEAD));
+        let first = start.first_edge.unwrap();
+        let grid = EdgeGrid::new(camera.next_edge, period);
+        assert_eq!(grid.since_edge(first), Some(0));
+        assert!((first.ticks - camera.next_edge.ticks).unsigned_abs() >= LEAD);
 
         let later = TriggerOutput {
             delay_us: 160.5,
             ..sensor.clone()
         };
         let later = joined(&later, &camera, LEAD).unwrap();
-        let later = place(later.first_edge.unwrap(), later.first_fraction);
-        assert_eq!(later - first, 7_704 << FRACTION_BITS);
+        let later = later.first_edge.unwrap();
+        assert_eq!(later, first + Period::from_ticks(7_704));
 
         let slow = TriggerOutput {
             every: 31,

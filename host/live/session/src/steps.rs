@@ -3,8 +3,8 @@
 use board::imu::{ImuLook, Scale};
 use clock::ClockModel;
 use protocol::{
-    AlignPlan, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks, TrainState,
-    TriggerStart, TriggerStatus,
+    AlignPlan, EdgeGrid, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks,
+    TrainState, TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 
@@ -20,7 +20,7 @@ use crate::phones::REFERENCE;
 use crate::session::Session;
 use crate::twist::first_twists;
 use crate::videos::{place_others, start_videos, watch_videos};
-use crate::watch::{Grid, Watch};
+use crate::watch::Watch;
 
 /// How much longer than planned an arrival may take to be reported, ticks.
 const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
@@ -141,7 +141,6 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
         period,
         width: profile.pulse_width(),
         first_edge: None,
-        first_fraction: 0,
     };
     session.call(|board| board.start_trigger(Output::Camera, start))?;
     session.log.report(SessionEvent::TriggerStarted {
@@ -231,7 +230,7 @@ fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(
 
 /// Records, until the time is up or somebody stops it.
 fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
-    let grid = Grid::from(alignment);
+    let grid = alignment.plan.grid();
     let settled = alignment.arrival.map(|arrival| {
         let wait = u64::from(grid.period.ticks()) * SETTLING_PERIODS;
         Ticks(arrival.0.saturating_add(wait))
@@ -290,7 +289,7 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
 
 impl Session<'_> {
     /// Begins the recorded span, in which pulses are watched against this grid.
-    pub fn begin_recording(&mut self, grid: Grid) {
+    pub fn begin_recording(&mut self, grid: EdgeGrid) {
         let from = self.now();
         self.link.board.start_counting();
         self.monitors.watch = Some(Watch::new(grid, from));

@@ -347,7 +347,7 @@ impl Tracking {
             return Ok(());
         };
         let steering = &mut following.steering;
-        let grid = steering.follow(status.next_edge, status.next_fraction, step.period);
+        let grid = steering.follow(status.next_edge, step.period);
         if let Some(watch) = watch {
             watch.follow(grid);
         }

@@ -3,12 +3,11 @@
 //! A state that lasts (pulses stay away, the IMU gives nothing) is reported once
 //! when it begins and once when it ends.
 
-use protocol::{ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
+use protocol::{EdgeGrid, ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
 
 use board::Stream;
 use board::finding::Finding;
 use recording::grid::FollowedGrid;
-pub use recording::grid::Grid;
 
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
@@ -105,7 +104,7 @@ pub struct Watch {
 impl Watch {
     /// Begins to watch at a board time, with a train that is on its grid.
     #[must_use]
-    pub const fn new(grid: Grid, now: Ticks) -> Self {
+    pub const fn new(grid: EdgeGrid, now: Ticks) -> Self {
         Self {
             grid: FollowedGrid::new(grid),
             next_number: None,
@@ -121,12 +120,12 @@ impl Watch {
 
     /// The grid.
     #[must_use]
-    pub const fn grid(&self) -> Grid {
+    pub const fn grid(&self) -> EdgeGrid {
         self.grid.last()
     }
 
     /// From its anchor on the train is on another grid.
-    pub const fn follow(&mut self, grid: Grid) {
+    pub const fn follow(&mut self, grid: EdgeGrid) {
         self.grid.follow(grid);
     }
 
@@ -241,23 +240,22 @@ impl Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::Period;
+    use protocol::{EdgeTime, Period};
 
-    const GRID: Grid = Grid {
-        anchor: Ticks(1_000_000),
-        fraction: 0,
+    const GRID: EdgeGrid = EdgeGrid {
+        anchor: EdgeTime::from_ticks(Ticks(1_000_000)),
         period: Period::from_ticks(1_600_000),
     };
 
     fn watch() -> Watch {
-        Watch::new(GRID, GRID.anchor)
+        Watch::new(GRID, GRID.anchor.ticks)
     }
 
     fn pulse(number: u64) -> Pulse {
         Pulse {
             train: 1,
             number,
-            at: GRID.period.edge(GRID.anchor, number as i64),
+            at: GRID.edge(number as i64).ticks,
             aligned: true,
             ..Pulse::default()
         }
@@ -312,7 +310,10 @@ mod tests {
         let mut watch = watch();
         let mut findings = Vec::new();
         for second in 1..10 {
-            watch.time(Ticks(GRID.anchor.0 + second * 48_000_000), &mut findings);
+            watch.time(
+                Ticks(GRID.anchor.ticks.0 + second * 48_000_000),
+                &mut findings,
+            );
         }
         assert_eq!(kinds(&findings), ["pulses_missing", "imu_gap"]);
         findings.clear();
@@ -325,8 +326,11 @@ mod tests {
         watch.imu(&sample, &mut findings);
         assert_eq!(kinds(&findings), ["pulses_back", "imu_back", "imu_gap"]);
         findings.clear();
-        watch.resume(Ticks(GRID.anchor.0 + 900 * 48_000_000));
-        watch.time(Ticks(GRID.anchor.0 + 900 * 48_000_000 + 1), &mut findings);
+        watch.resume(Ticks(GRID.anchor.ticks.0 + 900 * 48_000_000));
+        watch.time(
+            Ticks(GRID.anchor.ticks.0 + 900 * 48_000_000 + 1),
+            &mut findings,
+        );
         assert_eq!(findings, []);
     }
 }

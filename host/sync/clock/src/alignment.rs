@@ -22,8 +22,7 @@
 
 use std::fmt::{self, Display, Formatter};
 
-use protocol::TriggerAlign;
-use protocol::units::{Period, TICK_HZ, Ticks};
+use protocol::{EdgeGrid, Period, TICK_HZ, Ticks, TriggerAlign};
 use serde::{Deserialize, Serialize};
 
 use crate::frames::Frames;
@@ -112,8 +111,9 @@ pub struct GridPlan {
     pub board_temperature_c: Option<f64>,
     /// One edge of the grid.
     pub anchor: Ticks,
-    /// Period of the grid in 2⁻³² ticks.
-    pub period_q32: u64,
+    /// Period of the grid; in the file as 2⁻³² ticks.
+    #[serde(rename = "period_q32")]
+    pub period: Period,
 }
 
 impl GridPlan {
@@ -146,7 +146,7 @@ impl GridPlan {
             board_temperature_c: None,
             anchor: edge.ticks(),
             // At 30 fps 1.6·10⁶ · 2³² is below 2⁵³: exact to 2⁻³² ticks.
-            period_q32: (period_s * f64::from(TICK_HZ) * 4_294_967_296.0).round() as u64,
+            period: Period::from_ticks_f64(period_s * f64::from(TICK_HZ)),
         })
     }
 
@@ -155,10 +155,15 @@ impl GridPlan {
     pub const fn command(&self, slew: u32) -> TriggerAlign {
         TriggerAlign {
             anchor: self.anchor,
-            anchor_fraction: 0,
-            period: Period(self.period_q32),
+            period: self.period,
             slew,
         }
+    }
+
+    /// Returns the edges of the grid.
+    #[must_use]
+    pub fn grid(&self) -> EdgeGrid {
+        EdgeGrid::new(self.anchor, self.period)
     }
 
     fn course(&self) -> Course {
@@ -227,8 +232,7 @@ impl GridPlan {
         let middle = course.clock.to_board(middle);
         let rate = course.rate_from(middle);
         let depth = BoardSeconds(self.anchor.as_secs_f64() + to_depth_s);
-        let ticks = self.period_q32 as f64 / 4_294_967_296.0;
-        let grid_s = ticks / f64::from(TICK_HZ) / f64::from(ratio);
+        let grid_s = self.period.as_secs_f64() / f64::from(ratio);
         let apart = middle.0 - depth.0;
         let own_s = frames.period_ns * 1e-9 / (1.0 + rate.skew);
         let offset_sigma_us = course.offset_sigma_at(middle) * 1e6;

@@ -17,7 +17,7 @@
 //! What a frame's period is in the phone's time, nothing here learns: 1 ppb of it is 3.6 µs
 //! an hour.
 
-use protocol::{Period, TICK_HZ, Ticks};
+use protocol::{EdgeGrid, EdgeTime, Period, TICK_HZ, Ticks};
 use twist_sync::tracker::{Asked, Tracker};
 
 use crate::alignment::GridPlan;
@@ -65,23 +65,6 @@ pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
     })
 }
 
-/// 2⁻³² ticks to a tick.
-const Q32: f64 = 4_294_967_296.0;
-
-/// Fraction bits of positions.
-const FRACTION_BITS: u32 = 32;
-
-/// A grid of edges.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Grid {
-    /// One edge.
-    pub anchor: Ticks,
-    /// Its fraction, in 2⁻³² ticks.
-    pub fraction: u32,
-    /// Distance of edges.
-    pub period: Period,
-}
-
 /// The trigger's grid, and where the phone's frames are.
 #[derive(Clone, Debug)]
 pub struct Steering {
@@ -90,44 +73,39 @@ pub struct Steering {
     begin: PhoneSeconds,
     /// Phone's time from one wanted edge to the next, s.
     frame_s: f64,
-    /// An edge of the grid: its number from the anchor, and where it is, in 2⁻³² ticks.
-    edge: (u64, u128),
-    period: Period,
+    /// The grid that is followed now.
+    grid: EdgeGrid,
+    /// Number of its anchor, from the alignment's.
+    number: u64,
 }
 
 impl Steering {
     /// From an alignment on; `ratio` phone frames to a depth frame.
     #[must_use]
     pub fn new(plan: &GridPlan, ratio: u32) -> Self {
-        let anchor = plan.anchor;
         Self {
             plan: *plan,
-            begin: plan.clock.to_phone(anchor.into()),
+            begin: plan.clock.to_phone(plan.anchor.into()),
             frame_s: plan.frames.period_ns * 1e-9 * f64::from(ratio),
-            edge: (0, u128::from(anchor.0) << FRACTION_BITS),
-            period: Period(plan.period_q32),
+            grid: plan.grid(),
+            number: 0,
         }
     }
 
-    /// The first edge of the grid that is not before a time: its number from the anchor, and
-    /// where it is, in 2⁻³² ticks.
+    /// Returns the first edge of the grid that is not before `at`, with its number from the
+    /// alignment's anchor.
     #[must_use]
-    pub fn edge_from(&self, at: Ticks) -> (u64, u128) {
-        let (number, position) = self.edge;
-        let away = (u128::from(at.0) << FRACTION_BITS).saturating_sub(position);
-        let count = away.div_ceil(u128::from(self.period.0.max(1)));
-        let count = u64::try_from(count).unwrap_or(u64::MAX);
-        let moved = u128::from(count) * u128::from(self.period.0);
-        (number.saturating_add(count), position + moved)
+    pub fn edge_from(&self, at: Ticks) -> (u64, EdgeTime) {
+        let (count, edge) = self.grid.first_from(at);
+        (self.number.saturating_add(count), edge)
     }
 
     /// By how much the grid is late on the phone's frames at a time, s, by a relation of the
     /// clocks.
     #[must_use]
     pub fn phase_s(&self, clock: &ClockModel, at: Ticks) -> f64 {
-        let (number, position) = self.edge_from(at);
-        let ticks = position as f64 / Q32;
-        let at = clock.to_phone(BoardSeconds(ticks / f64::from(TICK_HZ)));
+        let (number, edge) = self.edge_from(at);
+        let at = clock.to_phone(BoardSeconds(edge.as_secs_f64()));
         (at.0 - self.begin.0) - number as f64 * self.frame_s
     }
 
@@ -142,7 +120,7 @@ impl Steering {
     /// The period that is followed now.
     #[must_use]
     pub const fn period(&self) -> Period {
-        self.period
+        self.grid.period
     }
 
     /// The period from now on, `since_s` seconds after the last one was set; nothing if it
@@ -150,51 +128,50 @@ impl Steering {
     #[must_use]
     pub fn wanted(&self, clock: &ClockModel, at: Ticks, since_s: f64) -> Option<Period> {
         let phase = self.phase_s(clock, at);
-        let aligned = self.plan.period_q32 as f64;
+        let aligned = self.plan.period.as_ticks_f64();
         let ticks = self.frame_s / (1.0 + clock.skew) * f64::from(TICK_HZ);
-        let wanted = ticks * Q32 * (1.0 - phase / CATCH_UP_S);
-        let now = self.period.0 as f64;
+        let wanted = ticks * (1.0 - phase / CATCH_UP_S);
+        let now = self.period().as_ticks_f64();
         let most = MOST_A_SECOND * since_s.clamp(0.0, CATCH_UP_S) * aligned;
         let wanted = wanted.clamp(now - most, now + most);
         let away = MOST_AWAY * aligned;
         let wanted = wanted.clamp(aligned - away, aligned + away);
-        let period = Period(wanted.round() as u64);
-        let changes = wanted.is_finite() && period != self.period && period.in_bounds();
+        let period = Period::from_ticks_f64(wanted);
+        let changes = wanted.is_finite() && period != self.period() && period.in_bounds();
         changes.then_some(period)
     }
 
-    /// The board has this period, and `next` is an edge that it makes by it; its fraction is
-    /// in 2⁻³² ticks. Gives the grid from the first edge on that is on the old one too: where
-    /// answers were lost, `next` lies after that.
-    pub fn follow(&mut self, next: Ticks, fraction: u32, period: Period) -> Grid {
-        let next = (u128::from(next.0) << FRACTION_BITS) | u128::from(fraction);
-        self.edge = turn(self.edge, self.period, next, period);
-        self.period = period;
-        let (_, position) = self.edge;
-        Grid {
-            anchor: Ticks((position >> FRACTION_BITS) as u64),
-            fraction: position as u32,
-            period,
-        }
+    /// Follows the board, which has set another period and makes the edge `next` by it.
+    ///
+    /// Returns the grid from the first edge on that is on the old one too: where answers were
+    /// lost, `next` lies after that.
+    pub fn follow(&mut self, next: EdgeTime, period: Period) -> EdgeGrid {
+        let (count, anchor) = turn(self.grid, next, period);
+        self.number = self.number.saturating_add(count);
+        self.grid = EdgeGrid { anchor, period };
+        self.grid
     }
 }
 
-/// The edge at which a train has gone from one period to another: its number and where it
-/// is, in 2⁻³² ticks. `edge` is one before, `next` one that is not.
-fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u64, u128) {
-    let apart = u128::from(old.0.max(1));
-    let count = (next.saturating_sub(edge) + apart / 2) / apart;
+/// Returns the edge at which a train has gone from the grid `old`, whose anchor lies before, to
+/// the period `new`, with its number from that anchor. `next` is an edge of the new period.
+fn turn(old: EdgeGrid, next: EdgeTime, new: Period) -> (u64, EdgeTime) {
+    let apart = i128::from(old.period.0.max(1));
+    let ahead = (next.raw() - old.anchor.raw()).max(0);
+    let count = (ahead + apart / 2) / apart;
     // Each period since is longer than an old one by as much.
-    let beyond = next as i128 - (edge + count * apart) as i128;
-    let each = i128::from(new.0) - i128::from(old.0);
+    let beyond = next.raw() - old.anchor.raw() - count * apart;
+    let each = i128::from(new.0) - i128::from(old.period.0);
     let since = match (beyond.checked_rem(each), beyond.checked_div(each)) {
-        (Some(0), Some(since)) => u128::try_from(since).unwrap_or(0).min(count),
+        (Some(0), Some(since)) => since.clamp(0, count),
         // On neither grid: nothing else is known of the train.
         _ => 0,
     };
-    let count = u64::try_from(count - since).unwrap_or(u64::MAX);
-    let position = next.saturating_sub(since * u128::from(new.0));
-    (number.saturating_add(count), position)
+    let number = u64::try_from(count - since).unwrap_or(u64::MAX);
+    (
+        number,
+        EdgeTime::from_raw(next.raw() - since * i128::from(new.0)),
+    )
 }
 
 #[cfg(test)]
@@ -208,13 +185,16 @@ mod tests {
     /// The answer to a step may come late, or be that to its repetition.
     #[test]
     fn a_step_is_found_at_its_edge_however_late_it_is_told() {
-        let begin = (7, (9_000_000_000 << FRACTION_BITS) | 5);
-        let old = Period(1_600_000 << FRACTION_BITS | 77);
+        let anchor = EdgeTime {
+            ticks: Ticks(9_000_000_000),
+            fraction: 5,
+        };
+        let old = EdgeGrid::new(anchor, Period(1_600_000 << 32 | 77));
         for (late, more) in [(0, 2_000_000_001), (1, -3), (61, 2_000_000_001), (200, -7)] {
-            let new = Period(old.0.wrapping_add_signed(more));
-            let turned = begin.1 + 35 * u128::from(old.0);
-            let told = turned + late * u128::from(new.0);
-            assert_eq!(turn(begin, old, told, new), (7 + 35, turned), "{late}");
+            let new = Period(old.period.0.wrapping_add_signed(more));
+            let turned = old.edge(35);
+            let next = EdgeGrid::new(turned, new).edge(late);
+            assert_eq!(turn(old, next, new), (35, turned), "{late}");
         }
     }
 
@@ -237,7 +217,7 @@ mod tests {
                 let now = at(2 * step);
                 if let Some(period) = steering.wanted(&is, now, STEP_EVERY_S) {
                     let (_, edge) = steering.edge_from(now);
-                    steering.follow(Ticks((edge >> FRACTION_BITS) as u64), edge as u32, period);
+                    steering.follow(edge, period);
                 }
                 let phase = phase_us(&steering, now);
                 assert!(phase.abs() < 60.0, "after {step} steps {phase}");

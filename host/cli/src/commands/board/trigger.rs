@@ -112,8 +112,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
             let start = TriggerStart {
                 period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
                 width: width.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
-                first_edge: first_edge.map(Ticks),
-                first_fraction: 0,
+                first_edge: first_edge.map(|edge| Ticks(edge).into()),
             };
             board.start_trigger(output, start)?
         }
@@ -128,7 +127,6 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
             };
             let to = TriggerAlign {
                 anchor: Ticks(anchor),
-                anchor_fraction: 0,
                 period,
                 slew,
             };
@@ -178,8 +176,8 @@ impl Train {
             fps: if seconds > 0.0 { 1.0 / seconds } else { 0.0 },
             width_us: f64::from(status.width) * 1e6 / f64::from(TICK_HZ),
             pulses: status.pulses,
-            next_edge_ticks: status.next_edge.0,
-            next_edge_fraction: status.next_fraction,
+            next_edge_ticks: status.next_edge.ticks.0,
+            next_edge_fraction: status.next_edge.fraction,
             late: status.late,
             readback_state: match (readback.seen, readback.missing, readback.stray) {
                 _ if !output.is_camera() => String::from("none on this output"),

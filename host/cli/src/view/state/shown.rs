@@ -2,7 +2,7 @@
 
 use clock::alignment::Placement;
 use clock::{BoardSeconds, ClockModel};
-use protocol::{Period, TICK_HZ, Ticks};
+use protocol::{TICK_HZ, Ticks};
 use recording::error_budget::{COARSE_US, ErrorPart};
 use serde::Serialize;
 use session::event::{Phase, Tracked};
@@ -251,7 +251,7 @@ impl State {
         if alignment.arrival.is_none_or(|arrival| at < arrival) {
             return None;
         }
-        let off = Period(alignment.plan.period_q32).phase_error(alignment.plan.anchor, at);
+        let off = alignment.plan.grid().phase_error(at);
         let off_us = off.0 as f64 * 1e6 / f64::from(TICK_HZ);
         let now = BoardSeconds::from(self.now);
         let untracked_us = || alignment.plan.phase_sigma_us_now(now, self.temperature);

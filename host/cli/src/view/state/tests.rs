@@ -58,7 +58,7 @@ fn aligned(clock: ClockModel, seconds: f64) -> Alignment {
             },
             clock,
             anchor,
-            period_q32: Period::from_ticks(1_600_000).0,
+            period: Period::from_ticks(1_600_000),
             ..GridPlan::default()
         },
         phase_sigma_us: 3.0,

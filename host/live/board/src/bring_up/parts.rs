@@ -8,15 +8,15 @@ mod wires;
 use crate::{Board, BoardError, Event, Stream};
 use protocol::pins::pin_of;
 use protocol::{
-    BoardSettings, CORE_HZ, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, QueryBoard,
-    QueryGnss, QueryTrigger, SendFiller, SetBoard, StopGnss, StopTrigger, TICK_HZ, TickDelta,
-    TrainState, TriggerAlign, TriggerStart,
+    BoardSettings, CORE_HZ, EdgeGrid, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse,
+    QueryBoard, QueryGnss, QueryTrigger, SendFiller, SetBoard, StopGnss, StopTrigger, TICK_HZ,
+    TickDelta, TrainState, TriggerAlign, TriggerStart,
 };
 
 use crate::finding::{Finding, Severity};
 
 use crate::bring_up::bench::{Heard, millis};
-use crate::bring_up::train::{Extent, Grid, MAX_DELAY, TICK_OF_DOUBT, Trains};
+use crate::bring_up::train::{Extent, MAX_DELAY, PulseGrid, TICK_OF_DOUBT, Trains};
 use crate::bring_up::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
 
 /// 30 a second; not a whole number of ticks.
@@ -243,15 +243,19 @@ impl<'a> Session<'a> {
     }
 
     /// Starts a train and gives the grid on which its pulses must be.
-    fn start(&mut self, output: Output, period: Period, width: u32) -> Result<Grid, BringUpError> {
+    fn start(
+        &mut self,
+        output: Output,
+        period: Period,
+        width: u32,
+    ) -> Result<PulseGrid, BringUpError> {
         let start = TriggerStart {
             period,
             width,
             first_edge: None,
-            first_fraction: 0,
         };
         let status = self.board.start_trigger(output, start)?;
-        Ok(Grid::of(&status))
+        Ok(PulseGrid::of(&status))
     }
 
     /// Stops a train and hears the rest of its messages.
@@ -336,21 +340,21 @@ impl<'a> Session<'a> {
         let mut heard = self.hear(millis(500))?;
         trains.compare(&first, &heard.pulses);
         let third = TickDelta(i64::from(PERIOD.ticks() / 3));
-        let mut anchor = first.at + third;
+        let mut anchor = first.grid.anchor.ticks + third;
         let mut slewed = Extent::default();
         for slew in [0, SLEW] {
             let to = TriggerAlign {
                 anchor,
-                anchor_fraction: 0,
                 period: PERIOD,
                 slew,
             };
+            let grid = EdgeGrid::new(anchor, PERIOD);
             let plan = self.board.align(Output::Camera, to)?;
             let mut way = self.hear_until(millis(10_000), |heard| !heard.arrived.is_empty())?;
             way.append(self.hear(millis(500))?);
             for pulse in &way.pulses {
                 if pulse.number >= plan.arrival_pulse {
-                    trains.compared(PERIOD.phase_error(anchor, pulse.at));
+                    trains.compared(grid.phase_error(pulse.at));
                 }
             }
             if slew > 0 {
@@ -363,7 +367,7 @@ impl<'a> Session<'a> {
         }
         let other = period(33_322_225_925);
         let status = self.board.set_period(Output::Camera, other)?;
-        let grid = Grid::of(&status);
+        let grid = PulseGrid::of(&status);
         let mut changed = self.hear(millis(500))?;
         changed.append(self.stop(Output::Camera)?);
         let after: Vec<Pulse> = (changed.pulses.iter())

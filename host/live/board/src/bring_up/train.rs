@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use protocol::{Capture, Edge, Period, Pulse, TICK_HZ, TickDelta, Ticks, TriggerStatus};
+use protocol::{Capture, Edge, EdgeGrid, Pulse, TICK_HZ, TickDelta, Ticks, TriggerStatus};
 
 /// The most by which equal delays may differ: a signal that changes just when its
 /// input is sampled is seen a tick later.
@@ -12,36 +12,27 @@ pub(crate) const TICK_OF_DOUBT: i64 = 1;
 /// synchroniser and eight of filter (RM0090 18.4.7) are 0.2 µs.
 pub(crate) const MAX_DELAY: i64 = (TICK_HZ / 2_000_000) as i64;
 
-/// Where the pulses of a train must be: the floor of an exact sum.
+/// The edges that the pulses of a train must have.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Grid {
-    /// Number of a pulse.
+pub(crate) struct PulseGrid {
+    pub(crate) grid: EdgeGrid,
+    /// Number of the pulse at the anchor.
     pub(crate) number: u64,
-    /// Its edge.
-    pub(crate) at: Ticks,
-    /// The edge's fraction, in 2⁻³² ticks.
-    pub(crate) fraction: u32,
-    pub(crate) period: Period,
 }
 
-impl Grid {
-    /// The grid on which a train goes on.
-    pub(crate) const fn of(status: &TriggerStatus) -> Self {
+impl PulseGrid {
+    /// Returns the grid of a train from its next edge on.
+    pub(crate) fn of(status: &TriggerStatus) -> Self {
         Self {
+            grid: EdgeGrid::new(status.next_edge, status.period),
             number: status.pulses,
-            at: status.next_edge,
-            fraction: status.next_fraction,
-            period: status.period,
         }
     }
 
-    /// How far a pulse is off.
+    /// Returns the distance of a pulse from its edge.
     pub(crate) fn error(&self, pulse: &Pulse) -> TickDelta {
-        let ahead = i128::from(pulse.number) - i128::from(self.number);
-        let start = (i128::from(self.at.0) << 32) + i128::from(self.fraction);
-        let edge = (start + ahead * i128::from(self.period.0)) >> 32;
-        let apart = i128::from(pulse.at.0) - edge;
-        TickDelta(apart.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
+        let ahead = pulse.number.wrapping_sub(self.number) as i64;
+        pulse.at - self.grid.edge(ahead).ticks
     }
 }
 
@@ -101,7 +92,7 @@ pub(crate) struct Trains {
 
 impl Trains {
     /// Compares the pulses with their grid.
-    pub(crate) fn compare(&mut self, grid: &Grid, pulses: &[Pulse]) {
+    pub(crate) fn compare(&mut self, grid: &PulseGrid, pulses: &[Pulse]) {
         for pulse in pulses {
             self.compared(grid.error(pulse));
         }

@@ -2,7 +2,7 @@
 
 use super::GridCheck;
 use super::findings::Findings;
-use crate::grid::{FollowedGrid, Grid};
+use crate::grid::FollowedGrid;
 use crate::messages::{Pulse, TriggerPeriod};
 use crate::session_file::SessionFile;
 use protocol::Ticks;
@@ -25,7 +25,7 @@ impl Pulses {
         let closed = session.outcome.and(session.recorded);
         let from = alignment.arrival.unwrap_or(alignment.plan.anchor);
         Self {
-            grid: Some(FollowedGrid::new(Grid::from(&alignment))),
+            grid: Some(FollowedGrid::new(alignment.plan.grid())),
             span: Some((from, closed.map_or(Ticks(u64::MAX), |span| span.to))),
             ..Self::default()
         }
@@ -34,7 +34,7 @@ impl Pulses {
     /// Changes the period of the grid from an edge on.
     pub(super) fn follow(&mut self, period: &TriggerPeriod) {
         if let Some(grid) = &mut self.grid {
-            grid.follow(period.into());
+            grid.follow(period.grid);
         }
     }
 

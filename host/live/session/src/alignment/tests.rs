@@ -74,7 +74,7 @@ fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
     );
 
     // The period in board ticks: the phone's seconds are shorter than the board's.
-    let ticks = alignment.plan.period_q32 as f64 / 4_294_967_296.0;
+    let ticks = alignment.plan.period.as_ticks_f64();
     let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
     assert!((ticks - expected).abs() < 1e-8);
     assert_eq!(alignment.plan.frames.source, FramePeriodSource::VideoStart);
@@ -312,7 +312,7 @@ fn another_phone_is_placed_against_the_grid() {
     for fps in [30, 5] {
         profile.depth.fps = fps;
         let mut alignment = alignment;
-        alignment.plan.period_q32 *= u64::from(profile.frame_ratio());
+        alignment.plan.period.0 *= u64::from(profile.frame_ratio());
         let placed = placement(
             &profile,
             &profile.phone,
@@ -408,7 +408,7 @@ fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
     profile.depth.fps = 5;
     let slow = plan(&profile, &course(), &video()).unwrap().alignment;
     assert_eq!(slow.plan.anchor, fast.plan.anchor);
-    assert!(slow.plan.period_q32.abs_diff(6 * fast.plan.period_q32) <= 4);
+    assert!(slow.plan.period.0.abs_diff(6 * fast.plan.period.0) <= 4);
 }
 
 #[test]

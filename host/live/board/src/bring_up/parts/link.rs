@@ -13,7 +13,7 @@ use twist_sync::robust::median;
 use super::{PERIOD, Session};
 use crate::bring_up::BringUpError;
 use crate::bring_up::bench::{Heard, millis};
-use crate::bring_up::train::{Grid, Trains};
+use crate::bring_up::train::{PulseGrid, Trains};
 
 /// A session's messages are some 30 kB/s; this leaves room for ten.
 const MIN_THROUGHPUT: f64 = 300e3;
@@ -108,7 +108,7 @@ impl Session<'_> {
     }
 
     /// How the board's handlers and its core fared with the link full.
-    fn handlers(&mut self, grid: &Grid, heard: &Heard) {
+    fn handlers(&mut self, grid: &PulseGrid, heard: &Heard) {
         let mut trains = Trains::default();
         trains.compare(grid, &heard.pulses);
         let most = |of: fn(&Status) -> u32| heard.statuses.iter().map(of).max().unwrap_or(0);

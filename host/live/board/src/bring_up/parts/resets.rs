@@ -11,7 +11,7 @@ use protocol::{
 
 use super::{NOBODY, PERIOD, Session};
 use crate::bring_up::bench::{Heard, millis};
-use crate::bring_up::train::{Grid, Trains};
+use crate::bring_up::train::{PulseGrid, Trains};
 use crate::bring_up::{BringUpError, Prompt};
 
 /// How long a board may take from the link's end to a new one: start, enumeration, and a computer
@@ -62,7 +62,7 @@ const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
 
 /// A train beside which the link is interrupted.
 struct Interrupted {
-    grid: Grid,
+    grid: PulseGrid,
     epoch: u32,
     trains: Trains,
     times: u64,
