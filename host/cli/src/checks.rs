@@ -2,7 +2,6 @@
 //! beside those of the rig ([`session::checks`]).
 
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
@@ -123,19 +122,13 @@ fn check_disk(checks: &mut Checks, free: Option<u64>) {
 }
 
 fn check_ffmpeg(checks: &mut Checks) {
-    let version = Command::new("ffmpeg")
-        .arg("-version")
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .output();
-    match version {
-        Ok(output) if output.status.success() => {
-            let text = String::from_utf8_lossy(&output.stdout);
+    match phone::video::version() {
+        Some(text) => {
             let first = text.lines().next().unwrap_or_default();
             let short: Vec<&str> = first.split_whitespace().take(3).collect();
             checks.good("ffmpeg", short.join(" "));
         }
-        _ => checks.warn(
+        None => checks.warn(
             "ffmpeg",
             "not found",
             "extract and evaluate need it: install ffmpeg",
@@ -147,7 +140,9 @@ fn check_recorder(checks: &mut Checks, profile: &Profile) {
     const NAME: &str = "depth recorder";
     match profile.depth.recorder.command.first() {
         None => checks.good(NAME, "none in the profile: start it yourself"),
-        Some(program) if system::program(program).is_some() => checks.good(NAME, program.clone()),
+        Some(program) if system::find_program(program).is_some() => {
+            checks.good(NAME, program.clone())
+        }
         Some(program) => checks.bad(
             Fault::Recorder,
             NAME,

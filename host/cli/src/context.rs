@@ -11,12 +11,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use phone::StopSignal;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use system::Reading;
+use system::{Cancel, ReadMonitor, ReadProgress};
 
 use crate::fields;
 use crate::outcome::{ExitStatus, Failure};
@@ -139,28 +138,27 @@ impl Context {
         }
     }
 
-    /// Does work that reads files. Its readings end with the first Ctrl-C, and from the second
-    /// second on a bar shows how far they are.
+    /// Does work that reads files. Reads under the monitor that it is given end with the first
+    /// Ctrl-C, and after a second a bar shows their progress.
     ///
     /// # Errors
     ///
     /// Those of the work; or it was interrupted.
     pub(crate) fn over_files<T, E: Into<Failure>>(
         &self,
-        work: impl FnOnce() -> Result<T, E>,
+        work: impl FnOnce(&ReadMonitor) -> Result<T, E>,
     ) -> Result<T, Failure> {
-        let interrupt = self.interrupt.clone();
-        let bar = ReadingBar::new(self);
-        let watching = system::watch(move |reading| {
-            bar.at(reading);
-            !interrupt.requested()
+        let bar = Arc::new(ReadingBar::new(self));
+        let shown = Arc::clone(&bar);
+        let monitor = ReadMonitor::new(self.interrupt.cancel(), move |progress| {
+            shown.show(progress);
         });
-        let result = work();
-        drop(watching);
-        match self.interrupt.requested() {
-            true => Err(Failure::new(ExitStatus::Interrupted, "stopped")),
-            false => result.map_err(E::into),
+        let result = work(&monitor);
+        bar.bar.finish_and_clear();
+        if self.interrupt.requested() {
+            return Err(Failure::new(ExitStatus::Interrupted, "stopped"));
         }
+        result.map_err(E::into)
     }
 
     /// A progress bar of this length on standard error; hidden where nobody would see it.
@@ -199,31 +197,25 @@ impl ReadingBar {
         }
     }
 
-    fn at(&self, reading: &Reading<'_>) {
+    fn show(&self, progress: &ReadProgress<'_>) {
         if self.begun.elapsed() < Self::QUIET || self.bar.is_hidden() {
             return;
         }
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
-        if *shown != reading.path {
-            reading.path.clone_into(&mut shown);
-            let name = reading.path.file_name().unwrap_or_default();
+        if *shown != progress.path {
+            progress.path.clone_into(&mut shown);
+            let name = progress.path.file_name().unwrap_or_default();
             let name = name.to_string_lossy();
             let message = format!("reading {}", harmless(&name, Shown::ForPeople));
             self.bar.set_message(message);
-            if reading.length > 0 {
+            if progress.length > 0 {
                 self.bar
                     .set_style(bar_style("{msg} {wide_bar} {percent:>3} % {eta:>4}"));
-                self.bar.set_length(reading.length);
+                self.bar.set_length(progress.length);
             }
             self.bar.enable_steady_tick(Self::QUIET);
         }
-        self.bar.set_position(reading.position);
-    }
-}
-
-impl Drop for ReadingBar {
-    fn drop(&mut self) {
-        self.bar.finish_and_clear();
+        self.bar.set_position(progress.position);
     }
 }
 
@@ -250,10 +242,10 @@ impl Interrupt {
         || self.requested()
     }
 
-    /// The same for those who talk to a phone.
-    pub(crate) fn stop_signal(&self) -> StopSignal {
+    /// Returns the same question as a handle for work that ends early.
+    pub(crate) fn cancel(&self) -> Cancel {
         let interrupt = self.clone();
-        StopSignal::new(move || interrupt.requested())
+        Cancel::when(move || interrupt.requested())
     }
 
     /// Takes Ctrl-C, SIGTERM and SIGHUP.

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use extract::depth::k4a::{Content, RawImage, Recording, StartOffset};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
+use system::ReadMonitor;
 
 const START_US: u64 = 5_123_457;
 const FRAMES: u64 = 120;
@@ -70,7 +71,7 @@ struct Read {
 }
 
 fn read_file(path: &Path) -> Read {
-    collect(Recording::open(path).unwrap())
+    collect(Recording::open(path, &ReadMonitor::default()).unwrap())
 }
 
 fn read_bytes(bytes: &[u8]) -> Read {
@@ -112,7 +113,7 @@ fn a_recording_that_was_not_closed_keeps_its_device_times() {
     assert_eq!(read.offset, StartOffset::Imu(START_US as i64 * 1000));
     assert_eq!(read.depth.len(), 120);
     // Times alone: the same frames, without their bytes.
-    let mut times = Recording::open(&path).unwrap();
+    let mut times = Recording::open(&path, &ReadMonitor::default()).unwrap();
     let mut frames = (0..).zip(&read.depth);
     while let Some(batch) = times.next_batch(Content::Times).unwrap() {
         for image in batch.depth {

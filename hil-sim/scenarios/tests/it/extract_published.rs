@@ -3,6 +3,7 @@
 //! public tools.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use extract::error::ExtractError;
@@ -11,6 +12,7 @@ use extract::options::Options;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
 use recording::profile::Profile;
+use system::{Cancel, ReadMonitor};
 use test_support::{contents, python};
 
 fn script(name: &str) -> PathBuf {
@@ -52,6 +54,7 @@ fn job(folder: &Path, format: Format) -> Job {
             ..Options::default()
         },
         overwrite: false,
+        monitor: ReadMonitor::default(),
     }
 }
 
@@ -60,16 +63,13 @@ fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     (run(&job).unwrap(), job.out)
 }
 
-/// Somebody who presses Ctrl-C once so many readings below a folder have begun.
-fn stop_after(readings: usize, folder: &Path) -> system::Watching {
-    let (left, folder) = (AtomicUsize::new(readings), folder.to_owned());
-    system::watch(move |reading| {
-        let less = |left: usize| left.checked_sub(usize::from(reading.position == 0));
-        let update = |left: usize| less(left).filter(|_| left > 0);
-        !reading.path.starts_with(&folder)
-            || left
-                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, update)
-                .is_ok()
+/// Cancels at the read from the beginning of a file that follows on this number of them.
+fn cancel_after(reads: usize) -> ReadMonitor {
+    let begun = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&begun);
+    let cancel = Cancel::when(move || begun.load(Ordering::Relaxed) > reads);
+    ReadMonitor::new(cancel, move |progress| {
+        counted.fetch_add(usize::from(progress.position == 0), Ordering::Relaxed);
     })
 }
 
@@ -152,8 +152,11 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     std::fs::remove_dir_all(&out).unwrap();
     let mut stops = 0;
     let last = loop {
-        let _watching = stop_after(stops, folder.path());
-        match run(&job(folder.path(), Format::Euroc)) {
+        let job = Job {
+            monitor: cancel_after(stops),
+            ..job(folder.path(), Format::Euroc)
+        };
+        match run(&job) {
             Err(ExtractError::Cancelled) => stops += 1,
             end => break end.unwrap(),
         }

@@ -86,6 +86,7 @@ impl Case {
             out: self.path(out),
             options,
             overwrite: false,
+            monitor: system::ReadMonitor::default(),
         };
         run(&job)
     }

@@ -206,7 +206,7 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     // What it leaves on the terminal is the summary, as without the view.
     let screen = terminal.screen();
     assert!(screen.contains("smartdepthsync extract"), "{screen}");
-    let report = verify(&rig.recording("seen")).unwrap();
+    let report = verify(&rig.recording("seen"), &system::ReadMonitor::default()).unwrap();
     assert_ne!(report.severity, Severity::Bad, "{report:#?}");
 }
 

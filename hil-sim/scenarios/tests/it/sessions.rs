@@ -265,7 +265,7 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
         assert!(ppm.abs() <= 2.0, "{ppm}");
     }
     // Every pulse is on the grid that held then.
-    let report = recording::verify::verify(&folder).unwrap();
+    let report = recording::verify::verify(&folder, &system::ReadMonitor::default()).unwrap();
     let grid = report.grid.unwrap();
     assert!(grid.checked > 300 && grid.off == 0, "{grid:?}");
 }

@@ -10,6 +10,7 @@ use std::process::Command;
 use extract::depth::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
+use system::ReadMonitor;
 use test_support::python::run_script;
 
 /// Device time of the first capture in the library's recordings.
@@ -78,7 +79,7 @@ fn contents(recording: &mut Recording<impl system::Sparse>) -> Batch {
 /// that was not closed, what had come to the disk.
 fn holds(folder: &Path, reported: &Value, closed: bool) {
     let name = reported["file"].as_str().unwrap();
-    let mut recording = Recording::open(&folder.join(name)).unwrap();
+    let mut recording = Recording::open(&folder.join(name), &ReadMonitor::default()).unwrap();
     assert_eq!(recording.was_closed(), closed, "{name}");
     assert_eq!(
         recording.calibration(),
@@ -138,7 +139,7 @@ fn recordings_of_the_makers_library_are_read_exactly() {
     // What is flushed is complete, whether it is closed or not.
     holds(folder, of("flushed.mkv"), true);
     holds(folder, of("unclosed.mkv"), false);
-    match Recording::open(&folder.join("passive_ir.mkv")) {
+    match Recording::open(&folder.join("passive_ir.mkv"), &ReadMonitor::default()) {
         Err(K4aError::NoDepth { found }) => assert!(found.contains("IR"), "{found}"),
         Err(other) => panic!("{other}"),
         Ok(_) => panic!("passive infrared has no depth"),
@@ -163,7 +164,7 @@ fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
     assert!(unpacked.unwrap().success());
     let reported = run("read", &path);
 
-    let mut recording = Recording::open(&path).unwrap();
+    let mut recording = Recording::open(&path, &ReadMonitor::default()).unwrap();
     assert!(recording.was_closed() && recording.color().unwrap().is_jpeg());
     assert_eq!(recording.size(), (320, 288));
     assert_eq!(

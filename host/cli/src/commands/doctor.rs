@@ -209,7 +209,7 @@ fn check_phone(profile: &Profile, context: &Context) -> Result<String, Failure> 
     has_addresses(profile)?;
     let settings = Settings {
         margin: Duration::from_secs(5),
-        stop: context.interrupt.stop_signal(),
+        cancel: context.interrupt.cancel(),
         ..Settings::default()
     };
     let address = &profile.phone.address;

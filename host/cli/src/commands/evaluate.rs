@@ -126,12 +126,11 @@ impl CommonArgs {
             region: self.region,
             exposure_us: self.exposure,
             row_time_us: self.row_time,
-            row_time_hint_us: None,
-            exposure_hint_us: None,
             near_us: self.near.unwrap_or(0.0),
             path_delay_us: self.path_delay,
             from_s: self.from,
             to_s: self.to,
+            ..Settings::default()
         };
         settings.check()?;
         Ok(settings)
@@ -252,7 +251,7 @@ const REGION: &str = "give a --region inside the picture, or leave it out";
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
-    let settings = args.common.settings()?;
+    let mut settings = args.common.settings()?;
     // A profile that cannot be read is found out before hours of work.
     let profile_bias = match &args.calibrate {
         Some(profile) => read_bias(profile)?,
@@ -270,7 +269,8 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
             context.say(format!("{done}/{count} {}: {said}", path.display()));
         }
     };
-    let (result, shown) = context.over_files(|| {
+    let (result, shown) = context.over_files(|monitor| {
+        settings.monitor = monitor.clone();
         precision::evaluate(&args.inputs, &settings, args.frames.into(), &mut each)
     })?;
     let Some(shown) = shown else {
@@ -365,8 +365,9 @@ fn calibrate(
 
 fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
-    let settings = args.common.settings()?;
-    let evaluated = context.over_files(|| {
+    let mut settings = args.common.settings()?;
+    let evaluated = context.over_files(|monitor| {
+        settings.monitor = monitor.clone();
         let recording = Footage::read(&args.input, &settings, None)?;
         drift::evaluate(recording, &settings)
     })?;

@@ -18,6 +18,7 @@ use phone::video_files::FilesError;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use report::REPORT_FILE;
+use system::ReadMonitor;
 
 /// The formats on the command line.
 const FORMATS: [(&str, Format); 5] = [
@@ -119,7 +120,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     }
     let more = &args.more;
     let profile = more.profile.as_deref().map(Profile::load).transpose()?;
-    let job = Job {
+    let mut job = Job {
         recording,
         phone: unnamed.pop(),
         depth: args.depth.clone(),
@@ -135,8 +136,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             phones,
         },
         overwrite: args.overwrite,
+        monitor: ReadMonitor::default(),
     };
-    let report = context.over_files(|| extract(&job))?;
+    let report = context.over_files(|monitor| {
+        job.monitor = monitor.clone();
+        extract(&job)
+    })?;
     let folder = recordings::folder_of(&job.recording);
     report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;

@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let mut settings = Settings {
         connect: args.connection.timeout.min(Duration::from_secs(5)),
         margin: args.connection.timeout,
-        stop: context.interrupt.stop_signal(),
+        cancel: context.interrupt.cancel(),
         ..Settings::default()
     };
     match &args.request {
@@ -284,8 +284,8 @@ fn get_video(
 
 fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let phase = PhoneNanos(args.phase);
-    let stop = context.interrupt.stop_signal();
-    let copied = adb::fetch(phase, &args.out, args.video, &stop);
+    let cancel = context.interrupt.cancel();
+    let copied = adb::fetch(phase, &args.out, args.video, &cancel);
     let files = copied.map_err(|error| {
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
         PhoneError::from(error)

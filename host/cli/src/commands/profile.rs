@@ -23,6 +23,7 @@ use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 use report::summary::facts_text;
 use session::learn;
+use system::ReadMonitor;
 
 /// Options of `profile`.
 #[derive(Debug, clap::Args)]
@@ -110,7 +111,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             let folder = recordings::folder_of(&recording);
             let session = SessionFile::load(folder)?;
             let (phone, timestamps) = (phone.as_deref(), timestamps.as_deref());
-            let learnt = context.over_files(|| learn(file, folder, &session, phone, timestamps))?;
+            let learnt = context
+                .over_files(|monitor| learn(file, folder, &session, phone, timestamps, monitor))?;
             context.print(&BTreeMap::from([("learnt", &learnt)]), || {
                 learnt.iter().map(Lesson::text).collect()
             })?;
@@ -198,11 +200,12 @@ pub(crate) fn learn(
     session: &SessionFile,
     phone: Option<&str>,
     timestamps: Option<&Path>,
+    monitor: &ReadMonitor,
 ) -> Result<Vec<Lesson>, Failure> {
     let reference = session.profile.phone.name.as_str();
     if let Some(timestamps) = timestamps {
         let name = phone.unwrap_or(reference);
-        return Ok(vec![learn_from(file, session, name, timestamps)?]);
+        return Ok(vec![learn_from(file, session, name, timestamps, monitor)?]);
     }
     let names: Vec<&str> = match phone {
         Some(name) => vec![name],
@@ -222,7 +225,7 @@ pub(crate) fn learn(
                 Failure::new(ExitStatus::Phone, message)
                     .next_step("fetch the phone's files into that folder, or give --timestamps")
             })?;
-            learn_from(file, session, name, &timestamps)
+            learn_from(file, session, name, &timestamps, monitor)
         })
         .collect()
 }
@@ -232,10 +235,11 @@ fn learn_from(
     session: &SessionFile,
     phone: &str,
     timestamps: &Path,
+    monitor: &ReadMonitor,
 ) -> Result<Lesson, Failure> {
     let text = read(file)?;
     let shown = timestamps.display();
-    let times = frame_timestamps::read(timestamps).map_err(|error| match error {
+    let times = frame_timestamps::read(timestamps, monitor).map_err(|error| match error {
         RowError::Io(error) => Failure::file("read", timestamps, &error),
         RowError::Bad(row) => Failure::new(ExitStatus::Usage, format!("{shown}: {row}")).next_step(
             "give the app's `..._timestamps.csv` of that recording: one integer of nanoseconds a \

@@ -30,6 +30,7 @@ use session::hardware::{AdbClockStarter, SerialConnector};
 use session::options::{Options, Track, seconds};
 use session::recorder_process::RecorderProcess;
 use session::run::{Devices, Ended, run as run_session};
+use system::ReadMonitor;
 
 /// Length of a calibration between its twists: a minute is the least that a rate is learnt
 /// from.
@@ -188,23 +189,25 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         Ok(SessionOutcome::Failed) => ExitStatus::Error,
         Err(error) => {
             // The recording is there, whatever becomes of its report.
-            let _ = report::session::write(&folder, &file);
+            let _ = report::session::write(&folder, &file, &ReadMonitor::default());
             context.say(format!("what was recorded is in {}", folder.display()));
             return Err(error.into());
         }
     };
     let (learnt, not_learnt) = match to_teach.filter(|_| file.has_recorded()) {
-        Some(profile) => match learn(profile, &folder, &file, None, None) {
-            Ok(learnt) => {
-                learnt_now(&mut file, &folder)?;
-                (learnt, None)
+        Some(profile) => {
+            match learn(profile, &folder, &file, None, None, &ReadMonitor::default()) {
+                Ok(learnt) => {
+                    learnt_now(&mut file, &folder)?;
+                    (learnt, None)
+                }
+                Err(failure) => (Vec::new(), Some(failure)),
             }
-            Err(failure) => (Vec::new(), Some(failure)),
-        },
+        }
         None => (Vec::new(), None),
     };
     // The recording is there, whatever becomes of its report.
-    let html = match report::session::write(&folder, &file) {
+    let html = match report::session::write(&folder, &file, &ReadMonitor::default()) {
         Ok(path) => Some(path),
         Err(error) => {
             context.say(format!("warning: cannot write the report: {error}"));
@@ -259,7 +262,7 @@ fn record(
         },
         phones,
         phone_clock: &mut AdbClockStarter {
-            stop: context.interrupt.stop_signal(),
+            cancel: context.interrupt.cancel(),
         },
         recorder: &mut RecorderProcess::default(),
         host_checks: &mut || checks::host(profile, place, &args.out),

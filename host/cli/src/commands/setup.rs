@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let known = match args.phone {
         Some(_) => None,
         // Without adb, or without a phone at USB, it is asked for.
-        None => adb::wifi_address(&context.interrupt.stop_signal())
+        None => adb::wifi_address(&context.interrupt.cancel())
             .ok()
             .flatten(),
     };
@@ -238,7 +238,7 @@ fn asked_profile<R: BufRead>(
     })?;
     let camera = ask_camera(args, asker)?;
     let usual = camera.model.recorder.first();
-    let usual = usual.filter(|usual| system::program(usual).is_some());
+    let usual = usual.filter(|usual| system::find_program(usual).is_some());
     let default = usual.map_or("none", String::as_str);
     let question = "The program that records the depth camera (none: you start it yourself)?";
     let recorder = asker.ask(args.recorder.clone(), question, default, as_typed)?;

@@ -11,6 +11,7 @@ use recording::verify::{Verification, verify};
 use report::session::write_again;
 use report::verification;
 use serde::Serialize;
+use system::ReadMonitor;
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
 /// grid, times that go on. Its report is written again, into its folder.
@@ -39,9 +40,9 @@ struct Verified {
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
-    let verified = context.over_files(|| {
-        let verification = verify(&recording)?;
-        let report = write_report(recordings::folder_of(&recording), context);
+    let verified = context.over_files(|monitor| {
+        let verification = verify(&recording, monitor)?;
+        let report = write_report(recordings::folder_of(&recording), context, monitor);
         Ok::<_, RecordingError>(Verified {
             verification,
             report,
@@ -59,8 +60,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 }
 
 /// Writes the report of a recording that has a session, and warns if it cannot be written.
-fn write_report(folder: &Path, context: &Context) -> Option<PathBuf> {
-    let written = write_again(folder);
+fn write_report(folder: &Path, context: &Context, monitor: &ReadMonitor) -> Option<PathBuf> {
+    let written = write_again(folder, monitor);
     if let Err(error) = &written
         && !context.interrupt.requested()
     {

@@ -8,9 +8,11 @@ use board::finding::Severity;
 use board::imu::Scale;
 use protocol::ImuFlags;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
+use recording::RecordingError;
 use recording::reader::{Entry, Reader};
 use recording::session_file::{ImuInfo, SessionFile};
-use recording::verify::{Verification, verify};
+use recording::verify::Verification;
+use system::ReadMonitor;
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use crate::support::{imu_setup, json, run};
@@ -20,6 +22,10 @@ const MCAP: &str = "recording.mcap";
 fn kinds(verification: &Verification) -> Vec<&str> {
     let findings = verification.findings.iter();
     findings.map(|finding| finding.kind.as_str()).collect()
+}
+
+fn verify(recording: &Path) -> Result<Verification, RecordingError> {
+    recording::verify::verify(recording, &ReadMonitor::default())
 }
 
 /// The entries that can be read.

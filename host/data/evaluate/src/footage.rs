@@ -68,7 +68,7 @@ impl Footage {
         expected: Option<(usize, usize)>,
     ) -> Result<Self, EvaluateError> {
         let input = input::resolve(path)?;
-        let mut source = Video::open(&input.path)?;
+        let mut source = Video::open(&input.path, &settings.monitor)?;
         let mut footage = Self::from_source(&mut source, settings, expected)?;
         footage.applied = input.applied;
         Ok(footage)

@@ -63,10 +63,11 @@ pub use error::EvaluateError;
 use footage::Footage;
 use frame::Region;
 use recording::profile::Direction;
+use system::ReadMonitor;
 use train::TrainGeometry;
 
 /// Settings of the user about camera and train.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Settings {
     /// Flashes of one exposure of the depth camera.
     pub train: TrainGeometry,
@@ -93,6 +94,9 @@ pub struct Settings {
     pub from_s: Option<f64>,
     /// Second of the recording to stop at.
     pub to_s: Option<f64>,
+    /// Follows and cancels the reading of recordings.
+    #[serde(skip)]
+    pub monitor: ReadMonitor,
 }
 
 impl Settings {

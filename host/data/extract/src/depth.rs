@@ -18,7 +18,7 @@ use self::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
 use self::ros2_bag::{DriverImage, Ros2Bag, Ros2Error};
 use crate::time::{DeviceNanos, SECOND};
 use recording::bag::mcap_in;
-use system::Input;
+use system::{Input, ReadMonitor};
 use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.
@@ -42,6 +42,7 @@ pub enum DepthError {
         /// Which.
         path: PathBuf,
         /// Why.
+        #[source]
         error: K4aError,
     },
     /// The bag of the camera's driver.
@@ -123,8 +124,11 @@ impl DepthInput {
         }
     }
 
-    fn recording(path: &Path) -> Result<Recording<BufReader<Input>>, DepthError> {
-        Recording::open(path).map_err(in_file(path))
+    fn recording(
+        path: &Path,
+        monitor: &ReadMonitor,
+    ) -> Result<Recording<BufReader<Input>>, DepthError> {
+        Recording::open(path, monitor).map_err(in_file(path))
     }
 
     /// Reads times and what stands beside the images.
@@ -132,10 +136,10 @@ impl DepthInput {
     /// # Errors
     ///
     /// It is no depth recording, or reading fails.
-    pub(crate) fn index(&self) -> Result<DepthIndex, DepthError> {
+    pub(crate) fn index(&self, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
         match self {
-            Self::Mkv(path) => index_mkv(path),
-            Self::Ros2(bag) => index_ros2(bag),
+            Self::Mkv(path) => index_mkv(path, monitor),
+            Self::Ros2(bag) => index_ros2(bag, monitor),
         }
     }
 
@@ -144,10 +148,10 @@ impl DepthInput {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub(crate) fn images(&self) -> Result<CameraImages, DepthError> {
+    pub(crate) fn images(&self, monitor: &ReadMonitor) -> Result<CameraImages, DepthError> {
         Ok(match self {
             Self::Mkv(path) => {
-                let recording = Self::recording(path)?;
+                let recording = Self::recording(path, monitor)?;
                 let size = recording.image_bytes();
                 let (mut next, mut next_color) = (0, 0);
                 let batches = batches(Some((recording, path.clone())), Content::Pixels);
@@ -157,7 +161,7 @@ impl DepthInput {
                 }))
             }
             Self::Ros2(bag) => {
-                let mut images = bag.open(true)?;
+                let mut images = bag.open(true, monitor)?;
                 let images = std::iter::from_fn(move || images.next_image().transpose());
                 Box::new(numbered(images.map(|image| Ok(image?))))
             }
@@ -171,9 +175,10 @@ impl DepthInput {
     /// It cannot be opened.
     pub(crate) fn gyro(
         &self,
+        monitor: &ReadMonitor,
     ) -> Result<impl Iterator<Item = Result<GyroSample, DepthError>> + use<>, DepthError> {
         let opened = match self {
-            Self::Mkv(path) => Some((Self::recording(path)?, path.clone())),
+            Self::Mkv(path) => Some((Self::recording(path, monitor)?, path.clone())),
             Self::Ros2(_) => None,
         };
         let mut last = i64::MIN;
@@ -220,8 +225,8 @@ fn in_file(path: &Path) -> impl Fn(K4aError) -> DepthError + '_ {
     }
 }
 
-fn index_mkv(path: &Path) -> Result<DepthIndex, DepthError> {
-    let mut recording = DepthInput::recording(path)?;
+fn index_mkv(path: &Path, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
+    let mut recording = DepthInput::recording(path, monitor)?;
     let size = recording.image_bytes();
     let text = |name: &str| recording.tag(name).map(str::to_owned);
     let mut index = DepthIndex {
@@ -282,8 +287,8 @@ fn index_mkv(path: &Path) -> Result<DepthIndex, DepthError> {
     Ok(index)
 }
 
-fn index_ros2(bag: &Ros2Bag) -> Result<DepthIndex, DepthError> {
-    let mut images = bag.open(false)?;
+fn index_ros2(bag: &Ros2Bag, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
+    let mut images = bag.open(false, monitor)?;
     let mut index = DepthIndex::default();
     while let Some(image) = images.next_image()? {
         index.add(&image);

@@ -25,6 +25,7 @@ pub enum ExtractError {
         /// Which, or the output folder.
         path: PathBuf,
         /// Why.
+        #[source]
         error: io::Error,
     },
     /// The depth recording.

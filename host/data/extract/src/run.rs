@@ -44,6 +44,7 @@ use crate::output::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
 use crate::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
 use crate::time::BoardNanos;
 use recording::error_budget::ErrorPart;
+use system::ReadMonitor;
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
@@ -55,7 +56,7 @@ const DRAWN_PAIRS: usize = 1_000;
 const REPORT_VERSION: u32 = 4;
 
 /// What is to be done.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Job {
     /// The recording: a folder, or an MCAP file.
     pub recording: PathBuf,
@@ -71,6 +72,8 @@ pub struct Job {
     pub options: Options,
     /// Replace an extraction of other inputs or with other options in `out`.
     pub overwrite: bool,
+    /// Follows and cancels the reading of the inputs.
+    pub monitor: ReadMonitor,
 }
 
 /// An extraction under way.
@@ -91,15 +94,18 @@ struct Extraction<'a> {
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
 pub fn run(job: &Job) -> Result<ExtractReport, ExtractError> {
-    steps(job).map_err(|error| match system::is_stopped(&job.recording) {
-        true => ExtractError::Cancelled,
-        false => error,
+    steps(job).map_err(|error| {
+        if system::is_cancelled(&error) {
+            ExtractError::Cancelled
+        } else {
+            error
+        }
     })
 }
 
 fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
     let mut run = Extraction::open(job)?;
-    let survey = survey(&run.inputs.board)?;
+    let survey = survey(&run.inputs.board, &job.monitor)?;
     run.note_published(&survey);
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
@@ -233,13 +239,12 @@ impl Extraction<'_> {
         });
     }
 
-    /// Ends a run that was stopped, before what could not be read any more is taken for
-    /// missing.
+    /// Ends a cancelled run before parts that were not read to their end are reported as missing.
     fn check_stop(&self) -> Result<(), ExtractError> {
-        match system::is_stopped(&self.job.recording) {
-            true => Err(ExtractError::Cancelled),
-            false => Ok(()),
+        if self.job.monitor.is_cancelled() {
+            return Err(ExtractError::Cancelled);
         }
+        Ok(())
     }
 
     fn layout(&self) -> &'static dyn Layout {
@@ -397,7 +402,7 @@ impl Extraction<'_> {
         let table = self.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.output.out, sequences, delay);
         let board = &self.inputs.board;
-        each_event(board, |event| match event {
+        each_event(board, &self.job.monitor, |event| match event {
             BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
             _ => Ok(()),
         })?;

@@ -24,6 +24,7 @@ use recording::rosbag2::{Bag, METADATA_FILE};
 use recording::session_file::SessionFile;
 use recording::walk::{Event, Walk};
 use recording::writer::Writer;
+use system::ReadMonitor;
 
 const SECONDS: u64 = 4;
 const SECOND_NS: i64 = 1_000_000_000;
@@ -195,6 +196,7 @@ fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
         out: out.clone(),
         options: Options::default(),
         overwrite: false,
+        monitor: ReadMonitor::default(),
     };
     (run(&job).unwrap(), out)
 }
@@ -364,7 +366,7 @@ fn content(path: &Path, ending: &str) -> Vec<u8> {
         "png" => image::open(path).unwrap().into_bytes(),
         "mcap" => {
             let mut all = Vec::new();
-            let mut walk = Walk::open(path).unwrap();
+            let mut walk = Walk::open(path, &ReadMonitor::default()).unwrap();
             while walk
                 .next_part(&mut |event| {
                     if let Event::Message(message) = event {

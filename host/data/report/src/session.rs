@@ -27,6 +27,7 @@ pub use judgement::{files_to_fetch, summary};
 use recording::RecordingError;
 use recording::session_file::{PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;
+use system::ReadMonitor;
 
 /// The most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
@@ -36,8 +37,12 @@ const MAX_LISTED: usize = 200;
 /// # Errors
 ///
 /// The recording cannot be read, or the report cannot be written.
-pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
-    let curves = Curves::read(folder, session)?;
+pub fn write(
+    folder: &Path,
+    session: &SessionFile,
+    monitor: &ReadMonitor,
+) -> Result<PathBuf, RecordingError> {
+    let curves = Curves::read(folder, session, monitor)?;
     let path = folder.join(REPORT_FILE);
     let html = page(folder, session, &curves).html();
     crate::put(&path, &html).map_err(RecordingError::io("write", &path))?;
@@ -49,9 +54,13 @@ pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingE
 /// # Errors
 ///
 /// As [`write`].
-pub fn write_again(folder: &Path) -> Result<Option<PathBuf>, RecordingError> {
+pub fn write_again(
+    folder: &Path,
+    monitor: &ReadMonitor,
+) -> Result<Option<PathBuf>, RecordingError> {
     let session = SessionFile::load(folder).ok();
-    session.map(|session| write(folder, &session)).transpose()
+    let written = session.map(|session| write(folder, &session, monitor));
+    written.transpose()
 }
 
 /// Writes it again where it leads to `page`, the new page of a data set or an evaluation. A
@@ -66,7 +75,7 @@ pub fn lead_to(folder: &Path, page: &Path) -> Result<Option<PathBuf>, RecordingE
         page.is_some() && folder.join(address).canonicalize().ok() == page
     };
     match pages_of(folder).iter().any(is_it) {
-        true => write_again(folder),
+        true => write_again(folder, &ReadMonitor::default()),
         false => Ok(None),
     }
 }

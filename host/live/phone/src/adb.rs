@@ -12,12 +12,12 @@
 
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Duration;
 
 use clock::PhoneNanos;
+use system::{Cancel, Limits, RunError};
 
-use super::settings::StopSignal;
 use super::video_files::{Part, classify};
 
 /// Where the app saves, on the phone (`StorageUtils.java`:323).
@@ -32,8 +32,8 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 /// How long tidying up may take.
 const MOMENT: Duration = Duration::from_secs(2);
 
-/// How often `adb` is looked at.
-const POLL: Duration = Duration::from_millis(20);
+/// Most bytes of an answer of `adb`: a list of some 100,000 files.
+const MAX_OUTPUT: usize = 16 << 20;
 
 /// Why files did not come by `adb`.
 #[derive(Debug, thiserror::Error)]
@@ -142,7 +142,7 @@ struct Remote {
 #[derive(Clone)]
 pub(crate) struct Adb {
     program: PathBuf,
-    stop: StopSignal,
+    cancel: Cancel,
 }
 
 /// Copies the files of the video with this phase into `folder`: frame timestamps and
@@ -156,9 +156,9 @@ pub fn fetch(
     phase: PhoneNanos,
     folder: &Path,
     with_video: bool,
-    stop: &StopSignal,
+    cancel: &Cancel,
 ) -> Result<Vec<PathBuf>, AdbError> {
-    let adb = Adb::find(stop)?;
+    let adb = Adb::find(cancel)?;
     let devices = adb.devices()?;
     for device in &devices {
         let files = adb.files_of(device, phase, with_video)?;
@@ -176,8 +176,8 @@ pub fn fetch(
 /// # Errors
 ///
 /// There is no program or no phone, or it does not answer.
-pub fn wifi_address(stop: &StopSignal) -> Result<Option<String>, AdbError> {
-    let adb = Adb::find(stop)?;
+pub fn wifi_address(cancel: &Cancel) -> Result<Option<String>, AdbError> {
+    let adb = Adb::find(cancel)?;
     let devices = adb.devices()?;
     let [device] = devices.as_slice() else {
         return Ok(None);
@@ -214,18 +214,18 @@ fn ready(list: &str) -> Result<Vec<String>, AdbError> {
 
 impl Adb {
     /// The program on the search path.
-    pub(crate) fn find(stop: &StopSignal) -> Result<Self, AdbError> {
-        let program = system::program("adb").ok_or(AdbError::NoProgram)?;
-        let stop = stop.clone();
-        Ok(Self { program, stop })
+    pub(crate) fn find(cancel: &Cancel) -> Result<Self, AdbError> {
+        let program = system::find_program("adb").ok_or(AdbError::NoProgram)?;
+        let cancel = cancel.clone();
+        Ok(Self { program, cancel })
     }
 
     pub(crate) fn program(&self) -> &Path {
         &self.program
     }
 
-    pub(crate) const fn stop(&self) -> &StopSignal {
-        &self.stop
+    pub(crate) const fn cancel(&self) -> &Cancel {
+        &self.cancel
     }
 
     /// The phones that are ready.
@@ -260,7 +260,7 @@ impl Adb {
         patience: Duration,
     ) -> Result<String, AdbError> {
         let adb = Self {
-            stop: StopSignal::default(),
+            cancel: Cancel::default(),
             ..self.clone()
         };
         adb.run(&[&["-s", device], what].concat(), Some(patience))
@@ -343,57 +343,31 @@ impl Adb {
         Ok(path)
     }
 
-    /// Runs the program; gives what it prints.
+    /// Runs `adb` and returns what it prints.
     fn run(&self, arguments: &[&str], patience: Option<Duration>) -> Result<String, AdbError> {
-        let io = |source| self.cannot_run(source);
         let failed = |reason: String| AdbError::Failed {
             command: arguments.join(" "),
             reason,
         };
-        let mut child = Command::new(&self.program)
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(io)?;
-        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        let reader = std::thread::spawn(move || read(stdout));
-        let complaints = std::thread::spawn(move || read(stderr));
-        let begun = Instant::now();
-        let status = loop {
-            if let Some(status) = child.try_wait().map_err(io)? {
-                break status;
-            }
-            let late = patience.filter(|&patience| begun.elapsed() >= patience);
-            if late.is_some() || self.stop.is_set() {
-                // It may have ended just now.
-                let _ = child.kill();
-                let _ = child.wait();
-                return Err(late.map_or(AdbError::Cancelled, |patience| {
-                    failed(format!("no answer within {patience:?}"))
-                }));
-            }
-            std::thread::sleep(POLL);
+        let limits = Limits {
+            run: patience,
+            cancel: self.cancel.clone(),
+            ..Limits::default()
         };
-        let text = reader.join().unwrap_or_default();
-        if !status.success() {
-            let said = complaints.join().unwrap_or_default();
-            let said = format!("{text}{said}");
+        let mut command = Command::new(&self.program);
+        let output = system::run(command.args(arguments), limits, MAX_OUTPUT);
+        let output = output.map_err(|error| match error {
+            RunError::Start(source) | RunError::Read(source) => self.cannot_run(source),
+            RunError::Cancelled => AdbError::Cancelled,
+            error => failed(error.to_string()),
+        })?;
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        if !output.status.success() {
+            let said = format!("{text}{}", output.messages);
             return Err(failed(super::answer::shorten(said.trim())));
         }
         Ok(text)
     }
-}
-
-/// All that a pipe gives, as text.
-fn read(pipe: Option<impl std::io::Read>) -> String {
-    let mut bytes = Vec::new();
-    if let Some(mut pipe) = pipe {
-        // What came before an error is all there is.
-        let _ = pipe.read_to_end(&mut bytes);
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// The lines `size path` of a listing. Other paths than the app writes are left out: they

@@ -16,7 +16,7 @@
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -24,9 +24,9 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use phone_agent::{ANSWER, Answer, PATIENCE_S, question};
+use system::{Cancel, Process};
 
 use crate::adb::{Adb, AdbError, PATIENCE};
-use crate::settings::StopSignal;
 
 /// Where a program may lie on a phone that is not rooted.
 const FOLDER: &str = "/data/local/tmp";
@@ -74,7 +74,8 @@ struct Running {
     adb: Adb,
     device: String,
     port: u16,
-    shell: Child,
+    /// `adb shell`, which lasts as long as the agent does.
+    _shell: Process,
 }
 
 /// The program's file for a processor, by Android's name of it: beside this program, or
@@ -116,7 +117,7 @@ impl Running {
         let pushed = adb.run_for(device, &["push", &program.to_string_lossy(), &file]);
         let started = pushed.and_then(|_| {
             let running = Self::launch(adb, device, &file, &socket)?;
-            let stream = first_answer(running.port, now, adb.stop())?;
+            let stream = first_answer(running.port, now, adb.cancel())?;
             Ok((running, stream))
         });
         if started.is_err() {
@@ -128,49 +129,32 @@ impl Running {
     /// Starts what was copied, and finds a port to it.
     fn launch(adb: &Adb, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
         adb.shell(device, &format!("chmod 755 {file}"))?;
-        let mut shell = Command::new(adb.program())
-            .args([
-                "-s",
-                device,
-                "shell",
-                &format!("{file} {socket} {PATIENCE_S}"),
-            ])
+        let line = format!("{file} {socket} {PATIENCE_S}");
+        let mut command = Command::new(adb.program());
+        command
+            .args(["-s", device, "shell", &line])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .map_err(|source| adb.cannot_run(source))?;
+            .stderr(Stdio::null());
+        let shell = Process::spawn(&mut command).map_err(|source| adb.cannot_run(source))?;
         let forward = ["forward", "tcp:0", &format!("localabstract:{socket}")];
         let forwarded = adb.run_to_end(device, &forward, PATIENCE);
-        let port = forwarded.and_then(|said| {
-            let port = said.trim().parse();
-            port.map_err(|_| AdbError::Failed {
-                command: String::from("forward tcp:0"),
-                reason: format!("expected a port, found {:?}", said.trim()),
-            })
-        });
-        match port {
-            Ok(port) => Ok(Self {
-                adb: adb.clone(),
-                device: device.to_owned(),
-                port,
-                shell,
-            }),
-            Err(error) => {
-                // It may have ended; and the agent does within seconds.
-                let _ = shell.kill();
-                let _ = shell.wait();
-                Err(error)
-            }
-        }
+        let said = forwarded?;
+        let port = said.trim().parse().map_err(|_| AdbError::Failed {
+            command: String::from("forward tcp:0"),
+            reason: format!("expected a port, found {:?}", said.trim()),
+        })?;
+        Ok(Self {
+            adb: adb.clone(),
+            device: device.to_owned(),
+            port,
+            _shell: shell,
+        })
     }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // The phone may be gone, and then nothing of it is left.
-        let _ = self.shell.kill();
-        let _ = self.shell.wait();
         let port = format!("tcp:{}", self.port);
         let remove = ["forward", "--remove", &port];
         self.adb.tidy_up(&self.device, &remove);
@@ -185,14 +169,14 @@ impl Agent {
     ///
     /// There is no `adb` or not one phone, none of our programs runs on it, or it does not
     /// answer.
-    pub fn start(now: fn() -> Duration, stop: &StopSignal) -> Result<Self, AdbError> {
-        let adb = Adb::find(stop)?;
+    pub fn start(now: fn() -> Duration, cancel: &Cancel) -> Result<Self, AdbError> {
+        let adb = Adb::find(cancel)?;
         let device = adb.only_device()?;
         let (running, stream) = Running::start(&adb, &device, now)?;
         let ends = Arc::new(AtomicBool::new(false));
         let ended = {
-            let (ends, stop) = (Arc::clone(&ends), stop.clone());
-            StopSignal::new(move || ends.load(Ordering::Relaxed) || stop.is_set())
+            let (ends, cancel) = (Arc::clone(&ends), cancel.clone());
+            Cancel::when(move || ends.load(Ordering::Relaxed) || cancel.is_requested())
         };
         let (sender, exchanges) = channel();
         let asking = std::thread::Builder::new().name(String::from("phone's clock"));
@@ -243,20 +227,16 @@ fn connect(port: u16) -> std::io::Result<TcpStream> {
 
 /// A connection to an agent that has answered: it needs a moment to start, and until then
 /// `adb` accepts and closes.
-fn first_answer(
-    port: u16,
-    now: fn() -> Duration,
-    stop: &StopSignal,
-) -> Result<TcpStream, AdbError> {
+fn first_answer(port: u16, now: fn() -> Duration, cancel: &Cancel) -> Result<TcpStream, AdbError> {
     let begun = Instant::now();
     loop {
         let tried = connect(port).and_then(|mut stream| {
-            exchange(&mut stream, 0, now, stop)?;
+            exchange(&mut stream, 0, now, cancel)?;
             Ok(stream)
         });
         match tried {
             Ok(stream) => return Ok(stream),
-            Err(_) if stop.is_set() => return Err(AdbError::Cancelled),
+            Err(_) if cancel.is_requested() => return Err(AdbError::Cancelled),
             Err(error) if begun.elapsed() > START => {
                 return Err(AdbError::Failed {
                     command: String::from("shell (the agent)"),
@@ -273,12 +253,12 @@ fn exchange(
     stream: &mut TcpStream,
     nonce: u64,
     now: fn() -> Duration,
-    stop: &StopSignal,
+    cancel: &Cancel,
 ) -> std::io::Result<PhoneExchange> {
     let sent = now();
     stream.write_all(&question(nonce))?;
     loop {
-        let bytes = read_answer(stream, stop)?;
+        let bytes = read_answer(stream, cancel)?;
         let received = now();
         let answer = Answer::read(&bytes).ok_or(ErrorKind::InvalidData)?;
         // One to an earlier question was given up.
@@ -293,7 +273,7 @@ fn exchange(
 }
 
 /// The next answer's bytes, unless it is late, or nobody wants it any more.
-fn read_answer(stream: &mut TcpStream, stop: &StopSignal) -> std::io::Result<[u8; ANSWER]> {
+fn read_answer(stream: &mut TcpStream, cancel: &Cancel) -> std::io::Result<[u8; ANSWER]> {
     let begun = Instant::now();
     let mut bytes = [0; ANSWER];
     let mut rest = bytes.as_mut_slice();
@@ -304,7 +284,7 @@ fn read_answer(stream: &mut TcpStream, stop: &StopSignal) -> std::io::Result<[u8
             Err(error) => {
                 use ErrorKind::{Interrupted, TimedOut, WouldBlock};
                 let waits = matches!(error.kind(), Interrupted | TimedOut | WouldBlock);
-                if !waits || stop.is_set() || begun.elapsed() >= LATE {
+                if !waits || cancel.is_requested() || begun.elapsed() >= LATE {
                     return Err(error);
                 }
             }
@@ -319,30 +299,30 @@ fn ask(
     first: Running,
     stream: TcpStream,
     now: fn() -> Duration,
-    stop: &StopSignal,
+    cancel: &Cancel,
     sender: &Sender<PhoneExchange>,
 ) {
     let device = first.device.clone();
     let mut open = Some((first, stream));
     let mut nonce = 0_u64;
-    while !stop.is_set() {
+    while !cancel.is_requested() {
         nonce = nonce.wrapping_add(1);
         // Not in step with anything on the way, such as the frames of USB.
         let scatter = nonce.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 54;
         std::thread::sleep(EVERY / 2 + EVERY.mul_f64(scatter as f64 / 1024.0));
         let Some((running, stream)) = &mut open else {
             std::thread::sleep(PAUSE);
-            open = restart(&device, now, stop);
+            open = restart(&device, now, cancel);
             continue;
         };
-        match exchange(stream, nonce, now, stop) {
+        match exchange(stream, nonce, now, cancel) {
             Ok(exchange) => {
                 if sender.send(exchange).is_err() {
                     return;
                 }
             }
             // A connection that was cut or late, or one to a program that has ended.
-            Err(_) => match first_answer(running.port, now, stop) {
+            Err(_) => match first_answer(running.port, now, cancel) {
                 Ok(fresh) => *stream = fresh,
                 Err(_) => open = None,
             },
@@ -351,7 +331,7 @@ fn ask(
 }
 
 /// Starts the program again, if the phone is there.
-fn restart(device: &str, now: fn() -> Duration, stop: &StopSignal) -> Option<(Running, TcpStream)> {
-    let adb = Adb::find(stop).ok()?;
+fn restart(device: &str, now: fn() -> Duration, cancel: &Cancel) -> Option<(Running, TcpStream)> {
+    let adb = Adb::find(cancel).ok()?;
     Running::start(&adb, device, now).ok()
 }

@@ -10,8 +10,9 @@ use super::download::{SavedVideo, check_free, receive};
 use super::error::{PROBE, PhoneError};
 use super::requests::{Asked, ImuBody, ImuRequest, SMALL_ANSWER, VideoHeader, VideoStart};
 use super::samples::PhoneSample;
-use super::settings::{Settings, StopSignal};
+use super::settings::Settings;
 use clock::PhoneNanos;
+use system::Cancel;
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -225,7 +226,7 @@ impl PhoneClient {
     }
 
     fn pause(&self, request: &'static str) -> Result<(), PhoneError> {
-        if self.settings.stop.is_set() {
+        if self.settings.cancel.is_requested() {
             return Err(PhoneError::Cancelled { request });
         }
         std::thread::sleep(PAUSE);
@@ -269,7 +270,7 @@ impl PhoneClient {
         let mut calm = Self {
             address: self.address.clone(),
             settings: Settings {
-                stop: StopSignal::default(),
+                cancel: Cancel::default(),
                 margin: self.settings.margin.min(KNOCK),
                 ..self.settings.clone()
             },

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::answer::{self, Lines, MalformedAnswer, ServerVersion};
 use super::error::PhoneError;
-use super::settings::{Settings, StopSignal};
+use super::settings::Settings;
+use system::Cancel;
 
 /// Bytes read at once.
 const BUFFER: usize = 64 * 1024;
@@ -23,7 +24,7 @@ pub(super) struct Connection {
     reader: BufReader<TcpStream>,
     /// [`Settings::margin`].
     pub(super) margin: Duration,
-    stop: StopSignal,
+    cancel: Cancel,
 }
 
 impl Connection {
@@ -48,7 +49,7 @@ impl Connection {
                     return Ok(Self {
                         reader: BufReader::with_capacity(BUFFER, stream),
                         margin: settings.margin,
-                        stop: settings.stop.clone(),
+                        cancel: settings.cancel.clone(),
                     });
                 }
                 Err(e) => last = e,
@@ -169,7 +170,7 @@ impl Connection {
         patience: Duration,
     ) -> Result<usize, PhoneError> {
         loop {
-            if self.stop.is_set() {
+            if self.cancel.is_requested() {
                 return Err(PhoneError::Cancelled { request });
             }
             let left = deadline.saturating_duration_since(Instant::now());

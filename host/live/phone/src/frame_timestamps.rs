@@ -14,6 +14,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use clock::PhoneNanos;
+use system::ReadMonitor;
 
 use crate::rows::{BadRow, RowError, Rows};
 
@@ -47,8 +48,10 @@ impl<R: BufRead> Rows<R> {
 /// # Errors
 ///
 /// It cannot be read, or a row is damaged: the first of them.
-pub fn read(path: &Path) -> Result<Vec<PhoneNanos>, RowError> {
-    let mut rows = Rows::new(BufReader::new(system::open(path)?.skipping_holes()));
+pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowError> {
+    let mut rows = Rows::new(BufReader::new(
+        system::open(path, monitor)?.skipping_holes(),
+    ));
     let mut times = Vec::new();
     while let Some(time) = rows.next_timestamp()? {
         if times.len() == MAX_TIMESTAMPS {
@@ -72,7 +75,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.csv");
         std::fs::write(&path, text).unwrap();
-        match read(&path) {
+        match read(&path, &ReadMonitor::default()) {
             Ok(times) => Ok(times.into_iter().map(|time| time.0).collect()),
             Err(RowError::Bad(row)) => Err(row),
             Err(RowError::Io(error)) => panic!("{error}"),

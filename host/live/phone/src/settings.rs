@@ -1,8 +1,8 @@
 //! How long a client waits, and what ends its waiting.
 
-use std::fmt;
-use std::sync::Arc;
 use std::time::Duration;
+
+use system::Cancel;
 
 /// Deadlines and limits of a client.
 #[derive(Debug, Clone)]
@@ -19,36 +19,8 @@ pub struct Settings {
     /// How long the app may take to be free for `get_video`, and then to begin it.
     pub video_ready: Duration,
     /// Ends a request under way, with [`PhoneError::Cancelled`](crate::PhoneError::Cancelled), within about
-    /// 100 ms of turning true.
-    pub stop: StopSignal,
-}
-
-/// A question that is asked while waiting: is it time to stop?
-#[derive(Clone)]
-pub struct StopSignal(Arc<dyn Fn() -> bool + Send + Sync>);
-
-impl StopSignal {
-    /// Stops when `question` answers true.
-    pub fn new(question: impl Fn() -> bool + Send + Sync + 'static) -> Self {
-        Self(Arc::new(question))
-    }
-
-    pub(super) fn is_set(&self) -> bool {
-        (self.0)()
-    }
-}
-
-impl Default for StopSignal {
-    /// Never stops.
-    fn default() -> Self {
-        Self::new(|| false)
-    }
-}
-
-impl fmt::Debug for StopSignal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("StopSignal").field(&self.is_set()).finish()
-    }
+    /// 100 ms.
+    pub cancel: Cancel,
 }
 
 impl Default for Settings {
@@ -58,7 +30,7 @@ impl Default for Settings {
             margin: Duration::from_secs(15),
             busy: Duration::from_secs(6),
             video_ready: Duration::from_secs(120),
-            stop: StopSignal::default(),
+            cancel: Cancel::default(),
         }
     }
 }

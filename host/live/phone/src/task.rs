@@ -13,10 +13,11 @@ use std::time::Duration;
 
 use crate::adb;
 use crate::{
-    PhoneClient, PhoneError, PhoneSample, SavedVideo, ServerVersion, Settings, StopSignal,
-    VideoStart, requests::Asked,
+    PhoneClient, PhoneError, PhoneSample, SavedVideo, ServerVersion, Settings, VideoStart,
+    requests::Asked,
 };
 use clock::PhoneNanos;
+use system::Cancel;
 
 /// A phone with the app. No method waits: each gives an answer that is on its way.
 pub trait Phone {
@@ -41,29 +42,41 @@ pub trait Phone {
     fn progress(&self) -> (u64, u64);
 }
 
-/// The thread of one phone. Dropping it ends the request under way.
+/// A phone that a thread of its own talks to. Requests are carried out in the order in which they
+/// are made, each with a cancellation of its own. Dropping this ends the request under way and
+/// drops those that wait.
 pub struct PhoneTask {
     requests: Option<Sender<Request>>,
-    phone: Arc<Reached>,
+    state: Arc<State>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// What the thread does.
-type Request = Box<dyn FnOnce(&Reached) + Send>;
+/// A request as the thread carries it out.
+type Request = Box<dyn FnOnce(&State) + Send>;
 
-/// How the thread reaches the phone, and what is seen of that from outside.
-struct Reached {
+/// State that the thread shares with its owner.
+struct State {
     address: String,
-    settings: Settings,
-    cancel: Arc<AtomicBool>,
-    /// Bytes of the download that are there, and in all.
-    done: AtomicU64,
-    whole: AtomicU64,
+    /// Set once the task is dropped.
+    closing: AtomicBool,
+    /// Bytes of the last download that have arrived, and of the whole file.
+    received: AtomicU64,
+    length: AtomicU64,
 }
 
-impl Reached {
+/// The thread's way to the phone for one request.
+struct Access<'a> {
+    state: &'a State,
+    cancel: Cancel,
+}
+
+impl Access<'_> {
     fn connect(&self) -> Result<PhoneClient, PhoneError> {
-        PhoneClient::connect(&self.address, self.settings.clone())
+        let settings = Settings {
+            cancel: self.cancel.clone(),
+            ..Settings::default()
+        };
+        PhoneClient::connect(&self.state.address, settings)
     }
 }
 
@@ -106,51 +119,53 @@ impl PhoneTask {
     /// The system gives no thread.
     pub fn start(address: String) -> std::io::Result<Self> {
         let (requests, inbox) = channel::<Request>();
-        let cancel = Arc::new(AtomicBool::new(false));
-        let cancelled = Arc::clone(&cancel);
-        let phone = Arc::new(Reached {
+        let state = Arc::new(State {
             address,
-            settings: Settings {
-                stop: StopSignal::new(move || cancelled.load(Ordering::Relaxed)),
-                ..Settings::default()
-            },
-            cancel,
-            done: AtomicU64::new(0),
-            whole: AtomicU64::new(0),
+            closing: AtomicBool::new(false),
+            received: AtomicU64::new(0),
+            length: AtomicU64::new(0),
         });
-        let asked = Arc::clone(&phone);
-        let thread = std::thread::Builder::new()
-            .name(String::from("phone"))
-            .spawn(move || inbox.iter().for_each(|request| request(&asked)))?;
+        let shared = Arc::clone(&state);
+        let carry_out = move || {
+            let is_open = |_: &Request| !shared.closing.load(Ordering::Relaxed);
+            let requests = inbox.iter().take_while(is_open);
+            requests.for_each(|request| request(&shared));
+        };
+        let thread = std::thread::Builder::new().name(String::from("phone"));
         Ok(Self {
             requests: Some(requests),
-            phone,
-            thread: Some(thread),
+            state,
+            thread: Some(thread.spawn(carry_out)?),
         })
     }
 
+    /// Hands a request to the thread.
     fn ask<T: Send + 'static>(
         &self,
-        request: impl FnOnce(&Reached) -> Result<T, PhoneError> + Send + 'static,
+        request: impl FnOnce(&Access<'_>) -> Result<T, PhoneError> + Send + 'static,
     ) -> Pending<T> {
-        self.phone.cancel.store(false, Ordering::Relaxed);
-        self.phone.done.store(0, Ordering::Relaxed);
         let (sender, answer) = channel();
+        let cancelled = Arc::new(AtomicBool::new(false));
+        let cancel = {
+            let (cancelled, state) = (Arc::clone(&cancelled), Arc::clone(&self.state));
+            Cancel::when(move || {
+                cancelled.load(Ordering::Relaxed) || state.closing.load(Ordering::Relaxed)
+            })
+        };
         if let Some(requests) = &self.requests {
-            // Fails only if the thread has died, which the answer tells.
-            let _ = requests.send(Box::new(move |phone| {
-                // Fails only if nobody waits for it.
-                let _ = sender.send(request(phone));
+            // Fails only if the thread has died, which the answer reports.
+            let _ = requests.send(Box::new(move |state| {
+                // Fails only if nobody waits for the answer.
+                let _ = sender.send(request(&Access { state, cancel }));
             }));
         }
-        let cancel = Arc::clone(&self.phone.cancel);
         Pending::new(
             move || match answer.try_recv() {
                 Ok(answer) => Some(answer),
                 Err(TryRecvError::Empty) => None,
                 Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
             },
-            move || cancel.store(true, Ordering::Relaxed),
+            move || cancelled.store(true, Ordering::Relaxed),
         )
     }
 }
@@ -177,34 +192,35 @@ impl Phone for PhoneTask {
     }
 
     fn await_closed(&self) -> Pending<()> {
-        self.ask(|phone| phone.connect()?.wait_until_free(phone.settings.busy))
+        self.ask(|phone| phone.connect()?.wait_until_free(Settings::default().busy))
     }
 
     fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
+        self.state.received.store(0, Ordering::Relaxed);
         self.ask(move |phone| {
-            let mut progress = |done, whole| {
-                phone.done.store(done, Ordering::Relaxed);
-                phone.whole.store(whole, Ordering::Relaxed);
+            let mut progress = |received, length| {
+                phone.state.received.store(received, Ordering::Relaxed);
+                phone.state.length.store(length, Ordering::Relaxed);
             };
             phone.connect()?.get_video(&folder, false, &mut progress)
         })
     }
 
     fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
-        self.ask(move |phone| Ok(adb::fetch(phase, &folder, false, &phone.settings.stop)?))
+        self.ask(move |phone| Ok(adb::fetch(phase, &folder, false, &phone.cancel)?))
     }
 
     fn progress(&self) -> (u64, u64) {
         (
-            self.phone.done.load(Ordering::Relaxed),
-            self.phone.whole.load(Ordering::Relaxed),
+            self.state.received.load(Ordering::Relaxed),
+            self.state.length.load(Ordering::Relaxed),
         )
     }
 }
 
 impl Drop for PhoneTask {
     fn drop(&mut self) {
-        self.phone.cancel.store(true, Ordering::Relaxed);
+        self.state.closing.store(true, Ordering::Relaxed);
         self.requests = None;
         if let Some(thread) = self.thread.take() {
             // A panic there has printed its message.

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use phone::video::{Pixels, Video, VideoError, presentation_times};
+use system::ReadMonitor;
 
 /// Five lossless frames of 32x16 pixels, all of grey level 100.
 fn grey(path: &Path) {
@@ -25,7 +26,7 @@ fn every_frame_comes_once_as_luma_and_as_colours() {
     let path = dir.path().join("-i %d: ?.mkv");
     grey(&path);
     for (pixels, depth) in [(Pixels::Luma, 1), (Pixels::Rgb, 3)] {
-        let mut video = Video::open(&path, pixels).unwrap();
+        let mut video = Video::open(&path, pixels, &ReadMonitor::default()).unwrap();
         let info = video.info();
         assert_eq!((info.width, info.height), (32, 16));
         assert!((info.rate.unwrap() - 25.0).abs() < 1e-9);
@@ -38,7 +39,7 @@ fn every_frame_comes_once_as_luma_and_as_colours() {
         assert_eq!(count, 5);
         assert!(!video.next_frame(&mut frame).unwrap());
     }
-    let times = presentation_times(&path).unwrap();
+    let times = presentation_times(&path, &ReadMonitor::default()).unwrap();
     assert_eq!(times, [0, 40_000_000, 80_000_000, 120_000_000, 160_000_000]);
 }
 
@@ -53,7 +54,7 @@ fn damaged_files_and_what_is_no_video_are_told_apart() {
     bytes[data + 4..data + 10].fill(0xa5);
     let damaged = dir.path().join("damaged.mkv");
     std::fs::write(&damaged, bytes).unwrap();
-    let mut video = Video::open(&damaged, Pixels::Rgb).unwrap();
+    let mut video = Video::open(&damaged, Pixels::Rgb, &ReadMonitor::default()).unwrap();
     let mut frame = Vec::new();
     let error = loop {
         match video.next_frame(&mut frame) {
@@ -66,7 +67,7 @@ fn damaged_files_and_what_is_no_video_are_told_apart() {
 
     let text = dir.path().join("text.mp4");
     std::fs::write(&text, "not a video").unwrap();
-    let error = Video::open(&text, Pixels::Luma).unwrap_err();
+    let error = Video::open(&text, Pixels::Luma, &ReadMonitor::default()).unwrap_err();
     assert!(matches!(error, VideoError::NotAVideo(_)), "{error}");
-    assert_eq!(presentation_times(&text), None);
+    assert_eq!(presentation_times(&text, &ReadMonitor::default()), None);
 }

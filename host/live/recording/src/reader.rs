@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use protocol::Ticks;
+use system::ReadMonitor;
 
 use super::RecordingError;
 pub use super::topic::Item;
@@ -37,8 +38,20 @@ impl Reader {
     ///
     /// The file cannot be read.
     pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
+        Self::with_monitor(folder_or_file, &ReadMonitor::default())
+    }
+
+    /// Opens the recording in a folder, or an MCAP file, to be read under a monitor.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read.
+    pub fn with_monitor(
+        folder_or_file: &Path,
+        monitor: &ReadMonitor,
+    ) -> Result<Self, RecordingError> {
         Ok(Self {
-            walk: Walk::open(folder_or_file)?,
+            walk: Walk::open(folder_or_file, monitor)?,
             entries: VecDeque::new(),
             damage: Vec::new(),
             ended: false,

@@ -13,7 +13,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
-use system::{Input, Sparse as _};
+use system::{Input, ReadMonitor, Sparse as _};
 
 use super::chunks::{self, Budget, Chunk, MAX_RECORD};
 use super::damage::{Damage, FileReport};
@@ -74,8 +74,8 @@ impl Scan {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = system::open(path)?;
+    pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> io::Result<Self> {
+        let file = system::open(path, monitor)?;
         let length = file.length();
         Ok(Self {
             file: BufReader::with_capacity(1 << 20, file),
@@ -372,7 +372,7 @@ mod tests {
         bytes.extend(40_u64.to_le_bytes());
         bytes.resize(69, 0);
         std::fs::write(&path, bytes).unwrap();
-        let mut scan = Scan::open(&path).unwrap();
+        let mut scan = Scan::open(&path, &ReadMonitor::default()).unwrap();
         let pieces = std::iter::from_fn(|| scan.next_piece().unwrap());
         assert!(pieces.take(9).count() < 9);
     }

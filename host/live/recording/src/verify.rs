@@ -22,6 +22,7 @@ use std::path::Path;
 
 use board::finding::{Finding, Severity};
 use serde::Serialize;
+use system::ReadMonitor;
 
 use self::content::Content;
 use self::findings::Findings;
@@ -86,12 +87,12 @@ pub struct Verification {
 ///
 /// Returns an error if the file cannot be read or is no MCAP file at all. Damage is not an
 /// error: it is among the findings.
-pub fn verify(recording: &Path) -> Result<Verification, RecordingError> {
+pub fn verify(recording: &Path, monitor: &ReadMonitor) -> Result<Verification, RecordingError> {
     let path = mcap_of(recording);
     let mut findings = Findings::default();
     let session = load_session(&path, &mut findings);
     let mut content = Content::new(session.as_ref());
-    let mut walk = Walk::open(&path)?;
+    let mut walk = Walk::open(&path, monitor)?;
     while walk.next_part(&mut |event| content.check(event, &mut findings))? {}
     let file = walk.report().clone();
     if let Some(session) = &session {

@@ -4,7 +4,8 @@
 //! ```no_run
 //! # fn show(path: &std::path::Path) -> Result<(), recording::RecordingError> {
 //! use recording::walk::{Event, Walk};
-//! let mut walk = Walk::open(path)?;
+//! use system::ReadMonitor;
+//! let mut walk = Walk::open(path, &ReadMonitor::default())?;
 //! while walk.next_part(&mut |event| match event {
 //!     Event::Message(message) => println!("{}", message.channel.described.topic),
 //!     Event::Damage(damage) => println!("{damage}"),
@@ -21,6 +22,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{self, MessageHeader, Record, op};
 use protocol::Ticks;
+use system::ReadMonitor;
 
 use super::chunks::{BadChunk, parse};
 use super::damage::MAX_NAME;
@@ -113,9 +115,9 @@ impl Walk {
     /// # Errors
     ///
     /// There is none ([`bag::mcap_in`]), or the file cannot be opened.
-    pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
+    pub fn open(folder_or_file: &Path, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         let path = bag::mcap_in(folder_or_file)?;
-        let scan = Scan::open(&path).map_err(RecordingError::io("read", &path))?;
+        let scan = Scan::open(&path, monitor).map_err(RecordingError::io("read", &path))?;
         Ok(Self {
             scan,
             path,

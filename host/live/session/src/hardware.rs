@@ -5,8 +5,9 @@
 use board::BoardError;
 use board::transport::serial::{SerialLink, program_time};
 use board::transport::{Link, ports};
+use phone::PhoneError;
 use phone::agent::{Agent, PhoneExchange};
-use phone::{PhoneError, StopSignal};
+use system::Cancel;
 
 use crate::devices::{Connector, PhoneClock, PhoneClockStarter};
 
@@ -36,8 +37,8 @@ impl Connector for SerialConnector {
 
 /// Reads the phone's clock by a program on the phone, through `adb`.
 pub struct AdbClockStarter {
-    /// Whether to stop.
-    pub stop: StopSignal,
+    /// Ends the start of the program, and its answers.
+    pub cancel: Cancel,
 }
 
 impl PhoneClockStarter for AdbClockStarter {
@@ -46,7 +47,7 @@ impl PhoneClockStarter for AdbClockStarter {
     }
 
     fn start(&mut self) -> Result<Box<dyn PhoneClock>, PhoneError> {
-        let agent = Agent::start(program_time, &self.stop)?;
+        let agent = Agent::start(program_time, &self.cancel)?;
         Ok(Box::new(AdbClock(agent)))
     }
 }

@@ -13,10 +13,11 @@ use std::fs::File;
 use std::io::{self, Read as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 
 use recording::profile::{Depth, StopSignal};
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::Signal;
+use system::Process;
 
 use crate::devices::{DepthRecorder, RecorderEnd, RecorderError};
 
@@ -31,12 +32,12 @@ pub struct RecorderProcess {
 
 /// A recorder that has not been seen to end.
 struct Running {
-    child: Child,
+    process: Process,
     program: String,
     /// What asks it to stop.
     stop: Signal,
     /// Leads its process group, and goes with it; without one the recorder leads its own.
-    guard: Option<Guard>,
+    _guard: Option<Guard>,
 }
 
 impl DepthRecorder for RecorderProcess {
@@ -54,23 +55,24 @@ impl DepthRecorder for RecorderProcess {
             tracing::warn!("the depth recorder would outlive a kill of this program: {error}");
         });
         let guard = guard.ok();
-        let group = guard.as_ref().map_or(0, |guard| guard.0.id());
-        let child = start(program, arguments, folder, group).map_err(|source| RecorderError {
-            program: program.clone(),
-            source,
-        })?;
+        let leader = guard.as_ref().map(|guard| &guard.0);
+        let process =
+            start(program, arguments, folder, leader).map_err(|source| RecorderError {
+                program: program.clone(),
+                source,
+            })?;
         self.running = Some(Running {
-            child,
+            process,
             program: program.clone(),
             stop,
-            guard,
+            _guard: guard,
         });
         Ok(true)
     }
 
     fn poll(&mut self) -> Option<RecorderEnd> {
         let running = self.running.as_mut()?;
-        let (status, is_as_asked) = match running.child.try_wait() {
+        let (status, is_as_asked) = match running.process.try_wait() {
             Ok(None) => return None,
             Ok(Some(status)) => (status.to_string(), is_as_asked(status, running.stop)),
             Err(error) => (format!("cannot be watched: {error}"), false),
@@ -84,42 +86,20 @@ impl DepthRecorder for RecorderProcess {
     }
 
     fn ask_to_stop(&mut self) {
-        if let Some(running) = &self.running {
-            running.signal(running.stop);
-        }
-    }
-
-    fn kill(&mut self) {
-        if let Some(mut running) = self.running.take() {
-            running.signal(Signal::KILL);
-            // Fails only if it has ended already.
-            let _ = running.child.kill();
-            let _ = running.child.wait();
-        }
-    }
-}
-
-impl Drop for RecorderProcess {
-    /// Nothing that we started outlives us; the guard goes last.
-    fn drop(&mut self) {
-        self.kill();
-    }
-}
-
-impl Running {
-    /// To the whole group, as a Ctrl-C at a terminal does.
-    fn signal(&self, signal: Signal) {
-        let leader = self.guard.as_ref().map_or(&self.child, |guard| &guard.0);
-        if let Some(group) = raw(leader.id()).and_then(Pid::from_raw)
-            && let Err(error) = kill_process_group(group, signal)
+        if let Some(running) = &self.running
+            && let Err(error) = running.process.signal(running.stop)
         {
             tracing::warn!("cannot signal the depth recorder: {error}");
         }
     }
+
+    fn kill(&mut self) {
+        self.running = None;
+    }
 }
 
 /// Stops its process group once this program has gone, however it went.
-struct Guard(Child);
+struct Guard(Process);
 
 /// Prints a line once no signal that asks to stop ends it, and waits for the end of its
 /// input. Then it asks its group to stop with `$0`, and kills the group `$1` seconds later.
@@ -138,19 +118,11 @@ impl Guard {
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .process_group(0);
-        let mut guard = Self(command.spawn()?);
-        let ready = guard.0.stdout.take();
+        let mut guard = Self(Process::spawn(&mut command)?);
+        let (ready, _) = guard.0.take_outputs();
         let mut ready = ready.ok_or(io::ErrorKind::BrokenPipe)?;
         ready.read_exact(&mut [0])?;
         Ok(guard)
-    }
-}
-
-impl Drop for Guard {
-    /// The recorder has ended.
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -158,21 +130,16 @@ fn start(
     program: &str,
     arguments: impl Iterator<Item = String>,
     folder: &Path,
-    group: u32,
-) -> io::Result<Child> {
+    leader: Option<&Process>,
+) -> io::Result<Process> {
     let log = File::create(folder.join(LOG_FILE))?;
-    Command::new(program)
+    let mut command = Command::new(program);
+    command
         .args(arguments)
         .stdin(Stdio::null())
         .stdout(log.try_clone()?)
-        .stderr(log)
-        .process_group(raw(group).unwrap_or(0))
-        .spawn()
-}
-
-/// The number of a process as the system's calls take it.
-fn raw(id: u32) -> Option<i32> {
-    i32::try_from(id).ok()
+        .stderr(log);
+    Process::spawn_in_group(&mut command, leader)
 }
 
 /// Tells whether it ended as a program does that was asked to.
@@ -291,8 +258,14 @@ mod tests {
             depth.recorder.stop = StopSignal::Terminate;
             let mut recorder = start_ready(&depth, folder.path());
             let running = recorder.running.as_mut().unwrap();
-            drop(running.guard.as_mut().unwrap().0.stdin.take());
-            let status = running.child.wait().unwrap();
+            let guard = running._guard.as_mut().unwrap();
+            drop(guard.0.take_stdin());
+            let status = loop {
+                match running.process.try_wait().unwrap() {
+                    Some(status) => break status,
+                    None => wait(),
+                }
+            };
             assert_eq!(status.signal(), Some(signal.as_raw()));
         }
     }

@@ -1,110 +1,77 @@
-//! Files that are read: the one place where a long reading is seen and ended.
+//! Files that are read, with holes.
 //!
-//! Each read of an [`Input`] first asks the watchers of the process ([`watch`]), because what
-//! they stand for (a signal, a line on the terminal) is the process's too. So a loop over an
-//! input needs no look of its own: its next read fails with an error that [`is_stopped`] knows.
-//!
-//! Sparse files: [`Sparse::next_data`] tells where the next bytes are that were ever written. A
-//! search goes on from there, and a file of a terabyte of holes takes no time.
+//! Sparse files: [`Sparse::next_data`] returns the position of the next bytes that were ever
+//! written. A search goes on from there, so a file with a terabyte of holes takes no time.
 
 use std::fs::File;
-use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Cursor, ErrorKind, Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError, RwLock};
 
-/// How far a reading is.
-#[derive(Clone, Copy, Debug)]
-pub struct Reading<'a> {
-    /// The file, or what stands for it.
-    pub path: &'a Path,
-    /// Bytes from its beginning.
-    pub position: u64,
-    /// Bytes in all; 0 if not known.
-    pub length: u64,
-}
+use crate::monitor::{ReadMonitor, ReadProgress};
 
-type Watcher = Arc<dyn Fn(&Reading<'_>) -> bool + Send + Sync>;
-
-static WATCHERS: RwLock<Vec<Watcher>> = RwLock::new(Vec::new());
-
-/// A watcher; it goes when this is dropped.
-#[must_use = "a watcher goes when this is dropped"]
-pub struct Watching(Watcher);
-
-/// Has `watcher` asked before each read of the process; what it says no to ends with an error.
-pub fn watch(watcher: impl Fn(&Reading<'_>) -> bool + Send + Sync + 'static) -> Watching {
-    let watcher: Watcher = Arc::new(watcher);
-    let mut watchers = WATCHERS.write().unwrap_or_else(PoisonError::into_inner);
-    watchers.push(Arc::clone(&watcher));
-    Watching(watcher)
-}
-
-impl Drop for Watching {
-    fn drop(&mut self) {
-        let mut watchers = WATCHERS.write().unwrap_or_else(PoisonError::into_inner);
-        watchers.retain(|watcher| !Arc::ptr_eq(watcher, &self.0));
-    }
-}
-
-/// Asks the watchers; for those who wait for input that is no [`Input`], such as a program's.
+/// Opens a regular file for reading.
 ///
 /// # Errors
 ///
-/// A watcher says no.
-pub fn look(reading: &Reading<'_>) -> io::Result<()> {
-    let watchers = WATCHERS.read().unwrap_or_else(PoisonError::into_inner);
-    match watchers.iter().all(|watcher| watcher(reading)) {
-        true => Ok(()),
-        false => Err(io::Error::other(Stopped)),
+/// The file does not exist or may not be read, or `path` is a folder, a pipe or a device. A pipe
+/// may wait for ever, and a device may never end.
+pub fn open(path: &Path, monitor: &ReadMonitor) -> io::Result<Input> {
+    let kind = std::fs::metadata(path)?.file_type();
+    if kind.is_dir() {
+        return Err(ErrorKind::IsADirectory.into());
     }
-}
-
-/// The reading of a path was ended by a watcher, or would be.
-#[must_use]
-pub fn is_stopped(path: &Path) -> bool {
-    let reading = Reading {
-        path,
+    if !kind.is_file() {
+        let reason = "it is a pipe or a device; expected a file";
+        return Err(io::Error::new(ErrorKind::InvalidInput, reason));
+    }
+    let file = File::open(path)?;
+    Ok(Input {
+        length: file.metadata()?.len(),
+        file,
+        path: path.to_owned(),
+        monitor: monitor.clone(),
         position: 0,
-        length: 0,
-    };
-    look(&reading).is_err()
+        skips_holes: false,
+    })
 }
 
-#[derive(Debug, thiserror::Error)]
-#[error("stopped before its end")]
-struct Stopped;
+/// Reads a whole text of at most `most` bytes.
+///
+/// # Errors
+///
+/// As [`open`]; or the file cannot be read, is longer, or is not UTF-8
+/// ([`ErrorKind::InvalidData`]).
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let mut text = String::new();
+    let input = open(path, &ReadMonitor::default())?;
+    let read = input.take(most + 1).read_to_string(&mut text)? as u64;
+    if read > most {
+        let reason = format!("it is longer than {most} bytes, the most that such a file can have");
+        return Err(io::Error::new(ErrorKind::InvalidData, reason));
+    }
+    Ok(text)
+}
 
-/// A file that is read.
+/// A file that is read. Its [`ReadMonitor`] sees each read.
 #[derive(Debug)]
 pub struct Input {
     file: File,
     path: PathBuf,
+    monitor: ReadMonitor,
     position: u64,
     length: u64,
     skips_holes: bool,
 }
 
 impl Input {
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        Ok(Self {
-            length: file.metadata()?.len(),
-            file,
-            path: path.to_owned(),
-            position: 0,
-            skips_holes: false,
-        })
-    }
-
-    /// Bytes of the file when it was opened.
+    /// Returns the file's length at its opening in bytes.
     #[must_use]
     pub const fn length(&self) -> u64 {
         self.length
     }
 
-    /// The same as if there were no holes in it: for texts, of whose bytes nobody asks the
-    /// place.
+    /// Leaves out the holes: for texts, where positions do not matter.
     #[must_use]
     pub fn skipping_holes(self) -> Self {
         Self {
@@ -113,15 +80,16 @@ impl Input {
         }
     }
 
-    /// Bytes that were ever written: all but the holes, up to `most`.
+    /// Counts the bytes that were ever written, which are those outside of holes. Stops counting
+    /// at `most`.
     ///
     /// # Errors
     ///
-    /// The system does not say, or a watcher says no.
+    /// The system does not report it, or reads are cancelled.
     pub fn written(&mut self, most: u64) -> io::Result<u64> {
         let (mut at, mut written) = (0, 0);
         while at < self.length && written < most {
-            look(&self.reading())?;
+            self.check()?;
             let data = self.next_data(at)?;
             let hole = rustix::fs::seek(&self.file, rustix::fs::SeekFrom::Hole(data));
             at = hole.unwrap_or(self.length).max(data);
@@ -130,18 +98,18 @@ impl Input {
         Ok(written)
     }
 
-    fn reading(&self) -> Reading<'_> {
-        Reading {
+    fn check(&self) -> io::Result<()> {
+        self.monitor.check(&ReadProgress {
             path: &self.path,
             position: self.position,
             length: self.length,
-        }
+        })
     }
 }
 
 impl Read for Input {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        look(&self.reading())?;
+        self.check()?;
         if self.skips_holes {
             self.position = self.next_data(self.position)?;
         }
@@ -163,22 +131,22 @@ impl Seek for Input {
     }
 }
 
-/// A reader that knows its holes.
+/// A reader that knows where its file has holes.
 pub trait Sparse: Read + Seek {
-    /// The first place at or after `from` that was ever written; the end if there is none. The
-    /// next read is where it was.
+    /// Returns the first position at or after `from` that was ever written, or the end if there
+    /// is none. The position of the next read stays as it was.
     ///
     /// # Errors
     ///
-    /// A watcher says no.
+    /// Reads are cancelled.
     fn next_data(&mut self, from: u64) -> io::Result<u64>;
 }
 
 impl Sparse for Input {
     fn next_data(&mut self, from: u64) -> io::Result<u64> {
         use rustix::fs::SeekFrom::Data;
-        look(&self.reading())?;
-        // All reads say their place, so the file's own may move.
+        self.check()?;
+        // Reads are at given positions, so the file's own may move.
         Ok(match rustix::fs::seek(&self.file, Data(from)) {
             Ok(data) => data,
             Err(rustix::io::Errno::NXIO) => self.length.max(from),
@@ -203,8 +171,11 @@ impl<T: AsRef<[u8]>> Sparse for Cursor<T> {
 #[cfg(test)]
 mod tests {
     use std::io::Write as _;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
+    use crate::monitor::{Cancel, is_cancelled};
 
     const HOLE: u64 = 1 << 40;
 
@@ -221,7 +192,7 @@ mod tests {
     fn holes_take_no_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = sparse(folder.path());
-        let mut input = crate::open(&path).unwrap();
+        let mut input = open(&path, &ReadMonitor::default()).unwrap();
         let data = input.next_data(1 << 20).unwrap();
         assert!(data <= HOLE && HOLE - data < 1 << 20, "{data}");
         assert_eq!(input.next_data(u64::MAX >> 1).unwrap(), u64::MAX >> 1);
@@ -234,19 +205,22 @@ mod tests {
     }
 
     #[test]
-    fn a_watcher_sees_and_ends_a_reading() {
+    fn a_monitor_sees_and_ends_a_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         std::fs::write(&path, [7; 100]).unwrap();
-        let own = path.clone();
-        let watching = watch(move |reading| {
-            reading.path != own || reading.length == 100 && reading.position < 50
+        let last = Arc::new(AtomicU64::new(0));
+        let (seen, own) = (Arc::clone(&last), path.clone());
+        let cancel = Cancel::when(move || last.load(Ordering::Relaxed) >= 50);
+        let monitor = ReadMonitor::new(cancel, move |progress| {
+            assert_eq!((progress.path, progress.length), (own.as_path(), 100));
+            seen.store(progress.position, Ordering::Relaxed);
         });
-        let mut input = crate::open(&path).unwrap();
+        let mut input = open(&path, &monitor).unwrap();
         input.read_exact(&mut [0; 60]).unwrap();
         let error = input.read(&mut [0; 60]).unwrap_err();
-        assert_eq!(error.to_string(), "stopped before its end");
-        drop(watching);
-        assert_eq!(input.read(&mut [0; 60]).unwrap(), 40);
+        assert!(is_cancelled(&error), "{error}");
+        let mut other = open(&path, &ReadMonitor::default()).unwrap();
+        assert_eq!(other.read(&mut [0; 160]).unwrap(), 100);
     }
 }

@@ -1,13 +1,14 @@
 //! `smartdepthsync board flash`: firmware onto the board, by the chip's own loader.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use board::BoardInfo;
 use board::image::{FLASH_START, Image};
 use protocol::{BoardModel, Hello, RestartIntoRom};
 use serde::Serialize;
+use system::{Limits, Output, RunError};
 
 use super::keep_trying;
 use crate::context::Context;
@@ -20,6 +21,10 @@ const LOADER: &str = "0483:df11";
 const FLASH: [&str; 2] = ["--alt", "0"];
 /// How long the loader, or the board behind it, may take to appear.
 const APPEARS: Duration = Duration::from_secs(20);
+/// Longest run of `dfu-util`: several times that of a write of the whole flash.
+const WRITING: Duration = Duration::from_secs(300);
+/// Most bytes that it prints, bars of progress included.
+const MAX_OUTPUT: usize = 16 << 20;
 /// How long somebody may take for jumpers and buttons.
 const BY_HAND: Duration = Duration::from_secs(180);
 
@@ -171,13 +176,24 @@ fn installed(model: BoardModel) -> Option<(PathBuf, Image)> {
 }
 
 fn dfu_util(arguments: &[&str]) -> Result<Output, Failure> {
-    Command::new("dfu-util")
-        .args(arguments)
-        .output()
-        .map_err(|error| {
+    let limits = Limits {
+        run: Some(WRITING),
+        ..Limits::default()
+    };
+    let output = system::run(Command::new("dfu-util").args(arguments), limits, MAX_OUTPUT);
+    output.map_err(|error| match error {
+        RunError::Start(_) => {
             Failure::new(ExitStatus::Error, format!("cannot run dfu-util: {error}"))
                 .next_step("install it: `sudo apt-get install dfu-util`")
-        })
+        }
+        error => dfu_failed(&error.to_string()),
+    })
+}
+
+fn dfu_failed(reason: &str) -> Failure {
+    Failure::new(ExitStatus::Error, format!("dfu-util failed: {reason}")).next_step(
+        "repeat it with --board; the udev rule of the installation lets users open the loader",
+    )
 }
 
 /// Waits until one loader is on the USB.
@@ -246,12 +262,8 @@ fn write_by(folder: &Path, path: &Path, image: &Image) -> Result<(), Failure> {
         if output.status.success() {
             return Ok(());
         }
-        let said = String::from_utf8_lossy(&output.stderr);
-        let last = said.lines().rfind(|line| !line.trim().is_empty());
-        let text = format!("dfu-util failed: {}", last.unwrap_or("it says nothing"));
-        Err(Failure::new(ExitStatus::Error, text).next_step(
-            "repeat it with --board; the udev rule of the installation lets users open the loader",
-        ))
+        let last = output.messages.lines().next_back();
+        Err(dfu_failed(last.unwrap_or("it says nothing")))
     };
     transfer(&start, "--download", path)?;
     let read_back = folder.join("read-back");

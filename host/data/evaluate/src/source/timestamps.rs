@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use phone::rows::{LATER, RowError};
 use phone::{frame_timestamps, video_files};
+use system::ReadMonitor;
 
 use crate::EvaluateError;
 
@@ -34,8 +35,8 @@ impl FrameTimes {
 }
 
 /// Reads the times of the frames: see [`phone::frame_timestamps`].
-pub fn read_timestamps(path: &Path) -> Result<Vec<i64>, EvaluateError> {
-    let times = frame_timestamps::read(path).map_err(|error| match error {
+pub fn read_timestamps(path: &Path, monitor: &ReadMonitor) -> Result<Vec<i64>, EvaluateError> {
+    let times = frame_timestamps::read(path, monitor).map_err(|error| match error {
         RowError::Io(source) => EvaluateError::io(path)(source),
         RowError::Bad(row) => EvaluateError::Timestamps {
             path: path.to_owned(),
@@ -62,7 +63,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.csv");
         std::fs::write(&path, text).unwrap();
-        read_timestamps(&path).map_err(|e| e.to_string())
+        read_timestamps(&path, &ReadMonitor::default()).map_err(|e| e.to_string())
     }
 
     #[test]

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use phone::video::{Pixels, VideoError};
+use system::ReadMonitor;
 
 use super::timestamps::beside;
 use super::{FrameSource, FrameTimes, SourceInfo, read_timestamps};
@@ -21,14 +22,14 @@ pub(crate) struct Video {
 }
 
 impl Video {
-    pub(crate) fn open(path: &Path) -> Result<Self, EvaluateError> {
-        let decoder = phone::video::Video::open(path, Pixels::Luma)
+    pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, EvaluateError> {
+        let decoder = phone::video::Video::open(path, Pixels::Luma, monitor)
             .map_err(|error| EvaluateError::of_video(path, error))?;
         let stated = decoder.info();
         let mut notes = Vec::new();
         let times = match beside(path) {
             Some(file) => {
-                let times = read_timestamps(&file)?;
+                let times = read_timestamps(&file, monitor)?;
                 if let Some(n) = stated.frames.filter(|&n| n != times.len() as u64) {
                     notes.push(format!(
                         "{}: {} timestamps for a video of {n} frames; frames without a timestamp are left out",

@@ -15,6 +15,7 @@ use crate::report::ClockReport;
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockModel;
 use clock::train::frame_period;
+use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
@@ -62,6 +63,7 @@ pub(crate) fn find(
     board: &Path,
     input: &PhoneInput,
     survey: &Survey,
+    monitor: &ReadMonitor,
 ) -> Result<PhoneClock, ExtractError> {
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
     let span = Span {
@@ -75,7 +77,7 @@ pub(crate) fn find(
         Some(_) if survey.imu.samples == 0 => missing("the board's recording has no IMU samples"),
         Some(gyro) => {
             let phone = OtherGyro {
-                open: &|| streams::phone(gyro),
+                open: &|| streams::phone(gyro, monitor),
                 options: Options {
                     a_delay_s: input.constants.board_imu_delay_ns as f64 * 1e-9,
                     b_delay_s: input.constants.phone_imu_delay_ns as f64 * 1e-9,
@@ -83,7 +85,7 @@ pub(crate) fn find(
                 },
                 prior,
             };
-            related(board, span, &phone)
+            related(board, span, &phone, monitor)
         }
     };
     let mut clock = match found {
@@ -308,7 +310,7 @@ mod tests {
         let board = Path::new("none");
         let clock = |survey: &Survey| {
             let phone = input("left", "", known(102.0));
-            find(board, &phone, survey).unwrap()
+            find(board, &phone, survey, &ReadMonitor::default()).unwrap()
         };
         let error_us = |clock: &PhoneClock| {
             let phone = PhoneNanos(((590.0 + offset(590.0)) * 1e9).round() as i64);

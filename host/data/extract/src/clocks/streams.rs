@@ -9,6 +9,7 @@ use crate::error::ExtractError;
 use crate::inputs::board_data::{BoardEvent, BoardStream};
 use crate::inputs::phone_rows::PhoneRows;
 use crate::time::BoardNanos;
+use system::ReadMonitor;
 use twist_sync::{
     GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
     estimate_course,
@@ -54,9 +55,10 @@ pub(crate) struct OtherGyro<'a> {
 /// The recording cannot be read, or those of `each`.
 pub(crate) fn each_event(
     board: &Path,
+    monitor: &ReadMonitor,
     mut each: impl FnMut(BoardEvent) -> Result<(), ExtractError>,
 ) -> Result<Vec<String>, ExtractError> {
-    let mut stream = BoardStream::open(board)?;
+    let mut stream = BoardStream::open(board, monitor)?;
     while let Some(event) = stream.next_event()? {
         each(event)?;
     }
@@ -69,8 +71,12 @@ pub(crate) fn each_event(
 /// # Errors
 ///
 /// The recording cannot be opened.
-fn board<'a>(board: &Path, span: Span) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let mut stream = BoardStream::open(board)?;
+fn board<'a>(
+    board: &Path,
+    span: Span,
+    monitor: &ReadMonitor,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    let mut stream = BoardStream::open(board, monitor)?;
     let mut last = span.from.0.saturating_sub(1);
     let mut marked = BTreeSet::new();
     Ok(Box::new(std::iter::from_fn(move || {
@@ -104,8 +110,9 @@ pub(crate) fn related<'a>(
     board: &'a Path,
     span: Span,
     other: &OtherGyro<'a>,
+    monitor: &ReadMonitor,
 ) -> Result<RecordingClock, ExtractError> {
-    let open_board = || self::board(board, span);
+    let open_board = || self::board(board, span, monitor);
     let (prior, options) = (other.prior, &other.options);
     let related = estimate_course(&open_board, other.open, prior, options);
     related.map_err(|error| match error {
@@ -119,7 +126,10 @@ pub(crate) fn related<'a>(
 /// # Errors
 ///
 /// The file cannot be opened.
-pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
+pub(crate) fn phone<'a>(
+    path: &Path,
+    monitor: &ReadMonitor,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let fail = {
         let path = path.to_owned();
         move |error| StreamError::Phone {
@@ -127,7 +137,7 @@ pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, Stre
             error,
         }
     };
-    let mut rows = PhoneRows::open(path).map_err(&fail)?;
+    let mut rows = PhoneRows::open(path, monitor).map_err(&fail)?;
     Ok(Box::new(std::iter::from_fn(move || {
         match rows.next_sample() {
             Ok(sample) => sample.map(|sample| {
@@ -146,8 +156,11 @@ pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, Stre
 /// # Errors
 ///
 /// The file cannot be opened.
-pub(crate) fn camera<'a>(input: &DepthInput) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    Ok(Box::new(input.gyro()?.map(|sample| Ok(sample?))))
+pub(crate) fn camera<'a>(
+    input: &DepthInput,
+    monitor: &ReadMonitor,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    Ok(Box::new(input.gyro(monitor)?.map(|sample| Ok(sample?))))
 }
 
 #[cfg(test)]
@@ -182,11 +195,12 @@ mod tests {
             from: BoardNanos(0),
             to: BoardNanos(i64::MAX),
         };
-        let kept = board(&path, span)
+        let monitor = ReadMonitor::default();
+        let kept = board(&path, span, &monitor)
             .unwrap()
             .map(|sample| sample.unwrap().rate[0]);
         assert_eq!(kept.collect::<Vec<_>>(), [0.0, 2.0]);
-        let imu = survey(&path).unwrap().imu;
+        let imu = survey(&path, &monitor).unwrap().imu;
         assert_eq!((imu.samples, imu.marked), (4, 2));
     }
 }

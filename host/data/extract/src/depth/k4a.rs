@@ -14,7 +14,7 @@
 use std::io::BufReader;
 use std::path::Path;
 
-use system::{Input, Sparse};
+use system::{Input, ReadMonitor, Sparse};
 
 pub use crate::depth::mkv::MkvError;
 
@@ -36,10 +36,10 @@ pub struct DeviceNanos(pub i64);
 pub enum K4aError {
     /// It cannot be opened.
     #[error("opening it: {0}")]
-    Open(std::io::Error),
+    Open(#[source] std::io::Error),
     /// Reading failed on the way.
     #[error("reading it: {0}")]
-    Read(std::io::Error),
+    Read(#[source] std::io::Error),
     /// It is no readable Matroska file.
     #[error(transparent)]
     Mkv(#[from] MkvError),
@@ -166,12 +166,12 @@ impl Recording<BufReader<Input>> {
     /// # Errors
     ///
     /// It cannot be read or is no depth recording.
-    pub fn open(path: &Path) -> Result<Self, K4aError> {
-        let file = system::open(path).map_err(K4aError::Open)?;
+    pub fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, K4aError> {
+        let file = system::open(path, monitor).map_err(K4aError::Open)?;
         let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
         if recording.offset == StartOffset::Lost && recording.imu.is_some() {
             // The tag is lost: look for an IMU record, in a reader of its own.
-            let file = system::open(path).map_err(K4aError::Open)?;
+            let file = system::open(path, monitor).map_err(K4aError::Open)?;
             let mut search = Self::new(BufReader::new(file))?;
             let found = search.search_offset().map_err(K4aError::Open)?;
             return Ok(Self {

@@ -19,6 +19,7 @@ use crate::error::ExtractError;
 use crate::inputs::board_data::Reference;
 use crate::inputs::survey::Survey;
 use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use system::ReadMonitor;
 use twist_sync::Options;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
@@ -71,6 +72,7 @@ pub(crate) struct Matching<'a> {
     pub(crate) index: &'a DepthIndex,
     pub(crate) survey: &'a Survey,
     pub(crate) constants: &'a Constants,
+    pub(crate) monitor: &'a ReadMonitor,
 }
 
 impl Matching<'_> {
@@ -139,7 +141,7 @@ impl Matching<'_> {
             to: BoardNanos(self.survey.imu.last_ns),
         };
         let camera = OtherGyro {
-            open: &|| streams::camera(self.input),
+            open: &|| streams::camera(self.input, self.monitor),
             options: Options {
                 a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
                 ..Options::of_windows()
@@ -147,7 +149,7 @@ impl Matching<'_> {
             prior: None,
         };
         // Without a relation the pulses stay ambiguous, which is what is said.
-        let course = match related(self.board, span, &camera) {
+        let course = match related(self.board, span, &camera, self.monitor) {
             Err(error) if !error.is_fatal() => return Ok(None),
             clock => clock?.course,
         };

@@ -13,6 +13,7 @@ use recording::RecordingError;
 use recording::messages::camera::Image;
 use recording::messages::{RosMessage as _, from_cdr};
 use recording::walk::{Event, Message, Walk};
+use system::ReadMonitor;
 
 use crate::faults::Faults;
 
@@ -72,10 +73,14 @@ pub(crate) struct Ros2Bag {
 
 impl Ros2Bag {
     /// Its images from the first on, with their pixels or with their stamps alone.
-    pub(crate) fn open(&self, pixels: bool) -> Result<Ros2Images, Ros2Error> {
+    pub(crate) fn open(
+        &self,
+        pixels: bool,
+        monitor: &ReadMonitor,
+    ) -> Result<Ros2Images, Ros2Error> {
         Ok(Ros2Images {
             path: self.path.clone(),
-            walk: Walk::open(&self.path)?,
+            walk: Walk::open(&self.path, monitor)?,
             ended: false,
             taken: Taken {
                 asked: self.topic.clone(),

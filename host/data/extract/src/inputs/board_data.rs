@@ -31,6 +31,7 @@ use twist_sync::tracker::{Asked, Exchange};
 use crate::depth::depth_clock::PulseTime;
 use crate::faults::Faults;
 use crate::time::BoardNanos;
+use system::ReadMonitor;
 
 /// How many samples wait for their temperature.
 const WAITING: usize = 64;
@@ -149,9 +150,9 @@ impl BoardStream {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub(crate) fn open(path: &Path) -> Result<Self, RecordingError> {
+    pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         Ok(Self {
-            walk: Walk::open(path)?,
+            walk: Walk::open(path, monitor)?,
             sorter: Sorter {
                 events: VecDeque::new(),
                 waiting: VecDeque::new(),

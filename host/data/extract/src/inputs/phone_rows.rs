@@ -5,7 +5,7 @@ use std::path::Path;
 
 use phone::rows::{RowError, Rows};
 use phone::samples::PhoneSample;
-use system::Input;
+use system::{Input, ReadMonitor};
 
 use crate::faults::Faults;
 use crate::time::PhoneNanos;
@@ -21,8 +21,8 @@ pub(crate) struct PhoneRows {
 }
 
 impl PhoneRows {
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = system::open(path)?.skipping_holes();
+    pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> io::Result<Self> {
+        let file = system::open(path, monitor)?.skipping_holes();
         let file = BufReader::with_capacity(256 * 1024, file);
         Ok(Self {
             rows: Rows::new(file),

@@ -10,6 +10,7 @@ use crate::error::ExtractError;
 use crate::inputs::board_data::{BoardEvent, Reference, TimePair};
 use crate::time::{BoardNanos, SECOND, median_step};
 use clock::ClockModel;
+use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange};
 
 /// Pulses, pairs of times and exchanges that are kept of any recording; 12 hours of a
@@ -190,10 +191,10 @@ impl Keeper {
 /// # Errors
 ///
 /// The recording cannot be read.
-pub(crate) fn survey(board: &Path) -> Result<Survey, ExtractError> {
+pub(crate) fn survey(board: &Path, monitor: &ReadMonitor) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     let mut keeper = Keeper::new(length);
-    let mut damage = each_event(board, |event| {
+    let mut damage = each_event(board, monitor, |event| {
         keeper.take(event);
         Ok(())
     })?;

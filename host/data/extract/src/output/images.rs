@@ -17,6 +17,7 @@ use crate::error::ExtractError;
 use crate::geometry::register::Registration;
 use crate::layout::Layout;
 use crate::output::image::{Pixels, encode_png, write_whole};
+use system::ReadMonitor;
 
 /// Bytes in a batch.
 const BATCH_BYTES: usize = 16 << 20;
@@ -81,6 +82,7 @@ pub(crate) fn write_depth(
     paths: &CameraPaths,
     view: DepthImageView<'_>,
     layout: &dyn Layout,
+    monitor: &ReadMonitor,
 ) -> Result<DepthOutcome, ExtractError> {
     let mut outcome = DepthOutcome::default();
     let bytes = |image: &CameraImage| match image {
@@ -89,7 +91,7 @@ pub(crate) fn write_depth(
         }
         CameraImage::Color(_, jpeg) => jpeg.len(),
     };
-    let images = input.images()?.map(|image| Ok(image?));
+    let images = input.images(monitor)?.map(|image| Ok(image?));
     in_batches(images, bytes, |batch| {
         let written: Result<Vec<DepthOutcome>, ExtractError> = batch
             .par_iter()

@@ -48,7 +48,7 @@ impl Extraction<'_> {
             }
         };
         self.inputs.depth = Some(input.clone());
-        let index = match input.index() {
+        let index = match input.index(&self.job.monitor) {
             Ok(index) => index,
             Err(error) => {
                 self.lose("depth", error.to_string());
@@ -116,6 +116,7 @@ impl Extraction<'_> {
             index,
             survey,
             constants,
+            monitor: &self.job.monitor,
         };
         if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
             let sync = sync.chars().take(32).collect();
@@ -308,7 +309,7 @@ impl Extraction<'_> {
                     size: depth.index.size,
                     registration,
                 };
-                match write_depth(&input, &paths, view, layout) {
+                match write_depth(&input, &paths, view, layout, &self.job.monitor) {
                     Ok(outcome) => {
                         self.output
                             .keep("depth", &outcome)

@@ -63,7 +63,8 @@ impl Extraction<'_> {
         }
         let mut rows_of_frames = Vec::new();
         if let Some(path) = &files.frames {
-            let read = PhoneRows::open(path).and_then(|mut rows| Ok((rows.timestamps()?, rows)));
+            let read = PhoneRows::open(path, &self.job.monitor);
+            let read = read.and_then(|mut rows| Ok((rows.timestamps()?, rows)));
             match read {
                 Ok((mut read, rows)) => {
                     let boot = |stamp: &mut PhoneNanos| {
@@ -81,7 +82,7 @@ impl Extraction<'_> {
         }
         let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
-        let clock = match phone_clock::find(board, input, survey) {
+        let clock = match phone_clock::find(board, input, survey, &self.job.monitor) {
             Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
@@ -129,7 +130,7 @@ impl Extraction<'_> {
         let Some(video) = &files.video else {
             return Alignment::default();
         };
-        match presentation_times(video) {
+        match presentation_times(video, &self.job.monitor) {
             Some(times) if times.len() != rows.len() => {
                 let stamps: Vec<PhoneNanos> = rows.iter().flatten().copied().collect();
                 let alignment = align(&times, &stamps);
@@ -188,7 +189,7 @@ impl Extraction<'_> {
         };
         let outcome = match self.output.done::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
-            None => match Video::open(&video, Pixels::Rgb) {
+            None => match Video::open(&video, Pixels::Rgb, &self.job.monitor) {
                 Ok(decoder) => {
                     let outcome = write_video(decoder, &paths)?;
                     // With an error the next run tries again.
@@ -242,7 +243,8 @@ impl Extraction<'_> {
         else {
             return Ok(PhoneImu::default());
         };
-        let (mut gyro, mut accel) = match (PhoneRows::open(gyro), PhoneRows::open(accel)) {
+        let open = |path| PhoneRows::open(path, &self.job.monitor);
+        let (mut gyro, mut accel) = match (open(gyro), open(accel)) {
             (Ok(gyro), Ok(accel)) => (gyro, accel),
             (Err(error), _) | (_, Err(error)) => {
                 let what = format!("opening the sensor files: {error}");

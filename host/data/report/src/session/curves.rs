@@ -12,6 +12,7 @@ use board::{Stream, follow};
 use recording::RecordingError;
 use recording::reader::{Entry, Item, Reader};
 use recording::session_file::SessionFile;
+use system::ReadMonitor;
 
 /// Letters of a sensor's name that are shown.
 const MAX_NAME: usize = 200;
@@ -63,13 +64,17 @@ impl Curves {
     /// # Errors
     ///
     /// It cannot be read. A recording that is damaged gives what is left.
-    pub(super) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
+    pub(super) fn read(
+        recording: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Result<Self, RecordingError> {
         let mut curves = Self {
-            twists: TwistRates::of_session(recording, session),
-            frames: Frames::of_session(recording, session),
+            twists: TwistRates::of_session(recording, session, monitor),
+            frames: Frames::of_session(recording, session, monitor),
             ..Self::default()
         };
-        let mut reader = Reader::open(recording)?;
+        let mut reader = Reader::with_monitor(recording, monitor)?;
         for entry in reader.by_ref() {
             match entry {
                 Ok(entry) => {

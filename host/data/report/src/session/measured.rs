@@ -10,6 +10,7 @@ use phone::rows::Rows;
 use protocol::Ticks;
 use recording::messages::Imu;
 use recording::session_file::{SessionFile, Span};
+use system::ReadMonitor;
 
 use super::judgement::phone_files;
 
@@ -37,7 +38,11 @@ pub(super) struct TwistRates {
 
 impl TwistRates {
     /// The twists of the reference phone that were used, with the phone's samples on board time.
-    pub(super) fn of_session(folder: &Path, session: &SessionFile) -> Vec<Self> {
+    pub(super) fn of_session(
+        folder: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Vec<Self> {
         let Some(phone) = session.reference() else {
             return Vec::new();
         };
@@ -51,7 +56,7 @@ impl TwistRates {
                 span: twist.span,
                 delay_s: f64::from(board_delay_us.unwrap_or_default()) * 1e-6,
                 board: Vec::new(),
-                phone: phone_rates(&file, &clock, session.profile.phone.gyro_delay_us),
+                phone: phone_rates(&file, &clock, session.profile.phone.gyro_delay_us, monitor),
             })
         });
         curves.take(MAX_TWISTS).collect()
@@ -92,8 +97,8 @@ pub(super) fn norm(rates: [f64; 3]) -> f64 {
 
 /// The rows of a phone's gyroscope up to the first that is damaged; none of a file that is
 /// not there.
-fn phone_rates(file: &Path, clock: &ClockModel, delay_us: f64) -> Rates {
-    let Ok(input) = system::open(file) else {
+fn phone_rates(file: &Path, clock: &ClockModel, delay_us: f64, monitor: &ReadMonitor) -> Rates {
+    let Ok(input) = system::open(file, monitor) else {
         return Vec::new();
     };
     let mut rows = Rows::new(BufReader::new(input.skipping_holes()));
@@ -121,11 +126,15 @@ pub(super) struct Frames {
 impl Frames {
     /// The frames of the reference phone, where its file of timestamps is in the folder and its
     /// clock is known.
-    pub(super) fn of_session(folder: &Path, session: &SessionFile) -> Option<Self> {
+    pub(super) fn of_session(
+        folder: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Option<Self> {
         let (phone, alignment) = (session.reference()?, session.alignment.as_ref()?);
         let (clock, video) = (phone.clock?, phone.video?);
         let file = phone_files(folder, session, &phone.name)?.frames?;
-        let times = frame_timestamps::read(&file).ok()?;
+        let times = frame_timestamps::read(&file, monitor).ok()?;
         let half_us = alignment.middle_row_us + 0.5 * alignment.exposure_us;
         let middles = times.into_iter().map(|time| {
             let time = PhoneNanos(time.0.saturating_add(video.boot_minus_frames_ns));

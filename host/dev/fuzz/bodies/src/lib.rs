@@ -22,6 +22,7 @@ use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
 use recording::verify::verify;
+use system::ReadMonitor;
 
 /// Any bytes as a depth recording: no panic, no unbounded memory.
 pub fn depth_recording(data: &[u8]) {
@@ -136,7 +137,7 @@ pub fn recording(data: &[u8]) {
             }
         }
     }
-    if let Ok(verified) = verify(&place) {
+    if let Ok(verified) = verify(&place, &ReadMonitor::default()) {
         assert!(verified.file.bytes == data.len() as u64);
     }
 }
@@ -208,7 +209,7 @@ pub fn video_metadata(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("VID_timestamps.csv");
     std::fs::write(&file, data).unwrap();
-    if let Ok(times) = read_timestamps(&file) {
+    if let Ok(times) = read_timestamps(&file, &ReadMonitor::default()) {
         assert!(times.is_sorted_by(|a, b| a < b));
     }
 }

@@ -3,9 +3,11 @@
 use std::path::Path;
 use std::process::Command;
 use std::sync::OnceLock;
+use std::time::Duration;
 
-use super::running::{Limits, Running, endless};
-use super::{Info, VideoError, file_url, probe, program};
+use system::{Limits, ReadMonitor, Running};
+
+use super::{Info, VideoError, failed, file_url, limits, probe, program};
 
 /// Frames beyond those that a file announces that are taken: some containers count in fields
 /// or leave out the last.
@@ -39,14 +41,14 @@ impl Video {
     /// # Errors
     ///
     /// As [`probe`]; or `ffmpeg` is missing or cannot be run.
-    pub fn open(path: &Path, pixels: Pixels) -> Result<Self, VideoError> {
-        let info = probe(path)?;
+    pub fn open(path: &Path, pixels: Pixels, monitor: &ReadMonitor) -> Result<Self, VideoError> {
+        let info = probe(path, monitor)?;
         let mut command = program("ffmpeg");
         command
             .args(["-nostdin", "-noautorotate", "-i"])
             .arg(file_url(path))
             .args(["-map", "0:v:0", "-an", "-sn", "-dn"])
-            .args([passthrough(path), "passthrough", "-f", "rawvideo"]);
+            .args([passthrough(), "passthrough", "-f", "rawvideo"]);
         let format = match pixels {
             Pixels::Luma => {
                 if info.has_planes() {
@@ -57,7 +59,8 @@ impl Video {
             Pixels::Rgb => "rgb24",
         };
         command.args(["-pix_fmt", format, "pipe:1"]);
-        let ffmpeg = Running::start("ffmpeg", &mut command, path, Limits::default())?;
+        let ffmpeg =
+            Running::start(&mut command, limits(path, monitor)).map_err(failed("ffmpeg"))?;
         let depth = if pixels == Pixels::Rgb { 3 } else { 1 };
         // Where it does not say, each frame takes at least a byte of it.
         let announced = info.frames;
@@ -87,24 +90,28 @@ impl Video {
         let Some(mut ffmpeg) = self.ffmpeg.take() else {
             return Ok(false);
         };
-        let read = ffmpeg.read(self.frame_bytes, frame)?;
+        let read = ffmpeg.read(self.frame_bytes, frame);
+        let read = read.map_err(failed("ffmpeg"))?;
         if read == self.frame_bytes {
             if self.came == self.most {
                 let what = format!(
                     "it gave more than {} frames, the most that the video can hold",
                     self.most
                 );
-                return Err(endless("ffmpeg", what));
+                return Err(VideoError::Endless {
+                    program: "ffmpeg",
+                    what,
+                });
             }
             self.came += 1;
             self.ffmpeg = Some(ffmpeg);
             return Ok(true);
         }
-        let (success, said) = ffmpeg.end()?;
+        let end = ffmpeg.finish().map_err(failed("ffmpeg"))?;
         // The first line names the cause; with `-v error` there is little else.
-        match said.lines().next() {
+        match end.messages.lines().next() {
             Some(first) => Err(VideoError::Decode(first.to_owned())),
-            None if !success => Err(VideoError::Decode("no message".to_owned())),
+            None if !end.status.success() => Err(VideoError::Decode("no message".to_owned())),
             None if read > 0 => Err(VideoError::Decode("it ends within a frame".to_owned())),
             None => Ok(false),
         }
@@ -113,14 +120,11 @@ impl Video {
 
 /// The option that passes every frame once: renamed in ffmpeg 5.1, and the old name
 /// is on its way out.
-fn passthrough(path: &Path) -> &'static str {
+fn passthrough() -> &'static str {
     static NAME: OnceLock<&str> = OnceLock::new();
     NAME.get_or_init(|| {
-        let mut command = Command::new("ffmpeg");
-        let started = Running::start("ffmpeg", command.arg("-version"), path, Limits::default());
-        let text = started.and_then(|mut ffmpeg| ffmpeg.read_all(MAX_VERSION));
-        let text = text.ok().flatten().unwrap_or_default();
-        if is_before_5_1(&String::from_utf8_lossy(&text)) {
+        let text = version().unwrap_or_default();
+        if is_before_5_1(&text) {
             "-vsync"
         } else {
             "-fps_mode"
@@ -128,8 +132,18 @@ fn passthrough(path: &Path) -> &'static str {
     })
 }
 
-/// Bytes of what it says about itself.
-const MAX_VERSION: usize = 64 * 1024;
+/// Returns what `ffmpeg` prints about its version; `None` if it cannot be run.
+#[must_use]
+pub fn version() -> Option<String> {
+    let limits = Limits {
+        run: Some(Duration::from_secs(10)),
+        own_group: true,
+        ..Limits::default()
+    };
+    let output = system::run(Command::new("ffmpeg").arg("-version"), limits, 64 * 1024);
+    let output = output.ok().filter(|output| output.status.success())?;
+    Some(String::from_utf8_lossy(&output.stdout).into_owned())
+}
 
 /// `ffmpeg version 4.4.2-0ubuntu...`, `ffmpeg version n4.4`. Builds of a development
 /// snapshot are named by date or revision, and are new.

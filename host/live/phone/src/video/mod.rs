@@ -9,19 +9,20 @@
 //!
 //! Both programs run within limits: a video that was mostly never written is refused, and a
 //! program is ended that gives more frames than the file can hold, more messages than any
-//! damage makes, or nothing for a minute. While one is waited for, the watchers of
-//! [`system::watch`] are asked.
+//! damage makes, or nothing for a minute. A [`ReadMonitor`] follows and cancels them.
 
 mod decode;
 mod probe;
-mod running;
 
 use std::ffi::OsString;
 use std::io::{self, ErrorKind};
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
-pub use decode::{Pixels, Video};
+use system::{Limits, ReadMonitor, RunError};
+
+pub use decode::{Pixels, Video, version};
 pub use probe::{Info, parse_presentation_times, parse_probe, presentation_times, probe};
 
 /// Longest side of a frame, pixels: a damaged head of a file must not allocate
@@ -92,9 +93,31 @@ fn file_url(path: &Path) -> OsString {
     url
 }
 
-fn run_error(program: &'static str, source: io::Error) -> VideoError {
-    match source.kind() {
-        ErrorKind::NotFound => VideoError::Missing(program),
-        _ => VideoError::Run { program, source },
+/// Limits of a program that reads the file at `path`. A damaged video makes some 100 bytes of
+/// messages a frame.
+fn limits(path: &Path, monitor: &ReadMonitor) -> Limits {
+    Limits {
+        silence: Some(Duration::from_secs(60)),
+        messages: 64 << 20,
+        cancel: monitor.cancel_reading(path),
+        own_group: true,
+        ..Limits::default()
+    }
+}
+
+/// Returns the conversion of the errors of `program`.
+fn failed(program: &'static str) -> impl Fn(RunError) -> VideoError {
+    move |error| match error {
+        RunError::Start(source) if source.kind() == ErrorKind::NotFound => {
+            VideoError::Missing(program)
+        }
+        RunError::Start(_) | RunError::Read(_) | RunError::Cancelled => VideoError::Run {
+            program,
+            source: error.into(),
+        },
+        error => VideoError::Endless {
+            program,
+            what: error.to_string(),
+        },
     }
 }

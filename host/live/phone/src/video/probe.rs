@@ -4,9 +4,9 @@ use std::path::Path;
 use std::process::Command;
 
 use serde::Deserialize;
+use system::{Output, ReadMonitor};
 
-use super::running::{Limits, Running, endless};
-use super::{MAX_SIDE, VideoError, file_url, program};
+use super::{MAX_SIDE, VideoError, failed, file_url, limits, program};
 
 /// Bytes of an answer: times of five million frames.
 const MAX_ANSWER: usize = 64 << 20;
@@ -63,20 +63,20 @@ struct Stream {
 ///
 /// `ffprobe` is missing or cannot be run, or the file has no video of a size up to
 /// [`MAX_SIDE`].
-pub fn probe(path: &Path) -> Result<Info, VideoError> {
-    let bytes = check_written(path)?;
+pub fn probe(path: &Path, monitor: &ReadMonitor) -> Result<Info, VideoError> {
+    let bytes = check_written(path, monitor)?;
     let mut command = program("ffprobe");
     command
         .args(["-select_streams", "v:0", "-of", "json", "-show_entries"])
         .arg("stream=width,height,pix_fmt,color_range,avg_frame_rate,nb_frames,duration");
-    let (answer, said) = ask(&mut command, path)?;
-    let Some(said) = said else {
+    let answer = ask(&mut command, path, monitor)?;
+    if answer.status.success() {
         return Ok(Info {
             bytes,
-            ..parse_probe(&answer)?
+            ..parse_probe(&answer.stdout)?
         });
-    };
-    let said = said.lines().next().unwrap_or("no reason given");
+    }
+    let said = answer.messages.lines().next().unwrap_or("no reason given");
     let hint = if said.contains("moov atom not found") {
         "; the file is truncated: the camera writes its index at the end. Copy it again"
     } else if said.contains("not on whitelist") {
@@ -91,9 +91,9 @@ pub fn probe(path: &Path) -> Result<Info, VideoError> {
 
 /// The length of a file, of which enough was ever written: ffmpeg searches a hole of a
 /// terabyte to its end.
-fn check_written(path: &Path) -> Result<u64, VideoError> {
+fn check_written(path: &Path, monitor: &ReadMonitor) -> Result<u64, VideoError> {
     let fail = |error: std::io::Error| VideoError::NotAVideo(error.to_string());
-    let mut file = system::open(path).map_err(fail)?;
+    let mut file = system::open(path, monitor).map_err(fail)?;
     let bytes = file.length();
     let least = bytes.saturating_sub(MAX_MISSING.max(bytes / 2));
     let written = file.written(least).map_err(fail)?;
@@ -105,16 +105,11 @@ fn check_written(path: &Path) -> Result<u64, VideoError> {
     }
 }
 
-/// What `ffprobe` answers about a file, and its messages if it failed.
-fn ask(command: &mut Command, path: &Path) -> Result<(Vec<u8>, Option<String>), VideoError> {
+/// Runs `ffprobe` on a file.
+fn ask(command: &mut Command, path: &Path, monitor: &ReadMonitor) -> Result<Output, VideoError> {
     command.arg("-i").arg(file_url(path));
-    let mut running = Running::start("ffprobe", command, path, Limits::default())?;
-    let answer = running.read_all(MAX_ANSWER)?.ok_or_else(|| {
-        let what = format!("its answer has more than {MAX_ANSWER} bytes");
-        endless("ffprobe", what)
-    })?;
-    let (success, said) = running.end()?;
-    Ok((answer, (!success).then_some(said)))
+    let answer = system::run(command, limits(path, monitor), MAX_ANSWER);
+    answer.map_err(failed("ffprobe"))
 }
 
 /// [`probe`]'s answer in JSON.
@@ -167,14 +162,14 @@ fn frame_rate(stream: &Stream) -> Option<f64> {
 /// When the frames of a video are shown, in ns from the first, in order. `None` if
 /// the file does not say, or there is no `ffprobe`.
 #[must_use]
-pub fn presentation_times(path: &Path) -> Option<Vec<i64>> {
-    check_written(path).ok()?;
+pub fn presentation_times(path: &Path, monitor: &ReadMonitor) -> Option<Vec<i64>> {
+    check_written(path, monitor).ok()?;
     let mut command = program("ffprobe");
     command
         .args(["-select_streams", "v:0", "-of", "csv=p=0"])
         .args(["-show_entries", "packet=pts:stream=time_base"]);
-    let (answer, _) = ask(&mut command, path).ok()?;
-    parse_presentation_times(&String::from_utf8_lossy(&answer))
+    let answer = ask(&mut command, path, monitor).ok()?;
+    parse_presentation_times(&String::from_utf8_lossy(&answer.stdout))
 }
 
 /// [`presentation_times`]' answer: lines of integers in units of a fraction such as
