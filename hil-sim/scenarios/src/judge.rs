@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use clock::BoardSeconds;
-use clock::ClockModel;
+use clock::ClockRelation;
 use protocol::Ticks;
 use recording::reader::{Item, Reader};
 use recording::session_file::{PhoneRecord, SessionFile, Span, Twist};
@@ -178,8 +178,8 @@ impl Truth {
     }
 
     /// Error of a stated relation at a tick.
-    fn error_of(&self, phone: &Oscillator, model: &ClockModel, at: Ticks) -> OffsetError {
-        let stated = model.offset_at(at.into());
+    fn error_of(&self, phone: &Oscillator, model: &ClockRelation, at: Ticks) -> OffsetError {
+        let stated = model.offset_at(at.as_secs_f64());
         OffsetError {
             error_us: stated.value * 1e6 - self.offset_ns(phone, at) * 1e-3,
             sigma_us: stated.sigma * 1e6,
@@ -187,12 +187,12 @@ impl Truth {
     }
 
     /// Error of a twist's relation where it is known best, and of its skew.
-    fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel) -> TwistVerdict {
+    fn judge_twist(&self, phone: &Oscillator, clock: &ClockRelation) -> TwistVerdict {
         /// Half of the distance over which the true skew is taken, seconds: the
         /// clock is read in whole nanoseconds.
         const REACH_S: f64 = 1.0;
         let error_at = |from_reference: f64| {
-            let at = BoardSeconds(clock.reference.0 + from_reference);
+            let at = BoardSeconds(clock.reference + from_reference);
             self.error_of(phone, clock, at.ticks())
         };
         let apart_us = error_at(REACH_S).error_us - error_at(-REACH_S).error_us;
@@ -346,7 +346,7 @@ impl Truth {
 }
 
 /// Relation from the last accepted twist before a span.
-fn last_twist(twists: &[Twist], span: Span) -> Option<ClockModel> {
+fn last_twist(twists: &[Twist], span: Span) -> Option<ClockRelation> {
     twists
         .iter()
         .rfind(|twist| twist.accepted && twist.span.to < span.from)
@@ -419,8 +419,8 @@ mod tests {
         let truth = truth(Vec::new());
         let at = Ticks(48_000_000 * 100);
         let skew = (1.0 - 30e-6) / (1.0 + 20e-6) - 1.0;
-        let model = ClockModel {
-            reference: Ticks(48_000_000 * 40).into(),
+        let model = ClockRelation {
+            reference: 40.0,
             offset: truth.offset_ns(&truth.phone, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 0.0]],

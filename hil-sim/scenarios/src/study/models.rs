@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use clock::rates::Course;
 use clock::train::frame_period;
 use clock::twists::Twists;
-use clock::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
+use clock::{BoardSeconds, ClockRelation, PhoneNanos, board_track, phone_track};
 use jiff::Timestamp;
 use protocol::mpu9150::ADDRESS;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
@@ -146,7 +146,7 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     let mut rig = Rig::new(Seed(seed), values)?;
     // Of the cold rig: five twists, of which sessions use one, two or three.
     let mut at = 15.0;
-    let mut twists: Vec<ClockModel> = Vec::new();
+    let mut twists: Vec<ClockRelation> = Vec::new();
     let mut ends = Vec::new();
     for _ in 0..5 {
         let (clock, end) = rig.twist(at)?;
@@ -255,24 +255,21 @@ impl Rig {
 
     /// Twists at a true time until a twist passes the gates: the relation from it alone,
     /// and the true time of its end.
-    fn twist(&mut self, at: f64) -> Result<(ClockModel, f64)> {
+    fn twist(&mut self, at: f64) -> Result<(ClockRelation, f64)> {
         let mut at = at;
         let mut refusal = String::new();
         for _ in 0..TRIES {
             let (board, phone) = (self.board_samples(at)?, self.phone_samples(at));
             let end = at + TWIST_S + MARGIN_S;
-            let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
-            let track = board_track(&times, rates);
-            let (times, rates): (Vec<PhoneNanos>, Vec<[f64; 3]>) = phone.into_iter().unzip();
             let options = Options {
                 a_delay_s: f64::from(LowPass::Hz188.gyro_delay_us()) * 1e-6,
                 b_delay_s: self.profile.phone.gyro_delay_us * 1e-6,
                 sigma_limit_s: self.profile.align.max_offset_sigma_us * 1e-6,
                 ..Options::default()
             };
-            match estimate_offset(&track, &phone_track(&times, rates), &options) {
+            match estimate_offset(&board_track(board), &phone_track(phone), &options) {
                 Ok(estimate) => {
-                    let clock = ClockModel::from(estimate.clock);
+                    let clock = estimate.clock;
                     self.judge(&clock);
                     return Ok((clock, end));
                 }
@@ -295,8 +292,8 @@ impl Rig {
     }
 
     /// Notes the errors of a twist by itself.
-    fn judge(&mut self, clock: &ClockModel) {
-        let (offset, skew) = self.truth(clock.reference);
+    fn judge(&mut self, clock: &ClockRelation) {
+        let (offset, skew) = self.truth(BoardSeconds(clock.reference));
         let sigma = |k: usize| clock.covariance[k][k].sqrt() * 1e6;
         let figures = [
             ("clock offset (µs)", clock.offset - offset, sigma(0)),
@@ -388,7 +385,7 @@ impl Rig {
         let arrived = self.middle(&frames, first)?;
         let at = self.board().board_at(arrived);
         let at = BoardSeconds(at.as_secs_f64());
-        let stated = alignment.plan.clock.offset_at(at);
+        let stated = alignment.plan.clock.offset_at(at.0);
         let (offset, skew) = self.truth(at);
         let relation = alignment.plan.clock;
         Ok(Judged {
@@ -399,7 +396,7 @@ impl Rig {
             offset_us: (stated.value - offset) * 1e6,
             offset_sigma_us: stated.sigma * 1e6,
             skew_ppm: (relation.skew - skew) * 1e6,
-            skew_sigma_ppm: relation.skew_sigma_at(at) * 1e6,
+            skew_sigma_ppm: relation.skew_sigma_at(at.0) * 1e6,
         })
     }
 

@@ -8,7 +8,7 @@
 use anyhow::{Context as _, Result};
 use clock::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
 use clock::twists::Twists;
-use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+use clock::{BoardSeconds, ClockRelation, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
 use protocol::EdgeTime;
 use recording::profile::{Learnt, Profile};
@@ -258,13 +258,13 @@ struct Frames {
 }
 
 /// Relation that the twist states: the true one and its error.
-fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockModel {
+fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockRelation {
     let reference = read(&clocks.board, at);
     let offset = |at| read(&clocks.phone, at) - read(&clocks.board, at);
     let sigma = log_uniform(random, (2e-6, 6e-6));
     let skew_sigma = log_uniform(random, (0.3e-6, 0.9e-6));
-    ClockModel {
-        reference: BoardSeconds(reference),
+    ClockRelation {
+        reference,
         offset: offset(at) + sigma * random.normal(),
         skew: offset(at + 0.5) - offset(at - 0.5) + skew_sigma * random.normal(),
         covariance: [[sigma * sigma, 0.0], [0.0, skew_sigma * skew_sigma]],
@@ -275,7 +275,7 @@ fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockModel {
 /// Aligns to a video that begins at a true time.
 fn align(
     clocks: &Clocks,
-    clock: ClockModel,
+    clock: ClockRelation,
     at: f64,
     random: &mut Random,
 ) -> Result<(Alignment, Frames)> {
@@ -376,7 +376,7 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
         }
         // A twist is worked out some seconds after it.
         if !knows && at > begin + TO_TWIST_S + 5.0 {
-            knows = tracker.take_relation(&twist.into());
+            knows = tracker.take_relation(&twist);
         }
         if at < end && at < (steered + STEP_EVERY_S).min(judged + JUDGED_EVERY_S) {
             continue;
@@ -392,7 +392,6 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
         let Some(relation) = tracker.relation_at(host).filter(|_| knows) else {
             continue;
         };
-        let relation = ClockModel::from(relation);
         if at >= steered + STEP_EVERY_S && holds {
             let now = ticks(at + 0.05);
             if let Some(period) = steering.wanted(&relation, now, at - steered) {

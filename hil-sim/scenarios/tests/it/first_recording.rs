@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use crate::support;
+use clock::BoardToPhone;
 use protocol::Ticks;
 use recording::session_file::SessionFile;
 
@@ -73,7 +74,7 @@ fn is_near_truth(session: &SessionFile, truth: &Path) {
         let at = Ticks(ticks);
         if (span.from..=span.to).contains(&at) {
             let error_s = (clock.ticks_to_phone(at).0 - phone_ns) as f64 * 1e-9;
-            let sigma_s = clock.offset_at(at.into()).sigma.hypot(delay_s);
+            let sigma_s = clock.offset_at(at.as_secs_f64()).sigma.hypot(delay_s);
             assert!(error_s.abs() < 5.0 * sigma_s, "{error_s} {sigma_s}");
             compared += 1;
         }

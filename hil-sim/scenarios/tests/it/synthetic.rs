@@ -14,8 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use board::imu::Sample;
-use clock::BoardSeconds;
-use clock::{ClockModel, Wander};
+use clock::{ClockRelation, Wander};
 use protocol::{EdgeGrid, ImuFlags, Period, Pulse, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -541,8 +540,8 @@ fn write_session(folder: &Path, rig: &Rig) {
             + rig.phone.elapsed_at(at) as f64 / UNITS_PER_SECOND as f64;
         phone - board_s as f64
     };
-    session.phones[0].clock = Some(ClockModel {
-        reference: BoardSeconds(8.0),
+    session.phones[0].clock = Some(ClockRelation {
+        reference: 8.0,
         offset: offset_at(8) + 4e-6,
         skew: (offset_at(13) - offset_at(3)) / 10.0 + 1.5e-6,
         covariance: [[9e-12, 0.0], [0.0, 5.8e-12]],

@@ -4,8 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use clock::BoardSeconds;
-use clock::{ClockModel, Wander};
+use clock::{ClockRelation, Wander};
 use recording::session_file::SessionFile;
 use serde_json::Value;
 
@@ -20,8 +19,8 @@ const PERIOD_NS: i64 = 33_333_333;
 fn recording(parent: &Path) -> PathBuf {
     let folder = make(parent, Wrong::default());
     let mut session = SessionFile::load(&folder).unwrap();
-    session.phones[0].clock = Some(ClockModel {
-        reference: BoardSeconds(2.0),
+    session.phones[0].clock = Some(ClockRelation {
+        reference: 2.0,
         offset: OFFSET as f64,
         skew: 0.0,
         covariance: [[1e-12, 0.0], [0.0, 1e-14]],

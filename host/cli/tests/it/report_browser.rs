@@ -8,7 +8,7 @@ use protocol::Ticks;
 use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist, Video};
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
-use clock::PhoneNanos;
+use clock::{BoardToPhone, PhoneNanos};
 use test_support::browser;
 
 #[test]
@@ -29,7 +29,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         offset_sigma_us: Some(2.4),
         skew_sigma_ppm: Some(0.98),
         board_temperature_c: Some(27.5),
-        report: serde_json::Value::Null,
+        report: None,
     });
     // The phone turned as the board did.
     let row = |number: u64| {

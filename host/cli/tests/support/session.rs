@@ -2,16 +2,16 @@
 
 use clock::alignment::GridPlan;
 use clock::frames::{FramePeriodSource, Frames};
-use clock::{BoardSeconds, ClockModel, Wander};
+use clock::{ClockRelation, Wander};
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, SessionFile, SessionOutcome, Span};
 
 /// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
 /// 0.1 ppm.
-pub(crate) const fn clock(reference: f64, offset: f64, skew: f64, sigma_s: f64) -> ClockModel {
-    ClockModel {
-        reference: BoardSeconds(reference),
+pub(crate) const fn clock(reference: f64, offset: f64, skew: f64, sigma_s: f64) -> ClockRelation {
+    ClockRelation {
+        reference,
         offset,
         skew,
         covariance: [[sigma_s * sigma_s, 0.0], [0.0, 1e-14]],
@@ -22,7 +22,7 @@ pub(crate) const fn clock(reference: f64, offset: f64, skew: f64, sigma_s: f64) 
 /// `walk`, recorded from `anchor` on for so many seconds, with pulses on a grid.
 pub(crate) fn session(
     profile: Profile,
-    clock: ClockModel,
+    clock: ClockRelation,
     (anchor, period): (Ticks, Period),
     frame_period_ns: f64,
     seconds: u64,

@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use board::imu::Sample;
-use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+use clock::{BoardToPhone, ClockRelation, PhoneNanos, Wander};
 use extract::layout::Format;
 use extract::options::Options;
 use extract::report::ExtractReport;
@@ -51,9 +51,9 @@ fn nanos(at: Ticks) -> i64 {
     i64::try_from(at.as_nanos()).unwrap()
 }
 
-fn relation() -> ClockModel {
-    ClockModel {
-        reference: BoardSeconds(2.0),
+fn relation() -> ClockRelation {
+    ClockRelation {
+        reference: 2.0,
         offset: 900_000.0,
         skew: 0.0,
         covariance: [[1e-12, 0.0], [0.0, 1e-14]],

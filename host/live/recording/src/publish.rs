@@ -14,8 +14,8 @@ use super::topic::Item;
 use super::writer::Writer;
 use board::finding::Severity;
 use board::imu::Sample;
-use clock::ClockModel as ClockRelation;
 use clock::PhoneNanos;
+use clock::{BoardSeconds, ClockRelation};
 
 impl Writer {
     /// An IMU sample, with the board's number of it.
@@ -177,8 +177,11 @@ impl Writer {
     ) -> Result<(), RecordingError> {
         let [[a, b], [c, d]] = clock.covariance;
         let message = ClockModel {
-            header: header(clock.reference.ticks(), phone.unwrap_or("board")),
-            reference_s: clock.reference.0,
+            header: header(
+                BoardSeconds(clock.reference).ticks(),
+                phone.unwrap_or("board"),
+            ),
+            reference_s: clock.reference,
             offset_s: clock.offset,
             skew: clock.skew,
             covariance: [a, b, c, d],

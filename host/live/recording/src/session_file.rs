@@ -16,7 +16,8 @@ use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
 use clock::alignment::{GridPlan, Placement};
-use clock::{BoardSeconds, ClockModel, PhoneNanos};
+use clock::twist_report::TwistReport;
+use clock::{BoardSeconds, ClockRelation, PhoneNanos};
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 2;
@@ -119,7 +120,7 @@ pub struct PhoneRecord {
     /// Every twist, in order, refused ones too.
     pub twists: Vec<Twist>,
     /// The relation of its clock to the board's that is best known.
-    pub clock: Option<ClockModel>,
+    pub clock: Option<ClockRelation>,
     /// What it answered when its video began.
     pub video: Option<Video>,
     /// Where its frames lie against the trigger's grid, if that follows another phone.
@@ -136,19 +137,19 @@ pub struct Twist {
     /// Whether it passed the gates.
     pub accepted: bool,
     /// The relation of the clocks from this twist alone.
-    pub clock: Option<ClockModel>,
+    pub clock: Option<ClockRelation>,
     /// 1-sigma of the offset, µs.
     pub offset_sigma_us: Option<f64>,
     /// 1-sigma of the skew, ppm.
     pub skew_sigma_ppm: Option<f64>,
     /// Temperature of the board's IMU at its end, °C.
     pub board_temperature_c: Option<f64>,
-    /// The full report of the estimate (gates, faults, residuals).
-    pub report: serde_json::Value,
+    /// Findings of the estimator (gates, faults, residuals).
+    pub report: Option<TwistReport>,
 }
 
 /// A span of board time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Span {
     /// First tick.
     pub from: Ticks,
@@ -355,7 +356,7 @@ impl SessionFile {
 
     /// The best known relation of the reference phone's clock.
     #[must_use]
-    pub fn clock(&self) -> Option<ClockModel> {
+    pub fn clock(&self) -> Option<ClockRelation> {
         self.reference()?.clock
     }
 

@@ -17,8 +17,8 @@ use super::*;
 use crate::profile::Profile;
 use board::finding::Severity;
 use board::imu::Sample;
-use clock::{BoardSeconds, PhoneNanos};
-use clock::{ClockModel, Wander};
+use clock::PhoneNanos;
+use clock::{ClockRelation, Wander};
 use protocol::{TICK_HZ, Ticks};
 
 fn sample(number: u64) -> Sample {
@@ -73,9 +73,9 @@ fn status(at: Ticks) -> Status {
     }
 }
 
-fn clock() -> ClockModel {
-    ClockModel {
-        reference: BoardSeconds(12.5),
+fn clock() -> ClockRelation {
+    ClockRelation {
+        reference: 12.5,
         offset: 94_000.25,
         skew: -1.5e-5,
         covariance: [[1e-12, 2e-19], [2e-19, 1e-14]],

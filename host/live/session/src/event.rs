@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use board::finding::{Finding, Severity};
 use board::imu::{Sample, Scale};
-use clock::ClockModel;
+use clock::ClockRelation;
 use clock::alignment::Placement;
 use clock::rates::RateChange;
 use protocol::{DeviceToHost, ResetCause, Ticks};
@@ -153,7 +153,7 @@ pub struct TwistEstimate {
     /// The phone.
     pub phone: PhoneName,
     /// The relation of the clocks.
-    pub clock: ClockModel,
+    pub clock: ClockRelation,
 }
 
 /// The phase where the phone's clock is followed.
@@ -296,7 +296,7 @@ pub enum SessionEvent {
         /// The phone.
         phone: PhoneName,
         /// The relation of the clocks.
-        clock: ClockModel,
+        clock: ClockRelation,
         /// How its skew changes.
         change: RateChange,
     },
@@ -316,7 +316,7 @@ pub enum SessionEvent {
         /// The phone.
         phone: PhoneName,
         /// The relation of the clocks.
-        clock: ClockModel,
+        clock: ClockRelation,
     },
     /// The relation of a phone's clock is another from here on.
     ClockKnown {
@@ -325,7 +325,7 @@ pub enum SessionEvent {
         /// The phone.
         phone: PhoneName,
         /// The relation.
-        clock: ClockModel,
+        clock: ClockRelation,
     },
     /// The depth recorder runs.
     RecorderStarted,

@@ -68,7 +68,7 @@ pub fn learnt(frames: &Frames, skew: Option<(f64, f64)>, origin: &Origin<'_>) ->
 pub fn skew_of_twists(phone: &PhoneRecord) -> Option<(f64, f64)> {
     let twists = phone.twists.iter();
     let accepted: Vec<f64> = twists
-        .filter_map(|twist| twist.clock.map(|clock| clock.reference.0))
+        .filter_map(|twist| twist.clock.map(|clock| clock.reference))
         .collect();
     let baseline = accepted.last()? - accepted.first()?;
     let clock = phone.clock.filter(|_| baseline >= MIN_BASELINE_S)?;
@@ -112,7 +112,7 @@ pub fn into_profile(
 mod tests {
     use super::*;
     use clock::train::{FramePeriod, frame_period};
-    use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+    use clock::{ClockRelation, PhoneNanos, Wander};
     use recording::profile::DEFAULT;
     use recording::session_file::Twist;
 
@@ -124,8 +124,8 @@ mod tests {
 
     #[test]
     fn a_profile_keeps_its_comments_and_can_be_read_again() {
-        let clock = |reference| ClockModel {
-            reference: BoardSeconds(reference),
+        let clock = |reference| ClockRelation {
+            reference,
             offset: 1.0,
             skew: 3e-6,
             covariance: [[1e-12, 0.0], [0.0, 1e-18]],
@@ -142,7 +142,7 @@ mod tests {
             offset_sigma_us: None,
             skew_sigma_ppm: None,
             board_temperature_c: None,
-            report: serde_json::Value::Null,
+            report: None,
         };
         let mut twists = vec![twist(10.0)];
         let period = period();

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use clock::ClockModel;
+use clock::ClockRelation;
 use protocol::{TICK_HZ, Ticks};
 use recording::RecordingError;
 use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
@@ -188,7 +188,7 @@ impl<'a> Log<'a> {
         &mut self,
         place: usize,
         phone: PhoneName,
-        clock: ClockModel,
+        clock: ClockRelation,
         source: &str,
     ) -> Result<(), Stop> {
         self.phone_mut(place).clock = Some(clock);

@@ -5,8 +5,10 @@ use std::time::Duration;
 
 use board::Stream;
 use board::imu::{ImuLook, Sample};
+use clock::push_board_sample;
 use protocol::{Arrived, DeviceToHost, ImuFlags, ImuSample, Ticks};
-use recording::session_file::SessionFile;
+use recording::session_file::{SessionFile, Span};
+use twist_sync::GyroTrack;
 
 use crate::error::Stop;
 use crate::event::SessionEvent;
@@ -37,18 +39,25 @@ pub struct Monitors {
 /// Samples of the board's gyroscope in a twist.
 #[derive(Default)]
 pub(crate) struct BoardGyro {
-    pub(crate) samples: Vec<(Ticks, [f64; 3])>,
-    /// Number of those which the board has marked as late or saturated: their rates are another
-    /// sample's, or at the end of the range.
+    pub(crate) track: GyroTrack,
+    /// Times of the first and the last sample of the track.
+    pub(crate) span: Span,
+    /// Number of samples that the board has marked as late or saturated, which are not in the
+    /// track: their rates are another sample's, or at the end of the range.
     pub(crate) marked: usize,
 }
 
 impl BoardGyro {
     fn take(&mut self, sample: &Sample) {
-        match sample.flags.has(ImuFlags::LATE) || sample.flags.has(ImuFlags::SATURATED) {
-            true => self.marked += 1,
-            false => self.samples.push((sample.at, sample.gyro)),
+        if sample.flags.has(ImuFlags::LATE) || sample.flags.has(ImuFlags::SATURATED) {
+            self.marked += 1;
+            return;
         }
+        if self.track.is_empty() {
+            self.span.from = sample.at;
+        }
+        self.span.to = sample.at;
+        push_board_sample(&mut self.track, self.span.from, sample.at, sample.gyro);
     }
 }
 
@@ -225,7 +234,10 @@ mod tests {
             };
             gyro.take(&sample);
         }
-        let times: Vec<Ticks> = gyro.samples.iter().map(|(at, _)| *at).collect();
-        assert_eq!((times, gyro.marked), (vec![Ticks(0), Ticks(2)], 2));
+        let span = Span {
+            from: Ticks(0),
+            to: Ticks(2),
+        };
+        assert_eq!((gyro.track.len(), gyro.span, gyro.marked), (2, span, 2));
     }
 }

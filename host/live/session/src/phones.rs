@@ -9,7 +9,7 @@
 
 use std::time::Duration;
 
-use clock::ClockModel;
+use clock::ClockRelation;
 use clock::rates::RateChange;
 use phone::PhoneError;
 use phone::task::Pending;
@@ -95,7 +95,7 @@ impl<'a> Phones<'a> {
     }
 
     /// A relation of the clock at a place, with how its rate changes.
-    pub(crate) fn course(&self, place: usize, clock: ClockModel) -> Course {
+    pub(crate) fn course(&self, place: usize, clock: ClockRelation) -> Course {
         let change = self.seats[place].change;
         Course { clock, change }
     }

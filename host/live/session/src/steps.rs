@@ -1,7 +1,7 @@
 //! The steps of a session, from the checks to the end of the recording.
 
 use board::imu::{ImuLook, Scale};
-use clock::ClockModel;
+use clock::{BoardToPhone, ClockRelation};
 use protocol::{
     AlignPlan, EdgeGrid, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks,
     TrainState, TriggerStart, TriggerStatus,
@@ -149,7 +149,11 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
 }
 
 /// Sends the train onto the phone's frames.
-fn align(session: &mut Session<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
+fn align(
+    session: &mut Session<'_>,
+    clock: &ClockRelation,
+    video: &Video,
+) -> Result<Alignment, Stop> {
     let course = session.phones.course(REFERENCE, *clock);
     let planned = plan(session.profile, &course, video).map_err(SessionError::Alignment)?;
     for remark in planned.remarks {

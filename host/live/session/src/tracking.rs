@@ -11,7 +11,7 @@
 use std::time::Duration;
 
 use board::BoardError;
-use clock::ClockModel;
+use clock::ClockRelation;
 use clock::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use protocol::{Period, Ticks};
 use recording::messages::{ClockExchange, Header};
@@ -69,7 +69,7 @@ pub(crate) struct Tracking {
     /// The questions to the board.
     asking: Asking,
     /// The relation that the tracker has.
-    known: Option<ClockModel>,
+    known: Option<ClockRelation>,
     /// How far the phone's `CLOCK_MONOTONIC` is behind its `CLOCK_BOOTTIME`, ns.
     slept_ns: Option<i64>,
     following: Option<Following>,
@@ -100,7 +100,7 @@ impl Following {
     /// The step that the board is to be asked for. One without an answer comes before any other,
     /// whatever is known of the clocks by now: to ask for it again does nothing more, and its
     /// answer says which grid the trigger is on.
-    fn due(&mut self, clock: Option<&ClockModel>, now: Duration, at: Ticks) -> Option<Step> {
+    fn due(&mut self, clock: Option<&ClockRelation>, now: Duration, at: Ticks) -> Option<Step> {
         if self.unanswered.is_none() {
             let since_s = now.saturating_sub(self.stepped).as_secs_f64();
             let clock = clock.filter(|_| since_s >= STEP_EVERY_S)?;
@@ -189,7 +189,7 @@ impl Tracking {
             self.asking.asked(board.board.ask_time(), now);
         }
         if let Some(clock) = log.file.clock().filter(|clock| self.known != Some(*clock))
-            && self.tracker.take_relation(&clock.into())
+            && self.tracker.take_relation(&clock)
         {
             self.known = Some(clock);
         }
@@ -267,10 +267,9 @@ impl Tracking {
     }
 
     /// The relation of the clocks now, once there was a twist.
-    fn relation(&self, now: Duration) -> Option<ClockModel> {
+    fn relation(&self, now: Duration) -> Option<ClockRelation> {
         self.known?;
-        let relation = self.tracker.relation_at(now.as_secs_f64())?;
-        Some(relation.into())
+        self.tracker.relation_at(now.as_secs_f64())
     }
 
     fn tracked(&self, now: Duration, board_now: Ticks) -> Option<Tracked> {
@@ -379,9 +378,9 @@ mod tests {
     use clock::twists::Twists;
     use clock::{BoardSeconds, PhoneSeconds, Wander};
 
-    fn clock(skew: f64) -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(100.0),
+    fn clock(skew: f64) -> ClockRelation {
+        ClockRelation {
+            reference: 100.0,
             offset: 5.0,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 1e-14]],

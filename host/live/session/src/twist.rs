@@ -3,15 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use clock::{ClockModel, board_track, phone_track};
+use clock::twist_report::warning_text;
+use clock::{ClockRelation, phone_track};
 use phone::PhoneSample;
-use protocol::{TICK_HZ, Ticks};
+use protocol::TICK_HZ;
 use recording::error_budget::micros_text;
-use recording::session_file::{Span, Twist};
-use serde_json::{Value, json};
-use twist_sync::{
-    GyroTrack, LeftOut, Options as EstimateOptions, Report, Stream, Warning, estimate_offset,
-};
+use recording::session_file::Twist;
+use twist_sync::{LeftOut, Options as EstimateOptions, Report, estimate_offset};
 
 use crate::alignment::skew_prior;
 use crate::devices::Choice;
@@ -126,7 +124,7 @@ fn good_twist(
 /// twist of nine seconds gives: its number, its phone, and its 1-sigma, µs and ppm.
 fn weak_twist(
     session: &Session<'_>,
-    clocks: &[Option<ClockModel>],
+    clocks: &[Option<ClockRelation>],
 ) -> Option<(usize, PhoneName, f64, f64)> {
     let limit_us = session.profile.align.max_offset_sigma_us * WEAK;
     let number = session.log.phone(REFERENCE).twists.len();
@@ -146,7 +144,7 @@ fn joined(
     session: &mut Session<'_>,
     place: usize,
     before: Option<&Twists>,
-    clock: &ClockModel,
+    clock: &ClockRelation,
 ) -> Result<Twists, Stop> {
     let alone = Twists::of(*clock);
     let Some(before) = before else {
@@ -218,7 +216,7 @@ fn ask_for_twist(
 fn twist(
     session: &mut Session<'_>,
     can_skip: bool,
-) -> Result<Option<Vec<Option<ClockModel>>>, Stop> {
+) -> Result<Option<Vec<Option<ClockRelation>>>, Stop> {
     let length_s = session.profile.phone.twist_s;
     let number = session.log.phone(REFERENCE).twists.len() + 1;
     session.enter(Phase::Twisting { number });
@@ -250,15 +248,9 @@ fn twist(
             remark,
         })?;
     }
-    let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.samples.into_iter().unzip();
-    let span = Span {
-        from: times.first().copied().unwrap_or_default(),
-        to: times.last().copied().unwrap_or_default(),
-    };
     let board = BoardMotion {
         number,
-        track: &board_track(&times, rates),
-        span,
+        gyro: &board,
         temperature_c: session.monitors.temperature,
     };
     let (phones, log) = (&session.phones, &mut session.log);
@@ -272,8 +264,7 @@ fn twist(
 /// The board's side of a twist.
 struct BoardMotion<'a> {
     number: usize,
-    track: &'a GyroTrack,
-    span: Span,
+    gyro: &'a BoardGyro,
     temperature_c: Option<f64>,
 }
 
@@ -284,16 +275,14 @@ fn relate(
     place: usize,
     board: &BoardMotion<'_>,
     samples: &[PhoneSample],
-) -> Result<Option<ClockModel>, Stop> {
+) -> Result<Option<ClockRelation>, Stop> {
     let number = board.number;
     let (profile, phone) = (phones.profile(place), phones.name(place));
     let folder = log.file.phone_folder(&profile.name);
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
     let name = name.to_string_lossy().into_owned();
     phone::save_samples(&log.folder.join(&name), samples, true).map_err(SessionError::Samples)?;
-    let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
-    let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
-    let phone_track = phone_track(&phone_times, phone_rates);
+    let phone_track = phone_track(samples.iter().map(|sample| (sample.time, sample.xyz)));
     let imu = log.file.imu.as_ref();
     let delay_us = imu.map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = EstimateOptions {
@@ -303,7 +292,7 @@ fn relate(
         sigma_limit_s: log.file.profile.align.max_offset_sigma_us * 1e-6,
         ..EstimateOptions::default()
     };
-    let result = estimate_offset(board.track, &phone_track, &options);
+    let result = estimate_offset(&board.gyro.track, &phone_track, &options);
     let report = match &result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
@@ -311,13 +300,13 @@ fn relate(
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),
-        span: board.span,
+        span: board.gyro.span,
         accepted: estimate.is_some(),
-        clock: estimate.map(|estimate| estimate.clock.into()),
+        clock: estimate.map(|estimate| estimate.clock),
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         board_temperature_c: board.temperature_c,
-        report: found(report),
+        report: Some(report.into()),
     };
     log.phone_mut(place).twists.push(twist);
     log.file.files.push(name);
@@ -325,10 +314,10 @@ fn relate(
     let mut remarks: Vec<_> = together(report).into_iter().collect();
     remarks.extend(report.left_out.iter().map(LeftOut::to_string));
     if result.is_ok() {
-        remarks.extend(report.warnings.iter().map(of_rig));
+        remarks.extend(report.warnings.iter().map(warning_text));
     }
     let result = match result {
-        Ok(estimate) => Ok(ClockModel::from(estimate.clock)),
+        Ok(estimate) => Ok(estimate.clock),
         Err(refusal) => Err(refusal.to_string()),
     };
     for remark in remarks {
@@ -359,42 +348,6 @@ fn relate(
     }
 }
 
-/// What the estimator found on the way, for the session file.
-fn found(report: &Report) -> Value {
-    let faults = report.faults.iter().map(|fault| {
-        json!({
-            "stream": match fault.stream {
-                Stream::A => "board",
-                Stream::B => "phone",
-            },
-            "kind": fault.kind,
-            "count": fault.count,
-            "period": fault.period,
-            "displacement_s": fault.displacement_s,
-            "action": fault.action,
-        })
-    });
-    let warnings = report.warnings.iter().map(of_rig);
-    json!({
-        "residual_rms": report.residual_rms,
-        "motion_rms": report.motion_rms,
-        "overlap_s": report.overlap_s,
-        "faults": faults.collect::<Vec<_>>(),
-        "together": report.together,
-        "left_out": report.left_out,
-        "gates": report.gates,
-        "warnings": warnings.collect::<Vec<_>>(),
-    })
-}
-
-/// A warning about the two streams, in the words of a rig.
-fn of_rig(warning: &Warning) -> String {
-    let text = warning
-        .to_string()
-        .replace("stream a", "the board's stream");
-    text.replace("stream b", "the phone's stream")
-}
-
 /// When the two moved as one body, in words; `None` where no part of them did.
 fn together(report: &Report) -> Option<String> {
     let stretches = report.together.iter();
@@ -403,16 +356,11 @@ fn together(report: &Report) -> Option<String> {
     (!stretches.is_empty()).then(|| format!("board and phone moved as one body {stretches}"))
 }
 
-/// Jump of the sawtooth of the phone's stamps, s, by the last twist that showed one; 0: none has.
-/// Where it does not jump within a twist, its drift cannot be told from the clock's.
+/// Jump of the sawtooth in the phone's timestamps, s, by the last twist that showed one; 0 if none
+/// did. In a twist without a jump, its drift cannot be distinguished from the clock's.
 fn seen_jump_s(twists: &[Twist]) -> f64 {
-    let of = |twist: &Twist| {
-        let faults = twist.report.get("faults")?.as_array()?;
-        let of_phone = faults.iter().filter(|fault| fault["stream"] == "phone");
-        let mut sawtooth = of_phone.filter(|fault| fault["kind"] == "timestamp_sawtooth");
-        sawtooth.next_back()?.get("displacement_s")?.as_f64()
-    };
-    twists.iter().rev().find_map(of).unwrap_or(0.0)
+    let jump = |twist: &Twist| twist.report.as_ref()?.phone_sawtooth_s();
+    twists.iter().rev().find_map(jump).unwrap_or(0.0)
 }
 
 /// Takes the phones' samples of one twist, by their places; the board's go into the
@@ -433,7 +381,7 @@ fn twist_samples(session: &mut Session<'_>, length_s: u32) -> Result<Vec<Vec<Pho
 /// Twists once more and joins what it says with the first; of each phone by itself.
 pub(crate) fn second_twist(
     session: &mut Session<'_>,
-    first: &[Option<ClockModel>],
+    first: &[Option<ClockRelation>],
 ) -> Result<(), Stop> {
     // The phones' sensors are free only when their videos are closed.
     let places = session.phones.places();

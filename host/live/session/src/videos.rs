@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use clock::BoardToPhone;
 use phone::adb::{copy_command, get_files_command};
 use phone::{Asked, VideoStart};
 use recording::session_file::Video;

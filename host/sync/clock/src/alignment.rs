@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::frames::Frames;
 use crate::rates::{Course, RateChange};
-use crate::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
+use crate::{BoardSeconds, BoardToPhone, ClockRelation, PhoneSeconds, Wander};
 
 /// 1-sigma of the change of a skew per °C of the board, 1/°C: a plain crystal is specified
 /// within ±30 ppm over some 100 °C, with about this slope in the middle.
@@ -103,7 +103,7 @@ pub struct GridPlan {
     #[serde(flatten)]
     pub frames: Frames,
     /// Relation of the clocks at the last twist.
-    pub clock: ClockModel,
+    pub clock: ClockRelation,
     /// Change of its skew from its reference on.
     #[serde(default)]
     pub change: RateChange,
@@ -202,7 +202,7 @@ impl GridPlan {
     #[must_use]
     pub fn phase_sigma_us_now(&self, now: BoardSeconds, temperature_c: Option<f64>) -> f64 {
         let temperatures = temperature_c.zip(self.board_temperature_c);
-        let since = now.0 - self.clock.reference.0;
+        let since = now.0 - self.clock.reference;
         self.phase_sigma_us_at(now)
             .hypot(by_temperature(temperatures) * since / 2.0 * 1e6)
     }

@@ -3,20 +3,21 @@
 //! Integers at the edges ([`Ticks`] of the board, [`PhoneNanos`]), seconds in
 //! f64 inside the math. An f64 second holds 0.12 ns at 10⁶ s (twelve days of
 //! uptime), far below one tick (20.8 ns). The only way from one clock to the
-//! other is [`ClockModel`].
+//! other is [`BoardToPhone`].
 
 pub mod alignment;
 pub mod frames;
-mod model;
 pub mod rates;
+mod relation;
 pub mod steering;
 mod tracks;
 pub mod train;
+pub mod twist_report;
 pub mod twists;
 
-pub use model::ClockModel;
-pub use tracks::{board_track, phone_track};
-pub use twist_sync::{Wander, WithSigma};
+pub use relation::BoardToPhone;
+pub use tracks::{board_track, phone_track, push_board_sample};
+pub use twist_sync::{ClockRelation, Wander, WithSigma};
 
 use protocol::units::{TICK_HZ, Ticks};
 use serde::{Deserialize, Serialize};

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use twist_sync::mixture::{Supposed, mixed};
 use twist_sync::tracker::WARMING_S;
 
-use crate::{BoardSeconds, ClockModel, Wander};
+use crate::{BoardSeconds, ClockRelation, Wander};
 
 /// 1-sigma of the logarithm of [`WARMING_S`]: a factor of two.
 const WARMING_FACTOR_LN: f64 = std::f64::consts::LN_2;
@@ -112,7 +112,7 @@ pub struct RateChange {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Course {
     /// The relation at its reference.
-    pub clock: ClockModel,
+    pub clock: ClockRelation,
     /// The change of its skew there.
     pub change: RateChange,
 }
@@ -120,7 +120,7 @@ pub struct Course {
 impl Course {
     /// What one twist says of clocks whose skew changes by so much (1-sigma) in the first
     /// ten minutes.
-    pub(crate) fn of_twist(clock: ClockModel, warming: f64) -> Self {
+    pub(crate) fn of_twist(clock: ClockRelation, warming: f64) -> Self {
         let change = RateChange {
             per_s: 0.0,
             variance: (warming / of_skew(TEN_MINUTES_S)).powi(2),
@@ -131,9 +131,9 @@ impl Course {
     }
 
     /// The same with a later twist, and how well it fits.
-    pub(crate) fn with_twist(&self, twist: &ClockModel) -> Option<(Self, Fit)> {
+    pub(crate) fn with_twist(&self, twist: &ClockRelation) -> Option<(Self, Fit)> {
         let base = twist.offset;
-        let (mean, covariance) = self.predicted(twist.reference, base);
+        let (mean, covariance) = self.predicted(BoardSeconds(twist.reference), base);
         let observe = Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
         let seen = Matrix2::from(twist.covariance).transpose();
         let expected = observe * covariance * observe.transpose() + seen;
@@ -155,7 +155,7 @@ impl Course {
     /// The same with a skew that is known from before, and how well it fits.
     pub(crate) fn with_known_skew(&self, known: Rate) -> Option<(Self, Fit)> {
         let base = self.clock.offset;
-        let (mean, covariance) = self.predicted(self.clock.reference, base);
+        let (mean, covariance) = self.predicted(BoardSeconds(self.clock.reference), base);
         let variance = covariance[(1, 1)] + known.sigma * known.sigma;
         let innovation = known.skew - mean[1];
         let fit = Fit::of(innovation * innovation / variance, variance)?;
@@ -170,14 +170,14 @@ impl Course {
     /// Several of the same reference as one, each with the logarithm of its likelihood.
     pub(crate) fn mixed<const N: usize>(parts: &[(Self, f64); N]) -> Self {
         const { assert!(N > 0) };
-        let ClockModel {
+        let ClockRelation {
             reference,
             offset: base,
             wander,
             ..
         } = parts[0].0.clock;
         let parts = parts.map(|(course, likelihood_ln)| {
-            let (mean, covariance) = course.predicted(reference, base);
+            let (mean, covariance) = course.predicted(BoardSeconds(reference), base);
             Supposed {
                 prior: 1.0,
                 likelihood_ln,
@@ -204,7 +204,7 @@ impl Course {
         let (start, _) = self.predicted(from, base);
         let (end, _) = self.predicted(to, base);
         // The rate's error is that of skew and change, and the wander over the span.
-        let since = from.0 - self.clock.reference.0;
+        let since = from.0 - self.clock.reference;
         let of_change = (of_offset(since + length_s) - of_offset(since)) / length_s;
         let longer = of_longer_warming(since + length_s) - of_longer_warming(since);
         let of_time = WARMING_FACTOR_LN * longer[0] / length_s;
@@ -241,7 +241,7 @@ impl Course {
     /// Offset less a base, skew and change at a board time, with their covariance.
     fn predicted(&self, at: BoardSeconds, base: f64) -> (Vector3<f64>, Matrix3<f64>) {
         let (clock, change) = (&self.clock, &self.change);
-        let t = at.0 - clock.reference.0;
+        let t = at.0 - clock.reference;
         let mean = Vector3::new(clock.offset - base, clock.skew, change.per_s);
         let [[oo, os], [_, ss]] = clock.covariance;
         let (oc, sc) = (change.with_offset, change.with_skew);
@@ -266,7 +266,7 @@ impl Course {
     }
 
     fn of(
-        reference: BoardSeconds,
+        reference: f64,
         base: f64,
         mean: Vector3<f64>,
         covariance: Matrix3<f64>,
@@ -274,7 +274,7 @@ impl Course {
     ) -> Self {
         let p = 0.5 * (covariance + covariance.transpose());
         Self {
-            clock: ClockModel {
+            clock: ClockRelation {
                 reference,
                 offset: base + mean[0],
                 skew: mean[1],
@@ -299,8 +299,8 @@ mod tests {
     /// both ends, and are off in between.
     #[test]
     fn even_pulses_are_off_a_changing_rate_between_the_ends() {
-        let clock = ClockModel {
-            reference: BoardSeconds(100.0),
+        let clock = ClockRelation {
+            reference: 100.0,
             offset: 36_000.0,
             skew: 20e-6,
             covariance: [[4e-12, 0.0], [0.0, 1e-14]],
@@ -326,8 +326,8 @@ mod tests {
 
     #[test]
     fn a_known_skew_sharpens_the_relation_and_a_wrong_one_contradicts() {
-        let wide = ClockModel {
-            reference: BoardSeconds(100.0),
+        let wide = ClockRelation {
+            reference: 100.0,
             offset: 36_000.0,
             skew: 20e-6,
             covariance: [[9e-12, 1e-12], [1e-12, 1e-12]],

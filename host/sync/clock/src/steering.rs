@@ -21,7 +21,7 @@ use protocol::{EdgeGrid, EdgeTime, Period, TICK_HZ, Ticks};
 use twist_sync::tracker::{Asked, Tracker};
 
 use crate::alignment::GridPlan;
-use crate::{BoardSeconds, ClockModel, PhoneSeconds};
+use crate::{BoardSeconds, BoardToPhone, ClockRelation, PhoneSeconds};
 
 /// A phase is brought back within about so long, s.
 const CATCH_UP_S: f64 = 10.0;
@@ -103,7 +103,7 @@ impl Steering {
     /// By how much the grid is late on the phone's frames at a time, s, by a relation of the
     /// clocks.
     #[must_use]
-    pub fn phase_s(&self, clock: &ClockModel, at: Ticks) -> f64 {
+    pub fn phase_s(&self, clock: &ClockRelation, at: Ticks) -> f64 {
         let (number, edge) = self.edge_from(at);
         let at = clock.to_phone(BoardSeconds(edge.as_secs_f64()));
         (at.0 - self.begin.0) - number as f64 * self.frame_s
@@ -112,8 +112,8 @@ impl Steering {
     /// 1-sigma of the phase at a time, µs, by a relation that is tracked: that of its offset,
     /// of the first frame's time, and of the frame period since.
     #[must_use]
-    pub fn phase_sigma_us(&self, clock: &ClockModel, at: BoardSeconds) -> f64 {
-        let offset_us = clock.offset_at(at).sigma * 1e6;
+    pub fn phase_sigma_us(&self, clock: &ClockRelation, at: BoardSeconds) -> f64 {
+        let offset_us = clock.offset_at(at.0).sigma * 1e6;
         offset_us.hypot(self.plan.frames_sigma_us(at))
     }
 
@@ -126,7 +126,7 @@ impl Steering {
     /// The period from now on, `since_s` seconds after the last one was set; nothing if it
     /// stays.
     #[must_use]
-    pub fn wanted(&self, clock: &ClockModel, at: Ticks, since_s: f64) -> Option<Period> {
+    pub fn wanted(&self, clock: &ClockRelation, at: Ticks, since_s: f64) -> Option<Period> {
         let phase = self.phase_s(clock, at);
         let aligned = self.plan.period.as_ticks_f64();
         let ticks = self.frame_s / (1.0 + clock.skew) * f64::from(TICK_HZ);
@@ -227,9 +227,9 @@ mod tests {
         }
     }
 
-    fn clock(skew: f64) -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(100.0),
+    fn clock(skew: f64) -> ClockRelation {
+        ClockRelation {
+            reference: 100.0,
             offset: 5.0,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 1e-14]],
@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    fn plan(clock: &ClockModel) -> GridPlan {
+    fn plan(clock: &ClockRelation) -> GridPlan {
         let frames = Frames::known(None, 1e9 / 30.0, Some(1_000.0), &mut Vec::new());
         let target = Target {
             middle: PhoneSeconds(106.006),

@@ -1,4 +1,4 @@
-//! Gyroscope recordings of board and phone as the estimator takes them. Differences of
+//! Gyroscope recordings of board and phone for the estimator. Differences of
 //! times are taken in integers.
 
 use protocol::units::Ticks;
@@ -6,20 +6,29 @@ use twist_sync::GyroTrack;
 
 use crate::PhoneNanos;
 
-/// The phone's recording: as many rates (rad/s about x, y, z) as times.
+/// Returns the track of the phone's samples: times, and rates in rad/s about x, y, z.
 #[must_use]
-pub fn phone_track(times: &[PhoneNanos], w: Vec<[f64; 3]>) -> GyroTrack {
-    let nanos: Vec<i64> = times.iter().map(|time| time.0).collect();
-    GyroTrack::from_nanos(&nanos, w)
+pub fn phone_track(samples: impl IntoIterator<Item = (PhoneNanos, [f64; 3])>) -> GyroTrack {
+    let samples = samples.into_iter().map(|(time, rate)| (time.0, rate));
+    let (nanos, rates): (Vec<i64>, Vec<[f64; 3]>) = samples.unzip();
+    GyroTrack::from_nanos(&nanos, rates)
 }
 
-/// The board's recording: as many rates (rad/s about x, y, z) as times.
+/// Returns the track of the board's samples: times, and rates in rad/s about x, y, z.
 #[must_use]
-pub fn board_track(times: &[Ticks], w: Vec<[f64; 3]>) -> GyroTrack {
-    let epoch = times.first().copied().unwrap_or_default();
-    GyroTrack {
-        epoch_s: epoch.as_secs_f64(),
-        t: times.iter().map(|&t| (t - epoch).as_secs_f64()).collect(),
-        w,
+pub fn board_track(samples: impl IntoIterator<Item = (Ticks, [f64; 3])>) -> GyroTrack {
+    let mut track = GyroTrack::default();
+    let mut first = None;
+    for (at, rate) in samples {
+        push_board_sample(&mut track, *first.get_or_insert(at), at, rate);
     }
+    track
+}
+
+/// Appends a sample to a track of the board whose first sample is at `first`; rates in rad/s about
+/// x, y, z.
+pub fn push_board_sample(track: &mut GyroTrack, first: Ticks, at: Ticks, rate: [f64; 3]) {
+    track.epoch_s = first.as_secs_f64();
+    track.t.push((at - first).as_secs_f64());
+    track.w.push(rate);
 }

@@ -10,7 +10,7 @@
 use twist_sync::tracker::WARMING_S;
 
 use crate::rates::{Course, Fit, Rate};
-use crate::{BoardSeconds, ClockModel};
+use crate::{BoardSeconds, ClockRelation};
 
 /// What the skew changes by in the first ten minutes, 1-sigma: still, some, much; equally
 /// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
@@ -54,8 +54,8 @@ struct Supposition {
 impl Twists {
     /// Of the first.
     #[must_use]
-    pub fn of(clock: ClockModel) -> Self {
-        let left = warming_left(clock.reference);
+    pub fn of(clock: ClockRelation) -> Self {
+        let left = warming_left(BoardSeconds(clock.reference));
         Self(WARMINGS.map(|warming| Supposition {
             warming,
             course: Course::of_twist(clock, warming * left),
@@ -65,7 +65,7 @@ impl Twists {
 
     /// The same with a later twist; `None` if the two contradict each other.
     #[must_use]
-    pub fn with(&self, twist: &ClockModel) -> Option<Self> {
+    pub fn with(&self, twist: &ClockRelation) -> Option<Self> {
         self.updated(|supposed| supposed.course.with_twist(twist))
     }
 
@@ -111,10 +111,10 @@ mod tests {
 
     /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
     /// dying away within `fades` seconds.
-    fn twist(t: f64, c: f64, fades: f64) -> ClockModel {
+    fn twist(t: f64, c: f64, fades: f64) -> ClockRelation {
         let gone = 1.0 - (-t / fades).exp();
-        ClockModel {
-            reference: BoardSeconds(t),
+        ClockRelation {
+            reference: t,
             offset: 36_000.0 + 20e-6 * t + c * (fades * t - fades * fades * gone),
             skew: 20e-6 + c * fades * gone,
             covariance: [[4e-12, 0.0], [0.0, 4e-13]],

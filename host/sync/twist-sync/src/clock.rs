@@ -53,7 +53,7 @@ pub struct WithSigma {
 }
 
 /// The relation of two clocks with its uncertainty.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ClockRelation {
     /// The time of clock a at which `offset` holds, in seconds.

@@ -228,15 +228,20 @@ pub enum Warning {
     },
 }
 
-impl fmt::Display for Warning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Warning {
+    /// Returns the sentence with these names in place of "stream a" and "stream b".
+    #[must_use]
+    pub fn named(&self, a: &str, b: &str) -> String {
+        let name = |stream: &Stream| match stream {
+            Stream::A => a,
+            Stream::B => b,
+        };
         match self {
-            Self::OneAxis => f.write_str(
+            Self::OneAxis => String::from(
                 "motion about one axis only: the offset is good, the calibration is known for \
                  that axis alone",
             ),
-            Self::TimeLeftOpen { sigma_s } => write!(
-                f,
+            Self::TimeLeftOpen { sigma_s } => format!(
                 "the timestamps leave {:.1} µs open (few resets of a sawtooth, or two equal \
                  classes of samples); it is part of the sigma",
                 sigma_s * 1e6
@@ -244,28 +249,34 @@ impl fmt::Display for Warning {
             Self::CoarseStamps {
                 stream,
                 resolution_s,
-            } => write!(
-                f,
-                "the timestamps of {stream} have steps of {} ms; half a step is part of the sigma",
+            } => format!(
+                "the timestamps of {} have steps of {} ms; half a step is part of the sigma",
+                name(stream),
                 resolution_s * 1e3
             ),
-            Self::Interpolated { stream, rate_hz } => write!(
-                f,
-                "{stream} is interpolated between samples of about {rate_hz:.0} Hz"
+            Self::Interpolated { stream, rate_hz } => format!(
+                "{} is interpolated between samples of about {rate_hz:.0} Hz",
+                name(stream)
             ),
-            Self::Held { stream, rate_hz } => write!(
-                f,
-                "{stream} holds samples of about {rate_hz:.0} Hz; only the first of each is used"
+            Self::Held { stream, rate_hz } => format!(
+                "{} holds samples of about {rate_hz:.0} Hz; only the first of each is used",
+                name(stream)
             ),
-            Self::LateAxis { stream, axis, by } => write!(
-                f,
-                "axis {} of {stream} comes {:.0} ± {:.0} µs later than its other two, to which \
+            Self::LateAxis { stream, axis, by } => format!(
+                "axis {} of {} comes {:.0} ± {:.0} µs later than its other two, to which \
                  the offset belongs",
                 ["x", "y", "z"][*axis % 3],
+                name(stream),
                 by.value * 1e6,
                 by.sigma * 1e6
             ),
         }
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.named("stream a", "stream b"))
     }
 }
 

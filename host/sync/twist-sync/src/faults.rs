@@ -22,7 +22,7 @@ impl fmt::Display for Stream {
 
 /// Kind of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum FaultKind {
     /// Time or rate is not a finite number.
@@ -54,7 +54,7 @@ pub enum FaultKind {
 
 /// Why a stretch of both recordings is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum Why {
     /// The two did not move as one body, or one was turned against the other.
@@ -66,7 +66,7 @@ pub enum Why {
 
 /// A stretch of both recordings that was left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct LeftOut {
     /// Begin, in seconds from the first sample of recording a.
     pub from_s: f64,
@@ -96,7 +96,7 @@ impl fmt::Display for LeftOut {
 
 /// Treatment of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum Action {
     /// The samples were left out.

@@ -1,7 +1,7 @@
 //! What is shown of the state, at a moment.
 
 use clock::alignment::Placement;
-use clock::{BoardSeconds, ClockModel};
+use clock::{BoardSeconds, ClockRelation};
 use protocol::{TICK_HZ, Ticks};
 use recording::error_budget::{COARSE_US, ErrorPart};
 use serde::Serialize;
@@ -50,7 +50,7 @@ pub(crate) struct PhaseNow {
 pub(crate) struct Phone {
     pub(crate) name: String,
     /// The relation of its clock, once there is one.
-    pub(crate) clock: Option<ClockModel>,
+    pub(crate) clock: Option<ClockRelation>,
     /// Its frames against the depth images, if the trigger is aligned to another.
     pub(crate) placement: Option<Placement>,
 }
@@ -272,12 +272,12 @@ impl State {
     pub(crate) fn clock_now(&self, phone: &Phone) -> Option<ClockNow> {
         let clock = phone.clock?;
         let now = BoardSeconds::from(self.now);
-        let offset = clock.offset_at(now);
+        let offset = clock.offset_at(now.0);
         Some(ClockNow {
             offset_s: offset.value,
             sigma_us: offset.sigma * 1e6,
             skew_ppm: clock.skew * 1e6,
-            age_s: now.0 - clock.reference.0,
+            age_s: now.0 - clock.reference,
         })
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use clock::alignment::{GridPlan, Placement};
 use clock::frames::Frames;
-use clock::{BoardSeconds, ClockModel, Wander};
+use clock::{BoardSeconds, ClockRelation, Wander};
 use protocol::Period;
 use session::error::SessionError;
 use session::event::{PhoneName, Step};
@@ -37,9 +37,9 @@ fn pulse(output: Output, k: u64, at: Ticks) -> Stamped {
     message(at, DeviceToHost::Pulse(pulse))
 }
 
-fn clock_since(reference: f64) -> ClockModel {
-    ClockModel {
-        reference: BoardSeconds(reference),
+fn clock_since(reference: f64) -> ClockRelation {
+    ClockRelation {
+        reference,
         offset: 94_000.25,
         skew: -15.2e-6,
         covariance: [[3.1e-6 * 3.1e-6, 0.0], [0.0, 0.0]],
@@ -48,7 +48,7 @@ fn clock_since(reference: f64) -> ClockModel {
 }
 
 /// A train of 30 fps whose grid has an edge at so many seconds, and arrives there.
-fn aligned(clock: ClockModel, seconds: f64) -> Alignment {
+fn aligned(clock: ClockRelation, seconds: f64) -> Alignment {
     let anchor = BoardSeconds(seconds).ticks();
     Alignment {
         plan: GridPlan {

@@ -7,15 +7,15 @@
 //! delays, goes in as configuration and stays in the result.
 
 use crate::time::{BoardNanos, ClockNanos, SECOND};
-use clock::ClockModel;
+use clock::ClockRelation;
 use twist_sync::{ClockCourse, Prior, RecordingClock};
 
 /// Most knots of a relation laid out: a month.
 const MOST_KNOTS: i64 = 31 * 86_400;
 
 /// The session's clock model as what is known beforehand.
-pub(crate) fn prior(model: ClockModel) -> Prior {
-    Prior::Relation(model.into())
+pub(crate) fn prior(model: ClockRelation) -> Prior {
+    Prior::Relation(model)
 }
 
 /// One window's estimate against the smoothed course.

@@ -13,7 +13,7 @@ use crate::inputs::survey::Survey;
 use crate::output::tables::ColorFrame;
 use crate::report::ClockReport;
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
-use clock::ClockModel;
+use clock::ClockRelation;
 use clock::train::frame_period;
 use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange, followed};
@@ -184,8 +184,8 @@ impl PhoneClock {
     }
 
     /// The relation at a board time, with its uncertainty.
-    pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
-        Some(self.course.as_ref()?.at(at.0 as f64 * 1e-9).into())
+    pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockRelation> {
+        Some(self.course.as_ref()?.at(at.0 as f64 * 1e-9))
     }
 
     /// Reports the relation over these frames.
@@ -232,11 +232,11 @@ mod tests {
     use crate::constants::Constants;
     use crate::inputs::board_data::TimePair;
     use crate::inputs::survey::PhoneClocks;
-    use clock::{BoardSeconds, Wander};
+    use clock::Wander;
 
-    fn model(offset: f64) -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(10.0),
+    fn model(offset: f64) -> ClockRelation {
+        ClockRelation {
+            reference: 10.0,
             offset,
             skew: 1e-6,
             covariance: [[1e-12, 0.0], [0.0, 1e-14]],

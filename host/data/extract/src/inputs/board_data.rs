@@ -21,7 +21,7 @@ use std::mem::{Discriminant, discriminant};
 use std::path::Path;
 use std::sync::Arc;
 
-use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
 use protocol::Ticks;
 use recording::messages::{self, Imu, RosMessage, Temperature, TimeReference, from_cdr};
 use recording::walk::{Event, Message, Walk};
@@ -118,7 +118,7 @@ pub(crate) enum BoardEvent {
     Times(TimePair),
     /// A relation of phone and board that the session found: of the phone that the
     /// trigger was aligned to, or of another one by its name.
-    Clock(Option<String>, ClockModel),
+    Clock(Option<String>, ClockRelation),
     /// A clock was asked for its time: the phone's or, as a, the board's.
     Exchange(Asked, Exchange),
     /// The file is of the published system; given once.
@@ -138,7 +138,7 @@ struct Sorter {
     /// How many pairs of times there were of each kind.
     counts: HashMap<Discriminant<Reference>, u32>,
     /// The relation of the clocks that was known last.
-    clock: Option<ClockModel>,
+    clock: Option<ClockRelation>,
     /// The file is of the published system.
     published: bool,
     faults: Faults,
@@ -224,7 +224,7 @@ impl Sorter {
             Item::Temperature(value) => self.temperature(&value),
             Item::Pulse(pulse) => {
                 let at = stamp(&pulse.header);
-                let phone = |clock: ClockModel| clock.ticks_to_phone(Ticks(pulse.ticks)).0;
+                let phone = |clock: ClockRelation| clock.ticks_to_phone(Ticks(pulse.ticks)).0;
                 let phone = self.clock.map_or(0, phone);
                 self.pair(Reference::Cameras, at, phone);
                 self.pulse(pulse.train, pulse.number, at);
@@ -365,10 +365,10 @@ fn stamp(header: &messages::Header) -> BoardNanos {
     BoardNanos(header.stamp.nanos())
 }
 
-fn relation(model: &messages::ClockModel) -> ClockModel {
+fn relation(model: &messages::ClockModel) -> ClockRelation {
     let [a, b, c, d] = model.covariance;
-    ClockModel {
-        reference: BoardSeconds(model.reference_s),
+    ClockRelation {
+        reference: model.reference_s,
         offset: model.offset_s,
         skew: model.skew,
         covariance: [[a, b], [c, d]],

@@ -9,7 +9,7 @@ use crate::depth::depth_clock::PulseTime;
 use crate::error::ExtractError;
 use crate::inputs::board_data::{BoardEvent, Reference, TimePair};
 use crate::time::{BoardNanos, SECOND, median_step};
-use clock::ClockModel;
+use clock::ClockRelation;
 use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange};
 
@@ -25,7 +25,7 @@ const NAMES: usize = 100;
 const NAME_LENGTH: usize = 400;
 
 /// Relations of phones' clocks to the board's, by the names of the phones.
-pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockModel>;
+pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockRelation>;
 
 /// What the board recorded, in short.
 #[derive(Clone, Debug, Default, PartialEq)]

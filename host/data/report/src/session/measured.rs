@@ -4,7 +4,7 @@
 use std::io::BufReader;
 use std::path::Path;
 
-use clock::{ClockModel, PhoneNanos};
+use clock::{BoardToPhone, ClockRelation, PhoneNanos};
 use phone::frame_timestamps;
 use phone::rows::Rows;
 use protocol::Ticks;
@@ -97,7 +97,7 @@ pub(super) fn norm(rates: [f64; 3]) -> f64 {
 
 /// The rows of a phone's gyroscope up to the first that is damaged; none of a file that is
 /// not there.
-fn phone_rates(file: &Path, clock: &ClockModel, delay_us: f64, monitor: &ReadMonitor) -> Rates {
+fn phone_rates(file: &Path, clock: &ClockRelation, delay_us: f64, monitor: &ReadMonitor) -> Rates {
     let Ok(input) = system::open(file, monitor) else {
         return Vec::new();
     };

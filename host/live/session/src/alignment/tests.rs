@@ -4,7 +4,7 @@ use super::*;
 use clock::frames::FramePeriodSource;
 use clock::rates::RateChange;
 use clock::twists::Twists;
-use clock::{BoardSeconds, ClockModel, PhoneNanos, Wander};
+use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
 
 /// Of a rig whose constants are known exactly.
 fn profile() -> Profile {
@@ -16,9 +16,9 @@ fn profile() -> Profile {
     profile
 }
 
-fn clock() -> ClockModel {
-    ClockModel {
-        reference: BoardSeconds(100.0),
+fn clock() -> ClockRelation {
+    ClockRelation {
+        reference: 100.0,
         offset: 36_000.000_25,
         skew: 2e-5,
         covariance: [[9e-12, 0.0], [0.0, 1e-12]],
@@ -297,7 +297,7 @@ fn another_phone_is_placed_against_the_grid() {
     profile.frame_sync.bias_us = 40.0;
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
     // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
-    let other = ClockModel {
+    let other = ClockRelation {
         offset: 71_000.5,
         skew: -3e-5,
         ..clock()
