@@ -1,14 +1,14 @@
-//! A video's files from the phone's storage to this computer, by Android's `adb`.
+//! Copies the files of a video from the phone's storage to this computer, by Android's `adb`.
 //!
-//! The app's remote control sends the video alone. The frame timestamps and the sensors
-//! stay on the phone, in a folder named by the video's date. Which one that is, the phase
-//! tells: it is the timestamp of frame 60, so it is a line of one file of frame timestamps
-//! and of no other. So neither a clock nor a name needs to be known, and of several phones
-//! the right one is found.
+//! The app's remote control sends the video alone. The files of the frame timestamps and the
+//! sensors stay on the phone, in a folder named by the video's date. They are found by the video's
+//! phase, which is the timestamp of frame 60: it is a line of one file of frame timestamps and of
+//! no other. So neither a clock nor a name needs to be known, and among several phones the right
+//! one is found.
 //!
-//! Limits: `adb` must be on the `PATH`, and the phone have USB debugging switched on (or be
-//! reached by `adb connect`); the files lie in [`FOLDER`], where the app saves unless told
-//! otherwise. For phones that only MTP reaches there is a [`copy_command`].
+//! Limits: `adb` must be on the `PATH`, and USB debugging enabled on the phone (or `adb connect`
+//! used); the files are in [`FOLDER`], where the app saves by default. For phones that only MTP
+//! reaches there is a [`copy_command`].
 
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
@@ -20,37 +20,37 @@ use system::{Cancel, Limits, RunError};
 
 use super::video_files::{Part, classify};
 
-/// Where the app saves, on the phone (`StorageUtils.java`:323).
+/// Folder on the phone in which the app saves (`StorageUtils.java`:323).
 const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
 
-/// The files of frame timestamps below it, also the numbered ones, as a shell's pattern.
+/// Shell pattern of the files of frame timestamps below [`FOLDER`], numbered ones included.
 const FRAMES: &str = "*/*_timestamps*.csv";
 
-/// How long `adb` may take to answer; a copy may take longer.
+/// Longest run of `adb`, except for copies.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
-/// How long tidying up may take.
+/// Longest run of `adb` when cleaning up.
 const MOMENT: Duration = Duration::from_secs(2);
 
-/// Most bytes of an answer of `adb`: a list of some 100,000 files.
+/// Most bytes that `adb` may print: a list of some 100,000 files.
 const MAX_OUTPUT: usize = 16 << 20;
 
-/// Why files did not come by `adb`.
+/// Failure of a use of `adb`.
 #[derive(Debug, thiserror::Error)]
 pub enum AdbError {
-    /// There is no such program.
+    /// There is no `adb` on the `PATH`.
     #[error("`adb` is not on the PATH")]
     NoProgram,
-    /// It knows no phone that it may talk to.
+    /// No phone is connected and authorized.
     #[error("`adb devices` lists no phone that is ready{}", others(states))]
     NoDevice {
-        /// The states of those that are not.
+        /// Serial number and state of each phone that is not ready.
         states: Vec<String>,
     },
-    /// It knows several, and nobody has said which one is meant.
+    /// Several phones are connected where one is needed.
     #[error("`adb devices` lists several phones: {}", devices.join(", "))]
     SeveralDevices {
-        /// Those that are ready.
+        /// Serial numbers of the phones that are ready.
         devices: Vec<String>,
     },
     /// There is no agent for the phone's processor.
@@ -58,36 +58,36 @@ pub enum AdbError {
         "there is no smartdepthsync-phone-agent for a phone of {processors:?} beside this program"
     )]
     NoAgent {
-        /// As the phone says.
+        /// Instruction sets of the phone, by Android's names.
         processors: String,
     },
-    /// No phone has the video.
+    /// No phone has a video with the phase.
     #[error("no file of frame timestamps in {FOLDER} of {} has the phase {}", devices.join(", "), phase.0)]
     NotFound {
-        /// The phones that were looked at.
+        /// Serial numbers of the phones that were searched.
         devices: Vec<String>,
-        /// The timestamp that was looked for.
+        /// The timestamp that was searched for.
         phase: PhoneNanos,
     },
-    /// It failed, or a file came otherwise than it is on the phone.
+    /// `adb` failed, or a copy differs in size from the file on the phone.
     #[error("`adb {command}` failed: {reason}")]
     Failed {
-        /// What it was to do.
+        /// Arguments of `adb`.
         command: String,
-        /// What it said.
+        /// Output of `adb`, or the difference.
         reason: String,
     },
-    /// The disk, or the program itself.
+    /// A file on this computer, or `adb` itself, cannot be used.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
-        /// What was tried.
+        /// The attempted action, as a verb phrase that the path follows.
         action: &'static str,
-        /// With which file.
+        /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The caller asked to stop.
+    /// The caller cancelled it.
     #[error("stopped on request")]
     Cancelled,
 }
@@ -99,8 +99,8 @@ fn others(states: &[String]) -> String {
     }
 }
 
-/// A shell's line that copies the files of the video with this phase into `folder`, from a
-/// phone that GNOME's files or another gvfs has mounted by MTP. `extract` finds them there.
+/// Returns a shell command that copies the files of the video with this phase into `folder`, from
+/// a phone that GNOME Files or another user of gvfs has mounted by MTP. `extract` finds them there.
 #[must_use]
 pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
     format!(
@@ -110,8 +110,8 @@ pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
     )
 }
 
-/// The command of this program that copies them through `adb`, the video too if
-/// `with_video`.
+/// Returns the command of this project that copies the files of the video with this phase through
+/// `adb`, and also the video itself if `with_video`.
 #[must_use]
 pub fn get_files_command(phase: PhoneNanos, folder: &Path, with_video: bool) -> String {
     let video = if with_video { " --video" } else { "" };
@@ -122,7 +122,7 @@ pub fn get_files_command(phase: PhoneNanos, folder: &Path, with_video: bool) -> 
     )
 }
 
-/// Whether an `adb` server runs on this computer; it is not started by asking.
+/// Returns true if an `adb` server runs on this computer. Does not start one.
 #[must_use]
 pub fn server_runs() -> bool {
     let port = std::env::var("ANDROID_ADB_SERVER_PORT").ok();
@@ -131,27 +131,28 @@ pub fn server_runs() -> bool {
     TcpStream::connect_timeout(&address, Duration::from_millis(200)).is_ok()
 }
 
-/// One file on the phone.
+/// A file on the phone.
 #[derive(Debug, PartialEq, Eq)]
 struct Remote {
     size: u64,
     path: String,
 }
 
-/// The program, and when to give up.
+/// The program `adb`, with the cancellation of its runs.
 #[derive(Clone)]
 pub(crate) struct Adb {
     program: PathBuf,
     cancel: Cancel,
 }
 
-/// Copies the files of the video with this phase into `folder`: frame timestamps and
-/// sensors, and the video too if `with_video`. A file that is there with the same size is
-/// left. Gives where they are.
+/// Copies the files of the video with this phase into `folder`: frame timestamps and sensors, and
+/// also the video if `with_video`. Returns the paths of the files. A file that exists with the
+/// right size is not copied again.
 ///
 /// # Errors
 ///
-/// No program, no phone, no such video; or a file did not come whole, and is not there.
+/// There is no `adb`, no phone or no such video, or a file cannot be copied completely. An
+/// incomplete copy is removed.
 pub fn fetch(
     phase: PhoneNanos,
     folder: &Path,
@@ -170,12 +171,12 @@ pub fn fetch(
     Err(AdbError::NotFound { devices, phase })
 }
 
-/// The address of the one phone that is connected, in its Wi-Fi; nothing if it has none, or
-/// if several phones are connected.
+/// Returns the IPv4 address of the connected phone in its Wi-Fi, or `None` if it has none or
+/// several phones are connected.
 ///
 /// # Errors
 ///
-/// There is no program or no phone, or it does not answer.
+/// There is no `adb` or no phone, or `adb` fails.
 pub fn wifi_address(cancel: &Cancel) -> Result<Option<String>, AdbError> {
     let adb = Adb::find(cancel)?;
     let devices = adb.devices()?;
@@ -187,7 +188,7 @@ pub fn wifi_address(cancel: &Cancel) -> Result<Option<String>, AdbError> {
     Ok(address_in(&list))
 }
 
-/// The address in a line of `ip -o addr`: `7: wlan0    inet 192.168.1.23/24 brd ...`.
+/// Parses the address in a line of `ip -o addr`: `7: wlan0    inet 192.168.1.23/24 brd ...`.
 fn address_in(list: &str) -> Option<String> {
     let mut words = list.split_whitespace().skip_while(|word| *word != "inet");
     let address = words.nth(1)?.split('/').next()?;
@@ -195,7 +196,7 @@ fn address_in(list: &str) -> Option<String> {
     Some(address.to_string())
 }
 
-/// The phones of `adb devices` that are ready.
+/// Parses the output of `adb devices` into the serial numbers of the phones that are ready.
 fn ready(list: &str) -> Result<Vec<String>, AdbError> {
     let lines = list.lines().filter_map(|line| line.split_once('\t'));
     let (ready, others): (Vec<_>, Vec<_>) = lines.partition(|(_, state)| state.trim() == "device");
@@ -213,7 +214,7 @@ fn ready(list: &str) -> Result<Vec<String>, AdbError> {
 }
 
 impl Adb {
-    /// The program on the search path.
+    /// Finds the program on the `PATH`.
     pub(crate) fn find(cancel: &Cancel) -> Result<Self, AdbError> {
         let program = system::find_program("adb").ok_or(AdbError::NoProgram)?;
         let cancel = cancel.clone();
@@ -228,12 +229,12 @@ impl Adb {
         &self.cancel
     }
 
-    /// The phones that are ready.
+    /// Returns the serial numbers of the phones that are ready, at least one.
     fn devices(&self) -> Result<Vec<String>, AdbError> {
         ready(&self.run(&["devices"], Some(PATIENCE))?)
     }
 
-    /// The one phone that is ready.
+    /// Returns the serial number of the only phone that is ready.
     pub(crate) fn only_device(&self) -> Result<String, AdbError> {
         match <[String; 1]>::try_from(self.devices()?) {
             Ok([device]) => Ok(device),
@@ -241,36 +242,34 @@ impl Adb {
         }
     }
 
-    /// Runs a line in the phone's shell; gives what it prints.
+    /// Runs a command line in the phone's shell and returns its output.
     pub(crate) fn shell(&self, device: &str, line: &str) -> Result<String, AdbError> {
         self.run_for(device, &["shell", line])
     }
 
-    /// Runs the program for a phone; gives what it prints.
-    pub(crate) fn run_for(&self, device: &str, what: &[&str]) -> Result<String, AdbError> {
-        self.run(&[&["-s", device], what].concat(), Some(PATIENCE))
+    /// Runs `adb` for a phone and returns its output.
+    pub(crate) fn run_for(&self, device: &str, arguments: &[&str]) -> Result<String, AdbError> {
+        self.run(&[&["-s", device], arguments].concat(), Some(PATIENCE))
     }
 
-    /// Runs the program for a phone to its end, also where the caller is to stop meanwhile: what
-    /// is ended halfway may be done all the same, and nobody knows of it.
+    /// Runs `adb` for a phone without cancellation: a cancelled run may have taken effect, and its
+    /// result would be lost.
     pub(crate) fn run_to_end(
         &self,
         device: &str,
-        what: &[&str],
+        arguments: &[&str],
         patience: Duration,
     ) -> Result<String, AdbError> {
         let adb = Self {
             cancel: Cancel::default(),
             ..self.clone()
         };
-        adb.run(&[&["-s", device], what].concat(), Some(patience))
+        adb.run(&[&["-s", device], arguments].concat(), Some(patience))
     }
 
-    /// Runs the program to tidy up behind what was done with a phone, as far as that can be
-    /// done in a moment.
-    pub(crate) fn tidy_up(&self, device: &str, what: &[&str]) {
-        // A phone that is gone has lost more than this.
-        let _ = self.run_to_end(device, what, MOMENT);
+    /// Runs `adb` to clean up after earlier runs. Ignores failures, as the phone may be gone.
+    pub(crate) fn clean_up(&self, device: &str, arguments: &[&str]) {
+        let _ = self.run_to_end(device, arguments, MOMENT);
     }
 
     pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {
@@ -281,7 +280,8 @@ impl Adb {
         }
     }
 
-    /// The files of the video with this phase on a phone; none if it does not have it.
+    /// Lists the files of the video with this phase on a phone. Returns none if it has no such
+    /// video.
     fn files_of(
         &self,
         device: &str,
@@ -302,8 +302,8 @@ impl Adb {
         let list = format!("stat -c '%s %n' '{folder}'/* {FOLDER}/*.mp4 2>/dev/null || true");
         let list = self.shell(device, &list)?;
         let wanted = |name: &str| match classify(name) {
-            Some((Part::Video, of)) => with_video && of == video,
-            Some((_, of)) => of == video,
+            Some((Part::Video, name)) => with_video && name == video,
+            Some((_, name)) => name == video,
             None => false,
         };
         Ok(remotes(&list)
@@ -312,7 +312,7 @@ impl Adb {
             .collect())
     }
 
-    /// Copies a file; it appears only when it is whole.
+    /// Copies a file into `folder`. It appears there only once it is complete.
     fn pull(&self, device: &str, file: &Remote, folder: &Path) -> Result<PathBuf, AdbError> {
         let name = file.path.rsplit('/').next().unwrap_or_default();
         let path = folder.join(name);
@@ -336,14 +336,17 @@ impl Adb {
         if found != file.size {
             return Err(AdbError::Failed {
                 command: format!("pull {name}"),
-                reason: format!("it is {} bytes there, but {found} bytes came", file.size),
+                reason: format!(
+                    "the file has {} bytes on the phone, and {found} bytes were copied",
+                    file.size
+                ),
             });
         }
         system::put_in_place(part, &path, false).map_err(io("write"))?;
         Ok(path)
     }
 
-    /// Runs `adb` and returns what it prints.
+    /// Runs `adb` and returns its output.
     fn run(&self, arguments: &[&str], patience: Option<Duration>) -> Result<String, AdbError> {
         let failed = |reason: String| AdbError::Failed {
             command: arguments.join(" "),
@@ -370,8 +373,8 @@ impl Adb {
     }
 }
 
-/// The lines `size path` of a listing. Other paths than the app writes are left out: they
-/// come from the phone and go into its shell.
+/// Parses a list of lines `size path`. Leaves out paths that the app does not write, because they
+/// come from the phone and are passed to its shell.
 fn remotes(list: &str) -> Vec<Remote> {
     let line = |line: &str| {
         let (size, path) = line.trim().split_once(' ')?;
@@ -382,7 +385,7 @@ fn remotes(list: &str) -> Vec<Remote> {
     list.lines().filter_map(line).collect()
 }
 
-/// Whether a path lies where the app saves and has only characters of its names.
+/// Returns true if a path is below [`FOLDER`] and has only characters that the app uses.
 fn is_plain(path: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/_-. ()".contains(c);
     path.strip_prefix(FOLDER)
@@ -395,7 +398,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_ready_phones_are_asked() {
+    fn only_ready_phones_are_listed() {
         let list =
             "List of devices attached\nA1\tdevice\nB2\tunauthorized\n192.168.1.5:5555\tdevice\n";
         assert_eq!(ready(list).unwrap(), ["A1", "192.168.1.5:5555"]);
@@ -404,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_read_or_there_is_none() {
+    fn an_address_is_parsed_or_absent() {
         let line = "31: wlan0    inet 192.168.1.23/24 brd 192.168.1.255 scope global wlan0\n";
         assert_eq!(address_in(line).as_deref(), Some("192.168.1.23"));
         for other in ["", "inet", "inet x/24", "31: wlan0 inet6 fe80::1/64"] {

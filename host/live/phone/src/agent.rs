@@ -1,17 +1,16 @@
-//! A look at the phone's clocks while it records, by a small program of ours on the phone.
+//! Reads the phone's clocks while it records, by a small program of ours on the phone.
 //!
-//! [`Agent::start`] finds the phone by `adb`, copies the program there (`/data/local/tmp`),
-//! starts it, and asks it again and again through a port that `adb` forwards to it; a
-//! thread does nothing else. What is exchanged, and how the program ends by itself, is in
-//! [`phone_agent`].
+//! [`Agent::start`] finds the phone by `adb`, copies the program to it (`/data/local/tmp`), starts
+//! it, and queries it repeatedly from a thread, through a port that `adb` forwards to it.
+//! [`phone_agent`] documents the messages and how the program ends by itself.
 //!
-//! A phone whose cable is pulled ends the agent by its silence, and `adb` forgets the port.
-//! So where nothing answers any more, the program is copied and started again until it does.
+//! When the phone's cable is pulled, the program ends for lack of queries, and `adb` drops the
+//! port. So once queries fail, the program is copied and started again until it answers.
 //!
-//! Whatever ends this program, nothing is left running on the phone: the agent removes its
-//! own file when it starts, and ends once nobody has asked it for
-//! [`PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
-//! given back by [`Agent`]'s end; after a SIGKILL the `adb` server keeps it until it ends.
+//! Nothing is left running on the phone, however this program ends: the program there removes its
+//! own file when it starts, and exits after [`PATIENCE_S`] seconds without a query. Dropping the
+//! [`Agent`] releases the forwarded port on this computer; after a SIGKILL the `adb` server keeps
+//! the port until the server ends.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
@@ -28,40 +27,40 @@ use system::{Cancel, Process};
 
 use crate::adb::{Adb, AdbError, PATIENCE};
 
-/// Where a program may lie on a phone that is not rooted.
+/// Folder on the phone from which programs can be run without root access.
 const FOLDER: &str = "/data/local/tmp";
 
-/// What the program and its socket are called, before a number of their own.
+/// Beginning of the names of the program's file and its socket.
 const NAME: &str = "smartdepthsync-phone-agent";
 
-/// How often the phone is asked.
+/// Mean interval between queries.
 const EVERY: Duration = Duration::from_millis(20);
 
-/// An answer that is later than this is of no use, and its connection is given up.
+/// Longest wait for an answer. A later one is of no use, and its connection is closed.
 const LATE: Duration = Duration::from_secs(2);
 
-/// The longest single wait for an answer: how soon a request to stop is seen.
+/// Longest single wait between two checks for cancellation.
 const SLICE: Duration = Duration::from_millis(100);
 
-/// How long the program may take to start.
+/// Longest start of the program.
 const START: Duration = Duration::from_secs(5);
 
-/// Between two tries to reach it again.
+/// Pause between two attempts to start the program again.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// One question and its answer.
+/// A query of the phone's clocks and its answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhoneExchange {
-    /// When it was asked, on the clock that [`Agent::start`] was given.
+    /// Time of the query, on the clock that [`Agent::start`] was given.
     pub sent: Duration,
-    /// When the answer came.
+    /// Time of the answer's arrival, on the same clock.
     pub received: Duration,
-    /// What the phone's clocks read in between.
+    /// Readings of the phone's clocks in between.
     pub answer: Answer,
 }
 
-/// A program on the phone that reads its clocks. It is started again where it has ended
-/// meanwhile, and ends by itself soon after this is dropped ([`PATIENCE_S`]).
+/// A program on the phone that reads its clocks. It is started again if it ends early, and exits by
+/// itself within [`PATIENCE_S`] seconds after this is dropped.
 pub struct Agent {
     device: String,
     stop: Arc<AtomicBool>,
@@ -69,7 +68,7 @@ pub struct Agent {
     exchanges: Receiver<PhoneExchange>,
 }
 
-/// The program as it was started once, and the port to it, which is given back at its end.
+/// One start of the program, and the port to it. Dropping this releases the port.
 struct Running {
     adb: Adb,
     device: String,
@@ -78,8 +77,8 @@ struct Running {
     _shell: Process,
 }
 
-/// The program's file for a processor, by Android's name of it: beside this program, or
-/// where a package puts it.
+/// Finds the program's file for an instruction set, by Android's name: beside this executable, or
+/// where a package installs it.
 fn program_for(processor: &str) -> Option<PathBuf> {
     let name = format!("{NAME}-{processor}");
     let own = std::env::current_exe().ok()?;
@@ -94,8 +93,8 @@ fn program_for(processor: &str) -> Option<PathBuf> {
 }
 
 impl Running {
-    /// Copies it to the phone, starts it there, and asks it until it answers. Where it does
-    /// not, its file is removed.
+    /// Copies the program to the phone, starts it there, and waits until it answers. Removes its
+    /// file if it does not.
     fn start(
         adb: &Adb,
         device: &str,
@@ -121,12 +120,12 @@ impl Running {
             Ok((running, stream))
         });
         if started.is_err() {
-            adb.tidy_up(device, &["shell", &format!("rm -f {file}")]);
+            adb.clean_up(device, &["shell", &format!("rm -f {file}")]);
         }
         started
     }
 
-    /// Starts what was copied, and finds a port to it.
+    /// Starts the copied file, and has a port forwarded to it.
     fn launch(adb: &Adb, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
         adb.shell(device, &format!("chmod 755 {file}"))?;
         let line = format!("{file} {socket} {PATIENCE_S}");
@@ -157,18 +156,18 @@ impl Drop for Running {
     fn drop(&mut self) {
         let port = format!("tcp:{}", self.port);
         let remove = ["forward", "--remove", &port];
-        self.adb.tidy_up(&self.device, &remove);
+        self.adb.clean_up(&self.device, &remove);
     }
 }
 
 impl Agent {
-    /// Starts it on the one phone that `adb` finds, and asks it from now on. `now` is the
-    /// clock of [`PhoneExchange`]'s times.
+    /// Starts the program on the only phone that `adb` finds, and queries it from now on. `now` is
+    /// the clock of the times in [`PhoneExchange`].
     ///
     /// # Errors
     ///
-    /// There is no `adb` or not one phone, none of our programs runs on it, or it does not
-    /// answer.
+    /// There is no `adb` or not exactly one phone, there is no program for its processor, or the
+    /// program does not answer.
     pub fn start(now: fn() -> Duration, cancel: &Cancel) -> Result<Self, AdbError> {
         let adb = Adb::find(cancel)?;
         let device = adb.only_device()?;
@@ -180,7 +179,7 @@ impl Agent {
         };
         let (sender, exchanges) = channel();
         let asking = std::thread::Builder::new().name(String::from("phone's clock"));
-        let thread = asking.spawn(move || ask(running, stream, now, &ended, &sender));
+        let thread = asking.spawn(move || query(running, stream, now, &ended, &sender));
         Ok(Self {
             device,
             stop: ends,
@@ -189,19 +188,20 @@ impl Agent {
         })
     }
 
-    /// Whether it is reached through a network: `adb` names such a phone by its address.
+    /// Returns true if the phone is reached through a network: `adb` names such a phone by its
+    /// address.
     #[must_use]
     pub fn is_by_network(&self) -> bool {
         self.device.contains(':')
     }
 
-    /// The phone, as `adb` names it.
+    /// Returns the phone's name in `adb`, which is a serial number or an address.
     #[must_use]
     pub fn device(&self) -> &str {
         &self.device
     }
 
-    /// What was exchanged since this was called last.
+    /// Returns the exchanges since the last call.
     pub fn exchanges(&self) -> impl Iterator<Item = PhoneExchange> {
         self.exchanges.try_iter()
     }
@@ -225,8 +225,8 @@ fn connect(port: u16) -> std::io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// A connection to an agent that has answered: it needs a moment to start, and until then
-/// `adb` accepts and closes.
+/// Connects and waits for the first answer. Until the program has started, `adb` accepts
+/// connections and closes them.
 fn first_answer(port: u16, now: fn() -> Duration, cancel: &Cancel) -> Result<TcpStream, AdbError> {
     let begun = Instant::now();
     loop {
@@ -248,7 +248,7 @@ fn first_answer(port: u16, now: fn() -> Duration, cancel: &Cancel) -> Result<Tcp
     }
 }
 
-/// Asks once. What is no answer of our program is [`ErrorKind::InvalidData`].
+/// Queries the program once. An answer of another program is [`ErrorKind::InvalidData`].
 fn exchange(
     stream: &mut TcpStream,
     nonce: u64,
@@ -261,7 +261,7 @@ fn exchange(
         let bytes = read_answer(stream, cancel)?;
         let received = now();
         let answer = Answer::read(&bytes).ok_or(ErrorKind::InvalidData)?;
-        // One to an earlier question was given up.
+        // Any other answer is to an earlier query that took too long.
         if answer.nonce == nonce {
             return Ok(PhoneExchange {
                 sent,
@@ -272,7 +272,7 @@ fn exchange(
     }
 }
 
-/// The next answer's bytes, unless it is late, or nobody wants it any more.
+/// Reads the next answer, unless it is late or the query is cancelled.
 fn read_answer(stream: &mut TcpStream, cancel: &Cancel) -> std::io::Result<[u8; ANSWER]> {
     let begun = Instant::now();
     let mut bytes = [0; ANSWER];
@@ -293,9 +293,9 @@ fn read_answer(stream: &mut TcpStream, cancel: &Cancel) -> std::io::Result<[u8; 
     Ok(bytes)
 }
 
-/// Asks until it is to stop; what cannot be asked is silence. Where the program does not
-/// answer any more, it has ended or the cable was pulled: it is started again until it does.
-fn ask(
+/// Queries the program until it is cancelled. A program that no longer answers has ended, or the
+/// cable was pulled: it is started again until it answers.
+fn query(
     first: Running,
     stream: TcpStream,
     now: fn() -> Duration,
@@ -307,7 +307,7 @@ fn ask(
     let mut nonce = 0_u64;
     while !cancel.is_requested() {
         nonce = nonce.wrapping_add(1);
-        // Not in step with anything on the way, such as the frames of USB.
+        // Avoids beats with periodic events on the way, such as the frames of USB.
         let scatter = nonce.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 54;
         std::thread::sleep(EVERY / 2 + EVERY.mul_f64(scatter as f64 / 1024.0));
         let Some((running, stream)) = &mut open else {
@@ -321,7 +321,7 @@ fn ask(
                     return;
                 }
             }
-            // A connection that was cut or late, or one to a program that has ended.
+            // The connection was cut or late, or the program has ended.
             Err(_) => match first_answer(running.port, now, cancel) {
                 Ok(fresh) => *stream = fresh,
                 Err(_) => open = None,
@@ -330,7 +330,7 @@ fn ask(
     }
 }
 
-/// Starts the program again, if the phone is there.
+/// Starts the program again, if the phone is connected.
 fn restart(device: &str, now: fn() -> Duration, cancel: &Cancel) -> Option<(Running, TcpStream)> {
     let adb = Adb::find(cancel).ok()?;
     Running::start(&adb, device, now).ok()

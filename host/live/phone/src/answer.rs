@@ -1,19 +1,19 @@
-//! The app's answers: lines out of bytes, and what lines mean. Without any I/O.
+//! The app's answers: splits bytes into lines and interprets them. Without any I/O.
 //!
 //! Every answer is lines of text: `SUCCESS` or `ERROR`, the server's version,
 //! the body, the line `end`. The number of body lines differs between versions
-//! of the app, so a reader goes on to `end` and never counts. After the `end`
-//! of `get_video` raw bytes follow; [`Lines`] therefore stops exactly after
-//! each line and leaves the rest of its input.
+//! of the app, so a reader goes on to `end` and never counts. Raw bytes follow the
+//! `end` of `get_video`, so [`Lines`] stops exactly after each line and leaves the
+//! rest of its input.
 //!
-//! Memory is bounded whatever comes: one line is held at a time, no longer than
-//! [`MAX_LINE`], and the answer's bytes are counted against a limit. Nothing here
-//! panics on any input.
+//! Memory is bounded for any input: one line is held at a time, no longer than
+//! [`MAX_LINE`], and the answer's bytes are counted against a limit. No input
+//! causes a panic.
 
 use std::fmt;
 
-/// Longest line that is accepted, in bytes without its end. The longest true
-/// line is a file name (at most 255 bytes on Android) or a CSV row of the
+/// Longest line that is accepted, in bytes without its end. The longest line of the
+/// app is a file name (at most 255 bytes on Android) or a CSV row of the
 /// gyroscope (below 80).
 pub const MAX_LINE: usize = 1024;
 
@@ -35,7 +35,7 @@ impl ServerVersion {
         }
     }
 
-    /// The version as the app writes it.
+    /// Returns the version as the app writes it.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -60,45 +60,45 @@ pub struct Answer {
     pub refused: Option<String>,
 }
 
-/// Why an answer is not one of the protocol.
+/// Violation of the protocol by an answer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MalformedAnswer {
-    /// A line is not what belongs there.
+    /// A line differs from what the protocol expects.
     #[error("expected {expected}, got {got:?} (line {line} of the answer)")]
     Line {
         /// Number of the line in the answer, from 1.
         line: u64,
-        /// What belongs there.
+        /// Content that the protocol expects there.
         expected: &'static str,
-        /// What came, shortened.
+        /// The line that was received, shortened.
         got: String,
     },
-    /// The answer ended before a part of it came.
+    /// The answer ended before a required part.
     #[error("it ended without {expected}")]
     Missing {
-        /// The part that did not come.
+        /// The part that is missing.
         expected: &'static str,
     },
-    /// A line without an end.
+    /// A line is longer than [`MAX_LINE`].
     #[error("line {line} of the answer is longer than {MAX_LINE} bytes")]
     LineTooLong {
         /// Number of the line in the answer, from 1.
         line: u64,
     },
-    /// A body without an end.
+    /// The answer is longer than its limit.
     #[error("it has no end: more than {limit} bytes came")]
     TooLarge {
         /// The limit in bytes.
         limit: u64,
     },
-    /// A line that is not text.
+    /// A line is not UTF-8.
     #[error("line {line} of the answer is not text")]
     NotText {
         /// Number of the line in the answer, from 1.
         line: u64,
     },
-    /// The app's version is not known.
+    /// This program does not support the app's version.
     #[error("unknown version {found:?}")]
     UnknownVersion {
         /// The version line, shortened.
@@ -107,7 +107,7 @@ pub enum MalformedAnswer {
 }
 
 impl MalformedAnswer {
-    /// The line with this number is not what belongs there.
+    /// Creates the error of a line that differs from what is expected there.
     pub(crate) fn line(line: u64, expected: &'static str, got: &str) -> Self {
         Self::Line {
             line,
@@ -117,12 +117,12 @@ impl MalformedAnswer {
     }
 }
 
-/// Reads one answer. `next` gives its lines, and `body` takes those of a success' body, each
+/// Reads one answer. `next` returns its lines; `body` receives the body lines of a success, each
 /// with its number in the answer.
 ///
 /// # Errors
 ///
-/// Those of `next`; or, as `wrong` gives it, a line is not what belongs there.
+/// Those of `next`; or a line violates the protocol, which `wrong` converts.
 pub fn read<E>(
     mut next: impl FnMut() -> Result<String, E>,
     mut body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
@@ -138,10 +138,11 @@ pub fn read<E>(
         let found = shorten(&line);
         wrong(MalformedAnswer::UnknownVersion { found })
     })?;
-    // The word of an error may be the end word itself.
-    let refused = match is_success {
-        true => None,
-        false => Some(shorten(&next()?)),
+    // The text of an error may itself be `end`.
+    let refused = if is_success {
+        None
+    } else {
+        Some(shorten(&next()?))
     };
     for number in 3.. {
         let line = next()?;
@@ -155,7 +156,7 @@ pub fn read<E>(
     Ok(Answer { version, refused })
 }
 
-/// The lines of one answer, from bytes that come in any split.
+/// Splits the bytes of one answer, which may arrive in pieces of any size, into lines.
 #[derive(Debug)]
 pub struct Lines {
     line: Vec<u8>,
@@ -165,7 +166,7 @@ pub struct Lines {
 }
 
 impl Lines {
-    /// Of an answer of at most `limit` bytes of text.
+    /// Starts an answer of at most `limit` bytes of text.
     #[must_use]
     pub const fn new(limit: u64) -> Self {
         Self {
@@ -176,18 +177,18 @@ impl Lines {
         }
     }
 
-    /// Bytes of the answer taken so far.
+    /// Returns the number of bytes of the answer consumed so far.
     #[must_use]
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Takes bytes from the front of `input` up to the end of a line. `None`: all of `input`
-    /// was taken and more is needed.
+    /// Consumes bytes from the front of `input` up to the end of a line. Returns `None` if all of
+    /// `input` was consumed and more is needed.
     ///
     /// # Errors
     ///
-    /// The line or the answer is too long, or no text.
+    /// The line or the answer is too long, or not UTF-8.
     pub fn next(&mut self, input: &mut &[u8]) -> Result<Option<String>, MalformedAnswer> {
         let line = self.count.saturating_add(1);
         let end = input.iter().position(|&b| b == b'\n');
@@ -215,8 +216,8 @@ impl Lines {
     }
 }
 
-/// At most 120 characters of text off the network, for an error message. (It is
-/// printed with `{:?}`, which escapes control characters.)
+/// Shortens text from the network to 120 characters, for an error message. (It is printed with
+/// `{:?}`, which escapes control characters.)
 pub(crate) fn shorten(text: &str) -> String {
     const MOST: usize = 120;
     let mut short: String = text.chars().take(MOST).collect();
@@ -266,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn stops_exactly_behind_the_end_line() {
+    fn stops_exactly_after_the_end_line() {
         let text = b"SUCCESS\nv.0.1.1\n17\nname.mp4\nend\nend\nSUCCESS\n";
         let (answer, body, taken) = outcome(text, &[7], 1000);
         let version = ServerVersion::V0_1_1;

@@ -1,4 +1,4 @@
-//! The blocking client.
+//! The blocking client of the app.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -14,47 +14,52 @@ use super::settings::Settings;
 use clock::PhoneNanos;
 use system::Cancel;
 
-/// How long the app itself waits for frames before it gives up on `video_start`.
+/// Time after which the app itself gives up waiting for frames in `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long a phone that cannot be reached is tried again to stop its video.
+/// Time for which stopping the video of an unreachable phone is retried.
 const UNREACHABLE: Duration = Duration::from_secs(5);
 
-/// The same of a phone that is there and refuses: the app has ended, and its video with it.
+/// The same for a phone that refuses the connection: the app has ended, and its video with it.
 const REFUSED: Duration = Duration::from_millis(1_500);
 
-/// How long one try to stop a video lasts: an answer may be lost, and the next one not.
+/// Longest single attempt to stop a video: one answer may be lost and the next arrive.
 const KNOCK: Duration = Duration::from_secs(3);
 
 /// Largest video that is accepted, bytes.
 const MAX_VIDEO: u64 = 64 << 30;
 
-/// Pause between two tries of what may soon succeed.
+/// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(250);
 
-/// What asks the app whether its sensors are free; the answer says no more. Both sensors
-/// of a data set: an old app ticks what it is asked for, and nothing else.
+/// Request that finds out whether the app's sensors are free. It names both sensors of a data
+/// set, because an old app enables those that are requested and disables the others.
 const SHORTEST_IMU: ImuRequest = ImuRequest {
     duration: Duration::from_millis(1),
     accelerometer: true,
 };
 
-/// A recording of this length has some samples in it.
+/// Duration of a recording that contains at least a few samples.
 const SHORT_IMU: Duration = Duration::from_millis(300);
 
-/// A connection to the app.
+/// A client of the app on one phone. Each call blocks until the app has answered or a deadline has
+/// passed ([`Settings`]).
 #[derive(Debug)]
 pub struct PhoneClient {
     address: String,
     settings: Settings,
     connection: Option<Connection>,
-    /// The app has answered on this connection: it serves nobody else.
+    /// The app has answered on this connection, so it serves no other client.
     served: bool,
     version: Option<ServerVersion>,
 }
 
 impl PhoneClient {
-    /// Connects to the app at `address`, `<host>` or `<host>:<port>`.
+    /// Connects to the app at `address`, which is `<host>` or `<host>:<port>`.
+    ///
+    /// # Errors
+    ///
+    /// The address is invalid, or nothing accepts the connection in time.
     pub fn connect(address: &str, settings: Settings) -> Result<Self, PhoneError> {
         let address = with_port(address)?;
         let connection = Connection::open(&address, &settings)?;
@@ -67,13 +72,17 @@ impl PhoneClient {
         })
     }
 
-    /// Version of the app, known from its first answer on.
+    /// Returns the version of the app, which is known from its first answer on.
     #[must_use]
     pub fn version(&self) -> Option<ServerVersion> {
         self.version
     }
 
-    /// Opens a new connection after an error, with the same settings.
+    /// Opens a new connection with the same settings, after an error closed the last one.
+    ///
+    /// # Errors
+    ///
+    /// Nothing accepts the connection in time.
     pub fn reconnect(&mut self) -> Result<(), PhoneError> {
         // The app serves one client at a time: leave before knocking again.
         self.connection = None;
@@ -82,8 +91,12 @@ impl PhoneClient {
         Ok(())
     }
 
-    /// Asks whether the app is there and which version it is, without any
-    /// effect on it: an empty line, which the app answers with an error.
+    /// Returns the version of the app, without any effect on it: sends an empty line, which the
+    /// app answers with an error.
+    ///
+    /// # Errors
+    ///
+    /// The connection fails, or the answer is not one of the app.
     pub fn probe(&mut self) -> Result<ServerVersion, PhoneError> {
         let margin = self.settings.margin;
         let answer = self.in_step(|connection| {
@@ -99,9 +112,9 @@ impl PhoneClient {
         Ok(version)
     }
 
-    /// Sends a request and reads its answer. The first one on a connection is sent only
-    /// when the app has answered an empty line: what waits behind another client is
-    /// carried out later, even if nobody waits for it any more.
+    /// Sends a request and reads its answer. The first one on a connection is sent only after the
+    /// app has answered an empty line: the app would carry out a request that queues behind
+    /// another client later, even if its sender has gone.
     fn exchange(
         &mut self,
         request: &'static str,
@@ -121,7 +134,7 @@ impl PhoneClient {
         Ok(())
     }
 
-    /// As [`PhoneClient::exchange`], for an answer of a few lines; gives those of its body.
+    /// As [`PhoneClient::exchange`], for an answer of a few lines. Returns the lines of its body.
     fn short_exchange(
         &mut self,
         request: &'static str,
@@ -136,12 +149,12 @@ impl PhoneClient {
         Ok(body)
     }
 
-    /// Records the gyroscope for this duration, which this call lasts as well. The app refuses it while it records a video; it is tried again for
-    /// [`Settings::busy`].
+    /// Records the gyroscope for `duration` and returns its samples. The app refuses this while it
+    /// records a video; the request is repeated for [`Settings::busy`].
     ///
     /// # Errors
     ///
-    /// The link, the app's refusal, no file, or a recording that is far too short.
+    /// The connection fails, the app refuses, or the recording is missing or far too short.
     pub fn gyroscope(&mut self, duration: Duration) -> Result<Vec<PhoneSample>, PhoneError> {
         let request = ImuRequest::gyroscope(duration);
         let samples = self.imu_within(request, self.settings.busy)?;
@@ -150,7 +163,7 @@ impl PhoneClient {
         Ok(samples)
     }
 
-    /// Asks again for `patience` while the sensors are busy.
+    /// Repeats a request for up to `patience` while the sensors are busy.
     fn imu_within(
         &mut self,
         request: ImuRequest,
@@ -179,13 +192,13 @@ impl PhoneClient {
         body.finish().map_err(|source| self.damaged("imu", source))
     }
 
-    /// Whether the app's sensors are in use: it records a video (with its sensors, as its
-    /// settings must have it here), or closes one. Asked by the shortest IMU recording
-    /// that there is, which leaves a short file on a phone that is free.
+    /// Returns true if the app's sensors are in use, because it records or closes a video (with
+    /// the sensors, which its settings must enable). Requests the shortest IMU recording, which
+    /// leaves a short file on a phone whose sensors are free.
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::gyroscope`], but for that.
+    /// The connection fails.
     pub fn is_recording(&mut self) -> Result<bool, PhoneError> {
         match self.wait_until_free(Duration::ZERO) {
             Err(error) if error.is_busy() => Ok(true),
@@ -193,15 +206,14 @@ impl PhoneClient {
         }
     }
 
-    /// Waits until the app's sensors are free: then the video before is closed.
+    /// Waits until the app's sensors are free, which they are once the last video is closed.
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::gyroscope`]; the app's own refusal if that lasts longer than
-    /// `patience`.
+    /// The connection fails, or the sensors are still busy after `patience`.
     pub fn wait_until_free(&mut self, patience: Duration) -> Result<(), PhoneError> {
         match self.imu_within(SHORTEST_IMU, patience) {
-            // The app looks whether it is busy before it looks for sensors.
+            // The app checks whether it is busy before it checks for sensors.
             Err(error) if error.is_busy() || !matches!(error, PhoneError::Refused { .. }) => {
                 Err(error)
             }
@@ -209,13 +221,13 @@ impl PhoneClient {
         }
     }
 
-    /// The phone's clock by now, or a little before: the time of the last sample of a short
-    /// recording of its gyroscope. `None` if no sample came. A phone that records a video
-    /// refuses.
+    /// Returns the time of the last sample of a short recording of the gyroscope, which is the
+    /// phone's boot clock a moment ago. `None` if there was no sample. A phone that records a
+    /// video refuses this.
     ///
     /// # Errors
     ///
-    /// As [`PhoneClient::gyroscope`].
+    /// The connection fails, or the app refuses.
     pub fn clock(&mut self) -> Result<Option<PhoneNanos>, PhoneError> {
         let request = ImuRequest {
             duration: SHORT_IMU,
@@ -235,15 +247,15 @@ impl PhoneClient {
 
     /// Starts a video and waits for the phase of its frames, about 2 s.
     ///
-    /// The app toggles: asked while a video runs, it stops that one, and answers at once
-    /// with that one's phase, or with an error 10 s later. So an answer that comes before
-    /// the frames can is refused. `asked` is what is known of the phone's clocks by now;
-    /// without it the time of this system counts ([`VideoStart::checked`]). Whether a video was begun by a start
-    /// that fails is not known: see [`PhoneClient::undo_start`].
+    /// The app toggles: while a video runs, this request stops it, and the answer is the phase of
+    /// that video at once or an error after 10 s. So an answer that is earlier than the new
+    /// video's frames can be is an error. `asked` holds the phone's clocks at the request; without
+    /// it this computer's clock is used ([`VideoStart::checked`]). A start that fails may still
+    /// have started a video: see [`PhoneClient::undo_start`].
     ///
     /// # Errors
     ///
-    /// The link, the app's refusal, or the phase of another video.
+    /// The connection fails, the app refuses, or the phase is that of another video.
     pub fn start_video(&mut self, asked: Option<Asked>) -> Result<VideoStart, PhoneError> {
         const REQUEST: &str = "video_start";
         if !self.served {
@@ -256,11 +268,11 @@ impl PhoneClient {
         start.checked(asked, begun.elapsed(), first)
     }
 
-    /// After a start that failed: sees to it that no video runs that it may have begun.
-    /// Gives the failure on, with what has become of it.
+    /// Stops the video that a failed start may have started. Returns the failure `cause` together
+    /// with the outcome.
     ///
-    /// It lasts as long as the app may still be at that start, and a request to stop does
-    /// not end it.
+    /// Takes as long as the app may still be carrying out that start, and ignores
+    /// [`Settings::cancel`].
     #[must_use]
     pub fn undo_start(&mut self, cause: PhoneError) -> PhoneError {
         if cause.is_before_request() {
@@ -278,7 +290,7 @@ impl PhoneClient {
             served: false,
             version: self.version,
         };
-        // Leave: the app hears the next client only when this one is gone.
+        // The app serves the next client only after this one has disconnected.
         self.connection = None;
         self.served = false;
         let begun = Instant::now();
@@ -301,29 +313,29 @@ impl PhoneClient {
         }
     }
 
-    /// Stops the video. The app answers with success even if none was running, and before
-    /// the video has ended: see [`PhoneClient::wait_until_free`].
+    /// Stops the video. The app reports success even if none was running, and before the file is
+    /// closed: see [`PhoneClient::wait_until_free`].
     ///
     /// # Errors
     ///
-    /// The link, or the app's refusal.
+    /// The connection fails, or the app refuses.
     pub fn stop_video(&mut self) -> Result<(), PhoneError> {
         let margin = self.settings.margin;
         self.short_exchange("video_stop", "video_stop\n", margin)?;
         Ok(())
     }
 
-    /// Downloads the last video into the folder `out`, or as the file `out`; `progress` gets
-    /// bytes received and bytes in all.
+    /// Downloads the last video into the folder `out`, or as the file `out`. `progress` receives
+    /// the bytes so far and the size of the file.
     ///
-    /// The file appears only when it is whole. The app is asked only once its sensors
-    /// are free: with its storage access framework it hangs for good if it is asked while
-    /// a video is recorded or closed. Without any video since it was opened, the app ends
-    /// at this request: make one first.
+    /// The file appears only once it is complete. The request is sent only once the app's sensors
+    /// are free: an app that saves through the storage access framework hangs for good if it is
+    /// asked while a video is recorded or closed. An app that has recorded no video since it was
+    /// opened ends at this request.
     ///
     /// # Errors
     ///
-    /// The link, the app's refusal, the disk, or the app hangs.
+    /// The connection fails, the app refuses or hangs, or the file cannot be written.
     pub fn get_video(
         &mut self,
         out: &Path,
@@ -342,7 +354,7 @@ impl PhoneClient {
         const REQUEST: &str = "get_video";
         let asked = self.short_exchange(REQUEST, "get_video\n", self.settings.video_ready);
         if let Err(PhoneError::Timeout { waited, .. }) = asked {
-            // Only a new connection tells a slow app from one that hangs.
+            // Only a new connection distinguishes a slow app from one that hangs.
             let answers = self.reconnect().and_then(|()| self.probe());
             self.connection = None;
             if matches!(answers, Err(PhoneError::Timeout { .. })) {
@@ -358,13 +370,14 @@ impl PhoneClient {
         Ok(header)
     }
 
-    /// What the answer says is not what belongs there: the connection is out of step.
+    /// Closes the connection after a damaged answer, and returns the error.
     fn damaged(&mut self, request: &'static str, source: MalformedAnswer) -> PhoneError {
         self.connection = None;
         PhoneError::Malformed { request, source }
     }
 
-    /// Runs one exchange; closes the connection if it ends out of step.
+    /// Runs one exchange. Closes the connection after any error but a refusal, as the position in
+    /// the stream is then unknown.
     fn in_step<T>(
         &mut self,
         exchange: impl FnOnce(&mut Connection) -> Result<T, PhoneError>,
@@ -381,7 +394,7 @@ impl PhoneClient {
     }
 }
 
-/// `address` with the app's port unless it names one. IPv6 goes into brackets.
+/// Returns `address` with the app's port unless it names one, and an IPv6 address in brackets.
 fn with_port(address: &str) -> Result<String, PhoneError> {
     let wrong = |reason| PhoneError::Address {
         address: address.to_owned(),

@@ -12,13 +12,13 @@ use system::Cancel;
 /// Bytes read at once.
 const BUFFER: usize = 64 * 1024;
 
-/// Longest single wait: how soon a request to stop is seen.
+/// Longest single wait between two checks for cancellation.
 const SLICE: Duration = Duration::from_millis(100);
 
-/// Least number of bytes that must come within a window: slower is a crawl.
+/// Fewest bytes that must arrive within a window of time for a transfer to go on.
 pub(super) const CRAWL_FLOOR: u64 = 32 * 1024;
 
-/// A connection to the app with what has been read from it but not yet used.
+/// A connection to the app, with the bytes that were read but not consumed yet.
 #[derive(Debug)]
 pub(super) struct Connection {
     reader: BufReader<TcpStream>,
@@ -28,8 +28,8 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Connects to `address`, trying each of its addresses in turn within
-    /// [`Settings::connect`] in all.
+    /// Connects to `address`, trying each of its IP addresses in turn, all within
+    /// [`Settings::connect`].
     pub(super) fn open(address: &str, settings: &Settings) -> Result<Self, PhoneError> {
         let deadline = Instant::now() + settings.connect;
         let targets: Vec<SocketAddr> = address
@@ -61,8 +61,8 @@ impl Connection {
         })
     }
 
-    /// Sends the line of a request, after making sure that nothing is left over
-    /// that could be taken for its answer.
+    /// Sends the line of a request, after checking that no earlier bytes are pending that could
+    /// be mistaken for its answer.
     pub(super) fn send(&mut self, request: &'static str, line: &str) -> Result<(), PhoneError> {
         let broken = |source| PhoneError::Connection { request, source };
         self.stream().set_nonblocking(true).map_err(broken)?;
@@ -93,8 +93,8 @@ impl Connection {
             })
     }
 
-    /// Reads one whole answer; `body` gets each body line with its number. It is waited
-    /// for `first`, and for another margin whenever [`CRAWL_FLOOR`] more bytes came.
+    /// Reads one whole answer. `body` receives each body line with its number. The deadline is
+    /// `first`, extended by [`Settings::margin`] whenever [`CRAWL_FLOOR`] more bytes have arrived.
     pub(super) fn answer(
         &mut self,
         request: &'static str,
@@ -142,7 +142,7 @@ impl Connection {
         }
     }
 
-    /// Bytes that were read but not used yet; at least one unless the phone has
+    /// Returns the bytes that were read but not consumed yet: at least one unless the phone has
     /// closed the connection.
     pub(super) fn bytes(&mut self, request: &'static str) -> Result<&[u8], PhoneError> {
         if self.reader.buffer().is_empty() {
@@ -151,18 +151,18 @@ impl Connection {
         Ok(self.reader.buffer())
     }
 
-    /// Marks `count` of [`Self::bytes`] as used.
+    /// Marks `count` of [`Self::bytes`] as consumed.
     pub(super) fn consume(&mut self, count: usize) {
         self.reader.consume(count);
     }
 
-    /// Whether any byte comes within `patience`.
+    /// Returns true if a byte arrives within `patience`.
     pub(super) fn more_comes(&mut self, patience: Duration) -> bool {
         self.stream().set_read_timeout(Some(patience)).is_ok()
             && matches!(self.reader.fill_buf(), Ok(bytes) if !bytes.is_empty())
     }
 
-    /// Reads some bytes into the empty buffer; 0 at the end of the stream.
+    /// Reads into the empty buffer and returns the number of bytes, 0 at the end of the stream.
     fn fill(
         &mut self,
         request: &'static str,

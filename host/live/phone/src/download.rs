@@ -1,8 +1,8 @@
-//! The bytes of a video on their way from the connection to the disk.
+//! Download of a video from the connection to the disk.
 //!
-//! They are streamed into a temporary file beside the target, which is synced
-//! and renamed only when every announced byte is there. A failed download
-//! leaves nothing behind, and nothing is ever overwritten unless asked for.
+//! The bytes are streamed into a temporary file beside the target, which is synced and renamed
+//! only after every announced byte has arrived. A failed download leaves no file, and an existing
+//! file is overwritten only on request.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,21 +13,21 @@ use super::error::PhoneError;
 use super::file_name::safe_file_name;
 use super::requests::VideoHeader;
 
-/// How long bytes after the announced end of a video are looked out for.
+/// Wait for further bytes after the announced end of a video.
 const GRACE: Duration = Duration::from_millis(100);
 
-/// A video that was downloaded whole.
+/// A video that was downloaded completely.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedVideo {
-    /// Where it is.
+    /// The file on this computer.
     pub path: PathBuf,
-    /// Its size in bytes.
+    /// Size of the file in bytes.
     pub size: u64,
-    /// Its name as the phone gave it. Off the network: for display only.
+    /// Name on the phone. It comes from the network, so it is for display only.
     pub phone_name: String,
 }
 
-/// Refuses a target that is in the way.
+/// Returns an error if `path` exists and is not to be overwritten.
 pub(super) fn check_free(path: &Path, overwrite: bool) -> Result<(), PhoneError> {
     if !overwrite && path.symlink_metadata().is_ok() {
         return Err(PhoneError::TargetExists {
@@ -37,8 +37,8 @@ pub(super) fn check_free(path: &Path, overwrite: bool) -> Result<(), PhoneError>
     Ok(())
 }
 
-/// Takes the bytes of the video that `header` announced, into a folder under a name made
-/// from the phone's, or into the file `out`.
+/// Receives the video that `header` announced: into the folder `out`, under a name derived from
+/// the phone's, or into the file `out`.
 pub(super) fn receive(
     connection: &mut Connection,
     header: VideoHeader,
@@ -47,12 +47,13 @@ pub(super) fn receive(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SavedVideo, PhoneError> {
     const REQUEST: &str = "get_video";
-    let path = match out.is_dir() {
-        true => out.join(safe_file_name(&header.file_name)),
-        false => out.to_owned(),
+    let path = if out.is_dir() {
+        out.join(safe_file_name(&header.file_name))
+    } else {
+        out.to_owned()
     };
     check_free(&path, overwrite)?;
-    // Within it, at least CRAWL_FLOOR bytes must come.
+    // At least CRAWL_FLOOR bytes must arrive within each window.
     let window = connection.margin.saturating_mul(2);
     let folder = system::folder_of(&path);
     let mut file = system::new_file_in(folder).map_err(|source| PhoneError::File {

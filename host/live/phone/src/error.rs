@@ -1,4 +1,4 @@
-//! What can go wrong between this program and the phone.
+//! Errors between this program and the phone.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -6,37 +6,37 @@ use std::time::Duration;
 use super::adb::AdbError;
 use super::answer::{MalformedAnswer, ServerVersion};
 
-/// The request that has no effect on the app: an empty line.
+/// Name of the request without effect on the app, an empty line.
 pub(super) const PROBE: &str = "an empty request";
 
-/// An error of the phone client: what was expected and what came.
+/// An error of the phone client.
 #[derive(Debug, thiserror::Error)]
 pub enum PhoneError {
-    /// The address cannot be understood.
+    /// The address is not valid.
     #[error("{address:?} is not the address of a phone: {reason}")]
     Address {
-        /// What was given.
+        /// The address as it was given.
         address: String,
-        /// Why it was refused.
+        /// Reason why it is not valid.
         reason: &'static str,
     },
     /// Nothing answers at the address.
     #[error("no connection to the phone at {address}: {source}")]
     Connect {
-        /// Where the connection was tried.
+        /// The address with its port.
         address: String,
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The phone did not take a request or answer it in time, or stopped answering.
+    /// The phone did not receive a request or finish its answer in time.
     #[error("the phone did not take {request} and finish its answer within {waited:?}")]
     Timeout {
         /// The request that was under way.
         request: &'static str,
-        /// How long it was waited for.
+        /// The time that was allowed.
         waited: Duration,
     },
-    /// A download runs, but far too slowly ever to end.
+    /// A download is too slow.
     #[error(
         "the download of the video has come to a crawl: {received} of {size} bytes, less than {floor} bytes in the last {window:?}"
     )]
@@ -45,7 +45,7 @@ pub enum PhoneError {
         received: u64,
         /// Bytes announced.
         size: u64,
-        /// Least number of bytes that a window must bring.
+        /// Fewest bytes that must arrive in a window.
         floor: u64,
         /// Length of the window.
         window: Duration,
@@ -55,7 +55,7 @@ pub enum PhoneError {
     Closed {
         /// The request that was under way.
         request: &'static str,
-        /// Bytes of the answer that had come by then.
+        /// Bytes of the answer received before.
         received: u64,
     },
     /// The phone closed the connection within a video.
@@ -66,7 +66,7 @@ pub enum PhoneError {
         /// Bytes announced.
         size: u64,
     },
-    /// More bytes came than the phone had announced.
+    /// The phone sent more bytes than it had announced.
     #[error("the phone sent more than the {size} bytes that it had announced for its video")]
     VideoTooLong {
         /// Bytes announced.
@@ -88,12 +88,12 @@ pub enum PhoneError {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The app is of a version that this program does not know.
+    /// This program does not support the app's version.
     #[error(
         "the phone's app says it is of version {found:?}; this program knows v.0.1 and v.0.1.1"
     )]
     UnsupportedVersion {
-        /// The version line as it came, shortened.
+        /// The version that the app stated, shortened.
         found: String,
     },
     /// The phone answered with an error.
@@ -106,129 +106,129 @@ pub enum PhoneError {
         /// Version of the app.
         version: ServerVersion,
     },
-    /// The answer is not one of the protocol.
+    /// The answer violates the protocol.
     #[error("the phone's answer to {request} is damaged: {source}")]
     Malformed {
         /// The request that was under way.
         request: &'static str,
-        /// What was expected and what came.
+        /// The violation.
         source: MalformedAnswer,
     },
-    /// The answer to `video_start` came sooner than its frames can: it is the phase of
-    /// another video, which this request has stopped.
+    /// The answer to `video_start` is earlier than the video's frames can be, so it is the phase of
+    /// another video, which the request has stopped.
     #[error(
         "the phone was recording already: its answer to video_start is of another video \
          ({early:.1} s before its frames can be), and the request has stopped that one; or its \
          frames are on another clock than its gyroscope"
     )]
     StalePhase {
-        /// By how much it was too soon, seconds.
+        /// Seconds by which the phase is too early.
         early: f64,
     },
-    /// The frames may be on either of the phone's clocks.
+    /// The timestamps of the frames fit both of the phone's clocks.
     #[error(
         "whether the phone stamps its frames with the clock of its sensors is not known: it has \
          slept for {slept_s:.3} s since it was started, by which the other clock is behind, and \
          both fit"
     )]
     FrameClock {
-        /// How long it slept, seconds.
+        /// Seconds that the phone has slept since it was started.
         slept_s: f64,
     },
-    /// A start failed, and what it may have begun was stopped.
+    /// A start failed, and the video that it may have started was stopped.
     #[error("{cause}; the phone was asked to stop")]
     StartUndone {
-        /// Why it failed.
+        /// Reason of the failure.
         cause: Box<PhoneError>,
     },
-    /// A start failed, and whether it has begun a video is not known.
+    /// A start failed, and the video that it may have started could not be stopped.
     #[error("{cause}; a video may run on the phone: it could not be stopped ({why})")]
     MayRecord {
-        /// Why it failed.
+        /// Reason of the failed start.
         cause: Box<PhoneError>,
-        /// Why it could not be stopped.
+        /// Reason of the failed stop.
         why: Box<PhoneError>,
     },
     /// The phone sent no file of its gyroscope.
     #[error("the phone sent no file of its gyroscope")]
     NoGyroscope,
-    /// The gyroscope was recorded for far less than was asked for.
+    /// The gyroscope was recorded for far less time than requested.
     #[error(
         "the phone recorded its gyroscope for {:.1} s of the {:.1} s that were asked for",
         got.as_secs_f64(), asked.as_secs_f64()
     )]
     TooShort {
-        /// How long it was to be recorded.
+        /// The requested duration.
         asked: Duration,
-        /// From its first sample to its last.
+        /// Time from the first sample to the last.
         got: Duration,
     },
-    /// The app took `get_video` and answers nothing any more.
+    /// The app has not answered since it received `get_video`.
     #[error(
         "the phone's app hangs: it has not answered get_video within {waited:?}, nor anything else since"
     )]
     Hangs {
-        /// How long it was waited for.
+        /// The time that was allowed for its answer.
         waited: Duration,
     },
-    /// Bytes came that belong to no request.
+    /// The phone sent bytes without a request.
     #[error("the phone sent {count} byte(s) that belong to no request")]
     Unrequested {
-        /// How many bytes were seen.
+        /// Number of bytes that were seen.
         count: usize,
     },
-    /// The request's own values are out of range.
+    /// An argument of the request is out of range. The text is the whole message.
     #[error("{0}")]
     Argument(String),
-    /// The target of a download is there already.
+    /// The target of a download exists.
     #[error("{} is there already and is not overwritten", path.display())]
     TargetExists {
         /// The file that is in the way.
         path: PathBuf,
     },
-    /// Writing to disk failed.
+    /// A file cannot be written.
     #[error("cannot {action} {}: {source}", path.display())]
     File {
-        /// What was tried.
+        /// The attempted action, as a verb phrase that the path follows.
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// Files did not come from the phone's storage.
+    /// Files cannot be copied from the phone by `adb`.
     #[error(transparent)]
     Adb(#[from] AdbError),
-    /// The caller asked to stop.
+    /// [`Settings::cancel`](crate::Settings::cancel) ended the request.
     #[error("stopped on request during {request}")]
     Cancelled {
         /// The request that was under way.
         request: &'static str,
     },
-    /// An earlier error left the connection out of step.
+    /// The connection was closed after an earlier error, and not opened again.
     #[error("the connection to the phone was given up after an earlier error")]
     NotConnected,
 }
 
-/// The refusals that the app is known to give.
+/// A refusal that the app is known to give.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// Its sensors are being recorded: for a video, until its capture session is closed, or
-    /// by an IMU request.
+    /// The sensors are in use, by an IMU request or by a video whose capture session is not closed
+    /// yet.
     SensorsBusy,
-    /// The phone lacks a sensor that was asked for.
+    /// The phone lacks a requested sensor.
     NoSensor,
-    /// It does not know this form of the request.
+    /// The app does not know this form of the request.
     UnknownRequest,
-    /// No frames came from which a phase can be taken.
+    /// The camera delivered no frames to take a phase from.
     NoPhase,
-    /// Its last video is not where it was saved. (Without any since it was opened, the app
-    /// ends.)
+    /// The last video is not where it was saved. (An app that has recorded none since it was
+    /// opened ends instead.)
     VideoGone,
 }
 
 impl PhoneError {
-    /// The error itself: of a start that failed, why it did.
+    /// Returns the first cause: of a failed start the reason of the failure, else the error itself.
     #[must_use]
     pub fn cause(&self) -> &Self {
         match self {
@@ -237,14 +237,14 @@ impl PhoneError {
         }
     }
 
-    /// Whether the phone is there, and nobody listens on it.
+    /// Returns true if the phone is reachable but the app does not listen.
     #[must_use]
     pub fn is_app_gone(&self) -> bool {
         use std::io::ErrorKind::ConnectionRefused;
         matches!(self, Self::Connect { source, .. } if source.kind() == ConnectionRefused)
     }
 
-    /// Whether the app was not asked for anything yet: nothing can come of it.
+    /// Returns true if the error occurred before a request with an effect was sent to the app.
     #[must_use]
     pub fn is_before_request(&self) -> bool {
         match self {
@@ -262,7 +262,7 @@ impl PhoneError {
         }
     }
 
-    /// The app's refusal, if it is a known one.
+    /// Returns the app's refusal, if it is a known one.
     #[must_use]
     pub fn refusal(&self) -> Option<Refusal> {
         let Self::Refused { request, text, .. } = self else {
@@ -278,12 +278,12 @@ impl PhoneError {
         }
     }
 
-    /// Whether the app refused because its sensors are being recorded.
+    /// Returns true if the app refused because its sensors are in use.
     pub(crate) fn is_busy(&self) -> bool {
         self.refusal() == Some(Refusal::SensorsBusy)
     }
 
-    /// The failure to write `path`, or to put it in its place.
+    /// Converts a failure to write or rename the file `path`.
     pub(crate) fn writing(path: &Path, source: std::io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {

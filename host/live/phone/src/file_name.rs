@@ -1,17 +1,17 @@
-//! A file name off the network made safe.
+//! Safe file names from names that come from the network.
 
-/// Longest name that is made, in bytes.
+/// Longest name that is returned, in bytes.
 const MAX_NAME: usize = 100;
 
-/// Endings of the videos that phones make. A fetched file with another gets `.mp4` after it.
+/// File name extensions of the videos that phones record. A fetched file with another one gets
+/// `.mp4` appended.
 pub const VIDEO_ENDINGS: [&str; 5] = ["mp4", "mov", "mkv", "3gp", "webm"];
 
-/// A plain file name in the spirit of `raw`, whatever `raw` is.
+/// Returns a plain file name that resembles `raw`, for any `raw`.
 ///
-/// The result is the last component of a path in either system's notation,
-/// made of ASCII letters, digits, `.`, `-` and `_` only, at most 100 bytes
-/// long, never hidden, never empty, with a video's ending, and never a device
-/// name of Windows. It is still only a name: the folder is the caller's choice.
+/// The result is the last component of a Unix or Windows path, consists of ASCII letters, digits,
+/// `.`, `-` and `_` only, has at most 100 bytes and one of [`VIDEO_ENDINGS`], and is never hidden,
+/// empty, or a device name of Windows. The caller chooses the folder.
 #[must_use]
 pub fn safe_file_name(raw: &str) -> String {
     let last = raw.rsplit(['/', '\\']).next().unwrap_or_default();
@@ -34,7 +34,7 @@ pub fn safe_file_name(raw: &str) -> String {
         _ => (clean, "mp4"),
     };
     let room = MAX_NAME - ending.len() - 1;
-    // All ASCII by now, so any byte is a place to cut.
+    // All ASCII, so it can be cut at any byte.
     let stem = stem.get(..room.min(stem.len())).unwrap_or_default();
     let stem = stem.trim_matches('.');
     if stem.is_empty() {
@@ -46,7 +46,7 @@ pub fn safe_file_name(raw: &str) -> String {
     }
 }
 
-/// Whether Windows would open a device under this name.
+/// Returns true if Windows opens a device under this name.
 fn is_device_name(stem: &str) -> bool {
     let base = stem
         .split('.')
@@ -59,8 +59,8 @@ fn is_device_name(stem: &str) -> bool {
             && base.ends_with(|c: char| c.is_ascii_digit()))
 }
 
-/// A file's name without its extension and without the number that the app puts after
-/// a name that is taken: `gyro_1` or, through the storage access framework, `gyro (1)`.
+/// Removes the number that the app appends to a name that exists already: `gyro_1` or, through the
+/// storage access framework, `gyro (1)`. `name` has no extension.
 pub(crate) fn without_number(name: &str) -> &str {
     let open = name.strip_suffix(')');
     let split = open.map_or_else(|| name.rsplit_once('_'), |open| open.rsplit_once(" ("));

@@ -1,14 +1,14 @@
 //! The app's file of frame timestamps, `{VIDEO}_imu_timestamps.csv` (older
 //! versions: `{VIDEO}_timestamps.csv`).
 //!
-//! The app writes one integer of nanoseconds a frame and a line, in the order of
-//! the frames: the start of exposure of the first row. Tables that were made of
-//! such a file may have a heading in their first line and further columns after a
-//! comma; both are passed over, and so are empty lines. All else is damage: a
-//! fraction, a time not later than the one before, a line that is no text.
+//! The app writes one line per frame, in the order of the frames: the start of exposure of the
+//! first row in whole nanoseconds. Tables derived from such a file may have a heading in their
+//! first line and further columns after a comma; both are skipped, and so are empty lines.
+//! Anything else is damage: a fraction, a time that is not later than the one before, a line that
+//! is not UTF-8.
 //!
-//! Whoever needs the time of each frame stops at the first damaged row ([`read`]);
-//! an extraction leaves it out and names it ([`Rows::next_timestamp`] goes on).
+//! [`read`] is for callers that need the time of every frame: it stops at the first damaged row.
+//! [`Rows::next_timestamp`] reports a damaged row and can go on after it.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -20,15 +20,15 @@ use crate::rows::{BadRow, RowError, Rows};
 
 const EXPECTED: &str = "one timestamp in whole nanoseconds";
 
-/// More frames than this are not read: 100 hours at 60 fps.
+/// Most frames of a file: 100 hours at 60 fps.
 const MAX_TIMESTAMPS: usize = 21_600_000;
 
 impl<R: BufRead> Rows<R> {
-    /// The next frame's timestamp; `None` at the end.
+    /// Reads the next frame's timestamp. Returns `None` at the end.
     ///
     /// # Errors
     ///
-    /// Reading fails, or a row is damaged: the next call gives the row after it.
+    /// Reading fails, or the row is damaged. The next call reads the row after it.
     pub fn next_timestamp(&mut self) -> Result<Option<PhoneNanos>, RowError> {
         let parse = |line, text: &str| {
             let field = text.split(',').next().unwrap_or_default().trim();
@@ -43,11 +43,11 @@ impl<R: BufRead> Rows<R> {
     }
 }
 
-/// Reads a whole file.
+/// Reads the timestamps of all frames of a video.
 ///
 /// # Errors
 ///
-/// It cannot be read, or a row is damaged: the first of them.
+/// The file cannot be read, or a row is damaged.
 pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowError> {
     let mut rows = Rows::new(BufReader::new(
         system::open(path, monitor)?.skipping_holes(),

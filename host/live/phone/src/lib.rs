@@ -1,22 +1,22 @@
 //! The phone: a client of the remote control of OpenCamera Sensors.
 //!
-//! The app listens on TCP port 6969 and serves one client at a time, one
-//! request after the other on one connection: `imu?…`, `video_start`,
-//! `video_stop`, `get_video`. Answers are lines of text that end with the line
-//! `end`; see [`answer`] for the framing and [`requests`] for the bodies.
+//! The app listens on TCP port 6969 and serves one client at a time, one request after the other
+//! on one connection: `imu?…`, `video_start`, `video_stop`, `get_video`. Answers are lines of text
+//! that end with the line `end`; see [`answer`] for the framing and [`requests`] for the bodies.
 //!
-//! Design: everything that interprets bytes is sans-IO ([`answer`],
-//! [`requests`], [`samples`], [`file_name`]) and takes any input without a
-//! panic and in bounded memory. [`client`] is the only part that touches a
-//! socket; it is blocking, with a deadline on every read and write, since a
-//! session has exactly one thing to wait for. [`task`] gives it a thread of its own, for
-//! who has more. An error within an answer closes
-//! the connection: after it nobody knows which byte belongs to what. A refusal
-//! in the app's own words does not.
+//! Design: parsing is sans-IO ([`answer`], [`requests`], [`samples`], [`file_name`]), needs bounded
+//! memory and panics on no input. [`client`] talks to the app; it blocks, with a deadline on every
+//! read and write. [`task`] runs a client on a thread, for callers that must not block. An error
+//! within an answer closes the connection, as the position in the stream is then unknown; a refusal
+//! by the app does not.
 //!
-//! Limits: no encryption and no authentication, as the app has none; use it on
-//! a network of your own. The time of a request is not used for any
-//! synchronisation, so a slow network costs patience, never accuracy.
+//! Beside the app: [`adb`] copies files from the phone's storage, and [`agent`] reads the phone's
+//! clocks by a program of ours there. The app's files are read by [`rows`] and
+//! [`frame_timestamps`] and found by [`video_files`]; [`video`] decodes videos with ffmpeg.
+//!
+//! Limits: no encryption and no authentication, as the app has none; use it on a network of your
+//! own. The time of a request is not used for synchronisation, so a slow network costs time, never
+//! accuracy.
 
 pub mod adb;
 pub mod agent;

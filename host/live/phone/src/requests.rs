@@ -1,6 +1,6 @@
-//! The four requests of the app, and what their answers' bodies mean.
+//! The four requests to the app, and the bodies of its answers.
 //!
-//! The body of an IMU recording is taken line by line, so that even a long one is never held
+//! The body of an IMU recording is parsed line by line, so that even a long one is never held
 //! as text.
 
 use std::str::FromStr;
@@ -12,29 +12,28 @@ use super::file_name::without_number;
 use super::samples::{PhoneSample, SAMPLE_LINE, parse_sample};
 use clock::PhoneNanos;
 
-/// Longest IMU recording that may be asked for. The app keeps the whole answer
+/// Longest IMU recording that may be requested. The app keeps the whole answer
 /// in memory before it sends a byte of it.
 pub const MAX_IMU_DURATION: Duration = Duration::from_secs(3600);
 
-/// Bytes of answer that a second of IMU recording may bring: two sensors at
-/// 1 kHz with lines of 100 bytes, and twice that for safety.
+/// Most bytes of answer for a second of IMU recording: two sensors at 1 kHz with lines of
+/// 100 bytes, and a factor of two for safety.
 const IMU_BYTES_PER_SECOND: u64 = 400_000;
 
-/// Bytes of answer that are accepted beside an IMU recording's samples, and in
-/// all for the other requests.
+/// Most bytes of an answer apart from the samples of an IMU recording.
 pub(super) const SMALL_ANSWER: u64 = 64 * 1024;
 
 /// A request to record the phone's gyroscope for a while.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImuRequest {
-    /// How long to record; whole milliseconds, up to [`MAX_IMU_DURATION`].
+    /// Duration of the recording, in whole milliseconds up to [`MAX_IMU_DURATION`].
     pub duration: Duration,
-    /// Ask for the accelerometer too; its samples are passed over.
+    /// True to request the accelerometer too. Its samples are ignored.
     pub accelerometer: bool,
 }
 
 impl ImuRequest {
-    /// The gyroscope alone, for `duration`: what a twist needs.
+    /// Creates a request for the gyroscope alone.
     #[must_use]
     pub const fn gyroscope(duration: Duration) -> Self {
         Self {
@@ -43,7 +42,7 @@ impl ImuRequest {
         }
     }
 
-    /// The request's line with its one line end.
+    /// Returns the line of the request, with its line end.
     ///
     /// # Errors
     ///
@@ -63,7 +62,7 @@ impl ImuRequest {
         ))
     }
 
-    /// Most bytes that the answer may have.
+    /// Returns the most bytes that the answer may have.
     pub(crate) fn answer_limit(&self) -> u64 {
         let seconds = self.duration.as_secs().saturating_add(1);
         seconds
@@ -71,9 +70,9 @@ impl ImuRequest {
             .saturating_add(SMALL_ANSWER)
     }
 
-    /// Refuses a recording that is far shorter than the request: less than four fifths of
-    /// it, and of what is missing half a second is a sensor's own to begin. Requests of
-    /// under a second are not judged.
+    /// Checks that a recording is not far shorter than requested: at least four fifths of the
+    /// duration, less half a second for the start of the sensor. Requests of under a second always
+    /// pass.
     pub(crate) fn check_length(&self, samples: &[PhoneSample]) -> Result<(), PhoneError> {
         let asked = self.duration;
         let least = (asked * 4 / 5).saturating_sub(Duration::from_millis(500));
@@ -82,24 +81,28 @@ impl ImuRequest {
             _ => 0,
         };
         let got = Duration::from_nanos(got.unsigned_abs());
-        match asked >= Duration::from_secs(1) && got < least {
-            true => Err(PhoneError::TooShort { asked, got }),
-            false => Ok(()),
+        if asked >= Duration::from_secs(1) && got < least {
+            return Err(PhoneError::TooShort { asked, got });
         }
+        Ok(())
     }
 }
 
-/// Reads the body of an answer to an IMU request: of each sensor the name of its file, its
-/// samples, and `sensor_end`.
+/// Parser of the body of an answer to an IMU request: for each sensor the name of its file, its
+/// samples, and the line `sensor_end`.
 #[derive(Debug, Default)]
 pub struct ImuBody {
     gyroscope: Option<Vec<PhoneSample>>,
-    /// Whether the file that has begun is the gyroscope's.
+    /// True within the file of the gyroscope, false within another, `None` between files.
     is_gyroscope: Option<bool>,
 }
 
 impl ImuBody {
-    /// Takes one line; `number` is its number in the answer.
+    /// Parses one line; `number` is its number in the answer.
+    ///
+    /// # Errors
+    ///
+    /// The line violates the protocol.
     pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
         let wrong = |expected| MalformedAnswer::line(number, expected, line);
         let Some(is_gyroscope) = self.is_gyroscope else {
@@ -125,8 +128,12 @@ impl ImuBody {
         Ok(())
     }
 
-    /// The samples of the gyroscope, once the answer has ended; `None` if it had no file of it:
-    /// it is not ticked in the app's settings.
+    /// Returns the samples of the gyroscope after the end of the answer, or `None` if it has no file
+    /// of the gyroscope because the app's settings disable it.
+    ///
+    /// # Errors
+    ///
+    /// The answer ended within a file.
     pub fn finish(self) -> Result<Option<Vec<PhoneSample>>, MalformedAnswer> {
         match self.is_gyroscope {
             None => Ok(self.gyroscope),
@@ -140,25 +147,24 @@ impl ImuBody {
 /// The answer to `video_start`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VideoStart {
-    /// Timestamp of the frame that gives the phase: start of exposure of its
-    /// first row. (The app takes the frame with number 60, counted from 0.)
+    /// Phase of the video's frames: the start of exposure of one frame's first row. (The app takes
+    /// frame 60, counted from 0.)
     pub phase: PhoneNanos,
-    /// Mean of the frame durations before it, in nanoseconds.
+    /// Mean duration of the frames before that one, in nanoseconds.
     pub frame_duration_ns: f64,
-    /// Exposure time in nanoseconds. From v.0.1.1 on, and only where the
-    /// camera reports it.
+    /// Exposure time in nanoseconds, from app version v.0.1.1 on if the camera reports it.
     pub exposure_ns: Option<u64>,
-    /// The clock of the phone's sensors minus that of its frames, ns.
+    /// Clock of the phone's sensors minus the clock of its frames, in nanoseconds.
     pub boot_minus_frames_ns: i64,
 }
 
-/// The phone's clocks at the moment at which a video is asked for.
+/// The phone's clocks at the request of a video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Asked {
-    /// The clock of its sensors, `CLOCK_BOOTTIME`.
+    /// Clock of the sensors, `CLOCK_BOOTTIME`.
     pub boot: PhoneNanos,
-    /// How far `CLOCK_MONOTONIC` is behind that, ns: the time that the phone has slept. Nothing
-    /// if nobody has read both.
+    /// Time that the phone has slept since it was started, in nanoseconds: `CLOCK_BOOTTIME` minus
+    /// `CLOCK_MONOTONIC`. `None` if they were not both read.
     pub slept_ns: Option<i64>,
 }
 
@@ -171,24 +177,26 @@ impl From<PhoneNanos> for Asked {
     }
 }
 
-/// Frame durations from a start to the phase at least.
+/// Fewest frame durations from a start to the frame of the phase.
 const PHASE_FRAMES: f64 = 59.0;
 
-/// Two clocks that are nearer than this are one, ns: they are read one after the other.
+/// Largest difference of two readings of one clock, in nanoseconds: they are taken one after the
+/// other.
 const ONE_CLOCK_NS: i64 = 1_000;
 
 impl VideoStart {
-    /// Holds the answer against the moment of its request, since when `took` has passed on this
-    /// computer; it came within `patience`.
+    /// Checks the phase against the time of the request, and finds the clock of the frames. `took`
+    /// is the time from the request to the answer on this computer, and `patience` the longest
+    /// time that was allowed.
     ///
-    /// Android stamps frames with the sensors' clock where the camera says `REALTIME`, and else
-    /// mostly with `CLOCK_MONOTONIC`, which stands still while the phone sleeps; the app says
-    /// neither. The phase lies between request and answer on one of the two clocks alone where
-    /// the phone has slept for longer than that.
+    /// Android stamps frames with the sensors' clock if the camera reports `REALTIME`, and else
+    /// mostly with `CLOCK_MONOTONIC`, which stops while the phone sleeps; the app reports neither.
+    /// If the phone has slept for longer than the answer took, the phase lies between request and
+    /// answer on only one of the two clocks.
     ///
     /// # Errors
     ///
-    /// The phase is before its frames can be, or its clock cannot be told.
+    /// The phase is earlier than the video's frames can be, or it fits both clocks.
     pub fn checked(
         self,
         asked: Option<Asked>,
@@ -205,10 +213,10 @@ impl VideoStart {
         let early = least_s - after_s(0);
         let slept = asked.and_then(|asked| asked.slept_ns);
         let Some(slept) = slept.filter(|slept| slept.abs() > ONE_CLOCK_NS) else {
-            return match early > 0.0 {
-                true => Err(PhoneError::StalePhase { early }),
-                false => Ok(self),
-            };
+            if early > 0.0 {
+                return Err(PhoneError::StalePhase { early });
+            }
+            return Ok(self);
         };
         let fits = |behind| (least_s..=patience.as_secs_f64()).contains(&after_s(behind));
         match (fits(0), fits(slept)) {
@@ -224,12 +232,11 @@ impl VideoStart {
         }
     }
 
-    /// Reads the body of an answer. Lines that later versions of the app may add are passed
-    /// over.
+    /// Parses the body of an answer. Ignores lines that later versions of the app may add.
     ///
     /// # Errors
     ///
-    /// A line is missing, or is not what belongs there.
+    /// A line is missing or malformed.
     pub fn parse(body: &[String]) -> Result<Self, MalformedAnswer> {
         let expected = "the phase: whole nanoseconds of the phone's clock";
         let phase = field(body, 0, expected, |&ns: &i64| ns > 0)?;
@@ -250,7 +257,7 @@ impl VideoStart {
     }
 }
 
-/// A line of a short body, which follows two lines of status and version.
+/// Parses the line at an index of a short body, which follows the two lines of status and version.
 fn field<T: FromStr>(
     body: &[String],
     place: usize,
@@ -267,19 +274,19 @@ fn field<T: FromStr>(
 /// The answer to `get_video`, before the bytes of the video.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VideoHeader {
-    /// Size in bytes.
+    /// Size of the video in bytes.
     pub size: u64,
-    /// Name on the phone. Off the network: never a path, see
-    /// [`super::file_name::safe_file_name`].
+    /// Name on the phone. It comes from the network: make a path of it only with
+    /// [`safe_file_name`](super::file_name::safe_file_name).
     pub file_name: String,
 }
 
 impl VideoHeader {
-    /// Reads the body of an answer.
+    /// Parses the body of an answer.
     ///
     /// # Errors
     ///
-    /// A line is missing, or is not what belongs there.
+    /// A line is missing or malformed.
     pub fn parse(body: &[String]) -> Result<Self, MalformedAnswer> {
         let size = field(
             body,
@@ -325,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_the_gyroscope_and_passes_over_the_accelerometer() {
+    fn reads_the_gyroscope_and_ignores_the_accelerometer() {
         let accel = ["xaccel.csv", "1,2,3,4", "sensor_end"];
         assert_eq!(imu(&accel).unwrap(), None);
         // The second and third recordings within one second have other names.
@@ -396,10 +403,10 @@ mod tests {
         }
     }
 
-    /// Frames of a phone that was asked at 40,000 s of its sensors' clock, and answered 2.5 s
-    /// later with the frame of 2.4 s after that.
+    /// The request is at 40,000 s of the sensors' clock, the answer 2.5 s later, and the frame of
+    /// the phase 2.4 s after the request.
     #[test]
-    fn the_clock_of_the_frames_is_told_by_when_they_can_be() {
+    fn the_clock_of_the_frames_is_the_one_that_the_phase_fits() {
         let second = 1_000_000_000_i64;
         let asked = |slept_ns| Asked {
             boot: PhoneNanos(40_000 * second),

@@ -2,10 +2,9 @@
 //!
 //! Gyroscope and accelerometer: `x,y,z,timestamp_ns`, no header; frame
 //! timestamps: one integer of nanoseconds a line ([`crate::frame_timestamps`]).
-//! Timestamps are read as integers and nothing else. A row that is damaged, or
-//! whose time is not later than that of the row before, is a [`BadRow`] with its
-//! line number; the rows after it can still be read. Memory is one line, of
-//! limited length.
+//! Timestamps must be integers. A row that is damaged, or whose time is not later than that of the
+//! row before, is reported as a [`BadRow`] with its line number; the rows after it can still be
+//! read. Memory is one line of limited length.
 
 use std::io::{self, BufRead, Read};
 
@@ -13,36 +12,36 @@ use clock::PhoneNanos;
 
 use crate::samples::{PhoneSample, parse_sample};
 
-/// Longest line that is read.
+/// Longest line that is read, in bytes.
 const MAX_LINE: u64 = 4096;
 
-/// What [`BadRow`] expects of a row that is well-formed but out of order.
+/// [`BadRow::expected`] of a row that is well-formed but out of order.
 pub const LATER: &str = "a time later than that of the row before";
 
-/// A row that is not as the app writes it.
+/// A row that differs from what the app writes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: expected {expected}, found `{found}`")]
 pub struct BadRow {
-    /// Its number, from 1.
+    /// Number of the line, from 1.
     pub line: u64,
-    /// What it should have been.
+    /// Form of a correct row, as a noun phrase.
     pub expected: &'static str,
-    /// Its beginning.
+    /// Beginning of the row.
     pub found: String,
 }
 
-/// Why there is no next row.
+/// Failure to read a row.
 #[derive(Debug, thiserror::Error)]
 pub enum RowError {
-    /// Reading fails.
+    /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The row is damaged; reading can go on after it.
+    /// The row is damaged. Reading can go on after it.
     #[error(transparent)]
     Bad(#[from] BadRow),
 }
 
-/// The rows of a file.
+/// Reader of the rows of a file.
 #[derive(Debug)]
 pub struct Rows<R> {
     reader: R,
@@ -52,7 +51,7 @@ pub struct Rows<R> {
 }
 
 impl<R: BufRead> Rows<R> {
-    /// Takes a reader at its beginning.
+    /// Creates a reader of rows from a reader at the beginning of a file.
     pub const fn new(reader: R) -> Self {
         Self {
             reader,
@@ -62,11 +61,11 @@ impl<R: BufRead> Rows<R> {
         }
     }
 
-    /// The next sample of a gyroscope or accelerometer; `None` at the end.
+    /// Reads the next sample of a gyroscope or accelerometer. Returns `None` at the end.
     ///
     /// # Errors
     ///
-    /// Reading fails, or a row is damaged: the next call gives the row after it.
+    /// Reading fails, or the row is damaged. The next call reads the row after it.
     pub fn next_sample(&mut self) -> Result<Option<PhoneSample>, RowError> {
         const EXPECTED: &str = "x,y,z,timestamp with finite numbers and whole nanoseconds";
         self.next_row(
@@ -76,8 +75,8 @@ impl<R: BufRead> Rows<R> {
         )
     }
 
-    /// The next row that `parse` gives: the outer `None` for a damaged one, the inner for
-    /// one that is passed over. It gets the line's number, and its text without blanks.
+    /// Reads the next row that `parse` accepts. `parse` receives the number of the line and its
+    /// trimmed text; it returns `None` for a damaged row and `Some(None)` for one to skip.
     pub(crate) fn next_row<T>(
         &mut self,
         expected: &'static str,

@@ -1,9 +1,9 @@
-//! The CSV lines of the phone's sensors as typed samples.
+//! Samples of the phone's sensors and their CSV lines.
 //!
 //! A line is `x,y,z,timestamp_ns`: rad/s (gyroscope) or m/s² (accelerometer) in Android's
-//! device axes, and nanoseconds of the phone's boot clock. Values are kept as they came: order, repeats and jumps of the
-//! timestamps are the estimator's business, which names such faults. What is
-//! not a finite number or not a timestamp is refused with its line.
+//! device axes, and nanoseconds of the phone's boot clock. Values must be finite and the timestamp
+//! an integer; nothing else is checked. Order, repeats and jumps of the timestamps are left to the
+//! estimator, which reports such faults.
 
 use std::io::{BufWriter, IntoInnerError, Write as _};
 use std::path::Path;
@@ -15,16 +15,16 @@ use super::error::PhoneError;
 /// One sample of a three-axis sensor of the phone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PhoneSample {
-    /// When, by the phone's boot clock.
+    /// Time by the phone's boot clock.
     pub time: PhoneNanos,
     /// Values about or along the device's x, y and z, in the sensor's unit.
     pub xyz: [f64; 3],
 }
 
-/// What a line of a sensor's CSV must be.
+/// Form of a line of a sensor's CSV file.
 pub(crate) const SAMPLE_LINE: &str = "a CSV line x,y,z,timestamp_ns";
 
-/// Reads one line `x,y,z,timestamp_ns`; `None` if it is not one.
+/// Parses a line `x,y,z,timestamp_ns`. Returns `None` if it has another form.
 pub(crate) fn parse_sample(line: &str) -> Option<PhoneSample> {
     let mut fields = line.split(',').map(str::trim);
     let mut xyz = [0.0; 3];
@@ -39,19 +39,19 @@ pub(crate) fn parse_sample(line: &str) -> Option<PhoneSample> {
     fields.next().is_none().then_some(PhoneSample { time, xyz })
 }
 
-/// The line of `sample`, as the app writes it but for the number of digits:
-/// each value is the shortest text that reads back as the same number.
+/// Formats a sample as the app does, except for the number of digits: each value is the shortest
+/// text that parses to the same number.
 fn sample_line(sample: &PhoneSample) -> String {
     let [x, y, z] = sample.xyz;
     format!("{x},{y},{z},{}", sample.time.0)
 }
 
-/// Saves samples as the app does, a line each; the file appears only when it is whole.
-/// Its folder is made if there is none.
+/// Saves samples in the app's format. The file appears only once it is complete, and its folder is
+/// created if needed.
 ///
 /// # Errors
 ///
-/// The file is there already and is not to be overwritten, or it cannot be written.
+/// The file exists and `overwrite` is false, or it cannot be written.
 pub fn save_samples(
     path: &Path,
     samples: &[PhoneSample],
@@ -77,7 +77,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn refuses_what_is_not_a_sample() {
+    fn refuses_lines_of_another_form() {
         for line in [
             "",
             "1,2,3",
@@ -103,7 +103,7 @@ mod tests {
         }
 
         #[test]
-        fn any_text_is_taken_without_panic(line in "\\PC{0,60}") {
+        fn no_text_causes_a_panic(line in "\\PC{0,60}") {
             let _ = parse_sample(&line);
         }
     }

@@ -1,24 +1,24 @@
-//! How long a client waits, and what ends its waiting.
+//! Deadlines and cancellation of a client.
 
 use std::time::Duration;
 
 use system::Cancel;
 
-/// Deadlines and limits of a client.
+/// Deadlines of a client, and its cancellation.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Longest time to connect.
+    /// Longest time for connecting.
     pub connect: Duration,
-    /// Patience beyond the time that a request takes by its nature: an IMU
-    /// recording its duration, `video_start` the app's own 10 s. Also the
-    /// longest pause within a download.
+    /// Longest wait for an answer beyond the time that the request itself takes, which is the
+    /// duration of an IMU recording and up to 10 s for `video_start`. Also the longest pause
+    /// within a download.
     pub margin: Duration,
-    /// How long an IMU recording is tried again while the app's sensors are still those of
-    /// a video: they end when its capture session closes, a while after `video_stop`.
+    /// Time for which an IMU recording is retried while the app's sensors are busy. After a video
+    /// they are, until its capture session closes, some time after `video_stop`.
     pub busy: Duration,
-    /// How long the app may take to be free for `get_video`, and then to begin it.
+    /// Longest wait until the app is free for `get_video`, and again until it answers.
     pub video_ready: Duration,
-    /// Ends a request under way, with [`PhoneError::Cancelled`](crate::PhoneError::Cancelled), within about
+    /// Ends a request with [`PhoneError::Cancelled`](crate::PhoneError::Cancelled) within about
     /// 100 ms.
     pub cancel: Cancel,
 }

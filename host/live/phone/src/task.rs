@@ -1,8 +1,7 @@
-//! The phone on a thread of its own, so that the board is listened to while a
-//! request lasts.
+//! The client of a phone on a thread, so that the caller is not blocked during a request.
 //!
-//! One request at a time, each on a connection of its own: a client that stays connected
-//! keeps the app from listening again once it was in the background.
+//! Requests are carried out one at a time, each on a connection of its own: a client that stays
+//! connected keeps the app from listening again after it was in the background.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -19,26 +18,26 @@ use crate::{
 use clock::PhoneNanos;
 use system::Cancel;
 
-/// A phone with the app. No method waits: each gives an answer that is on its way.
+/// A phone with the app. No method blocks: each returns a [`Pending`] answer.
 pub trait Phone {
-    /// Is it there, and which version is its app?
+    /// Requests the version of the app.
     fn probe(&self) -> Pending<ServerVersion>;
     /// Records the gyroscope.
     fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>>;
-    /// Starts a video, at this time of the phone's clocks if it is known.
+    /// Starts a video. `asked` holds the phone's clocks now, if they are known.
     fn start_video(&self, asked: Option<Asked>) -> Pending<VideoStart>;
     /// Stops the video.
     fn stop_video(&self) -> Pending<()>;
-    /// Does it record a video?
+    /// Requests whether the app records a video.
     fn is_recording(&self) -> Pending<bool>;
-    /// Waits until a video that was stopped is closed.
+    /// Waits until the file of a stopped video is closed.
     fn await_closed(&self) -> Pending<()>;
     /// Downloads the last video into a folder.
     fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo>;
-    /// Copies the other files of the video with this phase into a folder, by `adb`; gives
-    /// where they are.
+    /// Copies the other files of the video with this phase into a folder, by `adb`. The answer
+    /// holds their paths.
     fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>>;
-    /// Bytes of the download that are there, and in all.
+    /// Returns the bytes of the last download that have arrived, and the size of its file.
     fn progress(&self) -> (u64, u64);
 }
 
@@ -80,15 +79,15 @@ impl Access<'_> {
     }
 }
 
-/// An answer of the phone that is on its way.
+/// The answer of a phone to a request that is still being carried out.
 pub struct Pending<T> {
     poll: Box<dyn Fn() -> Option<Result<T, PhoneError>>>,
     cancel: Box<dyn Fn()>,
 }
 
 impl<T> Pending<T> {
-    /// An answer that `poll` gives, once, when it is there; `cancel` asks whoever works on
-    /// it to answer with [`PhoneError::Cancelled`] soon.
+    /// Creates an answer from two functions: `poll` returns the answer once, after it has arrived;
+    /// `cancel` makes it [`PhoneError::Cancelled`] soon.
     pub fn new(
         poll: impl Fn() -> Option<Result<T, PhoneError>> + 'static,
         cancel: impl Fn() + 'static,
@@ -99,24 +98,25 @@ impl<T> Pending<T> {
         }
     }
 
-    /// The answer, once it is there; it is given once.
+    /// Returns the answer once, after it has arrived.
     #[must_use]
     pub fn answer(&self) -> Option<Result<T, PhoneError>> {
         (self.poll)()
     }
 
-    /// Ends the request with [`PhoneError::Cancelled`], within about 100 ms.
+    /// Ends the request with [`PhoneError::Cancelled`] within about 100 ms. Other requests are not
+    /// affected.
     pub fn cancel(&self) {
         (self.cancel)();
     }
 }
 
 impl PhoneTask {
-    /// Starts the thread; nothing is connected yet.
+    /// Starts the thread. Connects nothing yet.
     ///
     /// # Errors
     ///
-    /// The system gives no thread.
+    /// The thread cannot be started.
     pub fn start(address: String) -> std::io::Result<Self> {
         let (requests, inbox) = channel::<Request>();
         let state = Arc::new(State {

@@ -2,10 +2,10 @@
 //!
 //! The app saves `{VIDEO}.mp4`, and in a folder named by the video's date
 //! `{VIDEO}gyro.csv`, `{VIDEO}accel.csv`, and `{VIDEO}_imu_timestamps.csv` (older
-//! versions: `{VIDEO}_timestamps.csv`). The folder may hold the video too, or lie
-//! beside it, so three levels are searched. Of two files of a kind the one that lies
-//! nearer is taken, and beside each other the one of the newer app. Names are compared
-//! as they are; nothing is opened.
+//! versions: `{VIDEO}_timestamps.csv`). The folder may contain the video or be next to it, so
+//! three levels are searched. If there are two files of a kind, the one at the upper level is
+//! used, and at the same level the one of the newer app. Only names are compared; no file is
+//! opened.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,14 +14,14 @@ use std::path::{Path, PathBuf};
 
 use super::file_name::without_number;
 
-/// Most directory entries that are looked at.
+/// Most directory entries that are searched.
 const MAX_ENTRIES: usize = 100_000;
 
-/// How deep folders are searched: a recording's folder, the phone's in it, the date's
+/// Levels of folders that are searched: the recording's folder, the phone's in it, and the date's
 /// in that.
 const LEVELS: u32 = 3;
 
-/// Endings of the frame timestamps; the longer first, as it contains the other.
+/// Endings of the names of frame timestamps. The longer one is first, as it contains the other.
 const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps", "_timestamps"];
 
 /// The files of one video. Any of them may be missing.
@@ -40,7 +40,7 @@ pub struct VideoFiles {
 }
 
 impl VideoFiles {
-    /// What is missing, in words.
+    /// Returns descriptions of the files that are missing.
     #[must_use]
     pub fn missing(&self) -> Vec<&'static str> {
         let parts = [
@@ -55,37 +55,37 @@ impl VideoFiles {
         parts
             .into_iter()
             .filter(|(file, _)| file.is_none())
-            .map(|(_, what)| what)
+            .map(|(_, description)| description)
             .collect()
     }
 }
 
-/// Why the files were not found.
+/// Failure to find the files of a video.
 #[derive(Debug, thiserror::Error)]
 pub enum FilesError {
-    /// The place cannot be read.
+    /// A folder cannot be read.
     #[error("reading {path}: {error}")]
     Io {
-        /// Where.
+        /// The file or folder that was searched.
         path: PathBuf,
-        /// Why.
+        /// The operating system's reason.
         error: io::Error,
     },
-    /// Several videos lie there.
+    /// A folder has the files of several videos.
     #[error(
         "{place} holds the files of {} recordings ({}); name the video itself with --phone",
         names.len(),
         names.join(", ")
     )]
     Several {
-        /// Where.
+        /// The folder.
         place: PathBuf,
-        /// Their names.
+        /// Names of the videos.
         names: Vec<String>,
     },
 }
 
-/// What a file is of a video.
+/// Kind of a file of a video.
 #[derive(Clone, Copy)]
 pub(crate) enum Part {
     Video,
@@ -94,9 +94,9 @@ pub(crate) enum Part {
     Accel,
 }
 
-/// What a file is, and the name of the video it belongs to.
+/// Returns the kind of a file, by its name, and the name of its video.
 pub(crate) fn classify(name: &str) -> Option<(Part, String)> {
-    // The gyroscope of a twist lies in a recording's folder and belongs to no video.
+    // The gyroscope of a twist is saved in a recording's folder and belongs to no video.
     if name.starts_with("twist_") && name.ends_with("_phone_gyro.csv") {
         return None;
     }
@@ -104,7 +104,7 @@ pub(crate) fn classify(name: &str) -> Option<(Part, String)> {
     if extension.eq_ignore_ascii_case("mp4") {
         return Some((Part::Video, stem.to_owned()));
     }
-    // Of a second video within one second, all names end in the same number.
+    // All names of a second video within one second end in the same number.
     let bare = (extension == "csv").then(|| without_number(stem))?;
     let number = stem.get(bare.len()..).unwrap_or_default();
     let sensors = [("gyro", Part::Gyro), ("accel", Part::Accel)];
@@ -116,13 +116,13 @@ pub(crate) fn classify(name: &str) -> Option<(Part, String)> {
     Some((part, format!("{video}{number}")))
 }
 
-/// Finds the files of the one video in a folder (three levels deep), or of the
-/// video that `place` is. Where a folder holds several, the one called `wanted` is
-/// taken. `None` if there is nothing of a phone.
+/// Finds the files of the only video in a folder (three levels deep), or of the video `place` if
+/// that is a file. If a folder has several videos, the one called `wanted` is chosen. Returns
+/// `None` if there is no file of a phone.
 ///
 /// # Errors
 ///
-/// The place cannot be read, or there are several videos.
+/// `place` cannot be read, or there are several videos and none of them is `wanted`.
 pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, FilesError> {
     let fail = |error| FilesError::Io {
         path: place.to_owned(),
@@ -145,7 +145,7 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, Fi
     if let Some(joined) = join_renamed(&groups) {
         return Ok(Some(joined));
     }
-    // Sensors without frames are of no video: the app saves a twist's like this.
+    // Sensors without frames belong to a twist, not to a video.
     groups.retain(|_, group| group.video.is_some() || group.frames.is_some());
     if groups.len() == 1 {
         return Ok(groups.into_values().next());
@@ -159,19 +159,20 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, Fi
     })
 }
 
-/// The files beside a video and in the folders there that go by its name, whether it
-/// is there itself or not.
+/// Finds the files that are named after a video, in its folder and below. The video itself need not
+/// exist.
 ///
 /// # Errors
 ///
-/// Its folder cannot be read.
+/// The folder cannot be read.
 pub fn of_video(video: &Path) -> io::Result<Option<VideoFiles>> {
     let mut groups = collect(system::folder_of(video))?;
     let stem = video.file_stem().and_then(|stem| stem.to_str());
     Ok(stem.and_then(|stem| groups.remove(stem)))
 }
 
-/// One video and one set of CSV files under another name: the video was renamed.
+/// Joins one video and one set of CSV files under another name, because the video was renamed.
+/// Returns `None` if there are other files.
 fn join_renamed(groups: &BTreeMap<String, VideoFiles>) -> Option<VideoFiles> {
     let mut videos = groups.values().filter(|group| group.video.is_some());
     let mut sets = groups.values().filter(|group| group.video.is_none());
@@ -188,7 +189,7 @@ fn join_renamed(groups: &BTreeMap<String, VideoFiles>) -> Option<VideoFiles> {
     })
 }
 
-/// All there is below a folder, by the names of the videos.
+/// Collects the files below a folder by the names of their videos.
 fn collect(folder: &Path) -> io::Result<BTreeMap<String, VideoFiles>> {
     let mut groups = BTreeMap::new();
     let mut left = MAX_ENTRIES;
@@ -229,9 +230,9 @@ fn collect_in(
         };
         slot.get_or_insert(path);
     }
-    // What lies nearer goes before what lies deeper.
+    // Files at an upper level take precedence.
     for folder in folders.iter().filter(|_| depth > 1) {
-        // A folder that may not be read is somebody else's.
+        // Folders that cannot be read are skipped.
         let _ = collect_in(folder, depth - 1, left, groups);
     }
     Ok(())
@@ -351,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_nothing() {
+    fn a_folder_without_files_of_a_phone_has_no_video() {
         assert_eq!(find(folder(&["readme.md"]).path(), None).unwrap(), None);
         assert!(find(Path::new("no/such/place"), None).is_err());
     }

@@ -1,4 +1,4 @@
-//! Raw pictures out of `ffmpeg`.
+//! Decodes videos with `ffmpeg`.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,17 +9,17 @@ use system::{Limits, ReadMonitor, Running};
 
 use super::{Info, VideoError, failed, file_url, limits, probe, program};
 
-/// Frames beyond those that a file announces that are taken: some containers count in fields
-/// or leave out the last.
+/// Frames that are accepted beyond twice the stated number: some containers count fields or leave
+/// out the last frames.
 const MORE_FRAMES: u64 = 100;
 
-/// What a frame is made of.
+/// Format of the pixels of a decoded frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pixels {
-    /// The luma plane as it was coded, 8 bits, without a conversion of its range
-    /// ([`Info::full_range`]). Colours that are not luma and chroma are converted.
+    /// One byte per pixel: the luma plane as it was coded, without a conversion of its range
+    /// ([`Info::full_range`]). Formats without a luma plane are converted.
     Luma,
-    /// 8 bits each of red, green and blue.
+    /// Three bytes per pixel: red, green and blue.
     Rgb,
 }
 
@@ -30,13 +30,13 @@ pub struct Video {
     frame_bytes: usize,
     /// `None` after the end.
     ffmpeg: Option<Running>,
-    /// Frames that came, and the most that the file can hold.
-    came: u64,
+    /// Frames that were returned, and the most that the file can hold.
+    returned: u64,
     most: u64,
 }
 
 impl Video {
-    /// Probes a file and starts to decode it.
+    /// Probes a file and starts to decode its first video, under `monitor`.
     ///
     /// # Errors
     ///
@@ -62,30 +62,30 @@ impl Video {
         let ffmpeg =
             Running::start(&mut command, limits(path, monitor)).map_err(failed("ffmpeg"))?;
         let depth = if pixels == Pixels::Rgb { 3 } else { 1 };
-        // Where it does not say, each frame takes at least a byte of it.
+        // If the number is not stated: each frame takes at least one byte.
         let announced = info.frames;
         let announced = announced.map(|n| n.saturating_mul(2).saturating_add(MORE_FRAMES));
         Ok(Self {
             frame_bytes: info.width as usize * info.height as usize * depth,
             most: announced.unwrap_or(info.bytes),
-            came: 0,
+            returned: 0,
             info,
             ffmpeg: Some(ffmpeg),
         })
     }
 
-    /// What the file says about itself.
+    /// Returns the properties that the file states.
     #[must_use]
     pub const fn info(&self) -> &Info {
         &self.info
     }
 
-    /// Reads the next frame, row by row, into `frame`; false after the last.
+    /// Reads the next frame into `frame`, row by row. Returns false after the last frame.
     ///
     /// # Errors
     ///
-    /// `ffmpeg` complained, ended within a frame, or would not end. The frames before are
-    /// good, and there are none after.
+    /// `ffmpeg` reports an error, ends within a frame, or exceeds a limit; or the read is
+    /// cancelled. The frames before are good, and there are none after.
     pub fn next_frame(&mut self, frame: &mut Vec<u8>) -> Result<bool, VideoError> {
         let Some(mut ffmpeg) = self.ffmpeg.take() else {
             return Ok(false);
@@ -93,9 +93,9 @@ impl Video {
         let read = ffmpeg.read(self.frame_bytes, frame);
         let read = read.map_err(failed("ffmpeg"))?;
         if read == self.frame_bytes {
-            if self.came == self.most {
+            if self.returned == self.most {
                 let what = format!(
-                    "it gave more than {} frames, the most that the video can hold",
+                    "it returned more than {} frames, the most that the video can hold",
                     self.most
                 );
                 return Err(VideoError::Endless {
@@ -103,12 +103,12 @@ impl Video {
                     what,
                 });
             }
-            self.came += 1;
+            self.returned += 1;
             self.ffmpeg = Some(ffmpeg);
             return Ok(true);
         }
         let end = ffmpeg.finish().map_err(failed("ffmpeg"))?;
-        // The first line names the cause; with `-v error` there is little else.
+        // The first line names the cause.
         match end.messages.lines().next() {
             Some(first) => Err(VideoError::Decode(first.to_owned())),
             None if !end.status.success() => Err(VideoError::Decode("no message".to_owned())),
@@ -118,8 +118,8 @@ impl Video {
     }
 }
 
-/// The option that passes every frame once: renamed in ffmpeg 5.1, and the old name
-/// is on its way out.
+/// Returns the name of the option that passes every frame once. ffmpeg 5.1 renamed it, and later
+/// versions drop the old name.
 fn passthrough() -> &'static str {
     static NAME: OnceLock<&str> = OnceLock::new();
     NAME.get_or_init(|| {
@@ -132,7 +132,7 @@ fn passthrough() -> &'static str {
     })
 }
 
-/// Returns what `ffmpeg` prints about its version; `None` if it cannot be run.
+/// Returns the text of `ffmpeg -version`, or `None` if `ffmpeg` cannot be run.
 #[must_use]
 pub fn version() -> Option<String> {
     let limits = Limits {
@@ -145,8 +145,8 @@ pub fn version() -> Option<String> {
     Some(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// `ffmpeg version 4.4.2-0ubuntu...`, `ffmpeg version n4.4`. Builds of a development
-/// snapshot are named by date or revision, and are new.
+/// Returns true for the text of a version before 5.1: `ffmpeg version 4.4.2-0ubuntu...` or `ffmpeg
+/// version n4.4`. Development snapshots are named by date or revision, and count as new.
 fn is_before_5_1(text: &str) -> bool {
     let version = text.split_whitespace().nth(2).unwrap_or_default();
     let mut numbers = version

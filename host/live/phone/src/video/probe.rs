@@ -1,4 +1,4 @@
-//! What `ffprobe` says about a file.
+//! Properties of videos, by `ffprobe`.
 
 use std::path::Path;
 use std::process::Command;
@@ -8,32 +8,32 @@ use system::{Output, ReadMonitor};
 
 use super::{MAX_SIDE, VideoError, failed, file_url, limits, program};
 
-/// Bytes of an answer: times of five million frames.
+/// Most bytes of an answer: times of five million frames.
 const MAX_ANSWER: usize = 64 << 20;
-/// Bytes that may be missing in a video; of more, half must be there.
+/// Bytes of a video that may be holes. A larger part may be holes only up to half of the file.
 const MAX_MISSING: u64 = 64 << 20;
 
-/// What a file says about its first video.
+/// Properties that a file states about its first video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Info {
-    /// Pixels in a row, 1 to [`MAX_SIDE`].
+    /// Width in pixels, 1 to [`MAX_SIDE`].
     pub width: u32,
-    /// Rows, 1 to [`MAX_SIDE`].
+    /// Height in pixels, 1 to [`MAX_SIDE`].
     pub height: u32,
     /// Number of frames, if stated.
     pub frames: Option<u64>,
-    /// Frames a second, if stated.
+    /// Mean number of frames per second, if stated.
     pub rate: Option<f64>,
-    /// Length of the file.
+    /// Length of the file in bytes.
     pub bytes: u64,
-    /// Whether black is 0 and white 255, and not 16 and 235.
+    /// True if black is 0 and white 255; false if they are 16 and 235.
     pub full_range: bool,
-    /// ffmpeg's name of it.
+    /// ffmpeg's name of the pixel format.
     pixel_format: String,
 }
 
 impl Info {
-    /// Whether the luma is a plane of several.
+    /// Returns true if the luma is one plane of several.
     pub(crate) fn has_planes(&self) -> bool {
         has_luma(&self.pixel_format) && !self.pixel_format.starts_with("gray")
     }
@@ -57,12 +57,12 @@ struct Stream {
     duration: String,
 }
 
-/// Asks `ffprobe` about a file.
+/// Returns the properties of the first video in a file, by `ffprobe`.
 ///
 /// # Errors
 ///
-/// `ffprobe` is missing or cannot be run, or the file has no video of a size up to
-/// [`MAX_SIDE`].
+/// `ffprobe` is missing or cannot be run, the read is cancelled, or the file has no video with
+/// sides up to [`MAX_SIDE`].
 pub fn probe(path: &Path, monitor: &ReadMonitor) -> Result<Info, VideoError> {
     let bytes = check_written(path, monitor)?;
     let mut command = program("ffprobe");
@@ -89,20 +89,20 @@ pub fn probe(path: &Path, monitor: &ReadMonitor) -> Result<Info, VideoError> {
     Err(VideoError::NotAVideo(format!("ffprobe says: {said}{hint}")))
 }
 
-/// The length of a file, of which enough was ever written: ffmpeg searches a hole of a
-/// terabyte to its end.
+/// Returns the length of a file in bytes. Refuses one with large holes: ffmpeg would read through
+/// a terabyte of them.
 fn check_written(path: &Path, monitor: &ReadMonitor) -> Result<u64, VideoError> {
     let fail = |error: std::io::Error| VideoError::NotAVideo(error.to_string());
     let mut file = system::open(path, monitor).map_err(fail)?;
     let bytes = file.length();
     let least = bytes.saturating_sub(MAX_MISSING.max(bytes / 2));
     let written = file.written(least).map_err(fail)?;
-    match written < least {
-        true => Err(VideoError::NotAVideo(format!(
+    if written < least {
+        return Err(VideoError::NotAVideo(format!(
             "of its {bytes} bytes only {written} were ever written; copy it again"
-        ))),
-        false => Ok(bytes),
+        )));
     }
+    Ok(bytes)
 }
 
 /// Runs `ffprobe` on a file.
@@ -112,11 +112,11 @@ fn ask(command: &mut Command, path: &Path, monitor: &ReadMonitor) -> Result<Outp
     answer.map_err(failed("ffprobe"))
 }
 
-/// [`probe`]'s answer in JSON.
+/// Parses the JSON answer of `ffprobe` for [`probe`].
 ///
 /// # Errors
 ///
-/// It has no video of a size up to [`MAX_SIDE`].
+/// The answer is malformed, or states no video with sides up to [`MAX_SIDE`].
 pub fn parse_probe(answer: &[u8]) -> Result<Info, VideoError> {
     let answer: Answer = serde_json::from_slice(answer).map_err(|error| {
         VideoError::NotAVideo(format!("ffprobe's answer was not understood: {error}"))
@@ -159,8 +159,8 @@ fn frame_rate(stream: &Stream) -> Option<f64> {
         .or_else(|| ratio(&stream.nb_frames, &stream.duration))
 }
 
-/// When the frames of a video are shown, in ns from the first, in order. `None` if
-/// the file does not say, or there is no `ffprobe`.
+/// Returns the times at which the frames of a video are shown, in nanoseconds from the first, in
+/// ascending order. Returns `None` if the file does not state them or `ffprobe` cannot be run.
 #[must_use]
 pub fn presentation_times(path: &Path, monitor: &ReadMonitor) -> Option<Vec<i64>> {
     check_written(path, monitor).ok()?;
@@ -172,9 +172,9 @@ pub fn presentation_times(path: &Path, monitor: &ReadMonitor) -> Option<Vec<i64>
     parse_presentation_times(&String::from_utf8_lossy(&answer.stdout))
 }
 
-/// [`presentation_times`]' answer: lines of integers in units of a fraction such as
-/// `1/90000` s that stands in a line of its own. `None` if there is no fraction, or
-/// no times.
+/// Parses the answer of `ffprobe` for [`presentation_times`]: lines of integers, and one line with
+/// their unit as a fraction of a second such as `1/90000`. Returns `None` if the unit or the times
+/// are missing.
 #[must_use]
 pub fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
     let mut base = None;
@@ -182,7 +182,7 @@ pub fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
     for line in text.lines() {
         let line = line.trim().trim_end_matches(',');
         if let Some((num, den)) = line.split_once('/') {
-            // 32 bits each in the file; no product below leaves 128.
+            // With 32 bits each, no product below overflows 128 bits.
             base = Some((
                 i128::from(num.parse::<u32>().ok()?),
                 i128::from(den.parse::<u32>().ok().filter(|&den| den > 0)?),
@@ -192,7 +192,7 @@ pub fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
         }
     }
     let (num, den) = base?;
-    // Packets stand in decoding order.
+    // Packets are in decoding order.
     times.sort_unstable();
     let first = *times.first()?;
     let nanos = times
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_read_and_what_is_no_video_is_refused() {
+    fn answers_are_parsed_and_files_without_video_refused() {
         let answer = r#"{"streams": [{"width": 1920, "height": 1080, "pix_fmt": "yuv420p",
             "avg_frame_rate": "30000/1001", "nb_frames": "90", "color_range": "tv"}]}"#;
         let info = parse_probe(answer.as_bytes()).unwrap();

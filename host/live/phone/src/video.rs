@@ -1,15 +1,14 @@
-//! Frames and times of videos, by the programs `ffmpeg` and `ffprobe` of `PATH`.
+//! Frames and times of videos, by the programs `ffmpeg` and `ffprobe` on the `PATH`.
 //!
-//! [`probe`] asks what a file says about itself, [`presentation_times`] when its
-//! frames are shown, and [`Video`] decodes it: `ffmpeg` writes raw pictures into a
-//! pipe, and memory is one frame whatever the length of the video. Each coded frame
-//! comes once (nothing is dropped or doubled to reach a constant rate), and it is not
-//! turned upright: rows stay the sensor's rows, which is what a rolling shutter is
-//! about.
+//! [`probe`] returns the properties that a file states, [`presentation_times`] the times at which
+//! its frames are shown, and [`Video`] its pictures: `ffmpeg` writes them into a pipe, so memory is
+//! one frame for a video of any length. Each coded frame is returned once (none is dropped or
+//! repeated to reach a constant rate) and without rotation: rows stay the sensor's rows, which is
+//! what matters for a rolling shutter.
 //!
-//! Both programs run within limits: a video that was mostly never written is refused, and a
-//! program is ended that gives more frames than the file can hold, more messages than any
-//! damage makes, or nothing for a minute. A [`ReadMonitor`] follows and cancels them.
+//! Both programs run within limits. A file that consists mostly of holes is refused. A program is
+//! killed if it returns more frames than the file can hold, writes more messages than any damage
+//! causes, or is silent for a minute. A [`ReadMonitor`] follows and cancels them.
 
 mod decode;
 mod probe;
@@ -25,14 +24,13 @@ use system::{Limits, ReadMonitor, RunError};
 pub use decode::{Pixels, Video, version};
 pub use probe::{Info, parse_presentation_times, parse_probe, presentation_times, probe};
 
-/// Longest side of a frame, pixels: a damaged head of a file must not allocate
-/// gigabytes.
+/// Longest side of a frame in pixels. Keeps a damaged header from allocating gigabytes.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// Why there are no frames, or no more of them.
+/// Failure to read a video.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// The program is not there.
+    /// The program is not on the `PATH`.
     #[error(
         "`{0}` was not found: ffmpeg is needed to decode videos; install it (Debian, Ubuntu: \
          `sudo apt install ffmpeg`) and see that it is on the PATH"
@@ -41,12 +39,12 @@ pub enum VideoError {
     /// The program could not be run, or its output could not be read.
     #[error("running {program}: {source}")]
     Run {
-        /// Which of the two.
+        /// `ffmpeg` or `ffprobe`.
         program: &'static str,
-        /// Why.
+        /// The operating system's reason, or that the read was cancelled.
         source: io::Error,
     },
-    /// `ffprobe` finds no video in the file.
+    /// The file has no video that `ffprobe` can read. The text is the reason.
     #[error("not a readable video: {0}")]
     NotAVideo(String),
     /// The file states a size that no camera has.
@@ -57,26 +55,25 @@ pub enum VideoError {
         /// Height, pixels.
         height: u64,
     },
-    /// The program would not end, and was ended.
+    /// The program exceeded a limit and was killed.
     #[error("{program} was ended: {what}")]
     Endless {
-        /// Which of the two.
+        /// `ffmpeg` or `ffprobe`.
         program: &'static str,
-        /// What it did.
+        /// The limit that it exceeded, as a sentence about "it".
         what: String,
     },
-    /// `ffmpeg` complained, in these words. The frames before are good.
+    /// `ffmpeg` reported an error, with this message. The frames before it are good.
     #[error("ffmpeg cannot decode the video to its end: {0}")]
     Decode(String),
 }
 
-/// The formats that hold their video themselves, by ffmpeg's names: what phones and
-/// cameras write, and streams as they come out of an encoder. A playlist (HLS, DASH,
-/// concat, SDP) names other files, of which nobody has said that they may be read.
+/// Formats that contain their video, by ffmpeg's names: those of phones and cameras, and the raw
+/// streams of encoders. Playlists (HLS, DASH, concat, SDP) are excluded, because they would have
+/// ffmpeg read files that the user has not named.
 const FORMATS: &str = "mov,matroska,avi,mpegts,h264,hevc,ivf,yuv4mpegpipe";
 
-/// A program of the two that reads the file alone: without a terminal, quiet but for
-/// errors.
+/// Returns the command of `ffmpeg` or `ffprobe` that reads no other file and prints only errors.
 fn program(name: &'static str) -> Command {
     let mut command = Command::new(name);
     command
@@ -85,16 +82,15 @@ fn program(name: &'static str) -> Command {
     command
 }
 
-/// A path as an address that can be taken neither for an option nor for a device or
-/// another protocol.
+/// Returns a path as a URL, which cannot be mistaken for an option, a device or another protocol.
 fn file_url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
     url
 }
 
-/// Limits of a program that reads the file at `path`. A damaged video makes some 100 bytes of
-/// messages a frame.
+/// Returns the limits of a program that reads the file at `path`. A damaged video causes about 100
+/// bytes of messages per frame.
 fn limits(path: &Path, monitor: &ReadMonitor) -> Limits {
     Limits {
         silence: Some(Duration::from_secs(60)),
@@ -105,7 +101,7 @@ fn limits(path: &Path, monitor: &ReadMonitor) -> Limits {
     }
 }
 
-/// Returns the conversion of the errors of `program`.
+/// Returns a function that converts errors of `program`.
 fn failed(program: &'static str) -> impl Fn(RunError) -> VideoError {
     move |error| match error {
         RunError::Start(source) if source.kind() == ErrorKind::NotFound => {
