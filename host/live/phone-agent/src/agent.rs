@@ -1,17 +1,17 @@
-//! Waits for its host, answers it, and ends when it is gone.
+//! Serves the host, and ends after its silence.
 
 use phone_agent::{Answer, QUESTION, read_question};
 
 use crate::system::{self, Clock, File};
 
-/// Serves on the abstract socket of this name until no question has come for `patience`, a
-/// number of seconds; gives the exit code.
+/// Serves on the abstract socket `name` until no question has arrived for `patience`, a decimal
+/// number of seconds. Removes `own_file`, a path that ends with a zero. Returns the exit code.
 pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
     let patience = str::from_utf8(patience).ok();
     let Some(patience_s) = patience.and_then(|seconds| seconds.parse().ok()) else {
         return 2;
     };
-    // Started by hand from elsewhere, it may not be allowed to.
+    // Fails if it was started by hand from a folder that it may not change.
     let _ = system::remove(own_file);
     let Some(listener) = File::listen(name) else {
         return 1;
@@ -27,17 +27,17 @@ pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
     0
 }
 
-/// Answers a connection; false if its host has fallen silent.
+/// Serves a connection. Returns false if its host was silent for `patience_s` seconds.
 fn serve(host: &File, patience_s: u32) -> bool {
     loop {
         let mut question = [0; QUESTION];
-        let mut come = 0;
-        while come < QUESTION {
+        let mut received = 0;
+        while received < QUESTION {
             if !host.is_ready(patience_s) {
                 return false;
             }
-            match host.read(&mut question[come..]) {
-                Some(more) if more > 0 => come += more,
+            match host.read(&mut question[received..]) {
+                Some(more) if more > 0 => received += more,
                 _ => return true,
             }
         }

@@ -9,41 +9,41 @@
 //! | 16..24 | | `CLOCK_BOOTTIME`, ns: the clock of the sensors, and of the frames where Android says `REALTIME` |
 //! | 24..32 | | `CLOCK_MONOTONIC`, ns: the clock of the frames of other phones |
 //!
-//! The host copies the agent to the phone itself, so both are of one version. What is no
-//! question ends the connection.
+//! The host copies the agent to the phone itself, so both have the same version. The agent closes
+//! the connection after bytes that are no question.
 #![no_std]
 #![forbid(unsafe_code)]
 
-/// The first bytes of question and answer.
+/// First bytes of a question and of an answer.
 pub const MAGIC: [u8; 8] = *b"SDStime3";
 
-/// Bytes of a question.
+/// Length of a question in bytes.
 pub const QUESTION: usize = 16;
 
-/// Bytes of an answer.
+/// Length of an answer in bytes.
 pub const ANSWER: usize = 32;
 
-/// Time without a question after which the agent of a recording ends, s: its second argument.
+/// Seconds without a question after which the agent of a recording ends: its second argument.
 pub const PATIENCE_S: u32 = 10;
 
-/// What the clocks read.
+/// Readings of the phone's clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Answer {
-    /// That of the question.
+    /// Nonce of the question.
     pub nonce: u64,
-    /// `CLOCK_BOOTTIME`, ns.
+    /// `CLOCK_BOOTTIME` in nanoseconds.
     pub boot_ns: i64,
-    /// `CLOCK_MONOTONIC`, ns.
+    /// `CLOCK_MONOTONIC` in nanoseconds.
     pub monotonic_ns: i64,
 }
 
-/// So many bytes from a place on; zeros if they are not there.
+/// Returns the `N` bytes at an index, or zeros if there are fewer.
 fn part<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
     let part = bytes.get(at..).and_then(|rest| rest.first_chunk::<N>());
     part.copied().unwrap_or([0; N])
 }
 
-/// A question.
+/// Returns the bytes of a question.
 #[must_use]
 pub fn question(nonce: u64) -> [u8; QUESTION] {
     let mut bytes = [0; QUESTION];
@@ -52,14 +52,14 @@ pub fn question(nonce: u64) -> [u8; QUESTION] {
     bytes
 }
 
-/// The nonce of a question; `None` if it is none.
+/// Parses the nonce of a question. Returns `None` if the bytes are no question.
 #[must_use]
 pub fn read_question(bytes: &[u8; QUESTION]) -> Option<u64> {
     (part(bytes, 0) == MAGIC).then(|| u64::from_le_bytes(part(bytes, 8)))
 }
 
 impl Answer {
-    /// As it is sent.
+    /// Returns the bytes of the answer.
     #[must_use]
     pub fn bytes(&self) -> [u8; ANSWER] {
         let mut bytes = [0; ANSWER];
@@ -70,7 +70,7 @@ impl Answer {
         bytes
     }
 
-    /// As it came; `None` if it is no answer.
+    /// Parses an answer. Returns `None` if the bytes are no answer.
     #[must_use]
     pub fn read(bytes: &[u8; ANSWER]) -> Option<Self> {
         (part(bytes, 0) == MAGIC).then(|| Self {

@@ -1,14 +1,11 @@
-//! Linux' system calls, where the program begins, and where it ends.
+//! Linux' system calls.
 //!
 //! The numbers are those of `include/uapi/asm-generic/unistd.h` (aarch64) and
 //! `arch/arm/tools/syscall.tbl` (ARM EABI) of Linux; the constants those of its
 //! `socket.h`, `fcntl.h`, `poll.h` and `time.h`, which are the same on both.
 #![allow(unsafe_code)]
 
-use core::arch::{asm, global_asm};
-use core::ffi::CStr;
-
-use crate::agent;
+use core::arch::asm;
 
 #[cfg(target_arch = "aarch64")]
 mod number {
@@ -40,20 +37,7 @@ mod number {
     pub(super) const ACCEPT4: usize = 366;
 }
 
-// The stack pointer at the begin is that of argc and argv.
-#[cfg(target_arch = "aarch64")]
-global_asm!(".globl _start", "_start:", "mov x0, sp", "b {begin}", begin = sym begin);
-#[cfg(target_arch = "arm")]
-global_asm!(
-    ".globl _start",
-    "_start:",
-    "mov r0, sp",
-    "bic sp, sp, #7",
-    "b {begin}",
-    begin = sym begin
-);
-
-/// A system call with up to six arguments; an error is a small negative number.
+/// Makes a system call with up to six arguments. An error is a small negative number.
 fn call(number: usize, arguments: [usize; 6]) -> isize {
     let [a, b, c, d, e, f] = arguments;
     let result: isize;
@@ -83,7 +67,7 @@ fn call(number: usize, arguments: [usize; 6]) -> isize {
     result
 }
 
-/// `AT_FDCWD`: paths are what they are.
+/// `AT_FDCWD`: relative paths start at the current folder.
 const HERE: usize = -100_isize as usize;
 
 const AF_UNIX: u16 = 1;
@@ -92,7 +76,7 @@ const SOCK_CLOEXEC: usize = 0o2_000_000;
 const MSG_NOSIGNAL: usize = 0x4000;
 const POLLIN: i16 = 1;
 
-/// `time_t`, `long` and sizes of the kernel's interface are a register wide on both.
+/// `struct timespec`. The kernel's `time_t` and `long` have the size of a register on both.
 #[repr(C)]
 struct TimeSpec {
     seconds: isize,
@@ -116,13 +100,13 @@ struct Address {
 /// A clock of the kernel.
 #[derive(Clone, Copy)]
 pub(crate) enum Clock {
-    /// It stands still while the phone sleeps.
+    /// `CLOCK_MONOTONIC`, which stops while the phone sleeps.
     Monotonic = 1,
-    /// It does not.
+    /// `CLOCK_BOOTTIME`, which does not.
     Boot = 7,
 }
 
-/// What a clock reads, ns.
+/// Returns the reading of a clock in nanoseconds.
 pub(crate) fn now(clock: Clock) -> i64 {
     let mut time = TimeSpec {
         seconds: 0,
@@ -133,16 +117,16 @@ pub(crate) fn now(clock: Clock) -> i64 {
     time.seconds as i64 * 1_000_000_000 + time.nanos as i64
 }
 
-/// Removes a file by its path, which ends with a zero.
+/// Removes the file at a path that ends with a zero. Returns true on success.
 pub(crate) fn remove(path: &[u8]) -> bool {
     call(number::UNLINKAT, [HERE, path.as_ptr() as usize, 0, 0, 0, 0]) == 0
 }
 
-/// An open file; closed when dropped.
+/// An open file, which is closed when it is dropped.
 pub(crate) struct File(i32);
 
 impl File {
-    fn of(result: isize) -> Option<Self> {
+    fn from_result(result: isize) -> Option<Self> {
         i32::try_from(result)
             .ok()
             .filter(|&file| file >= 0)
@@ -152,8 +136,8 @@ impl File {
     /// Listens on an abstract socket.
     pub(crate) fn listen(name: &[u8]) -> Option<Self> {
         let kind = SOCK_STREAM | SOCK_CLOEXEC;
-        let socket = Self::of(call(number::SOCKET, [AF_UNIX.into(), kind, 0, 0, 0, 0]))?;
-        // A path that begins with a zero is a name that is no file.
+        let socket = Self::from_result(call(number::SOCKET, [AF_UNIX.into(), kind, 0, 0, 0, 0]))?;
+        // A path that begins with a zero names an abstract socket, which is no file.
         let mut address = Address {
             family: AF_UNIX,
             path: [0; 108],
@@ -166,14 +150,15 @@ impl File {
         (bound == 0 && listens == 0).then_some(socket)
     }
 
+    /// Accepts the next connection.
     pub(crate) fn accept(&self) -> Option<Self> {
-        Self::of(call(
+        Self::from_result(call(
             number::ACCEPT4,
             [self.0 as usize, 0, 0, SOCK_CLOEXEC, 0, 0],
         ))
     }
 
-    /// Waits until there is something to be read; false after so many seconds.
+    /// Waits until there is something to read. Returns false if there is nothing within `seconds`.
     pub(crate) fn is_ready(&self, seconds: u32) -> bool {
         let mut asked = PollFd {
             file: self.0,
@@ -189,14 +174,14 @@ impl File {
         call(number::PPOLL, [asked, 1, patience, 0, 0, 0]) > 0
     }
 
-    /// Bytes of a file, or that have come; 0 at the end of it or of a connection.
+    /// Reads some bytes and returns their number, which is 0 at the end of a connection.
     pub(crate) fn read(&self, to: &mut [u8]) -> Option<usize> {
         let place = to.as_mut_ptr() as usize;
         let got = call(number::READ, [self.0 as usize, place, to.len(), 0, 0, 0]);
         usize::try_from(got).ok()
     }
 
-    /// Whether all was sent.
+    /// Sends bytes. Returns true if all were sent.
     pub(crate) fn send(&self, bytes: &[u8]) -> bool {
         let place = bytes.as_ptr() as usize;
         let arguments = [self.0 as usize, place, bytes.len(), MSG_NOSIGNAL, 0, 0];
@@ -210,42 +195,9 @@ impl Drop for File {
     }
 }
 
-/// One of the program's arguments, without its zero.
-///
-/// # Safety
-///
-/// `stack` is the stack pointer with which the kernel starts a program, and `place` is below
-/// the number that it points to.
-unsafe fn argument(stack: *const usize, place: usize) -> &'static [u8] {
-    // SAFETY: after argc come so many pointers to strings that stay for ever.
-    unsafe { CStr::from_ptr(*stack.add(1 + place) as *const _) }.to_bytes()
-}
-
-/// The first of the program.
-///
-/// # Safety
-///
-/// `stack` is the stack pointer with which the kernel starts a program.
-unsafe extern "C" fn begin(stack: *const usize) -> ! {
-    // SAFETY: so it is.
-    let count = unsafe { *stack };
-    let code = if count == 3 {
-        // SAFETY: all are below the count. The path's zero is behind it.
-        let [own_file, name, patience] = unsafe { [0, 1, 2].map(|place| argument(stack, place)) };
-        agent::run(own_file, name, patience)
-    } else {
-        2
-    };
-    exit(code)
-}
-
-fn exit(code: i32) -> ! {
+/// Ends the program with an exit code.
+pub(crate) fn exit(code: i32) -> ! {
     loop {
         call(number::EXIT_GROUP, [code as usize, 0, 0, 0, 0, 0]);
     }
-}
-
-#[panic_handler]
-fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
-    exit(101)
 }

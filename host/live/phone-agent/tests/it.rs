@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 
 use phone_agent::{ANSWER, Answer, question};
 
-/// The agent's patience.
+/// Silence after which the agent ends.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// A program of one processor, running. It is ended when dropped.
+/// A running program of one instruction set, which is killed when it is dropped.
 struct Agent {
     child: Child,
     file: PathBuf,
@@ -92,14 +92,14 @@ fn ask(stream: &mut UnixStream, nonce: u64) -> Answer {
     Answer::read(&bytes).unwrap()
 }
 
-/// Linux' boot clock, ns; its file has hundredths of a second.
+/// Returns Linux' boot clock in nanoseconds. Its file has a resolution of 10 ms.
 fn boot_ns() -> i64 {
     let text = std::fs::read_to_string("/proc/uptime").unwrap();
     let seconds: f64 = text.split(' ').next().unwrap().parse().unwrap();
     (seconds * 1e9) as i64
 }
 
-fn tells_its_clocks_and_ends(emulator: &str, processor: &str) {
+fn answers_and_ends(emulator: &str, processor: &str) {
     let mut agent = Agent::start(emulator, processor, "clocks");
     let mut host = agent.connect();
     let mut last = Answer {
@@ -115,7 +115,7 @@ fn tells_its_clocks_and_ends(emulator: &str, processor: &str) {
         last = answer;
     }
     assert!(!agent.file.exists(), "it leaves its file");
-    // Another one's words end the connection, not the program.
+    // Bytes that are no question end the connection, not the program.
     let mut other = host;
     other.write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
     let mut rest = Vec::new();
@@ -123,7 +123,7 @@ fn tells_its_clocks_and_ends(emulator: &str, processor: &str) {
     assert!(rest.is_empty(), "{rest:?}");
     let mut host = agent.connect();
     ask(&mut host, 1);
-    // A host that says nothing any more, though its connection stays.
+    // The host is silent, though its connection stays.
     let begun = Instant::now();
     let limit = PATIENCE + Duration::from_secs(10);
     while agent.child.try_wait().unwrap().is_none() {
@@ -134,11 +134,11 @@ fn tells_its_clocks_and_ends(emulator: &str, processor: &str) {
 }
 
 #[test]
-fn on_aarch64_it_tells_its_clocks_and_ends_without_its_host() {
-    tells_its_clocks_and_ends("qemu-aarch64", "arm64-v8a");
+fn on_aarch64_it_answers_and_ends_without_its_host() {
+    answers_and_ends("qemu-aarch64", "arm64-v8a");
 }
 
 #[test]
-fn on_armv7_it_tells_its_clocks_and_ends_without_its_host() {
-    tells_its_clocks_and_ends("qemu-arm", "armeabi-v7a");
+fn on_armv7_it_answers_and_ends_without_its_host() {
+    answers_and_ends("qemu-arm", "armeabi-v7a");
 }
