@@ -10,94 +10,23 @@
 //! used); the files are in [`FOLDER`], where the app saves by default. For phones that only MTP
 //! reaches there is a [`copy_command`].
 
+mod error;
+mod program;
+
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Duration;
 
 use clock::PhoneNanos;
-use system::{Cancel, Limits, RunError};
+use system::Cancel;
 
-use super::video_files::{Part, classify};
-
-/// Folder on the phone in which the app saves (`StorageUtils.java`:323).
-const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
+pub use self::error::AdbError;
+use self::error::FOLDER;
+pub(crate) use self::program::{Adb, PATIENCE};
+use crate::video_files::{Part, classify};
 
 /// Shell pattern of the files of frame timestamps below [`FOLDER`], numbered ones included.
 const FRAMES: &str = "*/*_timestamps*.csv";
-
-/// Longest run of `adb`, except for copies.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
-
-/// Longest run of `adb` when cleaning up.
-const MOMENT: Duration = Duration::from_secs(2);
-
-/// Most bytes that `adb` may print: a list of some 100,000 files.
-const MAX_OUTPUT: usize = 16 << 20;
-
-/// Failure of a use of `adb`.
-#[derive(Debug, thiserror::Error)]
-pub enum AdbError {
-    /// There is no `adb` on the `PATH`.
-    #[error("`adb` is not on the PATH")]
-    NoProgram,
-    /// No phone is connected and authorized.
-    #[error("`adb devices` lists no phone that is ready{}", others(states))]
-    NoDevice {
-        /// Serial number and state of each phone that is not ready.
-        states: Vec<String>,
-    },
-    /// Several phones are connected where one is needed.
-    #[error("`adb devices` lists several phones: {}", devices.join(", "))]
-    SeveralDevices {
-        /// Serial numbers of the phones that are ready.
-        devices: Vec<String>,
-    },
-    /// There is no agent for the phone's processor.
-    #[error(
-        "there is no smartdepthsync-phone-agent for a phone of {processors:?} beside this program"
-    )]
-    NoAgent {
-        /// Instruction sets of the phone, by Android's names.
-        processors: String,
-    },
-    /// No phone has a video with the phase.
-    #[error("no file of frame timestamps in {FOLDER} of {} has the phase {}", devices.join(", "), phase.0)]
-    NotFound {
-        /// Serial numbers of the phones that were searched.
-        devices: Vec<String>,
-        /// The timestamp that was searched for.
-        phase: PhoneNanos,
-    },
-    /// `adb` failed, or a copy differs in size from the file on the phone.
-    #[error("`adb {command}` failed: {reason}")]
-    Failed {
-        /// Arguments of `adb`.
-        command: String,
-        /// Output of `adb`, or the difference.
-        reason: String,
-    },
-    /// A file on this computer, or `adb` itself, cannot be used.
-    #[error("cannot {action} {}: {source}", path.display())]
-    Io {
-        /// The attempted action, as a verb phrase that the path follows.
-        action: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
-    /// The caller cancelled it.
-    #[error("stopped on request")]
-    Cancelled,
-}
-
-fn others(states: &[String]) -> String {
-    match states {
-        [] => String::new(),
-        states => format!(" ({})", states.join(", ")),
-    }
-}
 
 /// Returns a shell command that copies the files of the video with this phase into `folder`, from
 /// a phone that GNOME Files or another user of gvfs has mounted by MTP. `extract` finds them there.
@@ -138,13 +67,6 @@ struct Remote {
     path: String,
 }
 
-/// The program `adb`, with the cancellation of its runs.
-#[derive(Clone)]
-pub(crate) struct Adb {
-    program: PathBuf,
-    cancel: Cancel,
-}
-
 /// Copies the files of the video with this phase into `folder`: frame timestamps and sensors, and
 /// also the video if `with_video`. Returns the paths of the files. A file that exists with the
 /// right size is not copied again.
@@ -162,9 +84,9 @@ pub fn fetch(
     let adb = Adb::find(cancel)?;
     let devices = adb.devices()?;
     for device in &devices {
-        let files = adb.files_of(device, phase, with_video)?;
+        let files = files_of(&adb, device, phase, with_video)?;
         if !files.is_empty() {
-            let copied = files.iter().map(|file| adb.pull(device, file, folder));
+            let copied = files.iter().map(|file| pull(&adb, device, file, folder));
             return copied.collect();
         }
     }
@@ -196,181 +118,70 @@ fn address_in(list: &str) -> Option<String> {
     Some(address.to_string())
 }
 
-/// Parses the output of `adb devices` into the serial numbers of the phones that are ready.
-fn ready(list: &str) -> Result<Vec<String>, AdbError> {
-    let lines = list.lines().filter_map(|line| line.split_once('\t'));
-    let (ready, others): (Vec<_>, Vec<_>) = lines.partition(|(_, state)| state.trim() == "device");
-    if ready.is_empty() {
-        let states = others.iter();
-        let states = states.map(|(serial, state)| format!("{serial}: {}", state.trim()));
-        return Err(AdbError::NoDevice {
-            states: states.collect(),
-        });
-    }
-    Ok(ready
-        .iter()
-        .map(|(serial, _)| (*serial).to_owned())
+/// Lists the files of the video with this phase on a phone. Returns none if it has no such
+/// video.
+fn files_of(
+    adb: &Adb,
+    device: &str,
+    phase: PhoneNanos,
+    with_video: bool,
+) -> Result<Vec<Remote>, AdbError> {
+    let find = format!("grep -lx {} {FOLDER}/{FRAMES} 2>/dev/null || true", phase.0);
+    let found = adb.shell(device, &find)?;
+    let Some(frames) = found.lines().map(str::trim).find(|line| is_plain(line)) else {
+        return Ok(Vec::new());
+    };
+    let Some((folder, video)) = frames
+        .rsplit_once('/')
+        .and_then(|(folder, name)| Some((folder, classify(name)?.1)))
+    else {
+        return Ok(Vec::new());
+    };
+    let list = format!("stat -c '%s %n' '{folder}'/* {FOLDER}/*.mp4 2>/dev/null || true");
+    let list = adb.shell(device, &list)?;
+    let wanted = |name: &str| match classify(name) {
+        Some((Part::Video, name)) => with_video && name == video,
+        Some((_, name)) => name == video,
+        None => false,
+    };
+    Ok(remotes(&list)
+        .into_iter()
+        .filter(|file| file.path.rsplit('/').next().is_some_and(wanted))
         .collect())
 }
 
-impl Adb {
-    /// Finds the program on the `PATH`.
-    pub(crate) fn find(cancel: &Cancel) -> Result<Self, AdbError> {
-        let program = system::find_program("adb").ok_or(AdbError::NoProgram)?;
-        let cancel = cancel.clone();
-        Ok(Self { program, cancel })
+/// Copies a file into `folder`. It appears there only once it is complete.
+fn pull(adb: &Adb, device: &str, file: &Remote, folder: &Path) -> Result<PathBuf, AdbError> {
+    let name = file.path.rsplit('/').next().unwrap_or_default();
+    let path = folder.join(name);
+    let size = |path: &Path| path.metadata().map(|metadata| metadata.len());
+    if size(&path).is_ok_and(|size| size == file.size) {
+        return Ok(path);
     }
-
-    pub(crate) fn program(&self) -> &Path {
-        &self.program
-    }
-
-    pub(crate) const fn cancel(&self) -> &Cancel {
-        &self.cancel
-    }
-
-    /// Returns the serial numbers of the phones that are ready, at least one.
-    fn devices(&self) -> Result<Vec<String>, AdbError> {
-        ready(&self.run(&["devices"], Some(PATIENCE))?)
-    }
-
-    /// Returns the serial number of the only phone that is ready.
-    pub(crate) fn only_device(&self) -> Result<String, AdbError> {
-        match <[String; 1]>::try_from(self.devices()?) {
-            Ok([device]) => Ok(device),
-            Err(devices) => Err(AdbError::SeveralDevices { devices }),
-        }
-    }
-
-    /// Runs a command line in the phone's shell and returns its output.
-    pub(crate) fn shell(&self, device: &str, line: &str) -> Result<String, AdbError> {
-        self.run_for(device, &["shell", line])
-    }
-
-    /// Runs `adb` for a phone and returns its output.
-    pub(crate) fn run_for(&self, device: &str, arguments: &[&str]) -> Result<String, AdbError> {
-        self.run(&[&["-s", device], arguments].concat(), Some(PATIENCE))
-    }
-
-    /// Runs `adb` for a phone without cancellation: a cancelled run may have taken effect, and its
-    /// result would be lost.
-    pub(crate) fn run_to_end(
-        &self,
-        device: &str,
-        arguments: &[&str],
-        patience: Duration,
-    ) -> Result<String, AdbError> {
-        let adb = Self {
-            cancel: Cancel::default(),
-            ..self.clone()
-        };
-        adb.run(&[&["-s", device], arguments].concat(), Some(patience))
-    }
-
-    /// Runs `adb` to clean up after earlier runs. Ignores failures, as the phone may be gone.
-    pub(crate) fn clean_up(&self, device: &str, arguments: &[&str]) {
-        let _ = self.run_to_end(device, arguments, MOMENT);
-    }
-
-    pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {
-        AdbError::Io {
-            action: "run",
-            path: self.program.clone(),
+    let io = |action| {
+        let path = path.clone();
+        move |source| AdbError::Io {
+            action,
+            path,
             source,
         }
+    };
+    std::fs::create_dir_all(folder).map_err(io("make the folder of"))?;
+    let part = system::new_file_in(folder).map_err(io("write"))?;
+    let target = part.path().to_string_lossy().into_owned();
+    adb.run(&["-s", device, "pull", &file.path, &target], None)?;
+    let found = size(part.path()).map_err(io("read"))?;
+    if found != file.size {
+        return Err(AdbError::Failed {
+            command: format!("pull {name}"),
+            reason: format!(
+                "the file has {} bytes on the phone, and {found} bytes were copied",
+                file.size
+            ),
+        });
     }
-
-    /// Lists the files of the video with this phase on a phone. Returns none if it has no such
-    /// video.
-    fn files_of(
-        &self,
-        device: &str,
-        phase: PhoneNanos,
-        with_video: bool,
-    ) -> Result<Vec<Remote>, AdbError> {
-        let find = format!("grep -lx {} {FOLDER}/{FRAMES} 2>/dev/null || true", phase.0);
-        let found = self.shell(device, &find)?;
-        let Some(frames) = found.lines().map(str::trim).find(|line| is_plain(line)) else {
-            return Ok(Vec::new());
-        };
-        let Some((folder, video)) = frames
-            .rsplit_once('/')
-            .and_then(|(folder, name)| Some((folder, classify(name)?.1)))
-        else {
-            return Ok(Vec::new());
-        };
-        let list = format!("stat -c '%s %n' '{folder}'/* {FOLDER}/*.mp4 2>/dev/null || true");
-        let list = self.shell(device, &list)?;
-        let wanted = |name: &str| match classify(name) {
-            Some((Part::Video, name)) => with_video && name == video,
-            Some((_, name)) => name == video,
-            None => false,
-        };
-        Ok(remotes(&list)
-            .into_iter()
-            .filter(|file| file.path.rsplit('/').next().is_some_and(wanted))
-            .collect())
-    }
-
-    /// Copies a file into `folder`. It appears there only once it is complete.
-    fn pull(&self, device: &str, file: &Remote, folder: &Path) -> Result<PathBuf, AdbError> {
-        let name = file.path.rsplit('/').next().unwrap_or_default();
-        let path = folder.join(name);
-        let size = |path: &Path| path.metadata().map(|metadata| metadata.len());
-        if size(&path).is_ok_and(|size| size == file.size) {
-            return Ok(path);
-        }
-        let io = |action| {
-            let path = path.clone();
-            move |source| AdbError::Io {
-                action,
-                path,
-                source,
-            }
-        };
-        std::fs::create_dir_all(folder).map_err(io("make the folder of"))?;
-        let part = system::new_file_in(folder).map_err(io("write"))?;
-        let target = part.path().to_string_lossy().into_owned();
-        self.run(&["-s", device, "pull", &file.path, &target], None)?;
-        let found = size(part.path()).map_err(io("read"))?;
-        if found != file.size {
-            return Err(AdbError::Failed {
-                command: format!("pull {name}"),
-                reason: format!(
-                    "the file has {} bytes on the phone, and {found} bytes were copied",
-                    file.size
-                ),
-            });
-        }
-        system::put_in_place(part, &path, false).map_err(io("write"))?;
-        Ok(path)
-    }
-
-    /// Runs `adb` and returns its output.
-    fn run(&self, arguments: &[&str], patience: Option<Duration>) -> Result<String, AdbError> {
-        let failed = |reason: String| AdbError::Failed {
-            command: arguments.join(" "),
-            reason,
-        };
-        let limits = Limits {
-            run: patience,
-            cancel: self.cancel.clone(),
-            ..Limits::default()
-        };
-        let mut command = Command::new(&self.program);
-        let output = system::run(command.args(arguments), limits, MAX_OUTPUT);
-        let output = output.map_err(|error| match error {
-            RunError::Start(source) | RunError::Read(source) => self.cannot_run(source),
-            RunError::Cancelled => AdbError::Cancelled,
-            error => failed(error.to_string()),
-        })?;
-        let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        if !output.status.success() {
-            let said = format!("{text}{}", output.messages);
-            return Err(failed(super::answer::shorten(said.trim())));
-        }
-        Ok(text)
-    }
+    system::put_in_place(part, &path, false).map_err(io("write"))?;
+    Ok(path)
 }
 
 /// Parses a list of lines `size path`. Leaves out paths that the app does not write, because they
@@ -396,15 +207,6 @@ fn is_plain(path: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn only_ready_phones_are_listed() {
-        let list =
-            "List of devices attached\nA1\tdevice\nB2\tunauthorized\n192.168.1.5:5555\tdevice\n";
-        assert_eq!(ready(list).unwrap(), ["A1", "192.168.1.5:5555"]);
-        let error = ready("List of devices attached\nB2\tunauthorized\n").unwrap_err();
-        assert!(error.to_string().contains("B2: unauthorized"), "{error}");
-    }
 
     #[test]
     fn an_address_is_parsed_or_absent() {

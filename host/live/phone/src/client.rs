@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use super::DEFAULT_PORT;
 use super::answer::{MalformedAnswer, ServerVersion};
 use super::connection::Connection;
 use super::download::{SavedVideo, check_free, receive};
@@ -13,6 +12,9 @@ use super::samples::PhoneSample;
 use super::settings::Settings;
 use clock::PhoneNanos;
 use system::Cancel;
+
+/// TCP port of the app.
+const DEFAULT_PORT: u16 = 6969;
 
 /// Time after which the app itself gives up waiting for frames in `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);

@@ -42,6 +42,3 @@ pub use error::PhoneError;
 pub use requests::{Asked, ImuRequest, VideoStart};
 pub use samples::{PhoneSample, save_samples};
 pub use settings::Settings;
-
-/// TCP port of the app.
-pub(crate) const DEFAULT_PORT: u16 = 6969;
