@@ -117,9 +117,9 @@ pub enum PhoneError {
     /// The answer to `video_start` is earlier than the video's frames can be, so it is the phase of
     /// another video, which the request has stopped.
     #[error(
-        "the phone was recording already: its answer to video_start is of another video \
-         ({early:.1} s before its frames can be), and the request has stopped that one; or its \
-         frames are on another clock than its gyroscope"
+        "the phone was recording already: its answer to video_start is that of another video \
+         ({early:.1} s too early for the new one), which the request has stopped; or its frames \
+         have another clock than its gyroscope"
     )]
     StalePhase {
         /// Seconds by which the phase is too early.
@@ -127,9 +127,8 @@ pub enum PhoneError {
     },
     /// The timestamps of the frames fit both of the phone's clocks.
     #[error(
-        "whether the phone stamps its frames with the clock of its sensors is not known: it has \
-         slept for {slept_s:.3} s since it was started, by which the other clock is behind, and \
-         both fit"
+        "the clock of the phone's frames is not known: the phone has slept for {slept_s:.3} s since \
+         it was started, so its two clocks differ by that, and the timestamps fit both"
     )]
     FrameClock {
         /// Seconds that the phone has slept since it was started.

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn behind_a_damaged_row_it_goes_on() {
+    fn reading_goes_on_after_a_damaged_row() {
         let mut rows = Rows::new("100\n133.3\n 200 \r\n".as_bytes());
         assert_eq!(rows.next_timestamp().unwrap(), Some(PhoneNanos(100)));
         let error = rows.next_timestamp().unwrap_err().to_string();

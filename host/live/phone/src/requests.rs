@@ -204,9 +204,9 @@ impl VideoStart {
         patience: Duration,
     ) -> Result<Self, PhoneError> {
         let least_s = PHASE_FRAMES * self.frame_duration_ns * 1e-9;
-        let after_s = |behind_ns: i64| {
+        let after_s = |offset_ns: i64| {
             asked.map_or(took.as_secs_f64(), |asked| {
-                let phase = self.phase.0.saturating_add(behind_ns);
+                let phase = self.phase.0.saturating_add(offset_ns);
                 phase.saturating_sub(asked.boot.0) as f64 * 1e-9
             })
         };
@@ -218,7 +218,7 @@ impl VideoStart {
             }
             return Ok(self);
         };
-        let fits = |behind| (least_s..=patience.as_secs_f64()).contains(&after_s(behind));
+        let fits = |slept| (least_s..=patience.as_secs_f64()).contains(&after_s(slept));
         match (fits(0), fits(slept)) {
             (true, false) => Ok(self),
             (false, true) => Ok(Self {
@@ -412,21 +412,21 @@ mod tests {
             boot: PhoneNanos(40_000 * second),
             slept_ns,
         };
-        let start = |behind_ns: i64| VideoStart {
-            phase: PhoneNanos(40_002 * second + second * 4 / 10 - behind_ns),
+        let start = |offset_ns: i64| VideoStart {
+            phase: PhoneNanos(40_002 * second + second * 4 / 10 - offset_ns),
             frame_duration_ns: 1e9 / 30.0,
             exposure_ns: None,
             boot_minus_frames_ns: 0,
         };
-        let checked = |behind_ns, slept_ns| {
-            start(behind_ns).checked(
+        let checked = |offset_ns, slept_ns| {
+            start(offset_ns).checked(
                 Some(asked(slept_ns)),
                 Duration::ZERO,
                 Duration::from_secs(25),
             )
         };
         let hour = 3_600 * second;
-        for (behind, slept, offset) in [
+        for (offset, slept, expected) in [
             (0, None, 0),
             (0, Some(0), 0),
             (0, Some(-700), 0),
@@ -434,15 +434,15 @@ mod tests {
             (hour, Some(hour), hour),
             (30 * second, Some(30 * second), 30 * second),
         ] {
-            let start = checked(behind, slept).unwrap();
-            assert_eq!(start.boot_minus_frames_ns, offset, "{behind} {slept:?}");
+            let start = checked(offset, slept).unwrap();
+            assert_eq!(start.boot_minus_frames_ns, expected, "{offset} {slept:?}");
         }
-        for (behind, slept) in [(hour, None), (hour, Some(2 * hour)), (hour, Some(0))] {
-            let error = checked(behind, slept).unwrap_err();
+        for (offset, slept) in [(hour, None), (hour, Some(2 * hour)), (hour, Some(0))] {
+            let error = checked(offset, slept).unwrap_err();
             assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
         }
-        for (behind, slept) in [(0, Some(5 * second)), (0, Some(20_000))] {
-            let error = checked(behind, slept).unwrap_err();
+        for (offset, slept) in [(0, Some(5 * second)), (0, Some(20_000))] {
+            let error = checked(offset, slept).unwrap_err();
             assert!(matches!(error, PhoneError::FrameClock { .. }), "{error}");
         }
     }

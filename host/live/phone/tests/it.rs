@@ -27,7 +27,7 @@ fn fake(script: impl Fn(&mut TcpStream) -> Then + Send + Sync + Clone + 'static)
     address
 }
 
-/// What a phone does after an answer.
+/// Behaviour of a phone after an answer.
 #[derive(Clone, Copy, PartialEq)]
 enum Then {
     Stay,

@@ -1,4 +1,4 @@
-//! What the host asks of the operating system: files that are replaced whole, reads that can be
+//! Services of the operating system for the host: files that are replaced whole, reads that can be
 //! followed and cancelled, and other programs within limits.
 //!
 //! | module | gives |
