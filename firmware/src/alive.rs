@@ -43,7 +43,7 @@ impl Alive {
         self.0.fetch_or(1 << task as u8, Ordering::Relaxed);
     }
 
-    /// Whether all have checked in since this last returned true.
+    /// Returns true if all tasks have checked in since the last call that returned true.
     pub fn all(&self) -> bool {
         self.0
             .compare_exchange(ALL, 0, Ordering::Relaxed, Ordering::Relaxed)

@@ -9,7 +9,7 @@ mod discovery;
 
 use protocol::BoardModel;
 
-/// What one board has that another has otherwise.
+/// Properties in which boards differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
     /// Which one it is; this says too whether it has the auxiliary outputs.

@@ -23,31 +23,29 @@ pub const TIM1_CLOCKS_PER_TICK: u32 = SYSCLK_HZ / TICK_HZ;
 /// Clock of UART5 in Hz: APB1, 96 MHz / 4.
 pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 
-/// How long after TIM2's start TIM1 starts, in clocks of TIM1. The hardware makes
-/// it, and it never changes; the reference manual does not say how long it takes
-/// (RM0090 17.3.20 only says that there is a resynchronisation). This is the
-/// simulated board's; the board test measures a real one's, which the board then keeps
-/// ([`protocol::BoardSettings`]).
+/// Delay of TIM1's start after TIM2's, in clocks of TIM1: a constant of the hardware that the
+/// reference manual does not give (RM0090 17.3.20 only says that there is a resynchronisation).
+/// This is the simulated board's; the board test measures a real one's, which the board then
+/// keeps ([`protocol::BoardSettings`]).
 pub const OUTPUT_START_DELAY: u8 = 2;
 
 /// Most panics that are kept in flash, of the 910 entries that it takes: a board that panics
 /// at each start leaves room for settings.
 pub const MOST_PANICS: u32 = 800;
 
-/// How far ahead an edge is armed on TIM1, in ticks: 0.6 ms. TIM1 comes round every
-/// 65,536 of its clocks, 0.68 ms.
+/// Farthest edge that is armed on TIM1, in ticks ahead: 0.6 ms. TIM1 wraps every 65,536 of its
+/// clocks, 0.68 ms.
 pub const OUTPUT_REACH: u32 = 600 * TICKS_PER_US;
 
-/// How long before an edge that is too far ahead to be armed its handler is called: 0.4
-/// ms. A channel reaches more than that by what a handler may be late
-/// ([`OUTPUT_REACH`]).
+/// Lead of the handler's call before an edge that is too far ahead to be armed at once: 0.4 ms.
+/// A channel reaches farther than that by the longest delay of a handler ([`OUTPUT_REACH`]).
 pub const WAKE_LEAD: TickDelta = TickDelta::from_micros(400);
 
 /// The quiet margin of TIM1's handlers: 40 µs. Longer than TIM2's
 /// ([`QUIET_MARGIN`]), as TIM2's handler goes on meanwhile.
 pub const OUTPUT_QUIET_MARGIN: TickDelta = TickDelta::from_micros(40);
 
-/// How late sentences may begin.
+/// Longest delay of the start of sentences.
 pub const NMEA_SLACK: TickDelta = TickDelta::from_micros(NMEA_SLACK_MS * 1_000);
 
 /// Farthest that a compare is armed ahead, in ticks: 22.4 s. Compares only see
@@ -76,9 +74,8 @@ pub const START_LEAD: TickDelta = TickDelta::from_micros(1_000);
 /// an edge's handler.
 pub const QUIET_MARGIN: TickDelta = TickDelta::from_micros(15);
 
-/// How long an edge of the trigger may be overdue before its handler is taken to
-/// be dead and the watchdog is no longer fed: 10 ms, a thousand times
-/// the handler's latency.
+/// Longest delay of a trigger edge before its handler counts as dead and the watchdog is no
+/// longer fed: 10 ms, a thousand times the handler's latency.
 pub const TRIGGER_OVERDUE: TickDelta = TickDelta::from_micros(10_000);
 
 /// Ticks by which the filter of the capture inputs delays every edge: a new level counts
@@ -91,9 +88,9 @@ pub const INPUT_FILTER: u32 = 8;
 /// three clocks of the synchroniser, and some for the bus.
 pub const CAPTURE_DELAY: u32 = INPUT_FILTER + 8;
 
-/// How many edges of the strobe may come close together: eight, whose handling (an
-/// estimated 4 µs each, with wait states) together stays below the 50 µs in which the handlers of lower
-/// priority must arm a falling edge ([`protocol::MIN_OUTPUT_WIDTH`]).
+/// Most edges of the strobe close together: eight, whose handling (an estimated 4 µs each, with
+/// wait states) together stays below the 50 µs in which the handlers of lower priority must arm a
+/// falling edge ([`protocol::MIN_OUTPUT_WIDTH`]).
 pub const STROBE_CLOSE: u32 = 8;
 
 /// Ticks in which that regains one edge: 60 µs, half of the shortest distance of the
@@ -117,8 +114,8 @@ pub const DATA_READY_BURST: u32 = 16;
 /// sensor's highest rate.
 pub const DATA_READY_REFILL: u32 = 500 * TICKS_PER_US;
 
-/// How long an input is off after a flood, in ms: long enough to regain 40
-/// edges, short enough to lose no more than one frame of the camera's pulses.
+/// Time for which an input is off after a flood, in ms: long enough to regain 40 edges, short
+/// enough to lose no more than one frame of the camera's pulses.
 pub const MUTE_MS: u64 = 20;
 
 /// Events of TIM2's handler that wait for the handler below it. That one runs
@@ -166,8 +163,7 @@ pub const MOST_FRAMES: usize = TRANSMIT_BUFFER / 14;
 /// Packet of full-speed bulk endpoints, in bytes (USB 2.0, 5.8.3).
 pub const USB_PACKET: usize = 64;
 
-/// How often a task that waits wakes up to check in, in ms: twice in each
-/// watchdog round.
+/// Interval at which a waiting task wakes up to check in, in ms: twice in each watchdog round.
 pub const CHECK_IN_MS: u64 = 500;
 
 /// The watchdog's timeout in µs. It runs from the LSI, 17 to 47 kHz for a
@@ -204,9 +200,9 @@ pub const IMU_RTC_HZ: u32 = 32_000;
 /// 0.1 ms, a pause of 0.2, and time for a bus with a hiccup.
 pub const IMU_START_MS: u64 = 10;
 
-/// How long the first data-ready may take after setting up, in ms, before the
-/// clock is taken to be missing, beyond one interval: three times the start-up
-/// time of the gyroscope (30 ms, data sheet 6.1; MPU-6500 35 ms, ICM-42688-P 30 ms).
+/// Longest wait for the first data-ready after setting up, in ms beyond one interval, before the
+/// clock counts as missing: three times the start-up time of the gyroscope (30 ms, data sheet
+/// 6.1; MPU-6500 35 ms, ICM-42688-P 30 ms).
 pub const FIRST_DATA_READY_MS: u64 = 100;
 
 /// From the switch to the external clock until the sensor's PLL has settled on it, in
@@ -218,8 +214,8 @@ pub const IMU_CLOCK_SETTLING_MS: u64 = 10;
 /// transfers of at most 0.1 ms, and time for a bus with a hiccup.
 pub const SET_UP_MS: u64 = 150;
 
-/// How long data-ready may stay away beyond two intervals, in ms: ten intervals
-/// at 500 Hz. Silence is noticed after 24 ms there and after 420 ms at 5 Hz.
+/// Longest wait for data-ready beyond two intervals, in ms: ten intervals at 500 Hz. Silence is
+/// noticed after 24 ms there and after 420 ms at 5 Hz.
 pub const DATA_READY_SLACK_MS: u64 = 20;
 
 /// Pause between two attempts to set up a sensor that does not answer, in ms.

@@ -11,7 +11,7 @@
 //! A code is relative to the supply, which is 2.9 V on this board and not 3.3 V: the
 //! sensor's is first taken times VREFINT_CAL / reference.
 
-/// What the factory wrote.
+/// Calibration values that the factory wrote.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration {
     /// The reference, at 0x1FFF7A2A.

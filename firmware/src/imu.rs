@@ -43,7 +43,7 @@ pub struct RawSample {
 }
 
 impl RawSample {
-    /// Whether an axis stands at an end of its range.
+    /// Returns true if an axis is at an end of its range.
     #[must_use]
     pub fn is_saturated(&self) -> bool {
         let at_end = |&value: &i16| value == i16::MIN || value == i16::MAX;
@@ -68,7 +68,7 @@ const fn family(model: ImuModel) -> Family {
     }
 }
 
-/// What a family says of one setting.
+/// A family's properties at one setting.
 struct Description {
     gyro_delay_us: u32,
     accel_delay_us: u32,
@@ -237,7 +237,7 @@ impl<B: I2c> Imu<B> {
 #[derive(Debug)]
 struct Registers<B> {
     bus: B,
-    /// What the last transfer was about.
+    /// Register of the last transfer.
     register: u8,
 }
 
@@ -295,7 +295,7 @@ impl<B: I2c> Registers<B> {
     }
 }
 
-/// What an error of the bus is called in messages.
+/// Returns the fault that reports a bus error in messages.
 fn fault(error: &impl Error, register: u8) -> ImuFault {
     match error.kind() {
         ErrorKind::NoAcknowledge(_) => ImuFault::NoAcknowledge { register },

@@ -1,4 +1,4 @@
-//! How busy the core is, and how deep its stack.
+//! Load of the core and depth of its stack.
 
 /// Adds up the time asleep.
 ///
@@ -38,8 +38,8 @@ impl LoadMeter {
     }
 }
 
-/// How many words of a stack are looked at, at once: 1 KiB, which takes 60 µs, in which no task
-/// runs. A frame that leaves more than that unwritten hides what is below it.
+/// Words of a stack that are examined at once: 1 KiB, which takes 60 µs, in which no task runs.
+/// A frame that leaves more than that unwritten hides what is below it.
 const LOOK_WORDS: usize = 256;
 
 /// Words of a stack of `words` words that have ever been used, if it was filled

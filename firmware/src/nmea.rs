@@ -12,8 +12,8 @@ use protocol::{
     Refusal, Sentences, TICK_HZ, Ticks,
 };
 
-/// How long settings must remain within the dates that the sentences can tell,
-/// in seconds: an hour.
+/// Time for which settings must remain within the dates that the sentences can express, in
+/// seconds: an hour.
 const DATE_MARGIN: i64 = 3_600;
 
 /// A date and a time of day; month and day count from 1.

@@ -1,6 +1,6 @@
-//! What waits to be sent to the host.
+//! Messages that wait to be sent to the host.
 //!
-//! Producers never wait: each stream has a queue of its own, and what finds no
+//! Producers never wait: each stream has a queue of its own, and a message that finds no
 //! place there is dropped and counted. The sender takes answers first, then
 //! pulses, pulses of the auxiliary outputs, captures, IMU samples and status, so that
 //! a flood of one stream never delays what matters more.
@@ -30,7 +30,7 @@ pub struct Outbox {
     dropped: Dropped,
 }
 
-/// What the auxiliary outputs have to say.
+/// A message of the auxiliary outputs.
 #[derive(Clone, Copy, Debug)]
 enum OutputMessage {
     Pulse(Pulse),
@@ -99,14 +99,14 @@ impl Outbox {
         clear(&mut self.status, &mut self.dropped.status);
     }
 
-    /// Whether there is a host.
+    /// Returns true if there is a host.
     #[must_use]
     pub const fn is_linked(&self) -> bool {
         self.linked
     }
 
-    /// Whether the answers of one more command surely find a place. Without a
-    /// host they are dropped, which is no reason to wait.
+    /// Returns true if the answers of one more command will find a place. Without a host they are
+    /// dropped, which is no reason to wait.
     #[must_use]
     pub fn has_room_for_command(&self) -> bool {
         !self.linked || self.answers.capacity() - self.answers.len() >= config::ANSWERS_PER_COMMAND
@@ -126,7 +126,7 @@ impl Outbox {
         }
     }
 
-    /// False if there is no place.
+    /// Returns false if there is no place.
     #[inline(always)]
     fn queue(&mut self, message: DeviceToHost) -> bool {
         match message {
@@ -145,7 +145,7 @@ impl Outbox {
         }
     }
 
-    /// What was dropped since reset.
+    /// Returns the counts of messages dropped since reset.
     #[must_use]
     pub const fn dropped(&self) -> Dropped {
         self.dropped
@@ -157,13 +157,13 @@ impl Outbox {
         *dropped = dropped.saturating_add(1);
     }
 
-    /// Whether nothing waits.
+    /// Returns true if no message waits.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.waiting == 0
     }
 
-    /// The message that is to be sent next.
+    /// Removes and returns the message that is to be sent next.
     pub fn pop(&mut self) -> Option<DeviceToHost> {
         self.waiting = self.waiting.checked_sub(1)?;
         if let Some(message) = self.answers.pop_front() {

@@ -1,4 +1,4 @@
-//! How the edges of a train are made by one compare channel.
+//! Makes the edges of a train on one compare channel.
 //!
 //! The channel makes every edge by itself when the counter reaches the compare
 //! value; a handler arms the next one. There are two kinds of channel:
@@ -28,7 +28,7 @@ use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN, WAK
 use crate::timebase::Timebase;
 use crate::trigger::{Alignment, Edge, Limits, Train};
 
-/// What the output does when the counter reaches the compare value.
+/// Effect on the output when the counter reaches the compare value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Nothing; only the handler is called.
@@ -55,27 +55,28 @@ pub struct Captured {
 
 /// An output compare channel, and the capture channel that reads it back.
 pub trait CompareOutput {
-    /// Whether it is armed by [`Action::Pulse`] and its handler called after the falling
-    /// edge; otherwise by [`Action::Rise`] and [`Action::Fall`], with a call after each.
+    /// Returns true if the channel is armed by [`Action::Pulse`] and its handler called after the
+    /// falling edge; otherwise it is armed by [`Action::Rise`] and [`Action::Fall`], with a call
+    /// after each.
     fn makes_whole_pulses(&self) -> bool;
 
-    /// How far ahead it can be armed to make an edge, in ticks: clearly more than
+    /// Returns the farthest edge that can be armed, in ticks ahead: clearly more than
     /// [`WAKE_LEAD`]. [`Action::Wake`] reaches [`MAX_ARM_AHEAD`].
     fn reach(&self) -> u32;
 
-    /// The counter.
+    /// Returns the value of the counter.
     fn counter(&self) -> u32;
 
     /// Forgets a former match and arms the next one, at the counter value `at`.
     fn arm(&mut self, at: u32, action: Action);
 
-    /// Whether the armed match has come, of a pulse that of its rising edge.
+    /// Returns true once the armed match has occurred; for a pulse, that of its rising edge.
     fn has_matched(&self) -> bool;
 
     /// Makes the output low, now, and arms nothing.
     fn force_low(&mut self);
 
-    /// The read-back edge captured since the last call.
+    /// Takes the read-back edge captured since the last call.
     fn take_readback(&mut self) -> Option<Captured>;
 }
 
@@ -96,7 +97,7 @@ pub struct Pulsed {
     pub readback: Option<i32>,
 }
 
-/// What the channel waits for.
+/// The match that the channel waits for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Stage {
     /// No train.
@@ -238,7 +239,7 @@ impl Pulser {
         }
     }
 
-    /// The armed match has come. Returns the pulse that is over with it.
+    /// Handles the armed match. Returns the pulse that ends with it.
     pub fn on_match<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
@@ -398,20 +399,20 @@ impl Pulser {
         }
     }
 
-    /// Whether the handler is wanted within the next `margin`, or already: no time
-    /// to mask it.
+    /// Returns true if the handler is needed within the next `margin`, or already: no time to mask
+    /// it.
     #[must_use]
     pub fn is_busy(&self, now: Ticks, margin: TickDelta) -> bool {
         self.due().is_some_and(|due| due < now + margin)
     }
 
-    /// Whether the handler is overdue by more than `by`: it does not run.
+    /// Returns true if the handler is overdue by more than `by`: it does not run.
     #[must_use]
     pub fn is_overdue(&self, now: Ticks, by: TickDelta) -> bool {
         self.due().is_some_and(|due| now > due + by)
     }
 
-    /// Whether the pulse that is armed as a whole has risen by `now`.
+    /// Returns true if the pulse that is armed as a whole has risen by `now`.
     fn has_risen(&self, now: Ticks) -> bool {
         matches!(self.stage, Stage::Pulse(_, at) if at <= now)
     }
@@ -483,7 +484,7 @@ fn wakes_before<O: CompareOutput + ?Sized>(output: &mut O, time: &Timebase, at: 
     true
 }
 
-/// Whether the counter value `at` is now or behind, not ahead.
+/// Returns true if the counter value `at` is reached or past, not ahead.
 const fn is_past(at: u32, counter: u32) -> bool {
     counter.wrapping_sub(at) < 1 << 31
 }

@@ -1,4 +1,4 @@
-//! What survives a reset: the message of the last panic and the number of the run.
+//! The record that survives a reset: the message of the last panic and the number of the run.
 //!
 //! RAM keeps its content over every reset but that of power. The record lies
 //! in memory that the start-up code does not touch; it is a frame of the protocol, whose CRC
@@ -19,12 +19,12 @@ pub struct Kept {
     pub run: u32,
     /// Resets since power came on, by cause.
     pub resets: [u8; ResetCause::COUNT],
-    /// What ended this run, if a panic did.
+    /// Message of the panic that ended this run, if one did.
     pub panic: Option<String<MAX_PANIC>>,
 }
 
 impl Kept {
-    /// What a run left; nothing where the memory holds noise, as after power-on.
+    /// Reads the record of a run, or `None` if the memory holds noise, as after power-on.
     #[must_use]
     pub fn read(memory: &Memory) -> Option<Self> {
         let frame = memory.split(|&byte| byte == 0).next()?;
@@ -41,11 +41,11 @@ impl Kept {
         memory
     }
 
-    /// What ended the last run, and the record for this one, which a reset with this cause began
-    /// and which is to be stored at once: a panic is reported once.
+    /// Returns the message of the panic that ended the last run, and the record of this run, which
+    /// a reset with this cause began. The record must be stored at once: a panic is reported once.
     ///
-    /// After power-on the number of the run comes from whatever the
-    /// memory held, for want of a better random number: memory powers up much alike.
+    /// After power-on the number of the run comes from the previous content of the memory, for want
+    /// of a better random number: memory powers up much alike.
     #[must_use]
     pub fn next(memory: &Memory, cause: ResetCause) -> (Option<String<MAX_PANIC>>, Self) {
         let mut kept = Self::read(memory).unwrap_or_else(|| Self {

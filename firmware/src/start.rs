@@ -21,7 +21,7 @@ use crate::board::{nmea_port, rng};
 use crate::state;
 use crate::tasks;
 
-/// What a host looks for in an image: whose it is, and for which board
+/// Mark by which a host recognises an image of this firmware and its board
 /// ([`protocol::IMAGE_MARK`]).
 const IMAGE: &str = concat!(
     "SmartDepthSync image;",

@@ -1,5 +1,4 @@
-//! What tasks and handlers share: messages on their way out, and what the board knows
-//! of itself.
+//! State that tasks and handlers share: messages on their way out, and facts about the board.
 
 use core::cell::{Cell, RefCell};
 use core::future::poll_fn;
@@ -21,7 +20,7 @@ pub(crate) static INFO: OnceLock<(Hello, [u8; ResetCause::COUNT])> = OnceLock::n
 
 pub(crate) static ALIVE: Alive = Alive::new();
 
-/// How often a waiting task checks in.
+/// Interval at which a waiting task checks in.
 pub(crate) const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
 static OUTBOX: CriticalSectionMutex<RefCell<Outbox>> =
@@ -36,14 +35,14 @@ pub(crate) static ROOM: AtomicWaker = AtomicWaker::new();
 /// Woken when a host has come or gone.
 pub(crate) static LINK_CHANGED: AtomicWaker = AtomicWaker::new();
 
-/// What came in from the host.
+/// Counts of frames received from the host.
 pub(crate) static RECEIVED: CriticalSectionMutex<Cell<LinkCounters>> =
     CriticalSectionMutex::new(Cell::new(LinkCounters::ZERO));
 
-/// Whether the host asked for filler.
+/// True if the host asked for filler.
 pub(crate) static FILLER: AtomicBool = AtomicBool::new(false);
 
-/// How often a host has connected.
+/// Number of times that a host has connected.
 pub(crate) static CONNECTS: AtomicU32 = AtomicU32::new(0);
 
 /// Unix time of tick 0, as the pulse per second was last started with. Its last pulse

@@ -1,8 +1,8 @@
-//! What the board keeps in its flash over power-off: its settings, and panics.
+//! Settings and panics in the flash, which outlast power-off.
 //!
 //! Entries stand one after the other in slots of their own, each written once, so nothing is
-//! ever erased; the newest of its kind holds. An entry is a frame of the protocol, whose CRC tells
-//! one that power cut short.
+//! ever erased; the newest of its kind is valid. An entry is a frame of the protocol, whose CRC
+//! reveals one that a loss of power cut short.
 
 use heapless::String;
 use protocol::{BoardSettings, MAX_PANIC, decode_frame, encode};
@@ -12,7 +12,7 @@ use crate::config;
 /// Bytes of a slot: the longest entry, a panic's.
 pub const SLOT: usize = 144;
 
-/// What erased flash holds.
+/// Value of erased flash.
 const BLANK: u8 = 0xFF;
 
 /// Kinds of entries, the first byte of each.
@@ -26,7 +26,7 @@ pub const DEFAULTS: BoardSettings = BoardSettings {
     crystal_ppb: None,
 };
 
-/// What the slots hold.
+/// Content of the slots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stored {
     /// The newest settings.

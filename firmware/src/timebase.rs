@@ -29,7 +29,7 @@ use protocol::Ticks;
 /// Log₂ of the ticks in a half period of the counter.
 const HALF_BITS: u32 = 31;
 
-/// How far outside of the hinted half period a value may lie, in ticks.
+/// Farthest that a value may lie outside of the hinted half period, in ticks.
 const MARGIN: u32 = 1 << 30;
 
 /// The instant that the counter value `low` means, if the half period `hint`

@@ -1,4 +1,4 @@
-//! Where the edges of the trigger train fall.
+//! Exact times of the edges of a trigger train.
 //!
 //! A train is a position in Q64.32 ticks that goes on by one period for each
 //! pulse; an edge is its floor. The sum is exact, so edge `k` is
@@ -40,7 +40,7 @@ pub(crate) struct Edge {
 struct Slew {
     /// The id of the align.
     command: u32,
-    /// What is left to move, in Q31.32 ticks; late is positive.
+    /// Remaining distance, in Q31.32 ticks; late is positive.
     left: i64,
     /// Most that one pulse may be moved earlier, in Q31.32 ticks.
     most_earlier: i64,
@@ -51,7 +51,7 @@ struct Slew {
 /// A plan that [`Train::align`] made and [`crate::pulser::Pulser::adopt`] puts into force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alignment {
-    /// What is reported to the host.
+    /// The plan as it is reported to the host.
     pub plan: AlignPlan,
     period: Period,
     slew: Slew,
@@ -59,7 +59,7 @@ pub struct Alignment {
     from: u64,
 }
 
-/// What the handler of an output needs between two edges, in ticks.
+/// Times that the handler of an output needs between two edges, in ticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// The shortest pulse.
@@ -118,7 +118,7 @@ pub struct Train {
     slew: Option<Slew>,
 }
 
-/// Refuses what is farther than [`MAX_TIME_AWAY`].
+/// Refuses a time that is farther from `now` than [`MAX_TIME_AWAY`].
 fn check_near(at: Ticks, now: Ticks) -> Result<(), Refusal> {
     if (at - now).unsigned_abs() > MAX_TIME_AWAY {
         return Err(Refusal::TimeOutOfRange { now });
@@ -171,7 +171,7 @@ impl Train {
         self.start.width
     }
 
-    /// Whether it is on the way to another grid.
+    /// Returns true if the train is on the way to another grid.
     pub(crate) const fn is_slewing(&self) -> bool {
         self.slew.is_some()
     }
@@ -186,7 +186,7 @@ impl Train {
         }
     }
 
-    /// Goes on to the next edge, which is to be armed now.
+    /// Advances to the next edge, which is to be armed now.
     pub(crate) fn advance(&mut self) -> Edge {
         self.number = self.number.wrapping_add(1);
         self.position = self.position + self.period;
@@ -257,8 +257,8 @@ impl Train {
         })
     }
 
-    /// Puts a plan into force. False if an edge was armed since it was made: it
-    /// must be made again.
+    /// Puts a plan into force. Returns false if an edge was armed since the plan was made: it must
+    /// be made again.
     pub(crate) fn adopt(&mut self, alignment: &Alignment) -> bool {
         if alignment.from != self.number {
             return false;

@@ -49,10 +49,10 @@ pub struct Hello {
     pub kept_panic: Option<String<MAX_PANIC>>,
 }
 
-/// What differs from one specimen of a board to the next, kept in its flash.
+/// Properties in which specimens of one board differ, kept in the board's flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardSettings {
-    /// How long after TIM2's start TIM1 starts, in clocks of TIM1 (96 MHz), at most
+    /// Delay of TIM1's start after TIM2's, in clocks of TIM1 (96 MHz), at most
     /// [`MAX_START_DELAY`].
     pub output_start_delay: u8,
     /// From an edge at a capture input to its capture, in ticks, at most
@@ -88,7 +88,7 @@ pub enum BoardModel {
 }
 
 impl BoardModel {
-    /// What its maker calls it.
+    /// Returns the maker's name of it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -97,7 +97,7 @@ impl BoardModel {
         }
     }
 
-    /// What a firmware's image has after [`IMAGE_MARK`] for its board.
+    /// Returns the text that follows [`IMAGE_MARK`] in a firmware's image for this board.
     #[must_use]
     pub const fn key(self) -> &'static str {
         match self {
@@ -114,8 +114,8 @@ impl BoardModel {
             .find(|board| board.key() == key)
     }
 
-    /// Whether it has the auxiliary outputs, 2 to 4, and the pulse per second with its
-    /// sentences.
+    /// Returns true if the board has the auxiliary outputs, 2 to 4, and the pulse per second with
+    /// its sentences.
     #[must_use]
     pub const fn has_outputs(self) -> bool {
         match self {
@@ -145,7 +145,7 @@ pub enum ResetCause {
 }
 
 impl ResetCause {
-    /// How many there are.
+    /// Number of causes.
     pub const COUNT: usize = Self::Unknown as usize + 1;
 }
 
@@ -160,9 +160,9 @@ pub struct Status {
     pub epoch: u32,
     /// Messages dropped since reset.
     pub dropped: Dropped,
-    /// What came in from the host.
+    /// Frames received from the host.
     pub link: LinkCounters,
-    /// How often the host has connected.
+    /// Number of times that a host has connected.
     pub connects: u32,
     /// Time not spent asleep over the last second, in 1/1000.
     pub cpu_permille: u16,
@@ -176,23 +176,22 @@ pub struct Status {
     /// Longest time from a trigger edge to the end of its handler since reset,
     /// in ticks.
     pub trigger_latency: u32,
-    /// What the handlers of interrupts took.
+    /// Run times of the interrupt handlers.
     pub handlers: Handlers,
-    /// How long interrupts were masked at most.
+    /// Longest times for which interrupts were masked.
     pub masked: Masked,
     /// Temperature of the chip, in 0.1 °C; `None` before it was first measured.
     pub die_decidegrees: Option<i16>,
     /// The chip's supply, in mV; `None` before it was first measured.
     pub supply_mv: Option<u16>,
-    /// What happened on the USB.
+    /// Events on the USB.
     pub usb: UsbCounters,
     /// Resets since power came on, by [`ResetCause`] in its order. They saturate.
     pub resets: [u8; ResetCause::COUNT],
-    /// How often edges on the strobe input were lost (over-captures of TIM2
-    /// channel 3).
+    /// Losses of edges on the strobe input (over-captures of TIM2 channel 3).
     pub strobe_overcaptures: u32,
-    /// How often the strobe input was switched off for a while because its
-    /// edges came faster than the board takes them.
+    /// Number of times that the strobe input was switched off for a while because its edges came
+    /// faster than the board handles them.
     pub strobe_floods: u32,
     /// The IMU.
     pub imu: ImuStatus,
@@ -205,7 +204,7 @@ pub struct Status {
     pub gnss: GnssStatus,
 }
 
-/// What happened on the USB since the board's reset.
+/// Counts of events on the USB since the board's reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UsbCounters {
     /// Resets by the host.
@@ -216,8 +215,8 @@ pub struct UsbCounters {
     pub stuck: u32,
 }
 
-/// What one handler took, by the core's cycle counter, at [`CORE_HZ`]. A handler that
-/// another one interrupted has the other's time in its own.
+/// Run time of one handler, by the core's cycle counter, at [`CORE_HZ`]. The time of a handler
+/// includes that of others that interrupted it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HandlerTime {
     /// Calls over the last second.
@@ -239,14 +238,14 @@ impl HandlerTime {
     }
 }
 
-/// What the handlers of interrupts took.
+/// Run times of the interrupt handlers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Handlers {
     /// The camera's trigger and the captures (TIM2, DMA1 stream 5).
     pub trigger: HandlerTime,
     /// The auxiliary outputs and the pulse per second (TIM1, TIM5).
     pub outputs: HandlerTime,
-    /// What takes their events to the outbox.
+    /// The handler that passes their events to the outbox.
     pub handover: HandlerTime,
     /// USB.
     pub usb: HandlerTime,
@@ -262,7 +261,7 @@ pub struct Masked {
     pub below_trigger: u32,
 }
 
-/// How many messages of each stream found no place in the outbox.
+/// Number of messages of each stream that found no place in the outbox.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dropped {
     /// Answers, hellos and arrivals.

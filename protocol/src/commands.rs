@@ -1,4 +1,4 @@
-//! What the host can ask for, each with what it is answered.
+//! Commands of the host, each with its reply.
 //!
 //! A command is a type of its own, and its [`Request::Reply`] another: a host that
 //! expects, or a board that gives, the reply of another command does not compile.
@@ -14,16 +14,16 @@ use crate::units::Ticks;
 
 /// A command with the type of its reply.
 pub trait Request: Clone + Into<Command> {
-    /// What it is answered.
+    /// The reply to the command.
     type Reply;
 
-    /// What people call it.
+    /// Name in messages to people.
     const NAME: &'static str;
 
-    /// The reply as it is sent.
+    /// Wraps the reply as it is sent.
     fn wrap(reply: Self::Reply) -> Reply;
 
-    /// What was sent, if it is the reply of this command.
+    /// Returns the reply of this command, or `None` if `reply` is another's.
     fn unwrap(reply: Reply) -> Option<Self::Reply>;
 }
 
@@ -50,7 +50,7 @@ macro_rules! commands {
         }
 
         impl Command {
-            /// What people call it.
+            /// Returns the name in messages to people.
             #[must_use]
             pub const fn name(&self) -> &'static str {
                 match self {
@@ -202,7 +202,7 @@ pub struct QueryGnss;
 /// Send as much filler as USB takes, or no more of it. To load the link in tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SendFiller(
-    /// Whether to.
+    /// True to start, false to stop.
     pub bool,
 );
 

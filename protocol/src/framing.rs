@@ -44,7 +44,7 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// What a [`Decoder`] has seen so far. Counters saturate.
+/// Counts of frames that a [`Decoder`] has received. They saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkCounters {
     /// Frames that became messages.
@@ -177,7 +177,7 @@ impl<M: DeserializeOwned> Decoder<M> {
         }
     }
 
-    /// What was taken and lost so far.
+    /// Returns the counts of frames received and lost.
     #[must_use]
     pub const fn counters(&self) -> LinkCounters {
         self.counters

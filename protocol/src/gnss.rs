@@ -13,7 +13,7 @@ pub const MAX_PPS_WIDTH: u32 = TICK_HZ / 2;
 /// manual, "External GPS Time Synchronization").
 pub const NMEA_WINDOW_MS: u32 = 500;
 
-/// How late the board may begin to send them, in ms; it leaves out what would be
+/// Longest delay of the start of sentences, in ms; the board leaves out those that would begin
 /// later.
 pub const NMEA_SLACK_MS: u32 = 5;
 
@@ -105,10 +105,10 @@ pub enum Sentences {
     RmcZda,
 }
 
-/// How the pulse per second fares. Counters count from reset and saturate.
+/// Status of the pulse per second. Counters count from reset and saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GnssStatus {
-    /// What the pulse does.
+    /// State of the pulse.
     pub state: TrainState,
     /// Pulses since it was started.
     pub pulses: u64,
@@ -125,7 +125,7 @@ pub struct GnssStatus {
 pub struct GnssReport {
     /// The settings, while it runs.
     pub settings: Option<GnssSettings>,
-    /// How it fares.
+    /// Its status.
     pub status: GnssStatus,
 }
 

@@ -10,7 +10,7 @@ pub const DRIVE_CONFIG: u8 = 0x13;
 pub const INT_CONFIG: u8 = 0x14;
 /// First of the 14 bytes of a sample: temperature, acceleration, rate.
 pub const TEMP_DATA1: u8 = 0x1D;
-/// What registers of data may hold.
+/// Format of the data registers.
 pub const INTF_CONFIG0: u8 = 0x4C;
 /// Clock source.
 pub const INTF_CONFIG1: u8 = 0x4D;
@@ -36,7 +36,7 @@ pub const WHO_AM_I: u8 = 0x75;
 pub const REG_BANK_SEL: u8 = 0x76;
 /// Notch and anti-alias filter of the gyroscope (bank 1).
 pub const BANK1_GYRO_CONFIG_STATIC2: u8 = 0x0B;
-/// What pin 9 is (bank 1).
+/// Function of pin 9 (bank 1).
 pub const BANK1_INTF_CONFIG5: u8 = 0x7B;
 /// Which buses are on (bank 1).
 pub const BANK1_INTF_CONFIG6: u8 = 0x7C;

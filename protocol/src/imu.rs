@@ -12,7 +12,7 @@ pub struct ImuSample {
     /// The captured edge of data-ready. The sensor's filter delay is *not*
     /// subtracted ([`ImuSetup::gyro_delay_us`]).
     pub at: Ticks,
-    /// What sets this sample apart.
+    /// Peculiarities of this sample.
     pub flags: ImuFlags,
     /// Acceleration x, y, z, in counts of [`ImuSetup::accel_lsb_per_g`].
     pub accel: [i16; 3],
@@ -37,7 +37,7 @@ impl ImuFlags {
     /// At least one data-ready edge before this sample was lost.
     pub const AFTER_LOSS: Self = Self(8);
 
-    /// Whether all of `flag` are set.
+    /// Returns true if all bits of `flag` are set.
     #[must_use]
     pub const fn has(self, flag: Self) -> bool {
         self.0 & flag.0 == flag.0
@@ -202,7 +202,7 @@ pub struct ImuSetup {
     pub gyro_delay_us: u32,
     /// The same of the accelerometer, in µs.
     pub accel_delay_us: u32,
-    /// How it fares.
+    /// Its status.
     pub status: ImuStatus,
     /// The sensor that was found.
     pub sensor: ImuSensor,
@@ -225,7 +225,7 @@ pub enum ImuModel {
 }
 
 impl ImuModel {
-    /// What its maker calls it.
+    /// Returns the maker's name of it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -249,7 +249,7 @@ impl ImuModel {
     }
 }
 
-/// What the sensor is, by its data sheet.
+/// Properties of the sensor, by its data sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuSensor {
     /// The family.
@@ -285,12 +285,12 @@ impl Default for ImuSensor {
     }
 }
 
-/// How the IMU fares. Counters count from reset and saturate.
+/// Status of the IMU. Counters count from reset and saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuStatus {
-    /// What it does.
+    /// State of the IMU.
     pub state: ImuState,
-    /// What clocks it.
+    /// Source of its clock.
     pub clock: ImuClock,
     /// Samples read.
     pub samples: u32,
@@ -298,7 +298,7 @@ pub struct ImuStatus {
     pub late: u32,
     /// Data-ready edges lost (over-captures of TIM2 channel 2).
     pub overcaptures: u32,
-    /// How often the sensor was set up again after a fault.
+    /// Number of times that the sensor was set up again after a fault.
     pub recoveries: u32,
     /// The last fault, if there was one.
     pub last_fault: Option<ImuFault>,
@@ -317,7 +317,7 @@ pub enum ImuState {
     Failed,
 }
 
-/// What clocks the IMU.
+/// Source of the IMU's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuClock {
@@ -362,9 +362,9 @@ pub enum ImuFault {
     Readback {
         /// The register.
         register: u8,
-        /// What was written.
+        /// Value written.
         wrote: u8,
-        /// What was read.
+        /// Value read.
         read: u8,
     },
     /// The sensor is set up, but no data-ready comes.

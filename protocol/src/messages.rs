@@ -1,4 +1,4 @@
-//! What board and host say to each other.
+//! Messages between board and host.
 //!
 //! Host to board: commands ([`crate::commands`]), each with an id. Every command gets
 //! exactly one [`Answer`] with that id. Commands are idempotent: sending one twice
@@ -29,7 +29,7 @@ pub const MAX_FILLER: usize = 240;
 pub struct HostToDevice {
     /// Chosen by the host; comes back in the [`Answer`].
     pub id: u32,
-    /// What to do.
+    /// The command.
     pub command: Command,
 }
 
@@ -65,7 +65,7 @@ pub enum DeviceToHost {
 pub struct Answer {
     /// The id of the command.
     pub id: u32,
-    /// What came of it.
+    /// Reply, or reason for the refusal.
     pub result: Result<Reply, Refusal>,
 }
 

@@ -1,5 +1,4 @@
-//! The trigger outputs: how a train of pulses is started and moved, what it makes and
-//! how it fares.
+//! The trigger outputs: starting and moving a train of pulses, its pulses and its status.
 //!
 //! All four outputs are in the one timebase, take the same commands and send the same
 //! messages. The first edge of a train and the next edge of a running one have a fraction
@@ -34,10 +33,10 @@ pub const MIN_OUTPUT_WIDTH: u32 = 50 * (TICK_HZ / 1_000_000);
 /// edge, in ticks: 100 µs.
 pub const MIN_OUTPUT_GAP: u32 = 100 * (TICK_HZ / 1_000_000);
 
-/// How far ahead a first edge must lie: 100 µs.
+/// Shortest lead of a first edge: 100 µs.
 pub const MIN_START_LEAD: TickDelta = TickDelta::from_micros(100);
 
-/// How far from now a first edge or an anchor may lie, in ticks: an hour.
+/// Farthest distance of a first edge or an anchor from now, in ticks: an hour.
 pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
 
 /// A trigger output.
@@ -62,13 +61,13 @@ impl Output {
     /// Those beside the camera's.
     pub const AUXILIARY: [Self; 3] = [Self::Two, Self::Three, Self::Four];
 
-    /// Its number on the board, from 1.
+    /// Returns its number on the board, from 1.
     #[must_use]
     pub const fn number(self) -> u8 {
         self as u8 + 1
     }
 
-    /// The output with this number.
+    /// Returns the output with this number, if there is one.
     #[must_use]
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL
@@ -76,7 +75,7 @@ impl Output {
             .find(|output| output.number() == number)
     }
 
-    /// Whether it is the camera's.
+    /// Returns true if it is the camera's output.
     #[must_use]
     pub const fn is_camera(self) -> bool {
         matches!(self, Self::Camera)
@@ -113,12 +112,12 @@ pub struct TriggerAlign {
     pub slew: u32,
 }
 
-/// What an align will do.
+/// Effect of an align, as planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlignPlan {
-    /// How far the edges move, the short way round (late is positive).
+    /// Distance by which the edges move, the short way round (late is positive).
     pub shift: TickDelta,
-    /// Over how many frames they move.
+    /// Number of frames over which they move.
     pub frames: u32,
     /// The first pulse that falls on the grid.
     pub arrival_pulse: u64,
@@ -126,10 +125,10 @@ pub struct AlignPlan {
     pub arrival: Ticks,
 }
 
-/// State of a train.
+/// Status of a train.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerStatus {
-    /// What the train does.
+    /// State of the train.
     pub state: TrainState,
     /// Number of this train; every start counts one up. 0: none yet.
     pub train: u32,
@@ -148,7 +147,7 @@ pub struct TriggerStatus {
     pub readback: Readback,
 }
 
-/// What the train does.
+/// State of a train.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TrainState {
@@ -178,10 +177,10 @@ pub struct Readback {
     pub delay: Option<i32>,
 }
 
-/// How the train of one of the auxiliary outputs fares, in short.
+/// Short status of the train of one of the auxiliary outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputStatus {
-    /// What the train does.
+    /// State of the train.
     pub state: TrainState,
     /// Number of this train; 0: none yet.
     pub train: u32,

@@ -1,5 +1,4 @@
-//! How the board shows itself on USB, so that a host can tell its serial port
-//! from others.
+//! Identity of the board on USB, by which a host finds its serial port among others.
 //!
 //! The numbers are pid.codes' pair for tests and private use
 //! (<https://pid.codes/1209/0001/>): it may not be shipped in a product, and

@@ -1,5 +1,5 @@
-//! What handlers take, by the core's cycle counter (DWT_CYCCNT, ARMv7-M C1.8). It stands
-//! still while the core sleeps, in which no handler runs.
+//! Run times of handlers, by the core's cycle counter (DWT_CYCCNT, ARMv7-M C1.8). The counter
+//! stops while the core sleeps, when no handler runs.
 //!
 //! A probe that is detached switches the debug unit off (TRCENA, C1.6.5), and the counter with
 //! it: [`keep_running`] switches it on again each second.
@@ -25,8 +25,8 @@ pub(crate) fn keep_running() {
     core.DWT.enable_cycle_counter();
 }
 
-/// What one handler, or several of one priority, took since the last look; the worst of them
-/// since reset.
+/// Run time of one handler, or of several of one priority: the sum since the last reading, and
+/// the longest single run since reset.
 pub(crate) struct Meter {
     calls: AtomicU32,
     cycles: AtomicU32,
@@ -77,7 +77,7 @@ impl Meter {
     }
 }
 
-/// What the handlers took since the last look.
+/// Returns the run times of the handlers and starts new sums.
 pub(crate) fn take() -> Handlers {
     Handlers {
         trigger: TRIGGER_TIME.take(),

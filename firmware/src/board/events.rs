@@ -1,4 +1,4 @@
-//! What the timers' handlers have to say, and the queues it waits in.
+//! Events of the timers' handlers, and the queues that pass them on.
 //!
 //! Those handlers may not touch what critical sections protect. They leave events
 //! in lock-free queues and pend an interrupt of normal priority, whose handler puts
@@ -25,7 +25,7 @@ pub(crate) enum Input {
     Strobe = 2,
 }
 
-/// What TIM2's handler has to say.
+/// An event of TIM2's handler.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Event {
     /// A pulse of the trigger, with its number in the stream.
@@ -44,8 +44,7 @@ pub(crate) struct DataReady {
     pub(crate) after_loss: bool,
 }
 
-/// What TIM1's and TIM5's handlers have to say: a pulse of a line, with its number in the
-/// stream.
+/// An event of TIM1's and TIM5's handlers: a pulse of a line, with its number in the stream.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutputEvent {
     /// None: the pulse per second.

@@ -25,8 +25,8 @@ const DMA: pac::dma::Dma = pac::DMA1;
 const STREAM: usize = 5;
 const CHANNEL: u8 = 3;
 
-/// What the stream loads: the falling edge, then a value that has passed. The stream reads them,
-/// so they are where it can: in SRAM.
+/// Values that the stream loads: the falling edge, then a value that has passed. They lie in
+/// SRAM, where the stream can read them.
 static VALUES: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 
 /// Directs the stream from [`VALUES`] to the compare register. The controller has its

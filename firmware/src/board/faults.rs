@@ -1,5 +1,5 @@
-//! What happens when the firmware fails: the message is logged, kept over the
-//! reset for the next [`protocol::Hello`], and the board resets.
+//! Handling of panics and faults: the message is logged and kept over the reset for the next
+//! [`protocol::Hello`], and the board resets.
 
 #![allow(
     unsafe_code,
@@ -27,7 +27,7 @@ static mut KEPT: MaybeUninit<Memory> = MaybeUninit::uninit();
 #[unsafe(link_section = ".uninit.TO_ROM")]
 static mut TO_ROM: MaybeUninit<[u32; 2]> = MaybeUninit::uninit();
 
-/// What [`TO_ROM`] holds for a start that goes on to the ROM.
+/// Value of [`TO_ROM`] that makes the next start go on to the ROM.
 const GO_TO_ROM: [u32; 2] = [0xB007_10AD, !0xB007_10AD];
 
 /// Vectors of the ROM (AN2606; RM0090 table 3).
@@ -65,13 +65,13 @@ fn store(kept: &Kept) {
     }
 }
 
-/// What the last run left.
+/// The end of the last run and the record of this one.
 pub(crate) struct Begun {
-    /// The message of the panic that ended it.
+    /// Message of the panic that ended the last run.
     pub(crate) last_panic: Option<String<MAX_PANIC>>,
-    /// The record of this one.
+    /// Record of this run.
     pub(crate) kept: Kept,
-    /// There was none since power-on, so the number is a guess: see [`renumber`].
+    /// True for the first run since power-on, whose number is a guess: see [`renumber`].
     pub(crate) first: bool,
 }
 

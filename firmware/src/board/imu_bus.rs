@@ -86,8 +86,8 @@ impl ImuBus {
         scl.is_high() && sda.is_high()
     }
 
-    /// Whether both lines are high. Without a sensor, whose board has the
-    /// pull-ups, the pins' own make them so.
+    /// Returns true if both lines are high. Without a sensor, whose board has the pull-ups, the
+    /// pins' own pull-ups hold them high.
     fn is_idle(&mut self) -> bool {
         let scl = Input::new(self.scl.reborrow(), Pull::Up);
         let sda = Input::new(self.sda.reborrow(), Pull::Up);

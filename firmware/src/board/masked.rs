@@ -1,4 +1,5 @@
-//! How long interrupts are masked, by the core's cycle counter ([`super::cycles`]).
+//! Longest times for which interrupts are masked, by the core's cycle counter
+//! ([`super::cycles`]).
 
 use core::sync::atomic::{AtomicU32, Ordering};
 

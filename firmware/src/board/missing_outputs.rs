@@ -1,4 +1,4 @@
-//! What chips without UART5 have in place of its driver.
+//! Stand-in for the driver of UART5 on chips that have none.
 
 /// No line for sentences: the pulse per second is refused before anything asks for it.
 pub(crate) mod nmea_port {

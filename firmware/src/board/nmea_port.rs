@@ -75,7 +75,7 @@ pub(crate) fn close() {
     });
 }
 
-/// Whether all bytes have left, to the last stop bit.
+/// Returns true if all bytes have been sent, to the last stop bit.
 pub(crate) fn is_idle() -> bool {
     PORT.lock(|port| port.borrow().is_idle())
 }

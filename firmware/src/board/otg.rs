@@ -31,11 +31,11 @@ const ENDPOINTS: usize = 4;
 /// Reads of a register until a step counts as done. The core takes some of its own clocks of
 /// 48 MHz; without traffic on the bus it may not do it at all.
 const MOST_READS: u32 = 1_000;
-/// How long the pull-up is off, so that the host sees the device leave: 2.5 µs are enough
-/// (USB 2.0 7.1.7.3), hubs report every 255 ms at most.
+/// Time without the pull-up that makes the host see the device leave, in ms: 2.5 µs are enough
+/// (USB 2.0 7.1.7.3), but hubs may report only every 255 ms.
 const DISCONNECT_MS: u64 = 300;
 
-/// Whether a packet was taken back that the host had not acknowledged.
+/// True after a packet was withdrawn that the host had not acknowledged.
 pub(crate) static TAKEN_BACK: AtomicBool = AtomicBool::new(false);
 
 /// The driver.
@@ -116,7 +116,7 @@ impl Bus for OtgBus {
     }
 }
 
-/// What has to be done before the driver handles what the core has flagged.
+/// Prepares the core for the driver's handling of its interrupt flags.
 fn before_events() {
     let flags = OTG.gintsts().read();
     if flags.usbrst() || flags.enumdne() {

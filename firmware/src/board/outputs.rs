@@ -59,7 +59,7 @@ impl Driven {
     }
 }
 
-/// What handlers and tasks share.
+/// State that handlers and tasks share.
 struct Shared {
     lines: [Driven; 4],
     events: events::Sender<OutputEvent>,
@@ -132,7 +132,8 @@ pub(crate) fn counters() -> (u32, u32) {
     })
 }
 
-/// Whether the pulse per second goes from high to low. While it is stopped.
+/// Sets the polarity of the pulse per second, from high to low if `inverted`; to be called while
+/// it is stopped.
 pub(crate) fn set_pps_inverted(inverted: bool) {
     SHARED.lock(|shared| {
         let mut shared = shared.borrow_mut();

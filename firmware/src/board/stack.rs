@@ -24,7 +24,7 @@ unsafe extern "C" {
     static _stack_end: u32;
 }
 
-/// What is written into unused stack.
+/// Pattern that fills unused stack.
 const PAINT: u32 = 0xC0DE_CAFE;
 
 /// Stack left alone below the stack pointer while painting, in words: the
@@ -85,7 +85,7 @@ impl Stack {
     }
 }
 
-/// How deep a stack has been, and its size, in bytes.
+/// Deepest use of a stack and its size, in bytes.
 #[derive(Clone, Copy)]
 pub(crate) struct Depth {
     pub(crate) used: u32,
@@ -114,7 +114,7 @@ pub(crate) fn fullest(call: u32) -> Depth {
     if tasks_are { tasks } else { handlers }
 }
 
-/// Whether a whole exception frame fits at this address of either stack.
+/// Returns true if an exception frame at this address lies within one of the stacks.
 pub(crate) fn holds_frame(at: usize) -> bool {
     const FRAME: usize = 32;
     let all = TASKS.addresses().start..HANDLERS.addresses().end;

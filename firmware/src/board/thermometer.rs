@@ -29,7 +29,7 @@ pub(crate) struct Thermometer {
     measured: Measured,
 }
 
-/// What the chip measures of itself.
+/// Measurements of the chip itself.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Measured {
     /// Temperature, in 0.1 °C.

@@ -150,7 +150,8 @@ impl Channel {
         })
     }
 
-    /// Whether the pin goes from high to low at a rising edge. While it is idle.
+    /// Sets the pin's polarity, from high to low at a rising edge if `inverted`; to be called
+    /// while the channel is idle.
     pub(super) fn set_inverted(&self, inverted: bool) {
         TIM1.ccer().modify(|w| w.set_ccp(self.index, inverted));
     }

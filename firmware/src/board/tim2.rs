@@ -103,7 +103,7 @@ impl InputState {
     }
 }
 
-/// What handler and tasks share.
+/// State that handlers and tasks share.
 struct Shared {
     pulser: Pulser,
     events: events::Sender<Event>,

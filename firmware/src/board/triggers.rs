@@ -7,7 +7,7 @@ use protocol::{AlignPlan, Output, OutputStatus, Refusal, TickDelta, TriggerAlign
 use crate::board::outputs::{self, Line};
 use crate::board::tim2;
 
-/// Works on an output while no edge of its timer is due soon: to be kept short.
+/// Calls `work`, which must be short, on an output while no edge of its timer is due soon.
 pub(crate) fn with_pulser<R>(
     output: Output,
     work: impl FnOnce(&mut Pulser, &mut dyn CompareOutput, &Timebase) -> R,
@@ -38,31 +38,32 @@ pub(crate) fn align(output: Output, command: u32, to: &TriggerAlign) -> Result<A
     }
 }
 
-/// What an output does, in short.
+/// Returns the short status of an output.
 pub(crate) fn summary(output: Output) -> OutputStatus {
     with_pulser(output, |pulser, _, _| pulser.summary(tim2::now()))
 }
 
-/// The state of the train as it was at one moment.
+/// Returns the status of an output's train, all of it at one moment.
 pub(crate) fn status(output: Output) -> TriggerStatus {
     let (pulser, now) = with_pulser(output, |pulser, _, _| (*pulser, tim2::now()));
     pulser.status(now)
 }
 
-/// Whether an edge of any line is overdue by more than `by`.
+/// Returns true if an edge of any line is overdue by more than `by`.
 pub(crate) fn is_overdue(by: TickDelta) -> bool {
     let now = tim2::now();
     is_any(|pulser| pulser.is_overdue(now, by))
 }
 
-/// Whether any line has a train.
+/// Returns true if any line has a train.
 pub(crate) fn is_any_running() -> bool {
     is_any(|pulser| pulser.running().is_some())
 }
 
-/// Looks at the pulsers of all lines where they are: a copy of each takes 10 µs.
-fn is_any(is_so: impl Fn(&Pulser) -> bool) -> bool {
+/// Returns true if `matches` returns true for the pulser of any line. The pulsers are not copied:
+/// each copy takes 10 µs.
+fn is_any(matches: impl Fn(&Pulser) -> bool) -> bool {
     let mut outputs = Output::ALL.into_iter();
-    outputs.any(|output| with_pulser(output, |pulser, _, _| is_so(pulser)))
-        || outputs::with_line(Line::Pps, |pulser, _, _| is_so(pulser))
+    outputs.any(|output| with_pulser(output, |pulser, _, _| matches(pulser)))
+        || outputs::with_line(Line::Pps, |pulser, _, _| matches(pulser))
 }

@@ -33,11 +33,11 @@ const RESET_MS: u32 = 2;
 /// PWR_MGMT0: gyroscope and accelerometer in low-noise mode (14.36).
 const BOTH_ON: u8 = 0x0F;
 
-/// How long after that no register may be written, in µs (14.36).
+/// Time after [`BOTH_ON`] in which no register may be written, in µs (14.36).
 const QUIET_US: u32 = 200;
 
-/// What the sensor does at one rate: its filters of the second order, by GYRO_UI_FILT_BW and
-/// ACCEL_UI_FILT_BW (5.5).
+/// The sensor's filters of the second order at one rate, by GYRO_UI_FILT_BW and ACCEL_UI_FILT_BW
+/// (5.5).
 struct Rate {
     /// Of [`ImuConfig`].
     divider: u8,
@@ -78,7 +78,7 @@ const RATES: [Rate; 6] = [
     slow(39, 10, 123, 257),
 ];
 
-/// What it does at a setting; nothing if it has no such rate.
+/// Returns the filters at a setting, or `None` if the sensor has no such rate.
 const fn at(config: &ImuConfig) -> Option<&'static Rate> {
     let mut n = 0;
     while n < RATES.len() {
@@ -107,7 +107,7 @@ const fn nearest(rate: &Rate, low_pass: LowPass) -> u8 {
     best as u8
 }
 
-/// Whether `a` is nearer to `asked` than `b` is, as a ratio.
+/// Returns true if `a` is nearer to `asked` than `b` is, as a ratio.
 const fn is_nearer(a: u16, b: u16, asked: u16) -> bool {
     const fn ordered(a: u16, b: u16) -> (u32, u32) {
         if a < b {

@@ -74,7 +74,7 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     state::send(DeviceToHost::Answer(Answer { id, result }));
 }
 
-/// What came of a command, as its own reply.
+/// Carries a command out and wraps its reply.
 fn answer<R: Request>(
     command: R,
     carry_out: impl FnOnce(R) -> Result<R::Reply, Refusal>,
@@ -82,7 +82,7 @@ fn answer<R: Request>(
     carry_out(command).map(R::wrap)
 }
 
-/// The same of a command to an output, which this board may not have.
+/// Carries out a command to an output, which this board may not have.
 fn answer_of<R: Request>(
     output: Output,
     command: R,

@@ -24,7 +24,7 @@ use crate::board::outputs::{self, Line};
 use crate::board::{nmea_port, tim2};
 use crate::state::{ALIVE, CHECK_IN, UTC_AT_ZERO};
 
-/// How long to wait for the line to fall idle before looking again.
+/// Wait between two looks for an idle line.
 const CLOSING: Duration = Duration::from_millis(5);
 
 #[derive(Clone, Copy)]

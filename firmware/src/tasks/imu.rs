@@ -264,7 +264,7 @@ impl Sampler {
         Ok(edge.map_err(after)?.map(|edge| (clock, edge)))
     }
 
-    /// How long data-ready may stay away.
+    /// Longest wait for data-ready.
     fn patience(&self) -> Duration {
         let interval = u64::from(imu::interval_ms(&self.config));
         Duration::from_millis(2 * interval + DATA_READY_SLACK_MS)

@@ -1,5 +1,5 @@
-//! What is done a moment after the command was answered: failing on purpose, and restarting into
-//! the ROM.
+//! Actions that follow a moment after the answer to their command: failing on purpose, and
+//! restarting into the ROM.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,7 +11,7 @@ use protocol::Failure;
 
 use crate::board::{faults, otg, tim2};
 
-/// What is wanted.
+/// A requested action.
 pub(crate) enum Wanted {
     Failure(Failure),
     Rom,

@@ -198,7 +198,7 @@ static RESETS: AtomicU32 = AtomicU32::new(0);
 static SUSPENDS: AtomicU32 = AtomicU32::new(0);
 static STUCK: AtomicU32 = AtomicU32::new(0);
 
-/// What happened on the bus since the board's reset.
+/// Returns the counts of bus events since the board's reset.
 pub(crate) fn counters() -> UsbCounters {
     UsbCounters {
         resets: RESETS.load(Ordering::Relaxed),
