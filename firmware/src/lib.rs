@@ -1,7 +1,7 @@
 //! Portable logic of the SmartDepthSync firmware, tested on the host.
 //!
 //! Nothing in here touches a register. The binary (`src/main.rs`) adds the
-//! board (`src/board/`) and the tasks (`src/tasks/`).
+//! board (`src/hardware/`) and the tasks (`src/tasks/`).
 //!
 //! - [`boards`]: what differs from board to board.
 //! - [`config`]: every tuning number with its derivation.

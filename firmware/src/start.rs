@@ -13,11 +13,11 @@ use firmware::config;
 use heapless::String;
 use protocol::{Hello, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
 
-use crate::board::imu_bus::ImuBus;
-use crate::board::imu_clock::ImuClockOutput;
-use crate::board::{clocks, cycles, faults, flash, handover, idle, leds, outputs, stack, tim2};
+use crate::hardware::imu_bus::ImuBus;
+use crate::hardware::imu_clock::ImuClockOutput;
+use crate::hardware::{clocks, cycles, faults, flash, handover, idle, leds, outputs, stack, tim2};
 #[cfg(feature = "discovery")]
-use crate::board::{nmea_port, rng};
+use crate::hardware::{nmea_port, rng};
 use crate::state;
 use crate::tasks;
 

@@ -8,7 +8,7 @@ use protocol::{
     SELF_TEST_KEY, SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
 };
 
-use crate::board::{flash, tim2, triggers};
+use crate::hardware::{flash, tim2, triggers};
 use crate::state::{self, FILLER};
 use crate::tasks::self_test::{self, Wanted};
 use crate::tasks::{gnss, imu};

@@ -20,8 +20,8 @@ use protocol::{
     GnssReport, GnssSettings, GnssStatus, Period, Refusal, TICK_HZ, TickDelta, Ticks, TriggerStart,
 };
 
-use crate::board::outputs::{self, Line};
-use crate::board::{nmea_port, tim2};
+use crate::hardware::outputs::{self, Line};
+use crate::hardware::{nmea_port, tim2};
 use crate::state::{ALIVE, CHECK_IN, UTC_AT_ZERO};
 
 /// Wait between two looks for an idle line.

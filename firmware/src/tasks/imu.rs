@@ -24,11 +24,11 @@ use protocol::{
     ImuStatus, Refusal,
 };
 
-use crate::board::events::{DATA_READY, DataReady, LOST_DATA_READY};
-use crate::board::imu_bus::{ImuBus, OpenBus};
-use crate::board::imu_clock::ImuClockOutput;
-use crate::board::leds::{self, Led};
-use crate::board::tim2;
+use crate::hardware::events::{DATA_READY, DataReady, LOST_DATA_READY};
+use crate::hardware::imu_bus::{ImuBus, OpenBus};
+use crate::hardware::imu_clock::ImuClockOutput;
+use crate::hardware::leds::{self, Led};
+use crate::hardware::tim2;
 use crate::state::{self, ALIVE};
 use crate::tasks::self_test;
 

@@ -9,7 +9,7 @@ use firmware::config::USB_PACKET;
 use firmware::outbox::Outbox;
 use protocol::{Decoder, HostToDevice};
 
-use crate::board::tim2;
+use crate::hardware::tim2;
 use crate::state::{ALIVE, CHECK_IN, RECEIVED, ROOM, wait_for, with_outbox};
 use crate::tasks::commands;
 use crate::tasks::usb::UsbDriver;

@@ -9,7 +9,7 @@ use embassy_time::Timer;
 use firmware::config::SELF_TEST_DELAY_MS;
 use protocol::Failure;
 
-use crate::board::{faults, otg, tim2};
+use crate::hardware::{faults, otg, tim2};
 
 /// A requested action.
 pub(crate) enum Wanted {

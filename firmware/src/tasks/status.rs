@@ -9,8 +9,8 @@ use embassy_time::{Duration, Ticker};
 use firmware::config::TRIGGER_OVERDUE;
 use protocol::{DeviceToHost, Handlers, Hello, Output, Status};
 
-use crate::board::thermometer::{Measured, Thermometer};
-use crate::board::{cycles, idle, masked, outputs, stack, tim2, triggers};
+use crate::hardware::thermometer::{Measured, Thermometer};
+use crate::hardware::{cycles, idle, masked, outputs, stack, tim2, triggers};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
 use crate::tasks::{gnss, imu, usb};
 

@@ -16,7 +16,7 @@ use firmware::outbox::{Counter, counter_of};
 use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
-use crate::board::otg;
+use crate::hardware::otg;
 use crate::state::{
     ALIVE, CHECK_IN, CONNECTS, FILLER, LINK_CHANGED, ROOM, TO_SEND, wait_for, with_outbox,
 };

@@ -3,8 +3,8 @@
 use embassy_time::Timer;
 use firmware::config::MUTE_MS;
 
-use crate::board::events::FLOODED;
-use crate::board::tim2;
+use crate::hardware::events::FLOODED;
+use crate::hardware::tim2;
 
 #[embassy_executor::task]
 pub(crate) async fn run() {

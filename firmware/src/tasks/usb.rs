@@ -20,10 +20,10 @@ use heapless::String;
 use protocol::UsbCounters;
 use static_cell::StaticCell;
 
-use crate::board::cycles::USB_TIME;
-use crate::board::leds::{self, Led};
-use crate::board::otg::{self, OtgDriver};
-use crate::board::tim2;
+use crate::hardware::cycles::USB_TIME;
+use crate::hardware::leds::{self, Led};
+use crate::hardware::otg::{self, OtgDriver};
+use crate::hardware::tim2;
 use crate::state::{self, RECEIVED};
 
 bind_interrupts!(struct Irqs {

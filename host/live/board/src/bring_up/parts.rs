@@ -15,7 +15,7 @@ use protocol::{
 
 use crate::finding::{Finding, Severity};
 
-use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::received::{Heard, millis};
 use crate::bring_up::train::{Extent, MAX_DELAY, PulseGrid, TICK_OF_DOUBT, Trains};
 use crate::bring_up::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
 

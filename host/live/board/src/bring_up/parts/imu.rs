@@ -7,7 +7,7 @@ use protocol::{
 };
 
 use super::{HANDS_TIME, PERIOD, Session};
-use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::received::{Heard, millis};
 use crate::bring_up::train::{Extent, Trains};
 use crate::bring_up::{BringUpError, Histogram, Prompt};
 

@@ -12,7 +12,7 @@ use twist_sync::robust::median;
 
 use super::{PERIOD, Session};
 use crate::bring_up::BringUpError;
-use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::received::{Heard, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 
 /// A session's messages are some 30 kB/s; this leaves room for ten.

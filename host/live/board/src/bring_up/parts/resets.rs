@@ -10,7 +10,7 @@ use protocol::{
 };
 
 use super::{NOBODY, PERIOD, Session};
-use crate::bring_up::bench::{Heard, millis};
+use crate::bring_up::received::{Heard, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 use crate::bring_up::{BringUpError, Prompt};
 

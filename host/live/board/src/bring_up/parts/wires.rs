@@ -9,7 +9,7 @@ use protocol::{
 
 use super::{PERIOD, Session};
 use crate::bring_up::BringUpError;
-use crate::bring_up::bench::millis;
+use crate::bring_up::received::millis;
 use crate::bring_up::serial::Line;
 use crate::bring_up::train::{Extent, MAX_DELAY, Trains};
 

@@ -4,8 +4,8 @@ use firmware::pulser::{CompareOutput, Pulser};
 use firmware::timebase::Timebase;
 use protocol::{AlignPlan, Output, OutputStatus, Refusal, TickDelta, TriggerAlign, TriggerStatus};
 
-use crate::board::outputs::{self, Line};
-use crate::board::tim2;
+use crate::hardware::outputs::{self, Line};
+use crate::hardware::tim2;
 
 /// Calls `work`, which must be short, on an output while no edge of its timer is due soon.
 pub(crate) fn with_pulser<R>(

@@ -13,7 +13,7 @@ use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 use cortex_m::peripheral::DWT;
 use cortex_m::register::{basepri, basepri_max};
 
-use crate::board::masked;
+use crate::hardware::masked;
 
 /// Everything from this priority on waits: 2, in the upper 4 of 8 bits.
 const CEILING: u8 = 2 << 4;

@@ -8,12 +8,12 @@
 //! [`run`] measures, one [`Part`] after the other, and gives a [`Report`] of
 //! [`Check`]s, each with what was measured, its limit, and what a miss means.
 //!
-//! - `bench`: the board's messages over a stretch of board time.
+//! - `received`: the board's messages over a stretch of board time.
 //! - `train`: a train of pulses against the arithmetic and its captures. Pure.
 //! - `parts`: what is done on the board.
 //! - `serial`: bytes from the edges of a serial line. Pure.
-mod bench;
 mod parts;
+mod received;
 mod serial;
 mod train;
 

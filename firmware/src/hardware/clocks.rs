@@ -17,7 +17,7 @@ use embassy_stm32::time::Hertz;
 use firmware::boards::BOARD;
 use protocol::ResetCause;
 
-use crate::board::{falling_edges, irq_priority, leds};
+use crate::hardware::{falling_edges, irq_priority, leds};
 
 /// Looks at the crystal, 1 µs and more apart, until it is given up: 50 times the 2 ms in
 /// which it typically starts (data sheet, table 39).

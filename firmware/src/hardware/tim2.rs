@@ -33,9 +33,9 @@ use firmware::trigger::Limits;
 use heapless::spsc::Producer;
 use protocol::{Capture, CaptureChannel, Ticks};
 
-use crate::board::cycles::TRIGGER_TIME;
-use crate::board::events::{self, DataReady, Event, Input};
-use crate::board::{falling_edges, flash, masked};
+use crate::hardware::cycles::TRIGGER_TIME;
+use crate::hardware::events::{self, DataReady, Event, Input};
+use crate::hardware::{falling_edges, flash, masked};
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
 

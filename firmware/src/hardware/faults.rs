@@ -19,7 +19,7 @@ use firmware::retained::{Kept, Memory};
 use heapless::String;
 use protocol::{MAX_PANIC, ResetCause};
 
-use crate::board::stack;
+use crate::hardware::stack;
 
 #[unsafe(link_section = ".uninit.KEPT")]
 static mut KEPT: MaybeUninit<Memory> = MaybeUninit::uninit();

@@ -22,7 +22,7 @@ use firmware::boards::BOARD;
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput};
 
-use crate::board::{flash, tim2};
+use crate::hardware::{flash, tim2};
 
 const TIM1: pac::timer::TimAdv = pac::TIM1;
 const TIM5: pac::timer::TimGp32 = pac::TIM5;

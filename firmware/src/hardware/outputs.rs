@@ -15,12 +15,12 @@ use firmware::trigger::Limits;
 use heapless::spsc::Producer;
 use protocol::Output;
 
-use crate::board::cycles::OUTPUTS_TIME;
-use crate::board::events::{self, OutputEvent};
-use crate::board::irq_priority::IrqPriorityMutex;
-use crate::board::masked;
-use crate::board::tim1::{self, Channel, Match};
-use crate::board::tim2::{self, TIMEBASE};
+use crate::hardware::cycles::OUTPUTS_TIME;
+use crate::hardware::events::{self, OutputEvent};
+use crate::hardware::irq_priority::IrqPriorityMutex;
+use crate::hardware::masked;
+use crate::hardware::tim1::{self, Channel, Match};
+use crate::hardware::tim2::{self, TIMEBASE};
 
 /// A line, in the order of the channels. The camera's output is none of them.
 #[derive(Clone, Copy)]

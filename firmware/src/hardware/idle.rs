@@ -21,7 +21,7 @@ use embassy_executor::{Spawner, raw};
 use firmware::load::LoadMeter;
 use static_cell::StaticCell;
 
-use crate::board::{stack, tim2};
+use crate::hardware::{stack, tim2};
 
 core::arch::global_asm!(
     ".pushsection .text.wait_for_interrupt, \"ax\", %progbits",

@@ -17,9 +17,11 @@ use heapless::spsc::{Consumer, Producer, Queue};
 use protocol::{Arrived, DeviceToHost, Output, Pps, Pulse, TickDelta};
 use static_cell::StaticCell;
 
-use crate::board::cycles::HANDOVER_TIME;
-use crate::board::events::{DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY, OutputEvent};
-use crate::board::leds::{self, Led};
+use crate::hardware::cycles::HANDOVER_TIME;
+use crate::hardware::events::{
+    DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY, OutputEvent,
+};
+use crate::hardware::leds::{self, Led};
 use crate::state;
 
 /// The end of a queue that this handler empties, once it is set up.

@@ -9,7 +9,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::DWT;
 use protocol::{HandlerTime, Handlers};
 
-use crate::board::leds::{self, Led};
+use crate::hardware::leds::{self, Led};
 
 pub(crate) static TRIGGER_TIME: Meter = Meter::new(Led::Pulse);
 pub(crate) static OUTPUTS_TIME: Meter = Meter::new(Led::Imu);
