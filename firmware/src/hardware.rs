@@ -1,5 +1,5 @@
 //! The registers of the chip and the wiring of the board. What differs from board to board is
-//! in [`firmware::boards`]; `absent` stands in for what a chip does not have.
+//! in [`firmware::boards`]; `missing_outputs` stands in for a driver that a chip does not need.
 //!
 //! Interrupt priorities (smaller goes first):
 //!

@@ -1,4 +1,4 @@
-//! The handler between those of the timers and the tasks: takes what they say
+//! The handler between those of the timers and the tasks: moves events
 //! ([`super::events`]) to the outbox, the LEDs and the tasks' queues.
 
 #![allow(unsafe_code, reason = "unmasks the interrupt")]
@@ -31,7 +31,8 @@ static EVENTS: Receiver<Event> = Receiver::new(RefCell::new(None));
 
 static OUTPUTS: Receiver<OutputEvent> = Receiver::new(RefCell::new(None));
 
-/// Starts the handler, on the interrupt of a peripheral that nobody else has; returns the ends of the queues for TIM2's and TIM1's.
+/// Starts the handler, on the interrupt of a peripheral that nobody else uses. Returns the sending
+/// ends of the queues, for TIM2's handler and for TIM1's.
 pub(crate) fn init(
     _: Peri<'static, SPI3>,
 ) -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {

@@ -84,7 +84,7 @@ static SHARED: IrqPriorityMutex<RefCell<Shared>> = IrqPriorityMutex::new(RefCell
 }));
 
 /// Sets the timers up to be started by TIM2's start, which must come after this.
-/// `events` takes what the handlers have to say.
+/// `events` receives the handlers' events.
 #[allow(unsafe_code, reason = "unmasks the interrupts")]
 pub(crate) fn init(owned: tim1::Owned, events: Producer<'static, OutputEvent>) {
     tim1::init(owned);
@@ -96,7 +96,7 @@ pub(crate) fn init(owned: tim1::Owned, events: Producer<'static, OutputEvent>) {
     }
 }
 
-/// Works on a line while no edge of any is due soon: to be kept short.
+/// Calls `work`, which must be short, on a line while no edge of any line is due soon.
 pub(crate) fn with_line<R>(
     line: Line,
     work: impl FnOnce(&mut Pulser, &mut dyn CompareOutput, &Timebase) -> R,
@@ -168,7 +168,7 @@ impl Shared {
                 self.latency = self.latency.max(latency);
             }
             if let Some(pulsed) = pulsed {
-                self.tell(line, pulsed);
+                self.publish(line, pulsed);
             }
         }
     }
@@ -182,8 +182,8 @@ impl Shared {
         first(Channel::take_edge).or_else(|| first(Channel::take_wake))
     }
 
-    /// Hands a pulse over to the handler below.
-    fn tell(&mut self, line: Line, pulsed: Pulsed) {
+    /// Queues a pulse for the handler of lower priority.
+    fn publish(&mut self, line: Line, pulsed: Pulsed) {
         let output = line.output();
         let counter = match output {
             Some(_) => &mut self.pulse_seq,

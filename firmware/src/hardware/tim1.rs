@@ -31,7 +31,7 @@ const TIM5: pac::timer::TimGp32 = pac::TIM5;
 const PINS: [usize; 4] = [9, 11, 13, 14];
 const ALTERNATE_FUNCTION: u8 = 1;
 
-/// What is this driver's alone: the timers, and on a board that has them the pins.
+/// Peripherals of this driver: the timers, and the pins of a board that has the outputs.
 #[cfg(feature = "discovery")]
 pub(crate) type Owned = (
     Peri<'static, peripherals::TIM1>,

@@ -58,7 +58,7 @@ static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 /// Inputs that are to be switched on again, as bits of [`Input`].
 static UNMUTE: AtomicU8 = AtomicU8::new(0);
 
-/// By what a self test makes the trigger's handler slower, in core cycles.
+/// Delay that a self test adds to the trigger's handler, in core cycles.
 static SLOWED: AtomicU32 = AtomicU32::new(0);
 
 /// Makes the trigger's handler slow, to try out what notices it.
@@ -114,7 +114,7 @@ struct Shared {
     counters: Counters,
 }
 
-/// What is this driver's alone: the timer, its pins, and the stream of [`falling_edges`].
+/// Peripherals of this driver: the timer, its pins, and the stream of [`falling_edges`].
 pub(crate) type Owned = (
     Peri<'static, peripherals::TIM2>,
     Peri<'static, PA5>,
@@ -124,8 +124,8 @@ pub(crate) type Owned = (
     Peri<'static, DMA1_CH5>,
 );
 
-/// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events`
-/// takes what the handler has to say.
+/// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events` receives the
+/// handler's events.
 ///
 /// TIM1 and TIM5 must have been set up: this start starts them too.
 pub(crate) fn init(_: Owned, events: Producer<'static, Event>) {
@@ -203,9 +203,9 @@ pub(crate) fn now() -> Ticks {
     TIMEBASE.refresh(counter())
 }
 
-/// Works on what the handler shares, with all interrupts masked: to be kept
-/// short. Waits while an edge of the trigger is due soon or being made: for some
-/// 40 µs at most, as edges are apart.
+/// Calls `work`, which must be short, on the state that the handler shares, with all interrupts
+/// masked. Waits while an edge of the trigger is due soon or being made: for some 40 µs at most,
+/// as edges are apart.
 fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
     let mut work = Some(work);
     loop {
@@ -223,7 +223,7 @@ fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
     }
 }
 
-/// Works on the camera's trigger, as [`with_shared`].
+/// Calls `work` on the camera's trigger, as [`with_shared`] does.
 pub(crate) fn with_pulser<R>(work: impl FnOnce(&mut Pulser, &mut Channel, &Timebase) -> R) -> R {
     with_shared(|shared| work(&mut shared.pulser, &mut Channel, &TIMEBASE))
 }

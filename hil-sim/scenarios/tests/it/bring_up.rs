@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use ::session::devices::Connector;
 use board::Board;
-use board::bring_up::{BringUpError, Check, Operator, Part, Plan, Prompt, Report, run};
+use board::bring_up::{BoardTestReport, BringUpError, Check, Operator, Part, Plan, Prompt, run};
 use board::finding::Severity;
 use board::transport::{Link, LinkError};
 use protocol::{
     BoardSettings, Failure, MIN_PULSE_WIDTH, Output, Period, QueryBoard, QueryTrigger,
-    SELF_TEST_KEY, SelfTest, SetBoard, TrainState, TriggerStart,
+    SELF_TEST_KEY, SelfTest, SetBoard, StartTrigger, TrainState, TriggerStart,
 };
 use rig::imu::Fault;
 use rig::random::Seed;
@@ -92,12 +92,12 @@ impl Bench {
     }
 
     /// Measures with nobody at the board.
-    fn measure(&mut self, parts: &[Part]) -> Result<Report, BringUpError> {
+    fn measure(&mut self, parts: &[Part]) -> Result<BoardTestReport, BringUpError> {
         self.run(&plan(parts), false, &|_, _| false)
     }
 
     /// Measures with somebody who does what they are asked for.
-    pub(crate) fn measure_attended(&mut self, plan: &Plan<'_>) -> Report {
+    pub(crate) fn measure_attended(&mut self, plan: &Plan<'_>) -> BoardTestReport {
         self.run(plan, true, &|_, _| false).unwrap()
     }
 
@@ -107,7 +107,7 @@ impl Bench {
         plan: &Plan<'_>,
         is_there: bool,
         other: &dyn Fn(&SharedRig, Prompt) -> bool,
-    ) -> Result<Report, BringUpError> {
+    ) -> Result<BoardTestReport, BringUpError> {
         let (rig, jumpers, through) = (&self.rig, &self.jumpers, &self.through);
         let ms = SimDuration::from_millis;
         let obeys = |prompt| match prompt {
@@ -195,14 +195,14 @@ impl Link for OffClock {
 }
 
 /// The check of this name.
-fn check<'a>(report: &'a Report, name: &str) -> &'a Check {
+fn check<'a>(report: &'a BoardTestReport, name: &str) -> &'a Check {
     let mut found = report.checks.iter().filter(|c| c.finding.kind == name);
     let check = found.next();
     assert!(found.next().is_none(), "{name} twice in {report:#?}");
     check.unwrap_or_else(|| panic!("no check {name} in {report:#?}"))
 }
 
-fn assert_severities(report: &Report, expected: &[(&str, Severity)]) {
+fn assert_severities(report: &BoardTestReport, expected: &[(&str, Severity)]) {
     for &(name, severity) in expected {
         let found = check(report, name);
         assert_eq!(found.finding.severity, severity, "{found:?}");
@@ -394,7 +394,8 @@ fn a_board_in_use_is_left_alone() {
         width: MIN_PULSE_WIDTH,
         first_edge: None,
     };
-    bench.board.start_trigger(Output::Camera, start).unwrap();
+    let output = Output::Camera;
+    bench.board.call(StartTrigger { output, start }).unwrap();
     let refused = bench.measure(&Part::ALL);
     assert!(matches!(refused, Err(BringUpError::InUse)), "{refused:?}");
     let status = bench.board.call(QueryTrigger(Output::Camera)).unwrap();

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use board::Board;
-use board::bring_up::{Operator, Part, Report, run};
+use board::bring_up::{BoardTestReport, Operator, Part, run};
 use board::finding::Severity;
 use board::transport::{Link, LinkError};
 use protocol::{
@@ -179,7 +179,7 @@ fn tape(parts: &[Part]) -> Tape {
 }
 
 /// The same of a board that something was done to.
-fn tape_of(parts: &[Part], prepare: impl FnOnce(&Bench)) -> (Tape, Report) {
+fn tape_of(parts: &[Part], prepare: impl FnOnce(&Bench)) -> (Tape, BoardTestReport) {
     let tape = Arc::new(Mutex::new(Tape::new()));
     let kept = Arc::clone(&tape);
     let mut bench = Bench::with_link(31, Jumpers::default(), move |link| {
@@ -196,7 +196,7 @@ fn replay(
     tape: &Tape,
     parts: &[Part],
     change: impl Fn(&mut DeviceToHost, Output) -> bool + 'static,
-) -> Report {
+) -> BoardTestReport {
     let replay = Rc::new(RefCell::new(Replay {
         tape: tape.iter().cloned().collect(),
         now: Duration::ZERO,
@@ -632,7 +632,7 @@ fn edges_that_are_late_at_the_pins_fail() {
 }
 
 /// Names of the checks that failed.
-fn failed(report: &Report) -> String {
+fn failed(report: &BoardTestReport) -> String {
     let bad = |c: &&board::bring_up::Check| c.finding.severity == Severity::Bad;
     let names: Vec<_> = (report.checks.iter().filter(bad))
         .map(|check| check.finding.kind.as_str())

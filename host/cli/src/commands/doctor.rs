@@ -5,8 +5,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use protocol::{
-    DeviceToHost, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, TrainState,
-    TriggerStart,
+    DeviceToHost, Output, Period, QueryImu, QueryTrigger, StartTrigger, StopTrigger, TICK_HZ,
+    TrainState, TriggerStart,
 };
 
 use crate::advice::at_phone;
@@ -192,7 +192,8 @@ fn check_trigger(
             width: profile.pulse_width(),
             first_edge: None,
         };
-        board.start_trigger(Output::Camera, start)?;
+        let output = Output::Camera;
+        board.call(StartTrigger { output, start })?;
         let listened = listen_for(board, context, TRIGGER_TIME, |_| {});
         let after = board.call(StopTrigger(Output::Camera))?;
         listened?;

@@ -1,6 +1,6 @@
 //! The report of a board test.
 
-use board::bring_up::Report;
+use board::bring_up::BoardTestReport;
 use serde_json::json;
 
 use crate::page::Page;
@@ -10,7 +10,7 @@ use board::finding::{Finding, Severity};
 
 /// The checks with their limits.
 #[must_use]
-pub fn summary(report: &Report) -> Summary {
+pub fn summary(report: &BoardTestReport) -> Summary {
     let count = |severity| report.count(severity);
     let (failed, skipped) = (count(Severity::Bad), count(Severity::Check));
     let (passed, all) = (count(Severity::Good), report.checks.len());
@@ -51,7 +51,7 @@ pub fn summary(report: &Report) -> Summary {
 
 /// The report as a self-contained HTML page.
 #[must_use]
-pub fn page(report: &Report) -> String {
+pub fn page(report: &BoardTestReport) -> String {
     let mut page = Page::new(&summary(report));
     let intervals = &report.intervals;
     if !intervals.counts.is_empty() {

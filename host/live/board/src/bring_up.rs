@@ -1,17 +1,18 @@
-//! Does a board do in hardware what the simulated one does?
+//! The board test: measurements that compare a real board with the simulated one.
 //!
 //! Wires: PA5 (the trigger) to PA3 and to PA2, later PE11 (output 2) to PA2, and the
-//! IMU. Others are put on and off on the way. The board then measures itself: each edge that it makes is captured by the
-//! same timer that made it, so a capture must follow its edge by a constant, the
-//! delay of synchroniser and filter, and nothing else.
+//! IMU. Prompts ask for others on the way. The board measures itself: each edge that it makes
+//! is captured by the same timer that made it, so a capture must follow its edge by a constant,
+//! the delay of synchroniser and filter, and nothing else.
 //!
-//! [`run`] measures, one [`Part`] after the other, and gives a [`Report`] of
-//! [`Check`]s, each with what was measured, its limit, and what a miss means.
+//! [`run`] measures one [`Part`] after the other and returns a [`BoardTestReport`] of
+//! [`Check`]s, each with the measurement, its limit, and the likely cause of a miss.
 //!
 //! - `received`: the board's messages over a stretch of board time.
-//! - `train`: a train of pulses against the arithmetic and its captures. Pure.
-//! - `parts`: what is done on the board.
+//! - `train`: comparison of a train of pulses with the arithmetic and its captures. Pure.
+//! - `parts`: the measurements.
 //! - `serial`: bytes from the edges of a serial line. Pure.
+
 mod parts;
 mod received;
 mod serial;
@@ -27,10 +28,10 @@ use crate::transport::Link;
 use protocol::BoardSettings;
 use serde::Serialize;
 
-/// Version of the JSON form of [`Report`].
+/// Version of the JSON form of [`BoardTestReport`].
 const FORMAT: u32 = 2;
 
-/// What is measured.
+/// A part of the test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
@@ -71,28 +72,28 @@ impl Part {
     ];
 }
 
-/// What the person at the board reads.
+/// A message to the person at the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Prompt {
-    /// The part that is measured now.
+    /// Says which part is measured now.
     Measures(Part),
-    /// To put the wire at PA2 onto this pin.
+    /// Asks to move the wire at PA2 onto this pin.
     MoveStrobeWire(&'static str),
-    /// To unplug the clock of the IMU.
+    /// Asks to unplug the clock of the IMU.
     UnplugClock,
-    /// To plug it in again.
+    /// Asks to plug the clock in again.
     PlugClockIn,
-    /// To unplug SDA of the IMU.
+    /// Asks to unplug SDA of the IMU.
     UnplugSda,
-    /// To plug SDA in again.
+    /// Asks to plug SDA in again.
     PlugSdaIn,
-    /// To pull the data cable and plug it in again.
+    /// Asks to pull the data cable and plug it in again.
     Replug,
-    /// To let the computer sleep for a while.
+    /// Asks to let the computer sleep for a while.
     Sleep,
-    /// To press the reset button.
+    /// Asks to press the reset button.
     PressReset,
-    /// To switch the board off and on.
+    /// Asks to switch the board off and on.
     SwitchPower,
 }
 
@@ -123,38 +124,38 @@ impl fmt::Display for Prompt {
     }
 }
 
-/// Whoever is at the board. Whether something was done is seen in what the board measures;
-/// nobody has to confirm it.
+/// The person at the board. The measurements show when something was done; nobody has to confirm
+/// it.
 #[derive(Clone, Copy)]
 pub struct Operator<'a> {
-    /// Tells them what is measured, and what to do.
+    /// Shows a prompt.
     pub say: &'a dyn Fn(Prompt),
-    /// Whether anybody is there to do it.
+    /// True if somebody is there to follow prompts.
     pub is_there: bool,
-    /// Whether to leave out what they were told to do last.
+    /// Returns true if the last request is to be skipped.
     pub skips: &'a dyn Fn() -> bool,
-    /// Whether to stop.
+    /// Returns true if the test is to stop.
     pub stop: &'a dyn Fn() -> bool,
-    /// Opens a new link to the board, which comes back within so long.
+    /// Opens a new link to the board, waiting for it up to the given time.
     pub reconnect: &'a dyn Fn(Duration) -> Result<Box<dyn Link>, BoardError>,
 }
 
 /// One property of the board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Check {
-    /// What it belongs to.
+    /// The part of the test that it belongs to.
     pub part: Part,
-    /// What was measured, with units; its next step is where to look after a miss. Good:
-    /// within its limit. Check: could not be measured. Bad: outside.
+    /// The measurement with units, and where to look after a miss as its next step. Good: within
+    /// its limit. Check: could not be measured. Bad: outside.
     #[serde(flatten)]
     pub finding: Finding,
-    /// What it must be.
+    /// The limit, in words.
     pub limit: String,
 }
 
-/// How often each interval of data-ready came, in ticks.
+/// Histogram of the intervals of data-ready, in ticks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Histogram {
+pub struct IntervalHistogram {
     /// Left end of the first bin.
     pub first: u64,
     /// Width of a bin.
@@ -163,23 +164,23 @@ pub struct Histogram {
     pub counts: Vec<u64>,
 }
 
-/// What was found.
+/// Result of the board test.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Report {
-    /// Version of this form.
+pub struct BoardTestReport {
+    /// Version of this JSON form.
     pub format: u32,
     /// The board.
     pub board: BoardInfo,
-    /// What the board keeps, at the end of the test.
+    /// The settings that the board keeps at the end of the test.
     pub settings: BoardSettings,
     /// The checks, in the order in which they were made.
     pub checks: Vec<Check>,
     /// Intervals of data-ready.
-    pub intervals: Histogram,
+    pub intervals: IntervalHistogram,
 }
 
-impl Report {
-    /// Number of checks that came out so.
+impl BoardTestReport {
+    /// Returns the number of checks of this severity.
     #[must_use]
     pub fn count(&self, severity: Severity) -> usize {
         let same = |check: &&Check| check.finding.severity == severity;
@@ -187,7 +188,7 @@ impl Report {
     }
 }
 
-/// Why nothing more can be measured.
+/// Reason for which the test ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum BringUpError {
     /// The board cannot be reached any more, or refused a command.
@@ -207,16 +208,16 @@ pub enum BringUpError {
     Stopped,
 }
 
-/// What is to be measured.
+/// Settings of the test.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan<'a> {
-    /// Which parts.
+    /// Parts to measure, in this order.
     pub parts: &'a [Part],
-    /// How long [`Part::Clock`] compares the crystal with the computer's clock.
+    /// Time for which [`Part::Clock`] compares the crystal with the computer's clock.
     pub clock: Duration,
-    /// How long [`Part::Soak`] takes.
+    /// Duration of [`Part::Soak`].
     pub soak: Duration,
-    /// Keep the measured delays and crystal in the board ([`BoardSettings`]).
+    /// True to keep the measured delays and crystal in the board ([`BoardSettings`]).
     pub keep: bool,
 }
 
@@ -229,23 +230,23 @@ pub fn run(
     board: &mut crate::Board,
     operator: Operator<'_>,
     plan: Plan<'_>,
-) -> Result<Report, BringUpError> {
+) -> Result<BoardTestReport, BringUpError> {
     let info = BoardInfo::of(board.hello());
-    let mut session = parts::Session::new(board, operator)?;
-    let mut settings = session.settings(false)?;
-    let measured = (plan.parts.iter()).try_for_each(|&part| session.measure(part, &plan));
+    let mut test = parts::BoardTest::new(board, operator)?;
+    let mut settings = test.settings(false)?;
+    let measured = (plan.parts.iter()).try_for_each(|&part| test.measure(part, &plan));
     // A board that does not come back can neither be stopped nor asked.
     if !matches!(measured, Err(BringUpError::Gone)) {
-        let stopped = session.stop_everything();
+        let stopped = test.stop_everything();
         measured?;
         stopped?;
-        settings = session.settings(plan.keep)?;
+        settings = test.settings(plan.keep)?;
     }
-    Ok(Report {
+    Ok(BoardTestReport {
         format: FORMAT,
         board: info,
         settings,
-        checks: session.checks,
-        intervals: session.intervals,
+        checks: test.checks,
+        intervals: test.intervals,
     })
 }

@@ -7,20 +7,17 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use protocol::{
-    AlignPlan, AlignTrigger, DeviceToHost, Hello, Output, Period, Ping, Refusal, Reply, Request,
-    SayHello, SetPeriod, StartTrigger, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
-};
+use protocol::{DeviceToHost, Hello, Ping, Refusal, Reply, Request, SayHello, Ticks};
 
 use crate::conversation::{Conversation, Event};
 use crate::error::{BoardError, Result};
 use crate::transport::serial::SerialLink;
 use crate::transport::{Link, LinkError, ports};
 
-/// How long one try of a command waits for its answer.
+/// Longest wait for the answer to one try of a command.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How often a command is sent before it is given up.
+/// Number of tries before a command is given up.
 const TRIES: u32 = 3;
 
 /// A board that has said hello.
@@ -29,7 +26,7 @@ pub struct Board {
     hello: Hello,
 }
 
-/// The port to use: the one given, or the only one that looks like the board.
+/// Returns the port to use: the one given, or the only one that looks like the board.
 ///
 /// # Errors
 ///
@@ -67,7 +64,7 @@ impl Board {
     ///
     /// # Errors
     ///
-    /// What answers is not this board, or speaks another protocol version.
+    /// The answer is not this board's, or of another protocol version.
     pub fn connect(link: Box<dyn Link>) -> Result<Self> {
         Self::connect_from(link, std::process::id() << 12)
     }
@@ -85,25 +82,24 @@ impl Board {
             buffer: Vec::new(),
         };
         let hello = wire.say_hello()?;
-        // What came before lay in some buffer and is nobody's business; the gap
-        // after it may have come together with the answer.
+        // Earlier messages lay in some buffer and belong to nobody; the gap after them may have
+        // arrived together with the answer.
         wire.events.clear();
         while wire.conversation.next_event().is_some() {}
         wire.conversation.start_counting();
         Ok(Self { wire, hello })
     }
 
-    /// Gives the link back, broken as it is: a port that is still there can be
-    /// opened again only by who does not hold it any more.
+    /// Drops a broken link: a port that still exists can only be opened again once it is closed.
     pub fn hang_up(&mut self) {
         self.wire.conversation.cut();
         let now = self.wire.link.now();
         self.wire.link = Box::new(HungUp { now });
     }
 
-    /// Goes on with the same conversation on a new link, after the old one broke.
-    /// What the board dropped meanwhile shows as [`Event::Lost`]; a reset
-    /// meanwhile as [`Event::Restarted`].
+    /// Continues the conversation on a new link, after the old one broke.
+    /// Messages that the board dropped meanwhile show as [`Event::Lost`], a reset meanwhile as
+    /// [`Event::Restarted`].
     ///
     /// # Errors
     ///
@@ -115,19 +111,19 @@ impl Board {
         Ok(())
     }
 
-    /// Who the board is.
+    /// Returns the identity of the board.
     #[must_use]
     pub const fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// Counters of the conversation.
+    /// Returns the conversation, with its counters.
     #[must_use]
     pub const fn conversation(&self) -> &Conversation {
         &self.wire.conversation
     }
 
-    /// Whether raw frames are given out as [`Event::Frame`].
+    /// Returns raw frames as [`Event::Frame`] from now on if `keep`.
     pub const fn keep_frames(&mut self, keep: bool) {
         self.wire.conversation.keep_frames(keep);
     }
@@ -137,24 +133,24 @@ impl Board {
         self.wire.conversation.start_counting();
     }
 
-    /// The link's clock.
+    /// Returns the time on the link's clock.
     #[must_use]
     pub fn now(&self) -> Duration {
         self.wire.link.now()
     }
 
-    /// The link's clock without the system's steering ([`Link::steady`]).
+    /// Returns the time on the link's clock without the system's steering ([`Link::steady`]).
     #[must_use]
     pub fn steady(&self) -> Duration {
         self.wire.link.steady()
     }
 
-    /// Leaves the board unread for so long.
+    /// Stops reading from the board for `time`.
     pub fn pause(&mut self, time: Duration) {
         self.wire.link.pause(time);
     }
 
-    /// The next event that has come already.
+    /// Returns the next event that has already arrived.
     pub fn queued_event(&mut self) -> Option<Event> {
         let wire = &mut self.wire;
         wire.events
@@ -162,7 +158,7 @@ impl Board {
             .or_else(|| wire.conversation.next_event())
     }
 
-    /// The next event; waits for it at most for `wait`.
+    /// Returns the next event, waiting up to `wait` if there is none.
     ///
     /// # Errors
     ///
@@ -184,35 +180,8 @@ impl Board {
         self.wire.call(command)
     }
 
-    /// Starts a train.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn start_trigger(&mut self, output: Output, start: TriggerStart) -> Result<TriggerStatus> {
-        self.call(StartTrigger { output, start })
-    }
-
-    /// Changes the period from the next edge on.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn set_period(&mut self, output: Output, period: Period) -> Result<TriggerStatus> {
-        self.call(SetPeriod { output, period })
-    }
-
-    /// Moves a train onto a grid.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn align(&mut self, output: Output, to: TriggerAlign) -> Result<AlignPlan> {
-        self.call(AlignTrigger { output, to })
-    }
-
-    /// One round trip: the board's time when it took the ping, and how long the
-    /// round trip took on the link's clock.
+    /// Makes one round trip. Returns the board's time when it received the ping, and the duration
+    /// of the round trip on the link's clock.
     ///
     /// # Errors
     ///
@@ -240,7 +209,7 @@ impl Board {
     }
 }
 
-/// In place of a link that was given back.
+/// Stand-in for a link that was dropped.
 struct HungUp {
     now: Duration,
 }
@@ -270,7 +239,7 @@ impl Link for HungUp {
 struct Wire {
     link: Box<dyn Link>,
     conversation: Conversation,
-    /// What came while a call waited.
+    /// Events that arrived while a call waited.
     events: VecDeque<Event>,
     buffer: Vec<u8>,
 }
@@ -293,7 +262,7 @@ impl Wire {
         Err(BoardError::NoAnswer { command: name })
     }
 
-    /// Sends what is to be sent, takes what has come, lets commands expire.
+    /// Sends queued commands, receives pending bytes, lets commands expire.
     fn pump(&mut self, wait: Duration) -> Result<()> {
         let outgoing = self.conversation.take_outgoing();
         if !outgoing.is_empty() {
@@ -323,8 +292,8 @@ impl Wire {
         }
     }
 
-    /// The hello that is answered last before the answer is the current one:
-    /// what lay in the system's buffers from before comes earlier.
+    /// Asks for a hello. The last one before the answer is the current one: any that lay in the
+    /// system's buffers come earlier.
     fn say_hello(&mut self) -> Result<Hello> {
         let before = self.conversation.bytes();
         match self.call(SayHello) {

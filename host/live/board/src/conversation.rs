@@ -3,7 +3,7 @@
 //!
 //! A conversation numbers commands, remembers until when each must be answered,
 //! checks the protocol version, follows the sequence number of every stream and
-//! says what was lost. It survives its link: after a reconnect the same conversation
+//! reports losses. It survives its link: after a reconnect the same conversation
 //! goes on, so messages that the board dropped meanwhile show as loss, and a
 //! board that was reset meanwhile shows by its epoch. What comes over a new link
 //! before the board has said which run it is in is held back until it has: a
@@ -26,7 +26,7 @@ use protocol::{
 /// the IMU. Beyond it the oldest go, and show as lost.
 const MAX_HELD: usize = 32_768;
 
-/// What a conversation has to tell.
+/// An event of a conversation.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(
     clippy::large_enum_variant,
@@ -49,7 +49,7 @@ pub enum Event {
     Lost {
         /// Which stream.
         stream: Stream,
-        /// How many.
+        /// Number of missing messages.
         count: u32,
     },
     /// The number of the next message came before, or lies so far ahead that nobody can
@@ -95,9 +95,9 @@ pub struct Conversation {
     epoch: Option<u32>,
     /// The line was cut, and the run not reported since.
     unsure: bool,
-    /// What came meanwhile.
+    /// Messages that arrived meanwhile.
     held: VecDeque<(Vec<u8>, DeviceToHost)>,
-    /// How many of these came before the line was cut last.
+    /// Number of these that came before the line was last cut.
     held_before: usize,
     latest: Ticks,
     events: VecDeque<Event>,
@@ -105,7 +105,7 @@ pub struct Conversation {
 }
 
 impl Conversation {
-    /// A conversation that has not begun. `first_id` is the id of the first
+    /// Creates a conversation. `first_id` is the id of the first
     /// command; let it differ between runs of a program, so that a late answer
     /// to an earlier run is not mistaken.
     #[must_use]
@@ -116,7 +116,7 @@ impl Conversation {
         }
     }
 
-    /// Whether raw frames are given out as [`Event::Frame`].
+    /// Returns raw frames as [`Event::Frame`] from now on if `keep`.
     pub const fn keep_frames(&mut self, keep: bool) {
         self.keep_frames = keep;
     }
@@ -139,13 +139,13 @@ impl Conversation {
         id
     }
 
-    /// The bytes to be sent, at once.
+    /// Takes the bytes that are to be sent at once.
     #[must_use]
     pub fn take_outgoing(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.outgoing)
     }
 
-    /// Takes bytes off the link, in any split.
+    /// Receives bytes of the link, split in any way.
     pub fn receive(&mut self, mut bytes: &[u8]) {
         self.bytes = self.bytes.saturating_add(bytes.len() as u64);
         while !bytes.is_empty() {
@@ -179,13 +179,13 @@ impl Conversation {
         });
     }
 
-    /// The next thing to tell.
+    /// Takes the next event.
     pub fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// The line was cut: forgets half a frame and the commands that wait. What
-    /// the streams had counted stays, so that the loss shows.
+    /// Ends the line: forgets half a frame and lets waiting commands expire. The expected numbers
+    /// of the streams stay, so that the loss shows.
     pub fn cut(&mut self) {
         self.decoder.reset();
         self.unsure = self.epoch.is_some();
@@ -205,13 +205,13 @@ impl Conversation {
         self.before_step = self.decoder.counters();
     }
 
-    /// What came and what was lost on each stream.
+    /// Returns the counts of messages received and lost on each stream.
     #[must_use]
     pub const fn counts(&self) -> StreamCounts {
         self.counts
     }
 
-    /// Frames that were damaged on the line, since it was in step.
+    /// Returns the number of frames that were damaged on the line, since it was in step.
     #[must_use]
     pub const fn damaged_frames(&self) -> u32 {
         self.decoder
@@ -220,19 +220,19 @@ impl Conversation {
             .saturating_sub(self.before_step.lost_frames)
     }
 
-    /// Bytes received in all.
+    /// Returns the number of bytes received.
     #[must_use]
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Frames received in all that were whole.
+    /// Returns the number of undamaged frames received.
     #[must_use]
     pub const fn frames(&self) -> u32 {
         self.decoder.counters().frames
     }
 
-    /// The latest time that any message carried: the board's time, at least.
+    /// Returns the latest time in any message: the board's time is at least this.
     #[must_use]
     pub const fn latest(&self) -> Ticks {
         self.latest
@@ -280,7 +280,7 @@ impl Conversation {
         }
     }
 
-    /// The run that a message tells.
+    /// Returns the run that a message names.
     fn run_of(message: &DeviceToHost) -> Option<u32> {
         match message {
             DeviceToHost::Hello(hello) if hello.protocol_version == PROTOCOL_VERSION => {
@@ -291,7 +291,7 @@ impl Conversation {
         }
     }
 
-    /// The run is known again: what was held back is of it.
+    /// Passes on the messages held back, now that the run is known again.
     fn settle(&mut self, epoch: u32) {
         self.unsure = false;
         let mut held = std::mem::take(&mut self.held);

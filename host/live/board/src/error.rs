@@ -1,4 +1,4 @@
-//! What can go wrong with a board, and what it says, in words.
+//! Errors of a board and its link, and the board's refusals in words.
 
 use protocol::{
     MAX_CRYSTAL_PPB, MAX_INPUT_DELAY, MAX_START_DELAY, PROTOCOL_VERSION, Refusal, ResetCause,
@@ -7,7 +7,7 @@ use protocol::{
 use crate::transport::LinkError;
 use crate::transport::serial::OpenError;
 
-/// What can go wrong with a board.
+/// Error of a board or its link.
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
     /// The port cannot be opened.

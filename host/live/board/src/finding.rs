@@ -1,14 +1,14 @@
-//! What was found, and how bad it is: one scale from the checks before a recording to the
-//! report over a data set.
+//! Findings and their severity: one scale from the checks before a recording to the report over
+//! a data set.
 
 use protocol::Ticks;
 use serde::{Deserialize, Serialize};
 
-/// How bad something is, from good to bad.
+/// Severity of a finding, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// As it should be, or just worth knowing.
+    /// As it should be, or just information.
     Good,
     /// Usable; something is missing, or less good than it could be.
     Check,
@@ -17,7 +17,7 @@ pub enum Severity {
 }
 
 impl Severity {
-    /// The word for it.
+    /// Returns its name.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -33,15 +33,15 @@ impl Severity {
 pub struct Finding {
     /// A stable word for its kind, or the name of what was checked.
     pub kind: String,
-    /// How bad it is.
+    /// Severity.
     pub severity: Severity,
-    /// What was found; of several the first.
+    /// Text of the finding; of several, the first.
     pub text: String,
-    /// What to do about it.
+    /// Advice for the user.
     pub next_step: Option<String>,
     /// Board time of the first, where it has one.
     pub at: Option<Ticks>,
-    /// How often it was found.
+    /// Number of occurrences.
     #[serde(default = "once")]
     pub count: u64,
 }
@@ -51,7 +51,7 @@ const fn once() -> u64 {
 }
 
 impl Finding {
-    /// A finding, without a next step.
+    /// Creates a finding without a next step.
     #[must_use]
     pub fn new(severity: Severity, kind: impl Into<String>, text: impl Into<String>) -> Self {
         Self {
@@ -64,25 +64,25 @@ impl Finding {
         }
     }
 
-    /// Something as it should be.
+    /// Creates a good finding.
     #[must_use]
     pub fn good(kind: impl Into<String>, text: impl Into<String>) -> Self {
         Self::new(Severity::Good, kind, text)
     }
 
-    /// Something missing, or less good than it could be.
+    /// Creates a finding of something missing, or less good than it could be.
     #[must_use]
     pub fn check(kind: impl Into<String>, text: impl Into<String>) -> Self {
         Self::new(Severity::Check, kind, text)
     }
 
-    /// Something broken.
+    /// Creates a finding of something broken.
     #[must_use]
     pub fn bad(kind: impl Into<String>, text: impl Into<String>) -> Self {
         Self::new(Severity::Bad, kind, text)
     }
 
-    /// At this board time.
+    /// Sets the board time.
     #[must_use]
     pub fn at(self, at: Ticks) -> Self {
         Self {
@@ -91,7 +91,7 @@ impl Finding {
         }
     }
 
-    /// With what to do about it.
+    /// Sets the next step.
     #[must_use]
     pub fn next_step(self, step: impl Into<String>) -> Self {
         Self {
@@ -100,7 +100,7 @@ impl Finding {
         }
     }
 
-    /// What was found, with how often and since when.
+    /// Returns the text with the number of occurrences and the time of the first.
     #[must_use]
     pub fn words(&self) -> String {
         let mut words = self.text.clone();
@@ -113,7 +113,7 @@ impl Finding {
         words
     }
 
-    /// In one line, with what to do.
+    /// Returns the finding in one line, with its next step.
     #[must_use]
     pub fn line(&self) -> String {
         let next = self.next_step.as_deref().unwrap_or_default();

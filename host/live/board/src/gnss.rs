@@ -14,7 +14,7 @@ pub const NMEA_DELAY_MS: u16 = 100;
 /// Length of the pulse per second, ticks: 20 ms.
 const PPS_WIDTH: u32 = TICK_HZ / 50;
 
-/// How far a running epoch may be from this computer's clock to be kept, s: the
+/// Largest distance of a running epoch from this computer's clock at which it is kept, s: the
 /// nearest second may be the one before or after.
 const SAME_EPOCH_S: u64 = 1;
 

@@ -176,16 +176,16 @@ impl Scale {
     }
 }
 
-/// Mean and spread of a stream of numbers (Welford's algorithm).
+/// Running mean and standard deviation of numbers (Welford's algorithm).
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Spread {
+pub struct RunningStats {
     count: u64,
     mean: f64,
     squares: f64,
 }
 
-impl Spread {
-    /// Takes one number.
+impl RunningStats {
+    /// Adds a number.
     pub fn add(&mut self, value: f64) {
         self.count += 1;
         let before = value - self.mean;
@@ -193,26 +193,26 @@ impl Spread {
         self.squares += before * (value - self.mean);
     }
 
-    /// How many numbers.
+    /// Returns the number of values.
     #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
-    /// Mean; `None` of nothing.
+    /// Returns the mean, or `None` without values.
     #[must_use]
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0).then_some(self.mean)
     }
 
-    /// Sample standard deviation; `None` of fewer than two numbers.
+    /// Returns the sample standard deviation, or `None` of fewer than two values.
     #[must_use]
     pub fn deviation(&self) -> Option<f64> {
         (self.count > 1).then(|| (self.squares / (self.count - 1) as f64).sqrt())
     }
 }
 
-/// What a stretch of samples says.
+/// Statistics of a stretch of samples.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     first: Option<Ticks>,
@@ -222,12 +222,12 @@ pub struct Summary {
     saturated: u64,
     /// Samples after a loss on the board's side, or the first after a recovery.
     breaks: u64,
-    interval: Spread,
+    interval: RunningStats,
     shortest: Option<u64>,
     longest: Option<u64>,
-    gyro: [Spread; 3],
-    accel: [Spread; 3],
-    temperature: Spread,
+    gyro: [RunningStats; 3],
+    accel: [RunningStats; 3],
+    temperature: RunningStats,
     /// A message is missing before the next sample.
     gap: bool,
 }
@@ -270,18 +270,17 @@ pub struct SummaryReport {
 }
 
 impl Summary {
-    /// Takes one sample. Gives the interval from the one before it in ticks, if that is
-    /// unbroken.
+    /// Adds a sample. Returns the interval from the one before it in ticks, if that is unbroken.
     pub fn add(&mut self, sample: &Sample) -> Option<u64> {
-        let starts_anew =
+        let follows_break =
             sample.flags.has(ImuFlags::FIRST) || sample.flags.has(ImuFlags::AFTER_LOSS);
         let mut unbroken = None;
         self.samples += 1;
         self.late += u64::from(sample.flags.has(ImuFlags::LATE));
         self.saturated += u64::from(sample.flags.has(ImuFlags::SATURATED));
         if let Some(last) = self.last {
-            self.breaks += u64::from(starts_anew);
-            if !starts_anew && !self.gap {
+            self.breaks += u64::from(follows_break);
+            if !follows_break && !self.gap {
                 let interval = (sample.at - last).unsigned_abs();
                 unbroken = Some(interval);
                 self.interval.add(interval as f64);
@@ -300,36 +299,36 @@ impl Summary {
         unbroken
     }
 
-    /// Samples are missing before the next one.
+    /// Notes that samples are missing before the next one.
     pub const fn gap(&mut self) {
         self.gap = true;
     }
 
-    /// Samples so far.
+    /// Returns the number of samples.
     #[must_use]
     pub const fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Time of the first sample.
+    /// Returns the time of the first sample.
     #[must_use]
     pub const fn first(&self) -> Option<Ticks> {
         self.first
     }
 
-    /// Time of the last sample.
+    /// Returns the time of the last sample.
     #[must_use]
     pub const fn last(&self) -> Option<Ticks> {
         self.last
     }
 
-    /// Whether anything on the board's side is wrong with these samples.
+    /// Returns true if the board reported a defect of these samples: late ones or breaks.
     #[must_use]
     pub const fn is_impaired(&self) -> bool {
         self.late > 0 || self.breaks > 0
     }
 
-    /// The figures.
+    /// Returns the figures.
     #[must_use]
     pub fn report(&self) -> SummaryReport {
         let mean = self.interval.mean();
@@ -363,7 +362,7 @@ pub struct ImuLook {
     summary: Summary,
     /// The last three rates, the latest first, and how many there are.
     before: ([[f64; 3]; 3], usize),
-    third: [Spread; 3],
+    third: [RunningStats; 3],
 }
 
 impl ImuLook {
@@ -381,7 +380,7 @@ impl ImuLook {
         *count = (*count + 1).min(before.len());
     }
 
-    /// Samples are missing before the next one.
+    /// Notes that samples are missing before the next one.
     pub const fn gap(&mut self) {
         self.summary.gap();
         self.before.1 = 0;
@@ -403,7 +402,7 @@ impl ImuLook {
     pub fn noise_in_motion(&self) -> Option<f64> {
         self.third
             .iter()
-            .filter_map(Spread::deviation)
+            .filter_map(RunningStats::deviation)
             .map(|deviation| deviation / 20.0_f64.sqrt())
             .reduce(f64::max)
     }

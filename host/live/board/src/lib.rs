@@ -2,12 +2,12 @@
 //!
 //! - [`transport`]: bytes to and from the board, nothing else.
 //! - [`Conversation`]: bytes in, events out; command ids, deadlines, losses. No I/O.
-//! - [`Stream`]: the numbered streams of the board, what came and what was lost.
+//! - [`Stream`]: the numbered streams of the board, with counts of messages received and lost.
 //! - [`Board`]: a conversation on a transport, with calls that wait for the answer.
 //! - [`imu`]: the board's IMU samples in SI units.
 //! - [`image`]: images of the firmware.
-//! - [`bring_up`]: measurements that show whether a board does in hardware what it should.
-//! - [`finding`]: the scale of everything that is checked or noticed.
+//! - [`bring_up`]: the board test, which compares a real board with the simulated one.
+//! - [`finding`]: findings, and the scale of their severity.
 //! - [`gnss`]: the board as a lidar's GNSS receiver.
 #![forbid(unsafe_code)]
 

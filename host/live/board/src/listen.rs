@@ -6,8 +6,8 @@ use crate::calls::Board;
 use crate::conversation::Event;
 use crate::error::BoardError;
 
-/// How long there may be no message, on the link's clock. A board sends a status once a
-/// second of board time; a simulated one may be slower.
+/// Longest silence, on the link's clock. A board sends a status once a second of board time; a
+/// simulated one may be slower.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 impl Board {

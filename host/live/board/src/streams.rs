@@ -124,7 +124,7 @@ impl std::fmt::Display for Stream {
     }
 }
 
-/// What came and what was lost on one stream.
+/// Counts of messages received and lost on one stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamCount {
     /// Messages received.

@@ -48,7 +48,7 @@ pub enum LinkError {
     /// The port has gone (unplugged, or the simulated board has ended).
     #[error("the link to the board is gone ({reason})")]
     Gone {
-        /// What the system said.
+        /// The system's error message.
         reason: String,
     },
     /// The board takes no bytes.

@@ -8,8 +8,8 @@
 use board::BoardError;
 use board::gnss::{self, parse_baud};
 use protocol::{
-    EdgeGrid, Output, Period, QueryTrigger, Refusal, StopGnss, StopTrigger, TICK_HZ, TrainState,
-    TriggerStart, TriggerStatus,
+    EdgeGrid, Output, Period, QueryTrigger, Refusal, StartTrigger, StopGnss, StopTrigger, TICK_HZ,
+    TrainState, TriggerStart, TriggerStatus,
 };
 use recording::profile::{Lidar, TriggerOutput};
 
@@ -74,7 +74,7 @@ fn start_output(session: &mut Session<'_>, sensor: &TriggerOutput) -> Result<(),
     for attempt in 0..ATTEMPTS {
         let camera = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
         let start = joined(sensor, &camera, LEAD << attempt).ok_or_else(too_slow)?;
-        let started = session.call(|board| match board.start_trigger(output, start) {
+        let started = session.call(|board| match board.call(StartTrigger { output, start }) {
             Err(BoardError::Refused {
                 refusal: Refusal::TimeOutOfRange { .. },
                 ..

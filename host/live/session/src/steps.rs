@@ -3,8 +3,8 @@
 use board::imu::{ImuLook, Scale};
 use clock::{BoardToPhone, ClockRelation};
 use protocol::{
-    AlignPlan, EdgeGrid, Output, Period, QueryImu, QueryTrigger, StopTrigger, TICK_HZ, Ticks,
-    TrainState, TriggerStart, TriggerStatus,
+    AlignPlan, AlignTrigger, EdgeGrid, Output, Period, QueryImu, QueryTrigger, SetPeriod,
+    StartTrigger, StopTrigger, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 
@@ -142,7 +142,8 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
         width: profile.pulse_width(),
         first_edge: None,
     };
-    session.call(|board| board.start_trigger(Output::Camera, start))?;
+    let output = Output::Camera;
+    session.call(|board| board.call(StartTrigger { output, start }))?;
     session.log.report(SessionEvent::TriggerStarted {
         period_s: period.as_secs_f64(),
     })
@@ -161,7 +162,8 @@ fn align(
             .log
             .report(SessionEvent::AlignmentRemark { remark })?;
     }
-    let plan = session.call(|board| board.align(Output::Camera, planned.command))?;
+    let (output, to) = (Output::Camera, planned.command);
+    let plan = session.call(|board| board.call(AlignTrigger { output, to }))?;
     let mut alignment = planned.alignment;
     alignment.arrival_pulse = Some(plan.arrival_pulse);
     alignment.arrival = Some(plan.arrival);
@@ -313,7 +315,8 @@ fn steer(session: &mut Session<'_>) -> Result<(), Stop> {
     };
     // A link that breaks is taken up here: what came meanwhile waits in the board's queue
     // until it is known on which grid it is.
-    let answer = session.try_call(|board| board.set_period(Output::Camera, period))?;
+    let output = Output::Camera;
+    let answer = session.try_call(|board| board.call(SetPeriod { output, period }))?;
     match &mut session.tracking {
         Some(tracking) => {
             tracking.stepped(answer, session.monitors.watch.as_mut(), &mut session.log)

@@ -2,8 +2,8 @@
 
 use clap::Subcommand;
 use protocol::{
-    Output, Period, QueryTrigger, Readback, StopTrigger, TICK_HZ, Ticks, TrainState, TriggerAlign,
-    TriggerStart, TriggerStatus,
+    AlignTrigger, Output, Period, QueryTrigger, Readback, SetPeriod, StartTrigger, StopTrigger,
+    TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
 };
 use serde::Serialize;
 
@@ -114,7 +114,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
                 width: width.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
                 first_edge: first_edge.map(|edge| Ticks(edge).into()),
             };
-            board.start_trigger(output, start)?
+            board.call(StartTrigger { output, start })?
         }
         Action::Align {
             anchor,
@@ -130,11 +130,11 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
                 period,
                 slew,
             };
-            context.show(&board.align(output, to)?)?;
+            context.show(&board.call(AlignTrigger { output, to })?)?;
             return Ok(ExitStatus::Good);
         }
         Action::Period { period } => match period.given() {
-            Some(period) => board.set_period(output, period)?,
+            Some(period) => board.call(SetPeriod { output, period })?,
             None => board.call(QueryTrigger(output))?,
         },
         Action::Stop => board.call(StopTrigger(output))?,

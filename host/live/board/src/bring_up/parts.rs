@@ -1,4 +1,4 @@
-//! What is done on the board, and what of it must hold.
+//! The parts of the test: what each does on the board, and its limits.
 
 mod imu;
 mod link;
@@ -8,16 +8,17 @@ mod wires;
 use crate::{Board, BoardError, Event, Stream};
 use protocol::pins::pin_of;
 use protocol::{
-    BoardSettings, CORE_HZ, EdgeGrid, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse,
-    QueryBoard, QueryGnss, QueryTrigger, SendFiller, SetBoard, StopGnss, StopTrigger, TICK_HZ,
-    TickDelta, TrainState, TriggerAlign, TriggerStart,
+    AlignTrigger, BoardSettings, CORE_HZ, EdgeGrid, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output,
+    Period, Pulse, QueryBoard, QueryGnss, QueryTrigger, SendFiller, SetBoard, SetPeriod,
+    StartTrigger, StopGnss, StopTrigger, TICK_HZ, TickDelta, TrainState, TriggerAlign,
+    TriggerStart,
 };
 
 use crate::finding::{Finding, Severity};
 
-use crate::bring_up::received::{Heard, millis};
+use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{Extent, MAX_DELAY, PulseGrid, TICK_OF_DOUBT, Trains};
-use crate::bring_up::{BringUpError, Check, Histogram, Operator, Part, Plan, Prompt};
+use crate::bring_up::{BringUpError, Check, IntervalHistogram, Operator, Part, Plan, Prompt};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
@@ -30,13 +31,13 @@ const TRAINS: [(Period, u32); 3] = [
     (period(200_000_000_000), TICK_HZ / 200),
 ];
 
-/// How far pulses move on the way to another phase: 100 µs.
+/// Most that a pulse moves on the way to another phase: 100 µs.
 const SLEW: u32 = TICK_HZ / 10_000;
 
-/// How long somebody may take to do something at the board.
+/// Longest wait for somebody to do something at the board.
 const HANDS_TIME: TickDelta = millis(120_000);
 
-/// Why a part by hand was left out.
+/// Reason for leaving out a part that needs hands.
 const NOBODY: &str = "nobody there to do it";
 
 const fn period(picos: u64) -> Period {
@@ -46,7 +47,7 @@ const fn period(picos: u64) -> Period {
     }
 }
 
-/// What the board could keep.
+/// Measurements that the board can keep.
 #[derive(Debug, Default)]
 struct Measured {
     /// From an edge at an input to its capture, in ticks beyond the delay that the board has.
@@ -57,18 +58,18 @@ struct Measured {
 }
 
 /// A board that is being measured.
-pub(crate) struct Session<'a> {
+pub(crate) struct BoardTest<'a> {
     pub(crate) board: &'a mut Board,
     pub(crate) operator: Operator<'a>,
     part: Part,
     pub(crate) checks: Vec<Check>,
-    pub(crate) intervals: Histogram,
+    pub(crate) intervals: IntervalHistogram,
     /// From an edge of the trigger to its capture on PA2.
     trigger_delay: Extent,
     measured: Measured,
 }
 
-impl<'a> Session<'a> {
+impl<'a> BoardTest<'a> {
     pub(crate) fn new(board: &'a mut Board, operator: Operator<'a>) -> Result<Self, BringUpError> {
         let mut running = board.call(QueryTrigger(Output::Camera))?.state != TrainState::Stopped;
         if board.hello().board.has_outputs() {
@@ -85,7 +86,7 @@ impl<'a> Session<'a> {
             operator,
             part: Part::Trigger,
             checks: Vec::new(),
-            intervals: Histogram::default(),
+            intervals: IntervalHistogram::default(),
             trigger_delay: Extent::default(),
             measured: Measured::default(),
         })
@@ -114,22 +115,22 @@ impl<'a> Session<'a> {
         &mut self,
         (name, reason): (&str, &'static str),
         what: Prompt,
-        mut is_done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Option<(Heard, bool)>, BringUpError> {
+        mut is_done: impl FnMut(&Received) -> bool,
+    ) -> Result<Option<(Received, bool)>, BringUpError> {
         if !self.operator.is_there {
             self.skip(name, NOBODY, reason);
             return Ok(None);
         }
         (self.operator.say)(what);
         let skips = self.operator.skips;
-        let (mut heard, mut done, mut skipped) = (Heard::default(), false, false);
-        let ended = self.link_ends(&mut heard, HANDS_TIME, |heard| {
-            done = is_done(heard);
+        let (mut received, mut done, mut skipped) = (Received::default(), false, false);
+        let ended = self.link_ends(&mut received, HANDS_TIME, |received| {
+            done = is_done(received);
             skipped = skips();
             done || skipped
         })?;
         let why = match skipped {
-            _ if done || ended => return Ok(Some((heard, ended))),
+            _ if done || ended => return Ok(Some((received, ended))),
             true => "left out",
             false => "not done within two minutes",
         };
@@ -138,47 +139,47 @@ impl<'a> Session<'a> {
     }
 
     /// Takes what the board says for `length` of board time.
-    fn hear(&mut self, length: TickDelta) -> Result<Heard, BringUpError> {
-        self.hear_until(length, |_| false)
+    fn receive_for(&mut self, length: TickDelta) -> Result<Received, BringUpError> {
+        self.receive_until(length, |_| false)
     }
 
     /// Takes what the board says for `length` of board time, or until `done`.
-    fn hear_until(
+    fn receive_until(
         &mut self,
         length: TickDelta,
-        done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Heard, BringUpError> {
-        let mut heard = Heard::default();
-        self.hear_into(&mut heard, length, done)?;
-        Ok(heard)
+        done: impl FnMut(&Received) -> bool,
+    ) -> Result<Received, BringUpError> {
+        let mut received = Received::default();
+        self.hear_into(&mut received, length, done)?;
+        Ok(received)
     }
 
-    /// The same; what came before an error is in `heard` too.
+    /// The same; what came before an error is in `received` too.
     fn hear_into(
         &mut self,
-        heard: &mut Heard,
+        received: &mut Received,
         length: TickDelta,
-        mut done: impl FnMut(&Heard) -> bool,
+        mut done: impl FnMut(&Received) -> bool,
     ) -> Result<(), BringUpError> {
         let end = self.board.ping()?.0 + length;
         let stop = self.operator.stop;
         let listened = self.board.listen("any message", stop, |board, event| {
             match event {
-                Some(Event::Message(message)) => heard.take(message),
+                Some(Event::Message(message)) => received.add(message),
                 Some(Event::Lost {
                     stream: Stream::Filler,
                     count,
-                }) => heard.lost_filler += u64::from(count),
-                Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
-                Some(Event::Disordered { .. }) => heard.lost += 1,
-                Some(Event::Damaged(_)) => heard.damaged += 1,
+                }) => received.lost_filler += u64::from(count),
+                Some(Event::Lost { count, .. }) => received.lost += u64::from(count),
+                Some(Event::Disordered { .. }) => received.lost += 1,
+                Some(Event::Damaged(_)) => received.damaged += 1,
                 Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
                 Some(Event::OtherVersion { found }) => {
                     return Err(BoardError::OtherVersion { found }.into());
                 }
                 Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
             }
-            let is_over = board.conversation().latest() >= end || done(heard);
+            let is_over = board.conversation().latest() >= end || done(received);
             Ok(is_over.then_some(()))
         })?;
         listened.ok_or(BringUpError::Stopped)
@@ -242,7 +243,7 @@ impl<'a> Session<'a> {
         });
     }
 
-    /// Starts a train and gives the grid on which its pulses must be.
+    /// Starts a train and returns the edges that its pulses must have.
     fn start(
         &mut self,
         output: Output,
@@ -254,24 +255,24 @@ impl<'a> Session<'a> {
             width,
             first_edge: None,
         };
-        let status = self.board.start_trigger(output, start)?;
+        let status = self.board.call(StartTrigger { output, start })?;
         Ok(PulseGrid::of(&status))
     }
 
-    /// Stops a train and hears the rest of its messages.
-    fn stop(&mut self, output: Output) -> Result<Heard, BringUpError> {
+    /// Stops a train and returns the rest of its messages.
+    fn stop(&mut self, output: Output) -> Result<Received, BringUpError> {
         self.board.call(StopTrigger(output))?;
-        self.hear(millis(300))
+        self.receive_for(millis(300))
     }
 
     fn trigger(&mut self) -> Result<(), BringUpError> {
         let mut trains = Trains::default();
         for (period, width) in TRAINS {
             let grid = self.start(Output::Camera, period, width)?;
-            let mut heard = self.hear(millis(2_000))?;
-            heard.append(self.stop(Output::Camera)?);
-            trains.compare(&grid, &heard.pulses);
-            trains.find(&heard.pulses, width, &heard.strobe);
+            let mut received = self.receive_for(millis(2_000))?;
+            received.append(self.stop(Output::Camera)?);
+            trains.compare(&grid, &received.pulses);
+            trains.find(&received.pulses, width, &received.strobe);
         }
         let moved = self.moves(&mut trains)?;
         self.check(
@@ -297,7 +298,7 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// What the read-back on PA3 says of trains.
+    /// Checks the read-back on PA3.
     fn read_back(&mut self, name: &str, trains: &Trains, reason: &'static str) {
         self.check(
             name,
@@ -311,7 +312,7 @@ impl<'a> Session<'a> {
         );
     }
 
-    /// What captures on PA2 say of trains.
+    /// Checks the captures on PA2.
     fn captures(&mut self, name: &str, width: &str, trains: &Trains) {
         let steady = trains.delay.spread().is_some_and(|s| s <= TICK_OF_DOUBT);
         self.check(
@@ -333,12 +334,11 @@ impl<'a> Session<'a> {
         );
     }
 
-    /// Jumps, slews and changes the period; gives by how much periods differed while
-    /// slewing.
+    /// Jumps, slews and changes the period. Returns the differences of periods while slewing.
     fn moves(&mut self, trains: &mut Trains) -> Result<Extent, BringUpError> {
         let first = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        let mut heard = self.hear(millis(500))?;
-        trains.compare(&first, &heard.pulses);
+        let mut received = self.receive_for(millis(500))?;
+        trains.compare(&first, &received.pulses);
         let third = TickDelta(i64::from(PERIOD.ticks() / 3));
         let mut anchor = first.grid.anchor.ticks + third;
         let mut slewed = Extent::default();
@@ -349,9 +349,13 @@ impl<'a> Session<'a> {
                 slew,
             };
             let grid = EdgeGrid::new(anchor, PERIOD);
-            let plan = self.board.align(Output::Camera, to)?;
-            let mut way = self.hear_until(millis(10_000), |heard| !heard.arrived.is_empty())?;
-            way.append(self.hear(millis(500))?);
+            let plan = self.board.call(AlignTrigger {
+                output: Output::Camera,
+                to,
+            })?;
+            let mut way =
+                self.receive_until(millis(10_000), |received| !received.arrived.is_empty())?;
+            way.append(self.receive_for(millis(500))?);
             for pulse in &way.pulses {
                 if pulse.number >= plan.arrival_pulse {
                     trains.compared(grid.phase_error(pulse.at));
@@ -362,21 +366,24 @@ impl<'a> Session<'a> {
                     slewed.add((next.at - pulse.at).0 - i64::from(PERIOD.ticks()));
                 }
             }
-            heard.append(way);
+            received.append(way);
             anchor = anchor + millis(1);
         }
         let other = period(33_322_225_925);
-        let status = self.board.set_period(Output::Camera, other)?;
+        let status = self.board.call(SetPeriod {
+            output: Output::Camera,
+            period: other,
+        })?;
         let grid = PulseGrid::of(&status);
-        let mut changed = self.hear(millis(500))?;
+        let mut changed = self.receive_for(millis(500))?;
         changed.append(self.stop(Output::Camera)?);
         let after: Vec<Pulse> = (changed.pulses.iter())
             .filter(|pulse| pulse.number >= grid.number)
             .copied()
             .collect();
         trains.compare(&grid, &after);
-        heard.append(changed);
-        trains.find(&heard.pulses, MIN_PULSE_WIDTH, &heard.strobe);
+        received.append(changed);
+        trains.find(&received.pulses, MIN_PULSE_WIDTH, &received.strobe);
         Ok(slewed)
     }
 
@@ -393,7 +400,7 @@ impl<'a> Session<'a> {
         &mut self,
         (name, reason): (&str, &'static str),
         pin: &'static str,
-        made: impl Fn(&Heard) -> usize,
+        made: impl Fn(&Received) -> usize,
     ) -> Result<bool, BringUpError> {
         if !self.operator.is_there {
             self.skip(name, "nobody there to move the wire", reason);
@@ -402,10 +409,10 @@ impl<'a> Session<'a> {
         (self.operator.say)(Prompt::MoveStrobeWire(pin));
         // A wire that is being plugged in bounces: a second without it, in two minutes.
         for _ in 0..HANDS_TIME.0 / millis(1_000).0 {
-            let heard = self.hear(millis(1_000))?;
-            let made = made(&heard);
+            let received = self.receive_for(millis(1_000))?;
+            let made = made(&received);
             let doubt = (made / 8).min(2);
-            if made > 0 && heard.strobe.len().abs_diff(made) <= doubt {
+            if made > 0 && received.strobe.len().abs_diff(made) <= doubt {
                 return Ok(true);
             }
             if (self.operator.skips)() {
@@ -429,16 +436,16 @@ impl<'a> Session<'a> {
         }
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
         let pin = pin_of(&format!("trigger {number}"));
-        let seen = self.wire_moved((name, REASON), pin, |heard| 2 * heard.outputs.len())?;
+        let seen = self.wire_moved((name, REASON), pin, |received| 2 * received.outputs.len())?;
         self.stop(output)?;
         if !seen {
             return Ok(());
         }
         self.start(output, PERIOD, MIN_OUTPUT_WIDTH)?;
-        let mut heard = self.hear(millis(3_000))?;
-        heard.append(self.stop(output)?);
+        let mut received = self.receive_for(millis(3_000))?;
+        received.append(self.stop(output)?);
         let mut trains = Trains::default();
-        trains.find(&heard.outputs, MIN_OUTPUT_WIDTH, &heard.strobe);
+        trains.find(&received.outputs, MIN_OUTPUT_WIDTH, &received.strobe);
         self.captures(name, &format!("pulse width of output {number}"), &trains);
         let beside = format!("output {number} beside the trigger");
         // A signal that changes just when its input is sampled is seen a tick later at times;

@@ -5,14 +5,14 @@ use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pps, Pulse, Status, TI
 /// Ticks in a millisecond of board time.
 const TICKS_PER_MS: u32 = TICK_HZ / 1_000;
 
-/// A distance in board time.
+/// Returns a distance in board time.
 pub(crate) const fn millis(ms: u32) -> TickDelta {
     TickDelta(ms as i64 * TICKS_PER_MS as i64)
 }
 
-/// What the board has said.
+/// Messages of the board, each stream in its order.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     pub(crate) pulses: Vec<Pulse>,
     /// Pulses of the auxiliary outputs.
     pub(crate) outputs: Vec<Pulse>,
@@ -31,7 +31,8 @@ pub(crate) struct Heard {
     pub(crate) damaged: u64,
 }
 
-impl Heard {
+impl Received {
+    /// Appends the messages of a later stretch.
     pub(crate) fn append(&mut self, mut later: Self) {
         self.pulses.append(&mut later.pulses);
         self.outputs.append(&mut later.outputs);
@@ -46,7 +47,8 @@ impl Heard {
         self.damaged += later.damaged;
     }
 
-    pub(crate) fn take(&mut self, message: DeviceToHost) {
+    /// Adds a message to its stream.
+    pub(crate) fn add(&mut self, message: DeviceToHost) {
         match message {
             DeviceToHost::Status(status) => self.statuses.push(status),
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
@@ -60,7 +62,8 @@ impl Heard {
         }
     }
 
-    /// Messages of the numbered streams that the board has dropped since its reset.
+    /// Returns the number of messages of the numbered streams that the board has dropped since its
+    /// reset.
     pub(crate) fn dropped(&self) -> Option<u64> {
         let all = self.statuses.last()?.dropped;
         Some(all.total() - u64::from(all.answers))

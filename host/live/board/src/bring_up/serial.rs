@@ -14,7 +14,7 @@ pub(crate) struct Line {
     pub(crate) begins: Ticks,
     /// The line is low when idle.
     pub(crate) idle_low: bool,
-    /// What it says; shorter where a byte had no stop bit or an edge was lost.
+    /// The bytes; fewer where one had no stop bit or an edge was lost.
     pub(crate) text: Vec<u8>,
     /// The farthest that an edge is from its place in its byte, in ticks.
     pub(crate) doubt: i64,

@@ -58,23 +58,23 @@ impl Extent {
         }));
     }
 
-    /// All of them lie in `low..=high`, and there is one.
+    /// Returns true if there are values and all lie in `low..=high`.
     pub(crate) fn within(self, low: i64, high: i64) -> bool {
         self.0.is_some_and(|(min, max)| low <= min && max <= high)
     }
 
-    /// Largest less smallest.
+    /// Returns the largest less the smallest.
     pub(crate) fn spread(self) -> Option<i64> {
         self.0.map(|(low, high)| high.saturating_sub(low))
     }
 }
 
-/// What trains were like.
+/// Comparison of trains with their edges and captures.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trains {
     /// Pulses that were compared with a grid.
     pub(crate) on_grid: u64,
-    /// How far they were off.
+    /// Their distances from it.
     pub(crate) grid_error: Extent,
     /// Pulses that should be on the strobe input.
     pub(crate) pulses: u64,
@@ -98,12 +98,12 @@ impl Trains {
         }
     }
 
-    /// How many pulses were compared and how far they were off, in words.
+    /// Returns the number of compared pulses and their distances, in words.
     pub(crate) fn on_grid_text(&self) -> String {
         format!("{} pulses, {} off", self.on_grid, self.grid_error)
     }
 
-    /// All pulses were read back, after one constant.
+    /// Returns true if all pulses were read back, after one constant.
     pub(crate) fn is_read_back(&self) -> bool {
         let spread = self.read_back_delay.spread();
         self.read_back == self.pulses
@@ -111,7 +111,7 @@ impl Trains {
             && spread.is_some_and(|spread| spread <= TICK_OF_DOUBT)
     }
 
-    /// A pulse was compared with its grid and is so far off.
+    /// Adds the distance of a pulse from its grid.
     pub(crate) fn compared(&mut self, off: TickDelta) {
         self.on_grid += 1;
         self.grid_error.add(off.0);
@@ -129,7 +129,7 @@ impl Trains {
         }
     }
 
-    /// Looks for a pulse that begins then.
+    /// Looks for a pulse that begins at `at`.
     pub(crate) fn look_for(&mut self, at: Ticks, width: u32, captures: &[Capture]) {
         self.pulses += 1;
         let end = at + TickDelta(width.into());

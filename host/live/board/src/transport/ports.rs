@@ -9,15 +9,15 @@ use serialport::{SerialPortInfo, SerialPortType};
 /// One serial port of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Port {
-    /// What to give to `--port`.
+    /// Path, as for `--port`.
     pub path: String,
-    /// Whether vendor, product and product string are the board's.
+    /// True if vendor, product and product string are the board's.
     pub board: bool,
     /// The USB device behind it, if it is one.
     pub usb: Option<UsbDevice>,
 }
 
-/// What a USB device says about itself.
+/// Identity of a USB device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct UsbDevice {
     /// idVendor.
@@ -71,9 +71,9 @@ impl From<SerialPortInfo> for Port {
 }
 
 impl UsbDevice {
-    /// Whether this is how the board shows itself. The numbers alone do not
-    /// suffice: they are a pair for tests that others use too. Some systems put
-    /// underscores for the spaces of a string.
+    /// Returns true if this is the board's identity. The numbers alone do not suffice: they are a
+    /// pair for tests that others use too. Some systems replace the spaces of a string by
+    /// underscores.
     fn is_board(&self) -> bool {
         self.vendor_id == usb::VENDOR_ID
             && self.product_id == usb::PRODUCT_ID

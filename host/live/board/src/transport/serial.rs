@@ -23,7 +23,7 @@ use super::{Link, LinkError};
 /// means "hang up" to a terminal.
 const BAUD: u32 = 115_200;
 
-/// How often the reading thread looks whether it is to end.
+/// Interval at which the reading thread checks for its end.
 const POLL: Duration = Duration::from_millis(50);
 
 /// The most bytes that wait in the queue, but for one reading of the port.
@@ -33,10 +33,10 @@ const MOST_WAITING: usize = 32 << 20;
 /// takes them looks at the clock in between.
 const MOST_AT_ONCE: usize = 1 << 20;
 
-/// How long the reading thread waits while the queue is full or it is asked to pause.
+/// Wait of the reading thread while the queue is full or it is asked to pause.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// How long a write may take.
+/// Longest time of a write.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Why a port cannot be opened.
@@ -71,7 +71,7 @@ pub enum OpenError {
     Other {
         /// As given.
         path: String,
-        /// What the system said.
+        /// The system's error message.
         reason: String,
     },
 }
@@ -83,12 +83,12 @@ pub struct SerialLink {
     /// Bytes in the queue.
     waiting: Arc<AtomicUsize>,
     gone: Option<LinkError>,
-    /// What the reading thread is asked for.
+    /// Requests to the reading thread.
     asked: Arc<Asked>,
     reader: Option<JoinHandle<()>>,
 }
 
-/// What the reading thread is asked for.
+/// Requests to the reading thread.
 #[derive(Default)]
 struct Asked {
     stop: AtomicBool,
@@ -284,9 +284,9 @@ fn why(path: &str, error: &serialport::Error) -> OpenError {
     }
 }
 
-/// Whether the path is there and cannot be a port. A device that is no terminal
-/// (`/dev/null`) counts: it fails with ENOTTY, which the serialport crate does
-/// not tell from other errors.
+/// Returns true if the path exists and cannot be a port. A device that is no terminal
+/// (`/dev/null`) counts: it fails with ENOTTY, which the serialport crate does not distinguish
+/// from other errors.
 fn is_plain_file(path: &str) -> bool {
     let name = Path::new(path)
         .file_name()

@@ -6,18 +6,18 @@ use protocol::{
     TickDelta,
 };
 
-use super::{HANDS_TIME, PERIOD, Session};
-use crate::bring_up::received::{Heard, millis};
+use super::{BoardTest, HANDS_TIME, PERIOD};
+use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{Extent, Trains};
-use crate::bring_up::{BringUpError, Histogram, Prompt};
+use crate::bring_up::{BringUpError, IntervalHistogram, Prompt};
 
-/// How long samples must come again without a break, at 500 a second.
+/// Time for which samples must come again without a break, at 500 a second.
 const IMU_BACK: TickDelta = millis(1_000);
 
-/// How many such stretches it may take after the wire was seen to be back.
+/// Most such stretches until that holds, after the wire was seen to be back.
 const IMU_BACK_TRIES: u32 = 5;
 
-impl Session<'_> {
+impl BoardTest<'_> {
     pub(super) fn imu(&mut self) -> Result<(), BringUpError> {
         let setup = self.board.call(QueryImu)?;
         let scale = Scale::of(&setup);
@@ -36,9 +36,9 @@ impl Session<'_> {
             );
             return Ok(());
         };
-        let heard = self.hear(millis(10_000))?;
+        let received = self.receive_for(millis(10_000))?;
         let after = self.board.call(QueryImu)?;
-        self.data_ready(&scale, &setup, &after, &heard);
+        self.data_ready(&scale, &setup, &after, &received);
         let has_clock = after.status.clock == ImuClock::External;
         if has_clock {
             self.without_clock()?;
@@ -50,15 +50,15 @@ impl Session<'_> {
     fn without_clock(&mut self) -> Result<(), BringUpError> {
         const NAME: &str = "IMU without its clock";
         const REASON: &str = "the sensor is not set up again on its own clock";
-        let stopped = |h: &Heard| {
+        let stopped = |h: &Received| {
             (h.statuses.last()).is_some_and(|s| s.imu.clock == ImuClock::Internal || !is_running(s))
         };
         let done = self.by_hand((NAME, REASON), Prompt::UnplugClock, stopped)?;
         if done.is_none() {
             return Ok(());
         }
-        let (is_back, mut heard) = self.comes_back()?;
-        let clock = heard.statuses.pop().map(|status| status.imu.clock);
+        let (is_back, mut received) = self.comes_back()?;
+        let clock = received.statuses.pop().map(|status| status.imu.clock);
         self.check(
             NAME,
             is_back && clock == Some(ImuClock::Internal),
@@ -72,24 +72,30 @@ impl Session<'_> {
 
     /// Waits until samples come without a break; whether they do. A wire that is being plugged in
     /// bounces, and the sensor fails once more.
-    fn comes_back(&mut self) -> Result<(bool, Heard), BringUpError> {
-        let mut heard = Heard::default();
+    fn comes_back(&mut self) -> Result<(bool, Received), BringUpError> {
+        let mut received = Received::default();
         for _ in 0..IMU_BACK_TRIES {
-            let back = self.hear(IMU_BACK)?;
+            let back = self.receive_for(IMU_BACK)?;
             let is_back = back.imu.len() > 400 && back.statuses.last().is_some_and(is_running);
-            heard.append(back);
+            received.append(back);
             if is_back {
-                return Ok((true, heard));
+                return Ok((true, received));
             }
         }
-        Ok((false, heard))
+        Ok((false, received))
     }
 
-    fn data_ready(&mut self, scale: &Scale, before: &ImuSetup, after: &ImuSetup, heard: &Heard) {
+    fn data_ready(
+        &mut self,
+        scale: &Scale,
+        before: &ImuSetup,
+        after: &ImuSetup,
+        received: &Received,
+    ) {
         let mut summary = Summary::default();
         let mut intervals = Vec::new();
         let mut expected = None;
-        for raw in &heard.imu {
+        for raw in &received.imu {
             if expected.is_some_and(|seq| seq != raw.seq) {
                 summary.gap();
             }
@@ -131,7 +137,7 @@ impl Session<'_> {
             self.skip("clock of the IMU", "the sensor's own", CLOCK);
         }
         let counted = |status: &ImuStatus| u64::from(status.overcaptures) + u64::from(status.late);
-        let lost = heard.lost + counted(&after.status).saturating_sub(counted(&before.status));
+        let lost = received.lost + counted(&after.status).saturating_sub(counted(&before.status));
         let gaps = intervals
             .iter()
             .filter(|&&i| i as f64 > 1.5 * nominal)
@@ -141,7 +147,7 @@ impl Session<'_> {
             lost == 0 && gaps == 0 && !intervals.is_empty(),
             format!(
                 "{} samples, {lost} lost or late, {gaps} gaps",
-                heard.imu.len()
+                received.imu.len()
             ),
             "none lost, late or missing",
             "a handler that comes too late, or a loose wire at PA1",
@@ -153,18 +159,18 @@ impl Session<'_> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        let failed = |h: &Heard| h.statuses.last().is_some_and(|status| !is_running(status));
+        let failed = |h: &Received| h.statuses.last().is_some_and(|status| !is_running(status));
         let done = self.by_hand((NAME, REASON), Prompt::UnplugSda, failed)?;
-        let Some((mut heard, _)) = done else {
+        let Some((mut received, _)) = done else {
             return self.stop(Output::Camera).map(drop);
         };
         (self.operator.say)(Prompt::PlugSdaIn);
-        heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
+        received.append(self.receive_until(HANDS_TIME, |h| h.imu.len() > 1)?);
         let (is_back, back) = self.comes_back()?;
         let clock = back.statuses.last().map(|status| status.imu.clock);
         let is_on_clock = !has_clock || clock == Some(ImuClock::External);
-        heard.append(back);
-        heard.append(self.stop(Output::Camera)?);
+        received.append(back);
+        received.append(self.stop(Output::Camera)?);
         self.check(
             NAME,
             is_back && is_on_clock,
@@ -173,8 +179,8 @@ impl Session<'_> {
             REASON,
         );
         let mut trains = Trains::default();
-        trains.compare(&grid, &heard.pulses);
-        trains.find(&heard.pulses, MIN_PULSE_WIDTH, &[]);
+        trains.compare(&grid, &received.pulses);
+        trains.find(&received.pulses, MIN_PULSE_WIDTH, &[]);
         self.check(
             "trigger beside a failed IMU",
             trains.grid_error.within(0, 0) && trains.is_read_back(),
@@ -203,9 +209,9 @@ const fn back_text(is_back: bool) -> &'static str {
 }
 
 /// At most 60 bins.
-fn histogram(intervals: &[u64]) -> Histogram {
+fn histogram(intervals: &[u64]) -> IntervalHistogram {
     let (Some(&first), Some(&last)) = (intervals.iter().min(), intervals.iter().max()) else {
-        return Histogram::default();
+        return IntervalHistogram::default();
     };
     let bin = (last - first) / 60 + 1;
     let mut counts = vec![0; ((last - first) / bin + 1) as usize];
@@ -214,7 +220,7 @@ fn histogram(intervals: &[u64]) -> Histogram {
             *count += 1;
         }
     }
-    Histogram { first, bin, counts }
+    IntervalHistogram { first, bin, counts }
 }
 
 #[cfg(test)]
@@ -229,6 +235,6 @@ mod tests {
         assert_eq!(histogram.counts.iter().sum::<u64>(), all.len() as u64);
         assert_eq!(histogram.first, 96_000);
         assert_eq!(super::histogram(&[5, 5]).counts, [2]);
-        assert_eq!(super::histogram(&[]), Histogram::default());
+        assert_eq!(super::histogram(&[]), IntervalHistogram::default());
     }
 }

@@ -10,19 +10,19 @@ use protocol::{
 };
 use twist_sync::robust::median;
 
-use super::{PERIOD, Session};
+use super::{BoardTest, PERIOD};
 use crate::bring_up::BringUpError;
-use crate::bring_up::received::{Heard, millis};
+use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 
 /// A session's messages are some 30 kB/s; this leaves room for ten.
 const MIN_THROUGHPUT: f64 = 300e3;
 
-/// How long the host does not read, with the link full, so that its driver's buffers are
+/// Time for which the host does not read, with the link full, so that its driver's buffers are
 /// soon full too.
 const STALL: Duration = Duration::from_millis(1_500);
 
-/// What the flash's wait states (RM0090 table 10) and the USB transceiver are made for, mV.
+/// Supply that the flash's wait states (RM0090 table 10) and the USB transceiver need, mV.
 const SUPPLY_MV: RangeInclusive<u16> = 2_700..=3_600;
 
 /// The crystal's 30 ppm and a computer's 70.
@@ -52,12 +52,12 @@ const HANDLERS: [Handler; 4] = [
     ("handler of USB", |all| all.usb, 1_000.0),
 ];
 
-impl Session<'_> {
+impl BoardTest<'_> {
     pub(super) fn link(&mut self) -> Result<(), BringUpError> {
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         self.fill(true)?;
         let (from, _) = self.board.ping()?;
-        let mut full = self.hear(millis(5_000))?;
+        let mut full = self.receive_for(millis(5_000))?;
         let (to, _) = self.board.ping()?;
         self.fill(false)?;
         let rate = full.filler as f64 / (to - from).as_secs_f64();
@@ -72,11 +72,11 @@ impl Session<'_> {
             format!("{:.0} kB/s, none damaged", MIN_THROUGHPUT / 1e3),
             "the cable, a hub, or a computer that is busy",
         );
-        full.append(self.hear(millis(1_500))?);
+        full.append(self.receive_for(millis(1_500))?);
         self.fill(true)?;
         self.board.pause(STALL);
         self.fill(false)?;
-        let stalled = self.hear(millis(3_000))?;
+        let stalled = self.receive_for(millis(3_000))?;
         let rest = self.stop(Output::Camera)?;
         let counted = stalled.dropped().zip(full.dropped());
         let lost = stalled.lost + stalled.lost_filler;
@@ -107,11 +107,11 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// How the board's handlers and its core fared with the link full.
-    fn handlers(&mut self, grid: &PulseGrid, heard: &Heard) {
+    /// Checks the board's handlers and its core with the link full.
+    fn handlers(&mut self, grid: &PulseGrid, received: &Received) {
         let mut trains = Trains::default();
-        trains.compare(grid, &heard.pulses);
-        let most = |of: fn(&Status) -> u32| heard.statuses.iter().map(of).max().unwrap_or(0);
+        trains.compare(grid, &received.pulses);
+        let most = |of: fn(&Status) -> u32| received.statuses.iter().map(of).max().unwrap_or(0);
         let latency = most(|status| status.trigger_latency.max(status.output_latency));
         let late = most(|status| status.trigger.late);
         self.check(
@@ -124,7 +124,7 @@ impl Session<'_> {
             format!("{:.0} µs, none late", micros(MIN_PULSE_GAP.into())),
             SLOW,
         );
-        let handlers: Vec<Handlers> = heard.statuses.iter().map(|s| s.handlers).collect();
+        let handlers: Vec<Handlers> = received.statuses.iter().map(|s| s.handlers).collect();
         for (name, of, limit_us) in HANDLERS {
             let times = || handlers.iter().map(of);
             let worst = cycles_us(times().map(|time| time.worst).max().unwrap_or(0));
@@ -153,7 +153,7 @@ impl Session<'_> {
         );
         let load = most(|status| status.cpu_permille.into());
         let stack = |status: &Status| status.stack_used * 100 / status.stack_size.max(1);
-        let stack = heard.statuses.iter().map(stack).max().unwrap_or(0);
+        let stack = received.statuses.iter().map(stack).max().unwrap_or(0);
         self.check(
             "core and stack",
             load <= 900 && stack <= 80,
@@ -176,12 +176,12 @@ impl Session<'_> {
             // Of ten exchanges the quickest: it waited least in any queue.
             let mut quickest: Option<(Duration, f64, f64)> = None;
             for _ in 0..10 {
-                let heard = self.hear(millis(50))?;
-                if let Some(status) = heard.statuses.last() {
+                let received = self.receive_for(millis(50))?;
+                if let Some(status) = received.statuses.last() {
                     die = status.die_decidegrees;
                     supply = status.supply_mv;
                 }
-                if let (Some(scale), Some(sample)) = (&scale, heard.imu.last()) {
+                if let (Some(scale), Some(sample)) = (&scale, received.imu.last()) {
                     temperature = Some(scale.apply(sample).temperature);
                 }
                 let (ticks, trip) = self.board.ping()?;

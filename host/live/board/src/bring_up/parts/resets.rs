@@ -9,29 +9,29 @@ use protocol::{
     TickDelta,
 };
 
-use super::{NOBODY, PERIOD, Session};
-use crate::bring_up::received::{Heard, millis};
+use super::{BoardTest, NOBODY, PERIOD};
+use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 use crate::bring_up::{BringUpError, Prompt};
 
-/// How long a board may take from the link's end to a new one: start, enumeration, and a computer
-/// that has to wake.
+/// Longest time from the link's end to a new one: start, enumeration, and a computer that has to
+/// wake.
 const COMES_BACK: Duration = Duration::from_secs(30);
 
-/// How long a failure may take: the watchdog's 7.5 s at most, and some.
+/// Longest time of a failure: the watchdog's 7.5 s, and a margin.
 const FAILS_WITHIN: TickDelta = millis(10_000);
 
-/// How often the board leaves the bus by itself.
+/// Number of times that the board leaves the bus by itself.
 const REPLUGS: u64 = 5;
 
-/// How long the computer does not read in every other minute of a soak.
+/// Time for which the computer does not read in every other minute of a soak.
 const SLEEP: Duration = Duration::from_secs(8);
 
 /// The most messages that are lost with a link behind the board, which counts its own: what a
 /// computer's driver has taken and drops with the port, a guess of 1,152 bytes at 20 a message.
 const IN_DRIVER: u64 = 1_152 / 20;
 
-/// What ends a run on request, how the reset must be named, and what the `Hello` must say.
+/// Failures on request: name, command, reported cause of the reset, and message in the `Hello`.
 const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
     (
         "after a panic",
@@ -74,15 +74,15 @@ struct Interrupted {
 }
 
 impl Interrupted {
-    fn take(&mut self, heard: &Heard) {
-        self.trains.compare(&self.grid, &heard.pulses);
-        self.trains.find(&heard.pulses, MIN_PULSE_WIDTH, &[]);
-        self.lost += heard.lost;
-        if let Some(now) = heard.dropped() {
+    fn take(&mut self, received: &Received) {
+        self.trains.compare(&self.grid, &received.pulses);
+        self.trains.find(&received.pulses, MIN_PULSE_WIDTH, &[]);
+        self.lost += received.lost;
+        if let Some(now) = received.dropped() {
             let (before, _) = self.dropped.unwrap_or((now, now));
             self.dropped = Some((before, now));
         }
-        if let Some(status) = heard.statuses.last() {
+        if let Some(status) = received.statuses.last() {
             let now = status.usb.suspends;
             let (before, _) = self.suspends.unwrap_or((now, now));
             self.suspends = Some((before, now));
@@ -95,18 +95,18 @@ impl Interrupted {
     }
 }
 
-impl Session<'_> {
+impl BoardTest<'_> {
     pub(super) fn replug(&mut self) -> Result<(), BringUpError> {
         const REASON: &str = "the USB core's transmitter stops with a packet on its way, or messages \
                               are lost where the board does not see it";
         let mut train = self.train_to_interrupt()?;
         for _ in 0..REPLUGS {
             self.fill(true)?;
-            let mut heard = self.hear(millis(300))?;
-            if !self.leave_bus(&mut heard, "leaving the bus")? {
+            let mut received = self.receive_for(millis(300))?;
+            if !self.leave_bus(&mut received, "leaving the bus")? {
                 return Ok(());
             }
-            train.take(&heard);
+            train.take(&received);
             train.times += 1;
         }
         self.judge(train, "leaving the bus", true, REASON)?;
@@ -117,7 +117,7 @@ impl Session<'_> {
         } else {
             self.interrupted_by_hand(name, Prompt::Replug, |_, _| false, REASON)?;
         }
-        let slept = |train: &Interrupted, h: &Heard| {
+        let slept = |train: &Interrupted, h: &Received| {
             let status = h.statuses.last().zip(train.suspends);
             status.is_some_and(|(status, (_, before))| status.usb.suspends > before)
         };
@@ -129,18 +129,18 @@ impl Session<'_> {
     pub(super) fn soak(&mut self, length: Duration) -> Result<(), BringUpError> {
         let mut train = self.train_to_interrupt()?;
         for minute in 0..length.as_secs().div_ceil(60) {
-            let mut heard = Heard::default();
-            if self.link_ends(&mut heard, millis(48_000), |_| false)? {
+            let mut received = Received::default();
+            if self.link_ends(&mut received, millis(48_000), |_| false)? {
                 self.come_back("soak")?;
                 train.times += 1;
             }
             if minute % 2 == 0 {
                 self.board.pause(SLEEP);
-            } else if !self.leave_bus(&mut heard, "soak")? {
+            } else if !self.leave_bus(&mut received, "soak")? {
                 return Ok(());
             }
-            heard.append(self.hear(millis(2_000))?);
-            train.take(&heard);
+            received.append(self.receive_for(millis(2_000))?);
+            train.take(&received);
             train.times += 1;
         }
         let reason = "what fails only after hours: heat, the supply, the cable";
@@ -158,14 +158,18 @@ impl Session<'_> {
             dropped: None,
             suspends: None,
         };
-        train.take(&self.hear(millis(1_500))?);
+        train.take(&self.receive_for(millis(1_500))?);
         Ok(train)
     }
 
     /// Has the board leave the bus in the middle of what it sends, and takes it up again; false,
     /// with a failed check, if it stays.
-    fn leave_bus(&mut self, heard: &mut Heard, name: &'static str) -> Result<bool, BringUpError> {
-        if !self.fails_by(Failure::LeaveBus, heard)? {
+    fn leave_bus(
+        &mut self,
+        received: &mut Received,
+        name: &'static str,
+    ) -> Result<bool, BringUpError> {
+        if !self.fails_by(Failure::LeaveBus, received)? {
             self.stop(Output::Camera)?;
             let text = String::from("the board stayed on the bus");
             let reason = "the host did not see the pull-up go: a hub, or the firmware";
@@ -173,15 +177,19 @@ impl Session<'_> {
             return Ok(false);
         }
         self.come_back(name)?;
-        heard.append(self.hear(millis(1_500))?);
+        received.append(self.receive_for(millis(1_500))?);
         Ok(true)
     }
 
     /// Has the board fail so; false if the link does not end by it.
-    fn fails_by(&mut self, failure: Failure, heard: &mut Heard) -> Result<bool, BringUpError> {
+    fn fails_by(
+        &mut self,
+        failure: Failure,
+        received: &mut Received,
+    ) -> Result<bool, BringUpError> {
         let key = SELF_TEST_KEY;
         self.board.call(SelfTest { key, failure })?;
-        self.link_ends(heard, FAILS_WITHIN, |_| false)
+        self.link_ends(received, FAILS_WITHIN, |_| false)
     }
 
     /// Interrupts a train by hand: until the link ends, or `is_done`.
@@ -189,7 +197,7 @@ impl Session<'_> {
         &mut self,
         name: &'static str,
         what: Prompt,
-        is_done: impl Fn(&Interrupted, &Heard) -> bool,
+        is_done: impl Fn(&Interrupted, &Received) -> bool,
         reason: &'static str,
     ) -> Result<(), BringUpError> {
         if !self.operator.is_there {
@@ -197,15 +205,15 @@ impl Session<'_> {
             return Ok(());
         }
         let mut train = self.train_to_interrupt()?;
-        let done = self.by_hand((name, reason), what, |heard| is_done(&train, heard))?;
-        let Some((mut heard, ended)) = done else {
+        let done = self.by_hand((name, reason), what, |received| is_done(&train, received))?;
+        let Some((mut received, ended)) = done else {
             return self.stop(Output::Camera).map(drop);
         };
         if ended {
             self.come_back(name)?;
         }
-        heard.append(self.hear(millis(2_500))?);
-        train.take(&heard);
+        received.append(self.receive_for(millis(2_500))?);
+        train.take(&received);
         train.times = 1;
         // A computer that cuts the supply of its ports while it sleeps does not suspend them.
         let seen = ended || train.suspended() > 0;
@@ -259,11 +267,11 @@ impl Session<'_> {
     /// Hears the board until the link ends; false if it does not, or `done` says so.
     pub(super) fn link_ends(
         &mut self,
-        heard: &mut Heard,
+        received: &mut Received,
         within: TickDelta,
-        done: impl FnMut(&Heard) -> bool,
+        done: impl FnMut(&Received) -> bool,
     ) -> Result<bool, BringUpError> {
-        match self.hear_into(heard, within, done) {
+        match self.hear_into(received, within, done) {
             Ok(()) => Ok(false),
             Err(BringUpError::Board(BoardError::Link(_))) => Ok(true),
             Err(BringUpError::Board(BoardError::NoAnswer { .. })) => Ok(false),
@@ -302,7 +310,7 @@ impl Session<'_> {
                               end";
         for (name, failure, cause, says) in FAILURES {
             let before = self.board.hello().clone();
-            if !self.fails_by(failure, &mut Heard::default())? {
+            if !self.fails_by(failure, &mut Received::default())? {
                 let text = String::from("the board went on");
                 self.check(name, false, text, "a reset", REASON);
                 continue;

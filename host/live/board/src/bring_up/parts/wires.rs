@@ -1,5 +1,5 @@
-//! What leaves the board for others: the pulse per second with its serial line, and the trigger
-//! after its buffer and divider. All of it on the strobe input.
+//! The signals that leave the board: the pulse per second with its serial line, and the trigger
+//! after its buffer and divider. All are measured on the strobe input.
 
 use protocol::pins::pin_of;
 use protocol::{
@@ -7,7 +7,7 @@ use protocol::{
     StartGnss, StopGnss, TICK_HZ, TickDelta, TrainState,
 };
 
-use super::{PERIOD, Session};
+use super::{BoardTest, PERIOD};
 use crate::bring_up::BringUpError;
 use crate::bring_up::received::millis;
 use crate::bring_up::serial::Line;
@@ -25,14 +25,14 @@ const SETTINGS: GnssSettings = GnssSettings {
     pulse_inverted: false,
 };
 
-/// How far edges of the line may be from their places, in ticks: 2 % of a bit. A receiver that
-/// samples in the middle of ten bits stands more than ten times that.
+/// Largest error of an edge of the line, in ticks: 2 % of a bit. A receiver that samples in the
+/// middle of ten bits tolerates more than ten times that.
 const LINE_DOUBT: i64 = (TICK_HZ / SETTINGS.baud.hz() / 50) as i64;
 
 /// The shortest pulse that the depth camera takes (specification of its sync input): 8 µs.
 const SHORTEST: i64 = 8 * (TICK_HZ / 1_000_000) as i64;
 
-impl Session<'_> {
+impl BoardTest<'_> {
     pub(super) fn lidar(&mut self) -> Result<(), BringUpError> {
         const NAME: &str = "pulse per second";
         const LINE: &str = "serial line";
@@ -45,11 +45,11 @@ impl Session<'_> {
         }
         self.board.call(StartGnss(SETTINGS))?;
         let pin = pin_of("pulse per second");
-        if self.wire_moved((NAME, REASON), pin, |heard| 2 * heard.pps.len())? {
-            let heard = self.hear(millis(4_200))?;
+        if self.wire_moved((NAME, REASON), pin, |received| 2 * received.pps.len())? {
+            let received = self.receive_for(millis(4_200))?;
             let mut trains = Trains::default();
-            for pps in &heard.pps {
-                trains.look_for(pps.at, SETTINGS.pulse_width, &heard.strobe);
+            for pps in &received.pps {
+                trains.look_for(pps.at, SETTINGS.pulse_width, &received.strobe);
                 trains.compared(TickDelta((pps.at.0 % u64::from(TICK_HZ)) as i64));
             }
             self.captures(NAME, "width of the pulse per second", &trains);
@@ -63,14 +63,19 @@ impl Session<'_> {
         }
         // A second's sentence has some 300 edges, more than the strobe input takes at once; how
         // many come tells that the wire is there.
-        let moved = self.wire_moved((LINE, REASON), pin_of("sentences"), |heard| {
-            let edges = heard.strobe.len();
+        let moved = self.wire_moved((LINE, REASON), pin_of("sentences"), |received| {
+            let edges = received.strobe.len();
             if edges > 40 { edges } else { usize::MAX }
         })?;
         if moved {
-            let heard = self.hear(millis(4_200))?;
-            let lines: Vec<(&Pps, Option<Line>)> = (heard.pps.iter())
-                .map(|pps| (pps, Line::after(pps.at, SETTINGS.baud.hz(), &heard.strobe)))
+            let received = self.receive_for(millis(4_200))?;
+            let lines: Vec<(&Pps, Option<Line>)> = (received.pps.iter())
+                .map(|pps| {
+                    (
+                        pps,
+                        Line::after(pps.at, SETTINGS.baud.hz(), &received.strobe),
+                    )
+                })
                 .collect();
             // Of the last second not everything may have come.
             let whole = lines
@@ -90,7 +95,7 @@ impl Session<'_> {
         }
         self.board.call(StopGnss)?;
         while self.board.call(QueryGnss)?.status.state != TrainState::Stopped {
-            self.hear(millis(100))?;
+            self.receive_for(millis(100))?;
         }
         Ok(())
     }
@@ -129,10 +134,10 @@ impl Session<'_> {
         const REASON: &str =
             "the buffer's supply and its input; the divider, or a cable that loads it";
         self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        let mut heard = self.hear(millis(3_000))?;
-        heard.append(self.stop(Output::Camera)?);
+        let mut received = self.receive_for(millis(3_000))?;
+        received.append(self.stop(Output::Camera)?);
         let mut trains = Trains::default();
-        trains.find(&heard.pulses, MIN_PULSE_WIDTH, &heard.strobe);
+        trains.find(&received.pulses, MIN_PULSE_WIDTH, &received.strobe);
         self.read_back("read-back after the buffer", &trains, REASON);
         let asked = i64::from(MIN_PULSE_WIDTH);
         self.check(
