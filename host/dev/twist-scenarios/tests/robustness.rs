@@ -6,6 +6,8 @@
 //! of its own sigmas, nor the offset by more than 0.4 ms, and those marked so must be accepted
 //! every time.
 
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use twist_scenarios::{Motion, Twist, TwistSpec, displace};
 use twist_sync::estimate_offset;
@@ -63,13 +65,9 @@ fn other(name: &'static str, expect: Expect, change: fn(&mut TwistSpec)) -> Case
     }
 }
 
-/// A number in [0, 1) that is the same for the same key.
+/// Returns a number in [0, 1) that is the same for the same key.
 fn random(key: u64) -> f64 {
-    let mut x = key.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    x ^= x >> 29;
-    x = x.wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    x ^= x >> 32;
-    (x % 1_000_003) as f64 / 1_000_003.0
+    Pcg64::seed_from_u64(key).random()
 }
 
 /// Every `period`th sample of b belongs to another time.

@@ -136,21 +136,18 @@ fn fit(points: &[(f64, f64)]) -> (Line, f64) {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_pcg::Pcg64;
+
     use super::*;
 
     /// Frames of 33,330,652.54 ns with a deterministic jitter of about 1 µs.
     fn frames(count: usize) -> Vec<PhoneNanos> {
-        let mut state = 1_u64;
+        let mut random = Pcg64::seed_from_u64(1);
         (0..count)
             .map(|k| {
                 // Sum of four uniforms: nearly normal, sigma 1.15 · 0.866 µs.
-                let mut jitter = 0.0;
-                for _ in 0..4 {
-                    state = state
-                        .wrapping_mul(6_364_136_223_846_793_005)
-                        .wrapping_add(1);
-                    jitter += (state >> 40) as f64 / 16_777_216.0 - 0.5;
-                }
+                let jitter: f64 = (0..4).map(|_| random.random::<f64>() - 0.5).sum();
                 let time = 900_000e9 + k as f64 * 33_330_652.54 + jitter * 1_732.0;
                 PhoneNanos(time.round() as i64)
             })

@@ -231,6 +231,9 @@ fn camera(raw: &Raw, (binned, crop, size): Crop) -> Result<Camera, String> {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_pcg::Pcg64;
+
     use super::*;
 
     fn file() -> String {
@@ -289,18 +292,13 @@ mod tests {
                 .contains("OFF")
         );
         assert!(read(good.as_bytes(), Some("NFOV_UNBINNED"), Some((7, 7))).is_err());
-        let mut state = 1_u64;
-        let mut dice = |end: usize| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            (state >> 33) as usize % end
-        };
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut below = |end: usize| random.random_range(0..end);
         for _ in 0..3_000 {
             let mut bad = good.clone().into_bytes();
-            for _ in 0..=dice(4) {
-                let at = dice(bad.len());
-                bad[at] = b"0123456789e-.,[]{}\"x"[dice(20)];
+            for _ in 0..=below(4) {
+                let at = below(bad.len());
+                bad[at] = b"0123456789e-.,[]{}\"x"[below(20)];
             }
             if let Ok(found) = read(&bad, Some("NFOV_UNBINNED"), Some((1280, 720))) {
                 for pixel in [[0.0, 0.0], [639.0, 575.0]] {

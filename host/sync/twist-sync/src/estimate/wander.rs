@@ -117,6 +117,9 @@ fn given(locals: &[Local], size_s: f64, memory_s: f64, prior: f64) -> Option<Sup
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_pcg::Pcg64;
+
     use super::*;
 
     /// Parts of a twist of nine seconds, each with 13.7 µs of white noise as in the base scenario,
@@ -139,15 +142,8 @@ mod tests {
     /// Share of twists, half of them without a wander, of which the likelihoods of both say which
     /// it is, where size and memory are known.
     fn told(size_s: f64, memory_s: f64) -> f64 {
-        let mut state = 1_u64;
-        let mut even = || {
-            // Knuth's MMIX generator.
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1_u64 << 53) as f64
-        };
-        let mut normal = || (0..12).map(|_| even()).sum::<f64>() - 6.0;
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
         let trials = 2_000;
         let right = (0..trials).filter(|trial| {
             let wanders = trial % 2 == 0;

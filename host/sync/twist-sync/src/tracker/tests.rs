@@ -1,9 +1,12 @@
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
+
 use super::*;
 use crate::course::ClockCourse;
 
 /// Clocks, links and their delays: its own little model, not the filter's.
 struct World {
-    random: u64,
+    random: Pcg64,
     /// Least time there and back to either clock, s.
     least: [[f64; 2]; 2],
     tracker: Tracker,
@@ -32,7 +35,7 @@ fn twist(at: f64, error: f64) -> ClockRelation {
 impl World {
     fn new() -> Self {
         Self {
-            random: 7,
+            random: Pcg64::seed_from_u64(7),
             least: [[2e-4, 3e-4], [3e-4, 5e-4]],
             tracker: Tracker::default(),
             heard: Vec::new(),
@@ -41,13 +44,9 @@ impl World {
         }
     }
 
-    /// Even, from 0 to 1: Knuth's MMIX generator.
+    /// Even, from 0 to 1.
     fn draw(&mut self) -> f64 {
-        self.random = self
-            .random
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.random >> 11) as f64 / (1_u64 << 53) as f64
+        self.random.random()
     }
 
     fn host(&self, at: f64) -> f64 {

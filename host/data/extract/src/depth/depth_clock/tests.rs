@@ -1,23 +1,9 @@
-//! The matching against simulated cameras with known truth.
+//! The matching against simulated cameras with a ground truth.
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
 
 use super::*;
-
-/// A small generator of its own: the tests need nothing better.
-pub(crate) struct Dice(pub(crate) u64);
-
-impl Dice {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        self.0 >> 33
-    }
-
-    pub(crate) fn below(&mut self, end: u64) -> u64 {
-        self.next() % end
-    }
-}
 
 pub(crate) const PERIOD_PS: i64 = 33_330_652_540;
 
@@ -62,11 +48,11 @@ fn frames(
     drop_in: u64,
     seed: u64,
 ) -> (Vec<DeviceNanos>, Vec<usize>) {
-    let mut dice = Dice(seed);
+    let mut random = Pcg64::seed_from_u64(seed);
     let mut out = (Vec::new(), Vec::new());
     for (index, pulse) in pulses.iter().enumerate().skip(skip) {
-        // A first frame that is there anchors the truth of the shift.
-        if index > skip && drop_in > 0 && dice.below(drop_in) == 0 {
+        // A first frame that is there anchors the true shift.
+        if index > skip && drop_in > 0 && random.random_range(0..drop_in) == 0 {
             continue;
         }
         out.0.push(stamp(pulse));
@@ -302,9 +288,9 @@ fn a_camera_that_runs_free_is_said() {
         match_frames(&slow, &pulses, None),
         Err(MatchError::OtherRate { .. })
     ));
-    let mut dice = Dice(3);
+    let mut random = Pcg64::seed_from_u64(3);
     let wild: Vec<DeviceNanos> = (0..1_000)
-        .map(|i| DeviceNanos(i * 33_330_000 + dice.below(30_000_000) as i64))
+        .map(|i| DeviceNanos(i * 33_330_000 + random.random_range(0..30_000_000)))
         .collect();
     let error = match_frames(&wild, &pulses, None).unwrap_err();
     assert!(
