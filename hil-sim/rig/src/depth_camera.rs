@@ -173,7 +173,7 @@ impl DepthCamera {
         }
     }
 
-    /// Gives each frame that reaches the computer to whoever records them too.
+    /// Also sends each frame that reaches the computer to a recorder.
     pub(crate) fn record_into(&mut self, recorder: Sender<FrameRecord>) {
         self.recorder = Some(recorder);
     }

@@ -289,10 +289,10 @@ impl PinModel for Lidar {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stm32f4_sim::model_bench::Bench;
+    use stm32f4_sim::model_bench::ModelBench;
 
     /// Sends bytes on PC12 from `from` on, high when idle, as a UART does.
-    fn send(bench: &mut Bench<Lidar>, from: SimTime, text: &str) {
+    fn send(bench: &mut ModelBench<Lidar>, from: SimTime, text: &str) {
         let bit = |n: u64| SimDuration::from_units(n * UNITS_PER_SECOND / 9_600);
         let mut bits = 0;
         for byte in text.bytes() {
@@ -311,7 +311,7 @@ mod tests {
         SimTime::from_nanos(ms * 1_000_000)
     }
 
-    fn pulse(bench: &mut Bench<Lidar>, at: SimTime) {
+    fn pulse(bench: &mut ModelBench<Lidar>, at: SimTime) {
         bench.run_until(at);
         bench.set_pin(wiring::PPS, Level::High);
         bench.run_until(at + SimDuration::from_millis(20));
@@ -322,8 +322,8 @@ mod tests {
     const RMC: &str = "$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
 
     #[test]
-    fn it_takes_the_second_that_it_is_told_in_time() {
-        let mut bench = Bench::new(Lidar::new(LidarConfig::default()));
+    fn it_takes_the_second_of_a_sentence_that_comes_in_time() {
+        let mut bench = ModelBench::new(Lidar::new(LidarConfig::default()));
         pulse(&mut bench, ms(1_000));
         send(&mut bench, ms(1_050), RMC);
         pulse(&mut bench, ms(2_000));

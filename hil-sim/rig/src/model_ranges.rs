@@ -24,11 +24,11 @@ pub enum Draw {
     EitherSign,
     /// A whole number.
     Whole,
-    /// Nominal, and of one rig in [`RARE`] even.
+    /// Nominal in most rigs; even in one of [`RARE`].
     Rare,
 }
 
-/// Of so many rigs one has what is rare.
+/// Number of rigs of which one has a [`Draw::Rare`] value.
 const RARE: f64 = 10.0;
 
 /// A number of the models with its range.
@@ -49,7 +49,7 @@ pub struct ModelRange {
 
 type Apply = fn(f64, &mut RigConfig, &mut PhoneConfig);
 
-/// What an exposure that is not locked does.
+/// Effects of an exposure that is not locked.
 const OF_EXPOSURE: [&str; 3] = [
     "longest exposure",
     "change of the exposure within a recording",
@@ -67,134 +67,134 @@ pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
 /// All ranges.
 pub const MODEL_RANGES: [ModelRange; 39] = [
-    ModelRange::of("warming of the board's crystal", Draw::EitherSign)
+    ModelRange::named("warming of the board's crystal", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, rig, _| rig.board_clock.warming.ppm = ppm),
-    ModelRange::of("warming of the phone's clock", Draw::EitherSign)
+    ModelRange::named("warming of the phone's clock", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, _, phone| phone.clock.warming.ppm = ppm),
-    ModelRange::of("warming of the camera's clock", Draw::EitherSign)
+    ModelRange::named("warming of the camera's clock", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, rig, _| camera(rig, |camera| camera.clock.warming.ppm = ppm)),
-    ModelRange::of("time in which a rig warms up", Draw::Log)
+    ModelRange::named("time in which a rig warms up", Draw::Log)
         .within(Warming::SPAN_S, WARMING_S, "s")
         .sets(|time_s, rig, phone| each_clock(rig, phone, |clock| clock.warming.time_s = time_s)),
-    ModelRange::of("wander of a clock", Draw::Log)
+    ModelRange::named("wander of a clock", Draw::Log)
         .within(0.001, WANDER_PPM, "ppm per √s")
         .sets(|ppm, rig, phone| each_clock(rig, phone, |clock| clock.wander = ppm * 1e-6)),
-    ModelRange::of("frames of the phone that are lost", Draw::Even)
+    ModelRange::named("frames of the phone that are lost", Draw::Even)
         .within(0.0, (0.0, 1.0), "%")
         .sets(|percent, _, phone| phone.camera.lost = percent / 100.0),
-    ModelRange::of("frames of the phone that are doubled", Draw::Even)
+    ModelRange::named("frames of the phone that are doubled", Draw::Even)
         .within(0.0, (0.0, 1.0), "%")
         .sets(|percent, _, phone| phone.camera.doubled = percent / 100.0),
-    ModelRange::of("frames of the phone that are lost at once", Draw::Rare)
+    ModelRange::named("frames of the phone that are lost at once", Draw::Rare)
         .within(1.0, (1.0, 30.0), "")
         .sets(|count, _, phone| phone.camera.lost_at_once = count as u32),
-    ModelRange::of(OF_EXPOSURE[0], Draw::Log)
+    ModelRange::named(OF_EXPOSURE[0], Draw::Log)
         .within(0.5, (0.5, 33.0), "ms")
         .sets(|ms, _, phone| phone.camera.longest_exposure_ns = (ms * 1e6) as u64),
-    ModelRange::of(OF_EXPOSURE[1], Draw::Rare)
+    ModelRange::named(OF_EXPOSURE[1], Draw::Rare)
         .within(0.0, (0.0, 50.0), "%")
         .sets(|percent, _, phone| phone.camera.exposure_swing = percent / 100.0),
-    ModelRange::of(OF_EXPOSURE[2], Draw::Rare)
+    ModelRange::named(OF_EXPOSURE[2], Draw::Rare)
         .within(33.0, (33.0, 66.0), "ms")
         .sets(|ms, _, phone| phone.camera.dark_period_ns = ms * 1e6),
-    ModelRange::of("frames on the clock that sleeps", Draw::Rare)
+    ModelRange::named("frames on the clock that sleeps", Draw::Rare)
         .within(0.0, (0.0, 1.0), "h")
         .sets(|hours, _, phone| {
             phone.camera.is_on_monotonic = true;
             phone.slept_ns = (hours * 3.6e12) as i64;
         }),
-    ModelRange::of("frame period that follows the exposure", Draw::Even)
+    ModelRange::named("frame period that follows the exposure", Draw::Even)
         .within(0.0, (0.0, 200.0), "ns/ms")
         .sets(|ns, _, phone| phone.camera.period_of_exposure = ns * 1e-6),
-    ModelRange::of("jitter of frame timestamps", Draw::Log)
+    ModelRange::named("jitter of frame timestamps", Draw::Log)
         .within(1.0, (0.1, 20.0), "µs")
         .sets(|us, _, phone| phone.camera.timestamp_jitter_ns = us * 1e3),
     // Relative to what this phone has for its nominal 500 Hz.
-    ModelRange::of("rate of the phone's gyroscope", Draw::Even)
+    ModelRange::named("rate of the phone's gyroscope", Draw::Even)
         .within(500.0, (100.0, 500.0), "Hz")
         .sets(|hz, _, phone| phone.gyroscope.rate_hz *= hz / 500.0),
-    ModelRange::of("jitter of sensor timestamps", Draw::Log)
+    ModelRange::named("jitter of sensor timestamps", Draw::Log)
         .within(1.0, (1.0, 500.0), "µs")
         .sets(|us, _, phone| phone.gyroscope.timestamp_jitter_ns = us * 1e3),
-    ModelRange::of("sawtooth of sensor timestamps", Draw::Even)
+    ModelRange::named("sawtooth of sensor timestamps", Draw::Even)
         .within(0.0, (0.0, 60.0), "µs")
         .sets(|us, _, phone| phone.gyroscope.stamps.sawtooth_ns = us * 1e3),
-    ModelRange::of("period of that sawtooth", Draw::Log)
+    ModelRange::named("period of that sawtooth", Draw::Log)
         .within(1.0, (0.5, 20.0), "s")
         .sets(|s, _, phone| phone.gyroscope.stamps.sawtooth_s = s),
-    ModelRange::of("wander of sensor timestamps", Draw::Even)
+    ModelRange::named("wander of sensor timestamps", Draw::Even)
         .within(0.0, (0.0, 5.0), "µs")
         .sets(|us, _, phone| phone.gyroscope.stamps.wander_ns = us * 1e3),
-    ModelRange::of("time over which that wander is correlated", Draw::Log)
+    ModelRange::named("time over which that wander is correlated", Draw::Log)
         .within(0.5, (0.1, 2.0), "s")
         .sets(|s, _, phone| phone.gyroscope.stamps.wander_s = s),
-    ModelRange::of("step of sensor timestamps", Draw::Even)
+    ModelRange::named("step of sensor timestamps", Draw::Even)
         .within(0.0, (0.0, 31.0), "µs")
         .sets(|us, _, phone| phone.gyroscope.stamps.step_ns = us * 1e3),
-    ModelRange::of("kind of twist", Draw::Whole)
+    ModelRange::named("kind of twist", Draw::Whole)
         .within(0.0, (0.0, 2.0), "")
         .sets(|kind, rig, _| twists(rig, kind)),
-    ModelRange::of("step of the temperature", Draw::EitherSign)
+    ModelRange::named("step of the temperature", Draw::EitherSign)
         .within(0.0, (0.1, 2.0), "ppm")
         .sets(|ppm, _, phone| phone.clock.warming.step_ppm = ppm),
     // The specimen has one within the nominal limit.
-    ModelRange::of("bias of the board's gyroscope", Draw::Even)
+    ModelRange::named("bias of the board's gyroscope", Draw::Even)
         .within(2.0, (2.0, 20.0), "°/s")
         .sets(|dps, rig, _| {
             imu(rig, |imu| {
                 imu.gyro.bias = imu.gyro.bias.map(|bias| bias * dps / 2.0)
             })
         }),
-    ModelRange::of("bias against temperature", Draw::Even)
+    ModelRange::named("bias against temperature", Draw::Even)
         .within(0.0, (0.0, 0.32), "°/s per °C")
         .sets(|dps, rig, _| {
             imu(rig, |imu| {
                 imu.gyro_drift = [1.0, -1.0, 0.5].map(|axis: f64| (axis * dps).to_radians())
             })
         }),
-    ModelRange::of("rate of data-ready", Draw::Even)
+    ModelRange::named("rate of data-ready", Draw::Even)
         .within(0.0, (-1.0, 0.0), "ppm")
         .sets(|ppm, rig, _| imu(rig, |imu| imu.data_ready.rate_ppm = ppm)),
-    ModelRange::of("wander of data-ready", Draw::Even)
+    ModelRange::named("wander of data-ready", Draw::Even)
         .within(0.0, (0.0, 0.4), "µs")
         .sets(|us, rig, _| imu(rig, |imu| imu.data_ready.wander_ns = us * 1e3)),
-    ModelRange::of("temperature of the running IMU above the room", Draw::Even)
+    ModelRange::named("temperature of the running IMU above the room", Draw::Even)
         .within(4.0, (1.0, 10.0), "°C")
         .sets(|celsius, rig, _| imu(rig, |imu| imu.self_heating_c = celsius)),
-    ModelRange::of("time in which the IMU warms up", Draw::Log)
+    ModelRange::named("time in which the IMU warms up", Draw::Log)
         .within(60.0, (30.0, 600.0), "s")
         .sets(|time_s, rig, _| imu(rig, |imu| imu.warm_up_s = time_s)),
-    ModelRange::of("jitter from pulse to flash", Draw::Even)
+    ModelRange::named("jitter from pulse to flash", Draw::Even)
         .within(0.0, (0.0, 100.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.flash_jitter = micros(us))),
-    ModelRange::of("first depth frame on pulse", Draw::Whole)
+    ModelRange::named("first depth frame on pulse", Draw::Whole)
         .within(2.0, (2.0, 8.0), "")
         .sets(|pulse, rig, _| camera(rig, |camera| camera.first_frame = pulse as u32)),
-    ModelRange::of("camera's clock zeroed at the first pulse", Draw::Whole)
+    ModelRange::named("camera's clock zeroed at the first pulse", Draw::Whole)
         .within(0.0, (0.0, 1.0), "")
         .sets(|yes, rig, _| camera(rig, |camera| camera.zeroed_at_first_pulse = yes > 0.5)),
-    ModelRange::of("depth frames spoilt under an external train", Draw::Even)
+    ModelRange::named("depth frames spoilt under an external train", Draw::Even)
         .within(0.0, (0.0, 5.0), "%")
         .sets(|percent, rig, _| camera(rig, |camera| camera.spoil_probability = percent / 100.0)),
-    ModelRange::of("depth frames lost", Draw::Even)
+    ModelRange::named("depth frames lost", Draw::Even)
         .within(0.0, (0.0, 2.0), "%")
         .sets(|percent, rig, _| camera(rig, |camera| camera.drop_probability = percent / 100.0)),
-    ModelRange::of("depth frames lost at once", Draw::Rare)
+    ModelRange::named("depth frames lost at once", Draw::Rare)
         .within(1.0, (1.0, 60.0), "")
         .sets(|count, rig, _| camera(rig, |camera| camera.dropped_at_once = count as u32)),
-    ModelRange::of("photodiode: delay when light comes", Draw::Even)
+    ModelRange::named("photodiode: delay when light comes", Draw::Even)
         .within(0.0, (0.0, 20.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.0 = micros(us))),
-    ModelRange::of("photodiode: delay when light goes", Draw::Even)
+    ModelRange::named("photodiode: delay when light goes", Draw::Even)
         .within(0.0, (0.0, 20.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.1 = micros(us))),
-    ModelRange::of("time of the temperature's step", Draw::Even)
+    ModelRange::named("time of the temperature's step", Draw::Even)
         .within(150.0, (0.0, 600.0), "s")
         .sets(|s, _, phone| phone.clock.warming.step_at_s = s),
-    ModelRange::of("time in which the clock follows the temperature", Draw::Log)
+    ModelRange::named("time in which the clock follows the temperature", Draw::Log)
         .within(30.0, (10.0, 300.0), "s")
         .sets(|s, _, phone| phone.clock.warming.step_time_s = s),
 ];
@@ -205,7 +205,7 @@ fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::Dep
     }
 }
 
-/// Makes all twists of a motion be of this kind: strong, as the published one, about one axis.
+/// Gives all twists of a motion this kind: strong, as the published one, or about one axis.
 fn twists(rig: &mut RigConfig, kind: f64) {
     for step in &mut rig.motion.0 {
         if step.gesture == Gesture::Twist {
@@ -235,7 +235,7 @@ fn each_clock(
 }
 
 impl ModelRange {
-    const fn of(name: &'static str, draw: Draw) -> Self {
+    const fn named(name: &'static str, draw: Draw) -> Self {
         Self {
             name,
             unit: "",
@@ -270,8 +270,8 @@ impl ModelRange {
             }
             Draw::Whole => random.uniform(least, most + 1.0).floor().min(most),
             Draw::Rare => {
-                let (value, is_so) = (random.uniform(least, most), random.chance(1.0 / RARE));
-                if is_so { value } else { self.nominal }
+                let (value, is_rare) = (random.uniform(least, most), random.chance(1.0 / RARE));
+                if is_rare { value } else { self.nominal }
             }
         }
     }
@@ -357,7 +357,7 @@ impl ModelValues {
         self.0.get(place).copied()
     }
 
-    /// Makes a rig and its phone be so. Nominal values are left as they are.
+    /// Applies the values to a rig and its phone. Nominal values are left as they are.
     pub fn apply(&self, rig: &mut RigConfig, phone: &mut PhoneConfig) {
         for (range, value) in MODEL_RANGES.iter().zip(self.0) {
             if value != range.nominal {

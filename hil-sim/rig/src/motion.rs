@@ -1,8 +1,8 @@
 //! The motion of the rig: one smooth signal that every IMU on it sees.
 //!
 //! A [`Motion`] gives the angular rate and the specific force of the rig in
-//! the rig's own axes at any true time, without state: both IMUs, at whatever
-//! times their clocks make them sample, look at the same signal. Times are
+//! the rig's own axes at any true time, without state: both IMUs look at the same signal,
+//! at the times at which their clocks make them sample. Times are
 //! `f64` seconds since power-on of the rig (60 ps resolution after three days).
 //!
 //! It is a sequence of gestures ([`gesture`]): rest, twist, walk. Orientation is a closed

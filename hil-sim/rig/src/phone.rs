@@ -6,8 +6,9 @@
 //! that toggles, one client at a time, files saved by date; and as rudely: a stop that
 //! takes its time, a phase that is left from another video, presses that are ignored,
 //! requests that end the app, requests of clients that have gone ([`AppConfig`]).
-//! `server` speaks, `in_process` speaks without a socket, `app` decides, `recorder` is the video's, `sensors` and `camera` make
-//! the data. What follows a line of the app's source names it.
+//! `server` and `in_process` speak with clients, with and without a socket; `app` decides,
+//! `recorder` is the video's, `sensors` and `camera` make the data. Code that follows a line of
+//! the app's source names it.
 //!
 //! The phone lives on the rig's true time ([`TrueClock`]), however fast that
 //! passes. It has a clock of its own ([`Oscillator`]); all its timestamps are of
@@ -21,7 +22,7 @@
 
 mod app;
 mod camera;
-mod clock_teller;
+mod clock_server;
 mod config;
 mod files;
 mod in_process;
@@ -41,7 +42,8 @@ use crate::clocks::link_delay::LinkRanges;
 use crate::clocks::oscillator::Oscillator;
 use crate::clocks::true_clock::TrueClock;
 use crate::depth_camera::flash_log::FlashLog;
-use crate::motion::Motion;
+use crate::motion::gesture::Gesture;
+use crate::motion::{Motion, MotionSpec};
 use crate::random::{Random, Seed, Stream};
 
 use sensors::{Kind, Sensors};
@@ -49,7 +51,7 @@ use server::Link;
 
 pub use app::{App, VideoTruth};
 pub use camera::FrameTimes;
-pub use clock_teller::ClockTeller;
+pub use clock_server::ClockServer;
 pub use config::{AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, VideoMode};
 pub use in_process::{Answer, AskedPhone, RequestId};
 pub use server::LinkFault;
@@ -63,6 +65,19 @@ pub struct Surroundings {
     pub motion: Arc<Motion>,
     /// When the depth camera flashes.
     pub light: FlashLog,
+}
+
+impl Surroundings {
+    /// Returns those of a phone that is carried on a walk, without a depth camera.
+    #[must_use]
+    pub fn walking(seed: Seed, clock: TrueClock) -> Self {
+        let walk = MotionSpec::always(Gesture::Walk);
+        Self {
+            clock,
+            motion: walk.build(seed.stream(Stream::Motion)),
+            light: FlashLog::default(),
+        }
+    }
 }
 
 /// A running phone. It is switched off when dropped.
@@ -102,13 +117,13 @@ impl SimPhone {
         self.link.address()
     }
 
-    /// Tells on a port of its own what its clocks read, with the delays of such a link.
+    /// Serves the readings of its clocks on a port of its own, with the delays of such a link.
     ///
     /// # Errors
     ///
     /// There is no port.
-    pub fn tell_clock(&self, link: &LinkRanges) -> std::io::Result<ClockTeller> {
-        ClockTeller::start(Arc::clone(&self.app), link)
+    pub fn serve_clock(&self, link: &LinkRanges) -> std::io::Result<ClockServer> {
+        ClockServer::start(Arc::clone(&self.app), link)
     }
 
     /// Ends the app, if it has not ended itself, and opens it again.

@@ -33,21 +33,21 @@ const POLL: Duration = Duration::from_millis(2);
 
 /// Options of `serve`.
 #[derive(clap::Args)]
-pub struct Args {
+pub struct ServeArgs {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// Let virtual time pass at most so many times as fast as real time; without this it
-    /// passes as fast as the machine can.
+    /// Speed of virtual time as a multiple of real time, at most; without this it passes as
+    /// fast as the machine can.
     #[arg(long, value_name = "TIMES", value_parser = speed)]
     speed: Option<f64>,
     /// Once booted, keep the board paused until a program opens its port.
     #[arg(long)]
     wait_for_host: bool,
-    /// Stop after so much virtual time, for example 10s or 5min.
+    /// Virtual time after which to stop, for example 10s or 5min.
     #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
     length: Option<Duration>,
-    /// The one seed of all randomness.
+    /// Seed of all random numbers.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Motion of the rig.
@@ -66,9 +66,9 @@ pub struct Args {
     /// not given.
     #[arg(long, value_name = "DIR", requires = "phone")]
     phone_files: Option<PathBuf>,
-    /// Write the rig profile of this rig's owner to this file, offer the depth camera to the
-    /// recorder that it names and the phone's files to a stand-in for `adb`, and print the
-    /// commands of a session.
+    /// Write a profile of this rig to this file, start what it names (a recorder of the depth
+    /// camera, and a stand-in for `adb` with the phone's files), and print the commands of a
+    /// session.
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
     /// Write the ground truth to this file: the constants of phone and depth camera, and from
@@ -104,7 +104,7 @@ fn speed(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 ///
-/// If it is none, or negative.
+/// It is not a time span, or a negative one.
 fn duration(text: &str) -> Result<Duration, jiff::Error> {
     text.parse::<SignedDuration>()?.try_into()
 }
@@ -114,7 +114,7 @@ fn duration(text: &str) -> Result<Duration, jiff::Error> {
 /// # Errors
 ///
 /// The rig cannot be put together, the firmware has failed, or a file cannot be written.
-pub fn run(args: &Args) -> Result<()> {
+pub fn run(args: &ServeArgs) -> Result<()> {
     let stopped = interrupt::watch()?;
     let mut config = RigConfig::published(Seed(args.seed))
         .with_motion(MotionSpec::always(args.motion))
@@ -210,8 +210,8 @@ impl Truth {
     }
 }
 
-/// The profile of the same rig from before with where things are now: what was learnt and
-/// measured stays. `None` if it is of another rig.
+/// Returns the earlier profile of the same rig with today's port, address and command: what was
+/// learnt and measured stays. `None` if it is of another rig.
 fn served_again(before: &str, fresh: &str) -> Option<String> {
     const MOVED: [&str; 3] = ["port = ", "address = ", "command = "];
     let named = |text: &str| {
@@ -240,7 +240,7 @@ fn served_again(before: &str, fresh: &str) -> Option<String> {
 }
 
 /// The phone: its video shows something where a session is to be extracted.
-fn phone(args: &Args) -> PhoneConfig {
+fn phone(args: &ServeArgs) -> PhoneConfig {
     let mut config = PhoneConfig::draw(Seed(args.seed));
     config.storage.clone_from(&args.phone_files);
     if args.profile.is_some() {
@@ -273,7 +273,7 @@ fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
             ["sda", "low"] => sensor(Fault::HoldSda(None)),
             ["sda", "free"] => sensor(Fault::ReleaseSda),
             _ => eprintln!(
-                "no wire is called so: strobe PE11, strobe PC12 inverted, readback off, clock off, \
+                "unknown wire; expected strobe PE11, strobe PC12 inverted, readback off, clock off, \
                  sda low, sda free"
             ),
         }

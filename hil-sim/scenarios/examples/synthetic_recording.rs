@@ -1,4 +1,4 @@
-//! Writes a synthetic recording (see `tests/support/synthetic.rs`): input for the
+//! Writes a synthetic recording (see `tests/it/synthetic.rs`): input for the
 //! extraction's bench, and for a look at its outputs.
 //!
 //! usage: synthetic_recording FOLDER SECONDS [--depth WIDTHxHEIGHT] [--phone] [--seed N]
@@ -14,7 +14,7 @@ use synthetic::{Synthetic, make};
 
 /// Write a synthetic recording with known motion and clocks.
 #[derive(Parser)]
-struct Args {
+struct SyntheticArgs {
     /// A folder that is not there yet
     folder: PathBuf,
     /// Length of the recording
@@ -38,7 +38,7 @@ fn size(text: &str) -> Result<(u32, u32), String> {
 }
 
 fn main() {
-    let args = Args::parse();
+    let args = SyntheticArgs::parse();
     std::fs::create_dir_all(&args.folder).expect("the folder cannot be made");
     let truth = make(
         &args.folder,

@@ -1,5 +1,4 @@
-//! Compares what the board delivered with what happened at its pins: whether it is
-//! that.
+//! Compares what the board delivered with what happened at its pins.
 //!
 //! Every edge of the trigger is compared with the arithmetic of the train,
 //! whether a message about it reached the host or not. Every message that did
@@ -45,7 +44,7 @@ impl Train {
         self.first_q32 + from_first * i128::from(self.period.0)
     }
 
-    /// At tick 0 if it would be before that.
+    /// Its first edge is at tick 0 if it would be earlier.
     fn edge(&self, number: u64) -> Ticks {
         Ticks(u64::try_from(self.exact_q32(number) >> 32).unwrap_or(0))
     }
@@ -93,7 +92,7 @@ pub(crate) struct Compared {
     pub period_changes: u64,
 }
 
-/// See the module.
+/// Comparison of a board's messages with its pins, as the module's header describes.
 #[derive(Debug, Default)]
 pub(crate) struct BoardTruth {
     /// Units of virtual time at tick 0 of this run of the board.
@@ -198,9 +197,10 @@ impl BoardTruth {
         // An edge between two ticks is nobody's.
         if at.units() == zero + ticks * UNITS_PER_TICK {
             for course in &self.courses {
-                match course.train.edge(number).0 == ticks {
-                    true => courses.push(*course),
-                    false => courses.extend(self.changed(course)),
+                if course.train.edge(number).0 == ticks {
+                    courses.push(*course)
+                } else {
+                    courses.extend(self.changed(course))
                 }
             }
         }
@@ -222,10 +222,9 @@ impl BoardTruth {
         Ok(())
     }
 
-    /// The courses with other periods that were asked for later, each from one of the edges
-    /// before that at which the last one fails, which explain all edges. Two changes may be so
-    /// near to each other that no edge shows the first alone: after answers that were lost, the
-    /// period of then is followed at once by that of now.
+    /// Returns the courses that explain all edges with a later period, beginning at an edge before
+    /// the one at which the last course fails. Two changes may be so near to each other that no
+    /// edge shows the first alone: after lost answers one period follows another at once.
     fn changed(&self, course: &Course) -> Vec<Course> {
         let failed = (self.first + self.edges.len() as u64).saturating_sub(1);
         let mut explain = Vec::new();
@@ -283,7 +282,7 @@ impl BoardTruth {
     ///
     /// # Errors
     ///
-    /// It is about something that did not happen, or not then, or not so.
+    /// It does not agree with what happened at the pin.
     pub(crate) fn message(&mut self, message: &DeviceToHost) -> Result<(), String> {
         match message {
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulse(pulse),

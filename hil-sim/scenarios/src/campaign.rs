@@ -14,7 +14,7 @@
 //! - the recording: it opens, it holds every pulse and sample that the session was given
 //!   once, and nothing else; killed, all but the last second;
 //! - the session goes on afterwards, with loss reported; after a reset of the board it is
-//!   closed whole, with the reset's cause;
+//!   closed properly, with the reset's cause;
 //! - the phone is left as it should be.
 //!
 //! Limit: a power cut or a held bus in the middle of a transfer can damage the bytes of that
@@ -45,7 +45,7 @@ use session::event::Phase;
 use session::options::Track;
 use stm32f4_sim::time::SimDuration;
 
-use crate::virtual_session::{Bench, Run};
+use crate::virtual_session::{Run, SessionBench};
 use crate::workers;
 use happen::{Flood, Happened};
 use plan::Plan;
@@ -97,7 +97,7 @@ pub struct Finding {
 ///
 /// # Errors
 ///
-/// Something was not as promised.
+/// A promise was not kept.
 pub fn run(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Verdict, Finding> {
     let judged = record(plan, elf, folder).and_then(|ended| judge::judge(plan, &ended));
     judged.map_err(|error| Finding {
@@ -161,7 +161,7 @@ fn record(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended> {
     let board = wiring::board_of(config.board, elf)
         .tolerate_failures()
         .model(flood.clone());
-    let mut bench = Bench::new(config, board, vec![phone], &[], &place)?;
+    let mut bench = SessionBench::new(config, board, vec![phone], &[], &place)?;
     bench.hurry();
     bench.keeps_messages = true;
     for pin in [wiring::TRIGGER, wiring::STROBE] {

@@ -27,7 +27,7 @@ use session::options::{Track, seconds};
 
 use crate::judge::{Truth, Verdict};
 use crate::programs::{Programs, ask};
-use crate::virtual_session::Bench;
+use crate::virtual_session::SessionBench;
 use report::{Figures, SessionFigures};
 
 /// Length of the session that teaches, seconds: two twists that are a minute
@@ -37,7 +37,7 @@ const TEACHING_SECONDS: u32 = 60;
 /// Settings of a demo.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DemoOptions {
-    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    /// Seed of all random numbers: clocks, mounting, motion, noise.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Seconds of board time to record.
@@ -84,22 +84,22 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     phone.storage = Some(storage.clone());
     phone.camera.show_ball();
     let board = wiring::board_of(config.board, programs.elf.as_deref());
-    let mut bench = Bench::new(config, board, vec![phone], &[], out)?;
+    let mut bench = SessionBench::new(config, board, vec![phone], &[], out)?;
     (bench.has_recorder, bench.shows_ball) = (true, true);
     bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
     let taught = teach(&mut bench, options, programs)?;
     let recording = session(&mut bench, options, "recording", options.seconds)?;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
-    let truth = Truth::of(bench.stop()?)?;
+    let truth = Truth::from_run(bench.stop()?)?;
     let verdict = truth.judge(&recording)?;
     let before = truth.judge(&taught)?;
     let data = data_set::make(truth, &recording, storage, programs).context("the data set")?;
     let figures = Figures {
-        session: SessionFigures::of(&verdict),
+        session: SessionFigures::from_verdict(&verdict),
         virtual_s,
         wall_s: begun.elapsed().as_secs_f64(),
         seed: options.seed,
-        before_learning: SessionFigures::of(&before),
+        before_learning: SessionFigures::from_verdict(&before),
     };
     let report = options.out.join("report.html");
     std::fs::write(&report, report::page(&figures, &verdict, &data))
@@ -114,19 +114,25 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
 }
 
 /// Records a session into a folder of this name.
-fn session(bench: &mut Bench, options: &DemoOptions, name: &str, length: u32) -> Result<PathBuf> {
+fn session(
+    bench: &mut SessionBench,
+    options: &DemoOptions,
+    name: &str,
+    length: u32,
+) -> Result<PathBuf> {
     let mut wishes = bench.options(&free_name(&options.out, name));
     wishes.duration = Some(seconds(length.into()));
     (wishes.second_twist, wishes.fetch_video) = (true, true);
-    wishes.track = match options.without_cable {
-        true => Track::Never,
-        false => Track::Always,
+    wishes.track = if options.without_cable {
+        Track::Never
+    } else {
+        Track::Always
     };
     Ok(bench.run(&wishes).good()?.folder)
 }
 
 /// Records with nothing learnt, and lets the profile learn from it.
-fn teach(bench: &mut Bench, options: &DemoOptions, programs: &Programs) -> Result<PathBuf> {
+fn teach(bench: &mut SessionBench, options: &DemoOptions, programs: &Programs) -> Result<PathBuf> {
     let recording = session(bench, options, "teaching", TEACHING_SECONDS)?;
     let profile = bench.write_profile()?;
     let video = bench.with(|rig| rig.phones.first()?.app.videos().pop());

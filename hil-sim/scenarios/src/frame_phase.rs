@@ -82,7 +82,7 @@ fn difference_us(a: TrueTime, b: TrueTime) -> f64 {
     units as f64 / (UNITS_PER_NANO as f64 * 1e3)
 }
 
-/// Start, drift and spread of phase errors; nothing for fewer than two.
+/// Returns start, drift and spread of phase errors; `None` for fewer than two.
 #[must_use]
 pub(crate) fn summarise(errors: &[PhaseError]) -> Option<PhaseSummary> {
     let first = errors.first()?;

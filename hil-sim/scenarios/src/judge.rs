@@ -38,7 +38,7 @@ pub struct Truth {
     pub timebase: Timebase,
 }
 
-/// An error with what was said about it, µs.
+/// An error with its stated 1-sigma, µs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct OffsetError {
     /// Stated minus true, µs.
@@ -81,11 +81,11 @@ pub struct Verdict {
     pub lost: u64,
     /// Length of the recorded span, seconds of board time.
     pub recorded_s: f64,
-    /// What the session said of the other phones.
+    /// Errors of the session's statements about the other phones.
     pub others: Vec<OtherVerdict>,
 }
 
-/// Errors of what a session said of another phone.
+/// Errors of a session's statements about another phone.
 #[derive(Clone, Debug, Serialize)]
 pub struct OtherVerdict {
     /// Its name.
@@ -95,8 +95,7 @@ pub struct OtherVerdict {
     pub offset_start: OffsetError,
     /// The relation that was best known in the end, at the end of the span.
     pub offset_end: OffsetError,
-    /// Position of its frames at the beginning of the recorded span: what was said
-    /// minus the truth.
+    /// Position of its frames at the beginning of the recorded span: stated minus true.
     pub placement: OffsetError,
     /// Stated drift of its frames minus the true one, µs/min.
     pub drift_error_us_per_min: f64,
@@ -153,7 +152,7 @@ impl Truth {
     /// # Errors
     ///
     /// The board's timer never ran, or there was no phone.
-    pub fn of(run: RunTruth) -> Result<Self> {
+    pub fn from_run(run: RunTruth) -> Result<Self> {
         let zero = run.zero.context("the board's timer never ran")?;
         let mut phones = run.phones.into_iter();
         let (phone, videos) = phones.next().context("the rig has no phone")?;
@@ -252,7 +251,7 @@ impl Truth {
         let video = video_at(&self.videos, phase_ns)?;
         let phases = self.phases(&self.phone, video, span);
         let phase = summarise(&phases).context("the recorded span has no frames")?;
-        // A pair further apart than a quarter of a frame is none.
+        // Frames further apart than a quarter of a period are not a pair.
         let quarter_us = video.frames.period_ns() * 0.25e-3;
         let unpaired = phases
             .iter()
@@ -289,7 +288,7 @@ impl Truth {
         phase_errors(&video.frames, first..count, phone, &self.depth)
     }
 
-    /// Judges what the session says of the other phones.
+    /// Judges the session's statements about the other phones.
     fn judge_others(&self, session: &SessionFile, span: Span) -> Result<Vec<OtherVerdict>> {
         let others = session.other_phones().iter().zip(&self.others);
         others
@@ -332,7 +331,7 @@ impl Truth {
             name: said.name.clone(),
             offset_start: self.error_of(phone, &before, span.from),
             offset_end: self.error_of(phone, &clock, span.to),
-            // The truth is depth minus phone.
+            // The ground truth is depth minus phone.
             placement: OffsetError {
                 error_us: near(stated + truth.start_us),
                 sigma_us: placed

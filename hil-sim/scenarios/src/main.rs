@@ -17,15 +17,15 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Run the board and offer its USB serial port as a pseudo-terminal.
-    Serve(rig::serve::Args),
-    /// Record the depth camera of a running `serve`: the recorder that its profile names.
-    RecordDepth(rig::depth_camera::cable::Args),
+    Serve(rig::serve::ServeArgs),
+    /// Record the depth camera of a running `serve`, as the recorder that its profile names.
+    RecordDepth(rig::depth_camera::cable::RecordDepthArgs),
     /// Run a whole session on the simulated rig and judge it by the ground truth.
-    Demo(commands::demo::Args),
-    /// Figures over what may be true of rigs: sessions on models, tracking, the whole chain.
-    Study(commands::study::Args),
-    /// Recordings during which things go wrong, judged by the ground truth.
-    Faults(commands::faults::Args),
+    Demo(commands::demo::DemoArgs),
+    /// Print figures over the model ranges: sessions on models, tracking, the whole chain.
+    Study(commands::study::StudyArgs),
+    /// Record while things go wrong, and judge the recordings by the ground truth.
+    Faults(commands::faults::FaultsArgs),
 }
 
 fn main() -> ExitCode {

@@ -31,7 +31,7 @@ impl Programs {
         )
     }
 
-    /// Runs a command of the program to its end, and keeps what it says.
+    /// Runs a command of the program to its end, and returns its output.
     pub(crate) fn output(&self, command: &mut Command) -> Result<Output> {
         command.output().with_context(|| self.cannot_start())
     }

@@ -1,4 +1,4 @@
-//! Figures of rigs over what may be true of them.
+//! Figures of rigs over the model ranges.
 //!
 //! Rigs as modelled, and rigs drawn from all ranges at once. What each of them does is one of
 //! three: [sessions on the models](models), an hour of [tracking](tracking) on clocks and links,
@@ -30,7 +30,7 @@ pub struct StudyOptions {
     /// The first rig's seed; the others follow it.
     #[arg(long, default_value_t = 1, global = true)]
     pub first_seed: u64,
-    /// How many rigs run at the same time.
+    /// Number of rigs that run at the same time.
     #[arg(long, default_value_t = 2, global = true, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub jobs: u32,
 }
@@ -38,7 +38,7 @@ pub struct StudyOptions {
 /// The values of a rig without each of them, which is in words.
 pub type Without<V> = Box<dyn Fn(&V) -> Vec<(String, V)>>;
 
-/// The rigs of a study, by what may be true of them.
+/// The rigs of a study.
 pub struct Rigs<V> {
     /// As modelled.
     pub nominal: V,
@@ -53,9 +53,12 @@ impl Rigs<ModelValues> {
     /// is the same in each recording.
     #[must_use]
     pub fn of_models(exposure_locked: bool) -> Self {
-        let drawn = move |seed| match exposure_locked {
-            true => ModelValues::drawn(seed).with_exposure_locked(),
-            false => ModelValues::drawn(seed),
+        let drawn = move |seed| {
+            if exposure_locked {
+                ModelValues::drawn(seed).with_exposure_locked()
+            } else {
+                ModelValues::drawn(seed)
+            }
         };
         Self {
             nominal: ModelValues::nominal_by_hand(),
@@ -119,7 +122,7 @@ pub struct RigResult {
     pub seed: u64,
     /// Which.
     pub kind: Kind,
-    /// The figures of its sessions, or why there are none.
+    /// The figures of its sessions, or the reason why there are none.
     pub figures: Result<Vec<Figure>, String>,
 }
 
@@ -226,7 +229,7 @@ fn by_size(a: &f64, b: &f64) -> std::cmp::Ordering {
 
 impl Study {
     /// The figures of rigs of a kind, each with its rig.
-    fn of(&self, kind: Kind) -> impl Iterator<Item = (&RigResult, &Figure)> {
+    fn figures_of(&self, kind: Kind) -> impl Iterator<Item = (&RigResult, &Figure)> {
         let rigs = self.rigs.iter().filter(move |rig| rig.kind == kind);
         rigs.flat_map(|rig| {
             rig.figures
@@ -255,7 +258,7 @@ impl Study {
     fn worst_without_cause(&self) -> Vec<Worst> {
         let worst = self.names().into_iter().filter_map(|name| {
             let drawn = self
-                .of(Kind::Drawn)
+                .figures_of(Kind::Drawn)
                 .filter(|(_, figure)| figure.name == name);
             let (rig, figure) = drawn.max_by(|a, b| by_size(&a.1.error, &b.1.error))?;
             Some(Worst {
@@ -278,7 +281,9 @@ impl Study {
         for name in self.names() {
             let _ = write!(out, "| {name} ");
             for kind in [Kind::Nominal, Kind::Drawn] {
-                let own = self.of(kind).filter(|(_, figure)| figure.name == name);
+                let own = self
+                    .figures_of(kind)
+                    .filter(|(_, figure)| figure.name == name);
                 let own: Vec<&Figure> = own.map(|(_, figure)| figure).collect();
                 let sizes: Vec<f64> = own.iter().map(|figure| figure.error.abs()).collect();
                 let size = quantile(&sizes, 0.95).map_or("-".to_owned(), digits);
@@ -310,9 +315,10 @@ impl Study {
 }
 
 fn digits(value: f64) -> String {
-    match value < 1.0 {
-        true => format!("{value:.2}"),
-        false => format!("{value:.1}"),
+    if value < 1.0 {
+        format!("{value:.2}")
+    } else {
+        format!("{value:.1}")
     }
 }
 

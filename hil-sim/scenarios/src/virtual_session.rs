@@ -1,10 +1,10 @@
-//! Sessions in one thread, on virtual time: [`session::run`] on a [`VirtualRig`], which is
-//! stepped by whoever waits. There is no wall clock, thread, pseudo-terminal or socket in
+//! Sessions in one thread, on virtual time: [`session::run`] on a [`VirtualRig`], which the
+//! part that waits steps. There is no wall clock, thread, pseudo-terminal or socket in
 //! it, so a seed gives the same recording to the byte on any machine.
 //!
-//! A [`Bench`] is a rig with a folder for its recordings. What happens to the rig or what
-//! the person does is given before the session as a [cue](Bench::on): an event of the
-//! session, and what is done so long after it.
+//! A [`SessionBench`] is a rig with a folder for its recordings. What happens to the rig or what
+//! the person does is given before the session as a [cue](SessionBench::on): an event of the
+//! session, and what is done after it.
 
 mod clock;
 mod link;
@@ -54,7 +54,7 @@ pub const POWER_ON_S: i64 = 1_800_000_000;
 #[derive(Clone)]
 pub struct SharedRig {
     rig: Rc<RefCell<VirtualRig>>,
-    /// Virtual time as the computer's clock counts it, for whoever has no rig, ns.
+    /// Virtual time as the computer's clock counts it, for parts without a rig, ns.
     now_ns: Arc<AtomicI64>,
     hands: Rc<Hands>,
     /// Commands of the host.
@@ -118,7 +118,7 @@ impl Hands {
         self.wishes.borrow_mut().push_back(wish);
     }
 
-    /// Sets the computer's time of day by so many seconds.
+    /// Moves the computer's time of day by a number of seconds.
     pub fn set_clock_by(&self, seconds: i64) {
         self.clock_step_s.store(seconds, Ordering::Relaxed);
     }
@@ -213,7 +213,7 @@ impl Run {
 }
 
 /// A rig with a folder for recordings.
-pub struct Bench {
+pub struct SessionBench {
     rig: SharedRig,
     cues: Vec<Cue>,
     /// The owner's profile.
@@ -225,13 +225,13 @@ pub struct Bench {
     /// True if the depth pictures show the [`ball`](rig::picture::ball); they name their frame otherwise.
     pub shows_ball: bool,
     fate: Rc<RecorderFate>,
-    /// Over what the phone's clock is read, if it can be.
+    /// Link over which the phone's clock is read, if it can be.
     pub phone_link: Option<LinkRanges>,
     /// True if the board's messages are kept among the events of a run.
     pub keeps_messages: bool,
 }
 
-impl Bench {
+impl SessionBench {
     /// Builds a rig and powers it on; its phones have names if there are several. `board`
     /// may have further models wired to it.
     ///
@@ -306,7 +306,7 @@ impl Bench {
         self.rig.with(work)
     }
 
-    /// Lets something happen so long after the next event of the session for which `when`.
+    /// Lets something happen a while after the next event of the session for which `when`.
     pub fn on(
         &mut self,
         when: impl FnMut(&SessionEvent) -> bool + 'static,
@@ -376,9 +376,10 @@ impl Bench {
         });
         let mut recorder = VirtualRecorder::new(self.rig.clone(), self.recorder(), self.shows_ball);
         let mut no_recorder = NoRecorder;
-        let recording: &mut dyn DepthRecorder = match self.has_recorder {
-            true => &mut recorder,
-            false => &mut no_recorder,
+        let recording: &mut dyn DepthRecorder = if self.has_recorder {
+            &mut recorder
+        } else {
+            &mut no_recorder
         };
         let ended = run(
             options,

@@ -27,7 +27,7 @@ use serde_json::Value;
 
 use crate::judge::{Truth, read_streams};
 use crate::programs::Programs;
-use crate::virtual_session::{Bench, write_frames};
+use crate::virtual_session::{SessionBench, write_frames};
 use rig::clocks::oscillator::{BoardTime, Oscillator, TrueTime};
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
@@ -112,7 +112,7 @@ impl Plan {
         rig.board = self.board;
         if let Some(camera) = &mut rig.depth_camera {
             camera.drop_probability = self.drop_probability;
-            *camera = self.camera.of(*camera, seed);
+            *camera = self.camera.specimen(*camera, seed);
         }
         let mut phone = PhoneConfig::draw(seed);
         self.values.apply(&mut rig, &mut phone);
@@ -123,7 +123,7 @@ impl Plan {
     }
 }
 
-/// A recording of the whole chain, with its truth.
+/// A recording of the whole chain, with its ground truth.
 #[derive(Debug)]
 pub struct Recorded {
     /// Its folder.
@@ -134,7 +134,7 @@ pub struct Recorded {
     pub profile: PathBuf,
     /// The session's file.
     pub session: SessionFile,
-    /// The truth.
+    /// The ground truth.
     pub truth: Truth,
     /// All pulses of the recording, in order.
     pub pulses: Vec<Ticks>,
@@ -142,7 +142,7 @@ pub struct Recorded {
 
 impl Recorded {
     /// The files of a session in `folder`.
-    pub(crate) fn of(
+    pub(crate) fn new(
         folder: PathBuf,
         phone: PathBuf,
         profile: PathBuf,
@@ -159,7 +159,7 @@ impl Recorded {
         })
     }
 
-    /// Writes the depth recording of the frames in the truth, as small images that
+    /// Writes the depth recording of the frames in the ground truth, as small images that
     /// name their frame: what is in them is tested elsewhere.
     fn write_depth(&self) -> Result<()> {
         let path = self.folder.join("depth.mkv");
@@ -184,7 +184,7 @@ pub fn record(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> 
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());
     let board = wiring::board_of(plan.board, programs.elf.as_deref());
-    let mut bench = Bench::new(config, board, vec![phone], &[], &run)?;
+    let mut bench = SessionBench::new(config, board, vec![phone], &[], &run)?;
     match &plan.profile {
         Some(path) => bench.profile = Profile::load(path)?,
         None => {
@@ -201,9 +201,10 @@ pub fn record(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> 
     options.twist_gap = seconds(GAP_S);
     let recorded =
         session(bench, &options, storage).with_context(|| format!("seed {}", plan.seed))?;
-    match plan.camera.writes_mkv() {
-        true => recorded.write_depth()?,
-        false => cameras::write_bag(&recorded.folder.join("depth"), &recorded.truth.depth)?,
+    if plan.camera.writes_mkv() {
+        recorded.write_depth()?
+    } else {
+        cameras::write_bag(&recorded.folder.join("depth"), &recorded.truth.depth)?
     }
     Ok(recorded)
 }
@@ -221,13 +222,13 @@ pub(crate) fn new_folder(path: &Path) -> Result<PathBuf> {
 /// Runs one session of a rig, which is then switched off, with `phone` as the folder of the
 /// phone's files. Its profile is in `rig.toml` beside the recording. The depth recording is
 /// not written yet.
-fn session(mut bench: Bench, options: &Options, phone: PathBuf) -> Result<Recorded> {
+fn session(mut bench: SessionBench, options: &Options, phone: PathBuf) -> Result<Recorded> {
     let profile = bench.write_profile()?;
     let run = bench.run(options);
-    // A board that has died is the reason for whatever the session says.
+    // A board that has failed is the reason for all that the session reports.
     let truth = bench.stop()?;
     let ended = run.good()?;
-    Recorded::of(ended.folder, phone, profile, Truth::of(truth)?)
+    Recorded::new(ended.folder, phone, profile, Truth::from_run(truth)?)
 }
 
 /// A number of a JSON answer.

@@ -6,9 +6,9 @@ use crate::chip::memory::Memory;
 pub(crate) trait Bus {
     /// Flash and RAM.
     fn memory(&mut self) -> &mut Memory;
-    /// Reads a peripheral at the given core cycle; nothing if there is none.
+    /// Reads a peripheral at the given core cycle; `None` if there is no such peripheral.
     fn io_read(&mut self, addr: u32, bytes: u32, cycle: u64) -> Option<u32>;
-    /// Writes a peripheral at the given core cycle; false if there is none.
+    /// Writes a peripheral at the given core cycle; false if there is no such peripheral.
     fn io_write(&mut self, addr: u32, bytes: u32, value: u32, cycle: u64) -> bool;
     /// Cycles that an access to a peripheral takes beyond those of one to memory.
     fn io_waits(&self, addr: u32) -> u64;

@@ -84,7 +84,7 @@ pub struct ChipConfig {
     pub crystal: Option<Rate>,
     /// Wires of I2C1's bus.
     pub(crate) i2c: Option<I2cWires>,
-    /// Probability of a bus error of the I2C that is none, for each byte (ES0182 2.10.1).
+    /// Probability that the I2C reports a bus error without one, for each byte (ES0182 2.10.1).
     pub bus_errors: f64,
     /// Clocks that the synchroniser of a timer's input takes.
     pub synchroniser: u64,
@@ -145,7 +145,7 @@ pub(crate) struct Soc {
     pub(crate) otg: Otg,
     pub(crate) usb: UsbHost,
     cells: Cells,
-    /// The run is to end, whatever is tolerated.
+    /// Reason to end the run, independent of what is tolerated.
     pub(crate) end: Option<End>,
     /// Where the I2C bus is wired to, if it is.
     i2c_wires: Option<I2cWires>,
@@ -322,7 +322,7 @@ impl Soc {
         self.slice_end = cycle;
     }
 
-    /// Where the present slice ends, whatever wants the core's attention.
+    /// End of the present slice, at which the core's attention is due.
     pub(crate) fn slice_limit(&self) -> u64 {
         if self.reset_request.is_some() || self.end.is_some() {
             0

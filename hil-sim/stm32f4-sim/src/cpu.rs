@@ -111,7 +111,7 @@ pub(crate) struct Cpu {
     regs: Regs,
     /// The fast interpreter may run (no MPU, privileged, Thumb).
     fast_ok: bool,
-    /// The next instruction is rsemu's whatever it is.
+    /// True if rsemu runs the next instruction in any case.
     slow_next: bool,
     pub(crate) asleep: bool,
     locked_up: bool,
@@ -203,7 +203,7 @@ impl Cpu {
         self.by_rom = true;
     }
 
-    /// Whether the program has gone on to the ROM.
+    /// True if the program has gone on to the ROM.
     pub(crate) fn is_in_rom(&self) -> bool {
         self.fast.r[15] >> 16 == ROM >> 16
     }

@@ -38,7 +38,7 @@ impl Firmware {
     ///
     /// # Errors
     ///
-    /// If there is none, or it is none for a Cortex-M with flash at `0x0800_0000`.
+    /// There is no such file, or it is not for a Cortex-M with flash at `0x0800_0000`.
     pub fn load(path: &Path, hint: &str) -> Result<Self, String> {
         let name = path.display();
         if !path.is_file() {

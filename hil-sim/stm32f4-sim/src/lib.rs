@@ -1,9 +1,8 @@
 //! A simulated STM32F407VG that runs a firmware's ELF on virtual time.
 //!
 //! The firmware is the file that would be flashed: any language, any HAL, no change to
-//! it. [`sim::Sim`] runs it from its reset on, as fast as it can, and tells what it did
-//! to the pins, to the exact time of each edge. Without a crystal or an I2C bus in the
-//! builder there is none.
+//! it. [`sim::Sim`] runs it from its reset, as fast as it can, and reports the exact time of
+//! each edge at the pins. There is a crystal or an I2C bus only if the builder is given one.
 //!
 //! ```no_run
 //! use stm32f4_sim::clock::Rate;
@@ -35,11 +34,11 @@
 //! ```
 //!
 //! A part that is wired to the chip is a [`model::PinModel`] (pins), an [`i2c::I2cTarget`] (the
-//! I2C bus) or both; [`model_bench::Bench`] runs one alone, for its tests.
+//! I2C bus) or both; [`model_bench::ModelBench`] runs one alone, for its tests.
 //!
 //! A failure of the firmware ends the run with its log and call stack, and so does the
 //! touch of a register that is neither modelled nor one of the
-//! [`sim::stored_registers`]: the simulator never makes an answer up.
+//! [`sim::stored_registers`]: the simulator never invents an answer.
 
 #![warn(missing_docs)]
 

@@ -9,7 +9,7 @@ use crate::time::{SimDuration, SimTime};
 
 /// One model on the bench.
 #[derive(Debug)]
-pub struct Bench<M> {
+pub struct ModelBench<M> {
     /// The model.
     pub model: M,
     /// Time since power-on.
@@ -19,7 +19,7 @@ pub struct Bench<M> {
     pub driven: Vec<(SimTime, Pin, Drive)>,
 }
 
-impl<M: PinModel> Bench<M> {
+impl<M: PinModel> ModelBench<M> {
     /// Powers the model on, with all pins low.
     pub fn new(model: M) -> Self {
         let mut bench = Self {
@@ -52,7 +52,7 @@ impl<M: PinModel> Bench<M> {
         self.now = until;
     }
 
-    /// Lets the model do all that it wants for so long.
+    /// Lets the model run for a time.
     pub fn run(&mut self, time: SimDuration) {
         self.run_until(self.now + time);
     }
@@ -86,7 +86,7 @@ impl<M: PinModel> Bench<M> {
 /// Length of a byte on a bus of 400 kHz.
 const BYTE: SimDuration = SimDuration::from_nanos(22_500);
 
-impl<M: PinModel + I2cTarget> Bench<M> {
+impl<M: PinModel + I2cTarget> ModelBench<M> {
     fn byte(&mut self) -> SimTime {
         self.run(BYTE);
         self.now

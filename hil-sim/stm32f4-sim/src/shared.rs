@@ -1,4 +1,4 @@
-//! Shared ownership: of a model on the board's wires, and whoever looks at it meanwhile.
+//! Shared ownership of a model on the board's wires, for code that looks at it meanwhile.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

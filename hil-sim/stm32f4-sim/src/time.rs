@@ -1,8 +1,8 @@
 //! Virtual time of the simulated board.
 //!
 //! All of the board's time is counted by its crystal: a second of [`SimTime`] is as
-//! many periods of it as its frequency says, whatever a true second is. How fast it
-//! runs against true time is the affair of whoever wires the board up, so no rounding
+//! many periods of it as its frequency says, independent of a true second. How fast it
+//! runs against true time is decided where the board is wired up, so no rounding
 //! of a rate error can ever reach the board's clocks. The internal oscillator runs
 //! exactly at its nominal rate in that time.
 //!

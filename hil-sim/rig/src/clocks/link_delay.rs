@@ -1,11 +1,10 @@
 //! Delays of a question to a clock, and of the answer back.
 //!
-//! Each way takes the least that it can, some microseconds that scatter even then, often a
-//! body of waiting, and now and then a tail of milliseconds. What the least is differs
-//! between the two ways, wanders slowly, and steps: a screen goes off, a governor changes
-//! the clock of a processor, a hub wakes. Sometimes nothing is answered for seconds. All of
-//! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
-//! model ranges has a row for each.
+//! Each direction has a shortest delay with microseconds of scatter, often further waiting, and
+//! now and then a tail of milliseconds. The shortest delay differs between the two directions,
+//! wanders slowly, and steps: a screen goes off, a governor changes the clock of a processor, a
+//! hub wakes. Sometimes there is no answer for seconds. All of this is drawn from ranges, as
+//! nobody has measured it with a rig like this one; the page of model ranges has a row for each.
 
 use crate::clocks::oscillator::TrueTime;
 use crate::random::{Random, log_uniform};
@@ -28,13 +27,13 @@ pub struct LinkRanges {
     pub tail: (f64, f64),
     /// Steps an hour.
     pub steps: (f64, f64),
-    /// By what factor a step moves the least of a round trip, at most.
+    /// Largest factor by which a step changes the shortest round trip.
     pub step: (f64, f64),
     /// Silences an hour.
     pub silences: (f64, f64),
     /// Length of one, s.
     pub silence: (f64, f64),
-    /// Wander of the least of a way, in its jitter.
+    /// Wander of the shortest delay of a direction, in units of its scatter.
     pub wander: (f64, f64),
 }
 
@@ -95,7 +94,7 @@ impl LinkRanges {
     };
 }
 
-/// One link, drawn from what links may be like.
+/// One link, drawn from the ranges.
 #[derive(Clone, Debug)]
 pub struct Link {
     random: Random,
@@ -122,7 +121,7 @@ fn even(random: &mut Random, (from, to): (f64, f64)) -> f64 {
     random.uniform(from, to)
 }
 
-/// Time until the next of events that are so rare.
+/// Draws the time until the next event, given the mean time between two.
 fn waiting(random: &mut Random, between: f64) -> f64 {
     -between * (1.0 - random.uniform(0.0, 1.0)).ln()
 }
@@ -167,8 +166,8 @@ impl Link {
         (from, from + log_uniform(&mut self.random, self.silence))
     }
 
-    /// When a question that is asked at a time is read, and when its answer is back; nothing if
-    /// it is not answered. Times do not go back.
+    /// Returns when a question asked at a time is read, and when its answer is back; `None` if
+    /// it is not answered. Times must not go back.
     pub fn exchange(&mut self, asked: TrueTime) -> Option<[TrueTime; 2]> {
         let [there, back] = self.ways(asked.as_secs_f64())?;
         let later = |from: TrueTime, by: f64| {
@@ -179,8 +178,8 @@ impl Link {
         Some([read, later(read, back)])
     }
 
-    /// The way there and back of a question that is asked at this time, s; nothing if it
-    /// is not answered. Times do not go back.
+    /// Returns the delays there and back of a question asked at a time, s; `None` if it is not
+    /// answered. Times must not go back.
     pub fn ways(&mut self, at: f64) -> Option<[f64; 2]> {
         while at >= self.next_step {
             self.step();
@@ -193,13 +192,14 @@ impl Link {
         (at < self.silent.0).then_some(ways)
     }
 
-    /// The least of both ways becomes another: of one, of the other or of both.
+    /// Changes the shortest delay of one direction, of the other or of both.
     fn step(&mut self) {
         let factor = log_uniform(&mut self.random, self.step);
         let round = self.least[0] + self.least[1];
-        let longer = match self.random.chance(0.5) {
-            true => round * (factor - 1.0),
-            false => round * (1.0 / factor - 1.0),
+        let longer = if self.random.chance(0.5) {
+            round * (factor - 1.0)
+        } else {
+            round * (1.0 / factor - 1.0)
         };
         let there = self.random.uniform(0.0, 1.0);
         let by = [longer * there, longer * (1.0 - there)];

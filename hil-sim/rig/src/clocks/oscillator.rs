@@ -111,7 +111,7 @@ impl Warming {
     /// The time in which the frequency changes by [`Warming::ppm`], in seconds.
     pub const SPAN_S: f64 = 600.0;
 
-    /// Fractional frequency so many seconds after power-on, less that at power-on.
+    /// Returns the fractional frequency at a time after power-on, in seconds, less that at power-on.
     fn fraction(&self, since_s: f64) -> f64 {
         let share = |time_s: f64| -libm::expm1(-time_s / self.time_s);
         let step = -libm::expm1(-(since_s - self.step_at_s).max(0.0) / self.step_time_s);
@@ -249,7 +249,7 @@ impl Oscillator {
         self.config.offset_ns.saturating_add_unsigned(elapsed)
     }
 
-    /// The earliest true time at which the clock reads `nanos`; nothing if it
+    /// The earliest true time at which the clock reads `nanos`; `None` if it
     /// did so before power-on.
     #[must_use]
     pub fn when_nanos(&self, nanos: i64) -> Option<TrueTime> {
@@ -438,7 +438,7 @@ mod tests {
             let expected: f64 = (0..600).map(at).sum();
             assert!((gained / UNITS_PER_NANO as f64 * 1e-3 - expected).abs() < 0.01);
         }
-        // Without a time there is none.
+        // With a time constant of zero there is no warming.
         let none = Warming {
             ppm: 1.0,
             time_s: 0.0,

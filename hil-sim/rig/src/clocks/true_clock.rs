@@ -1,7 +1,7 @@
 //! The rig's true time as it passes, shared between its threads.
 //!
-//! Whoever drives the rig [publishes](TrueClock::publish) how far true time has
-//! come; others read it or wait for a time. True time passes as fast as the rig
+//! The thread that drives the rig [publishes](TrueClock::publish) true time; others
+//! read it or wait for a time. True time passes as fast as the rig
 //! is run: faster than real time, slower, or in step with it.
 //!
 //! Publishing costs an atomic store and a load while nobody waits for the time
@@ -133,7 +133,7 @@ impl TrueClock {
         self.0.waiting().times.len()
     }
 
-    /// Makes everyone who waits look whether they were cancelled.
+    /// Wakes all waiters, so that those that were cancelled return.
     pub(crate) fn wake(&self) {
         // Taken and given back, so that nobody is between looking and waiting.
         drop(self.0.waiting());

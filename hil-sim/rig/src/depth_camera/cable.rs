@@ -84,7 +84,7 @@ fn deliver(mut stream: UnixStream, frames: &Receiver<FrameRecord>) {
 
 /// Options of `record-depth`.
 #[derive(clap::Args)]
-pub struct Args {
+pub struct RecordDepthArgs {
     /// The socket of the camera, as `serve` has it in the profile that it writes.
     #[arg(long, value_name = "SOCKET")]
     camera: PathBuf,
@@ -100,7 +100,7 @@ pub struct Args {
 /// # Errors
 ///
 /// There is no camera, or the file cannot be written.
-pub fn record(args: &Args) -> Result<()> {
+pub fn record(args: &RecordDepthArgs) -> Result<()> {
     let stopped = interrupt::watch()?;
     let camera = UnixStream::connect(&args.camera)
         .with_context(|| format!("no camera at {}", args.camera.display()))?;

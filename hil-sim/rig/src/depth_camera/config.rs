@@ -63,7 +63,7 @@ pub struct DepthCameraConfig {
     pub zeroed_at_first_pulse: bool,
     /// Probability that a frame is lost on its way to the computer.
     pub drop_probability: f64,
-    /// So many at once.
+    /// Number of frames that are lost at a time.
     pub dropped_at_once: u32,
     /// Probability that a frame's image is spoilt for no reason that is known.
     pub spoil_probability: f64,

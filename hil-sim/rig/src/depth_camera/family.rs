@@ -52,7 +52,7 @@ impl Family {
 
     /// Such a camera instead of another: its clock and losses stay.
     #[must_use]
-    pub fn of(self, camera: DepthCameraConfig, seed: Seed) -> DepthCameraConfig {
+    pub fn specimen(self, camera: DepthCameraConfig, seed: Seed) -> DepthCameraConfig {
         let mut random = seed.stream(Stream::DepthFamily);
         let mut draw = |(from, to): (f64, f64)| random.uniform(from, to);
         let other = DepthCameraConfig {
@@ -98,7 +98,7 @@ fn shutter(camera: DepthCameraConfig, begins_us: f64, exposure_us: f64) -> Depth
     }
 }
 
-/// So many microseconds, in whole nanoseconds.
+/// Returns a duration given in microseconds, in whole nanoseconds.
 pub(crate) fn micros(us: f64) -> SimDuration {
     SimDuration::from_nanos((us * 1e3).round() as u64)
 }

@@ -1,4 +1,4 @@
-//! The depth camera's flashes as they happened, for whoever sees them.
+//! The depth camera's flashes as they happened, for the cameras that see them.
 
 use std::sync::{Arc, Mutex};
 

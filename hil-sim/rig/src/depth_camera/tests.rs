@@ -1,14 +1,14 @@
 use super::config::PULSE_TOO_SHORT;
 use super::*;
 use crate::clocks::oscillator::OscillatorConfig;
-use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::model_bench::ModelBench;
 
 const US: SimDuration = SimDuration::from_micros(1);
 
 /// A camera on a board that is 20 ppm fast.
-fn camera(config: DepthCameraConfig) -> Bench<DepthCamera> {
+fn camera(config: DepthCameraConfig) -> ModelBench<DepthCamera> {
     let seed = Seed(6);
-    Bench::new(DepthCamera::new(config, board(), seed))
+    ModelBench::new(DepthCamera::new(config, board(), seed))
 }
 
 fn board() -> BoardTime {
@@ -34,7 +34,7 @@ fn steady() -> DepthCameraConfig {
 }
 
 /// A pulse whose rising edge is at `at`.
-fn pulse(bench: &mut Bench<DepthCamera>, at: SimTime, width: SimDuration) {
+fn pulse(bench: &mut ModelBench<DepthCamera>, at: SimTime, width: SimDuration) {
     bench.run_until(at);
     bench.set_pin(Pin::PA5, Level::High);
     bench.run_until(at + width);
@@ -46,7 +46,7 @@ fn ms(ms: f64) -> SimTime {
 }
 
 /// Pulses of 12 µs at the given milliseconds, and 30 ms after the last.
-fn train(bench: &mut Bench<DepthCamera>, at: impl IntoIterator<Item = f64>) {
+fn train(bench: &mut ModelBench<DepthCamera>, at: impl IntoIterator<Item = f64>) {
     let mut last = SimTime::ZERO;
     for at in at {
         last = ms(at);
@@ -212,7 +212,7 @@ fn without_a_photodiode_the_strobe_input_is_not_driven() {
 fn each_family_follows_its_own_pulses() {
     for family in Family::ALL {
         for seed in 1..20 {
-            let config = family.of(steady(), Seed(seed));
+            let config = family.specimen(steady(), Seed(seed));
             for width_us in [12, 100] {
                 let mut bench = camera(config);
                 for at in times(10) {

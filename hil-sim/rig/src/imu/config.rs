@@ -93,7 +93,7 @@ pub struct SimImuConfig {
 pub struct DataReady {
     /// Rate of the samples against that clock, parts per million.
     pub rate_ppm: f64,
-    /// They wander by up to so many nanoseconds, to and fro.
+    /// Amplitude of their slow wander, nanoseconds.
     pub wander_ns: f64,
 }
 
@@ -175,7 +175,7 @@ impl SimImuConfig {
     /// The same as another sensor is by its data sheet: noise, biases and clocks. What was
     /// drawn stays drawn, in proportion.
     #[must_use]
-    pub fn of(mut self, model: SensorModel) -> Self {
+    pub fn with_model(mut self, model: SensorModel) -> Self {
         // Against the MPU-9150: noise of gyroscope and accelerometer, biases of both, own
         // clocks. MPU-9250 product specification, 3.1 and 3.2: 0.01 °/s/√Hz, 300 µg/√Hz,
         // ±5 °/s for ±20, ±60 mg for ±150 (z); internal oscillator ±2 % for ±5 % and the

@@ -29,7 +29,7 @@ pub enum Fault {
     ReleaseSda,
     /// The clock input's wire is cut (true) or whole (false).
     ClockCut(bool),
-    /// The next so many writes that select the clock at CLKIN are not
+    /// The next writes, of this number, that select the clock at CLKIN are not
     /// acknowledged, as by a sensor whose clock stopped in the middle of them.
     LostAtExternalClock(u32),
     /// The data-ready pin's wire is cut (true) or whole (false).

@@ -15,7 +15,7 @@ pub(super) enum Source {
     Pll,
     /// A PLL on the clock of this frequency at CLKIN (PA8).
     Reference(u64),
-    /// So many rising edges at CLKIN (PB0) are an internal sample.
+    /// Rising edges at CLKIN (PB0) in one internal sample.
     Edges(u64),
 }
 
@@ -38,7 +38,7 @@ pub(super) struct Measuring {
     pub(super) awake: bool,
     pub(super) source: Source,
     pub(super) path: SignalPath,
-    /// Every how manieth internal sample is registered.
+    /// Number of internal samples in one registered sample.
     pub(super) divider: u64,
     pub(super) gyro_counts_per_dps: f64,
     pub(super) accel_counts_per_g: f64,

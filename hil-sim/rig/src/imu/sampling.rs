@@ -41,7 +41,7 @@ enum SampleClock {
 /// Counts the edges of a clock of 31 to 50 kHz (ICM-42688-P data sheet, 3.7).
 #[derive(Clone, Copy, Debug)]
 struct Edges {
-    /// So many are an internal sample.
+    /// Number of them in one internal sample.
     every: u64,
     /// They count from here on.
     ready: SimTime,

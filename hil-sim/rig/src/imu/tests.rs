@@ -11,17 +11,17 @@ use crate::motion::MotionSpec;
 use crate::motion::gesture::Gesture;
 use crate::random::Stream;
 use stm32f4_sim::i2c::Direction;
-use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::model_bench::ModelBench;
 use stm32f4_sim::time::SimDuration;
 
 /// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
 /// at 500 Hz, low-pass 1, interrupt as a pulse.
-fn running(config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
+fn running(config: SimImuConfig, motion: Gesture) -> ModelBench<SimImu> {
     running_on(5, config, motion)
 }
 
 /// The same on the clock of another CLKSEL.
-fn running_on(source: u8, config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
+fn running_on(source: u8, config: SimImuConfig, motion: Gesture) -> ModelBench<SimImu> {
     let mut bench = asleep(config, motion);
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_millis(20));
@@ -39,13 +39,13 @@ fn running_on(source: u8, config: SimImuConfig, motion: Gesture) -> Bench<SimImu
 }
 
 /// Writes registers, one after the other.
-fn write_all(bench: &mut Bench<SimImu>, writes: &[(u8, u8)]) {
+fn write_all(bench: &mut ModelBench<SimImu>, writes: &[(u8, u8)]) {
     for &(register, value) in writes {
         bench.write(ADDRESS, register, &[value]).unwrap();
     }
 }
 
-fn asleep(config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
+fn asleep(config: SimImuConfig, motion: Gesture) -> ModelBench<SimImu> {
     let seed = Seed(42);
     let motion = MotionSpec::always(motion).build(seed.stream(Stream::Motion));
     let board = BoardTime::new(
@@ -55,7 +55,7 @@ fn asleep(config: SimImuConfig, motion: Gesture) -> Bench<SimImu> {
         },
         seed.stream(Stream::BoardClock),
     );
-    Bench::new(SimImu::new(config, motion, board, seed))
+    ModelBench::new(SimImu::new(config, motion, board, seed))
 }
 
 fn intervals(times: &[SimTime]) -> Vec<u64> {

@@ -22,8 +22,8 @@ const KEPT: usize = 512;
 #[derive(Clone, Debug)]
 pub struct MotionView {
     motion: Arc<Motion>,
-    rate: Grid,
-    force: Grid,
+    rate: SampleWindow,
+    force: SampleWindow,
 }
 
 impl MotionView {
@@ -32,8 +32,8 @@ impl MotionView {
     pub fn new(motion: Arc<Motion>) -> Self {
         Self {
             motion,
-            rate: Grid::default(),
-            force: Grid::default(),
+            rate: SampleWindow::default(),
+            force: SampleWindow::default(),
         }
     }
 
@@ -48,15 +48,15 @@ impl MotionView {
     }
 }
 
-/// Values on a stretch of the grid.
+/// Values at consecutive points of the grid.
 #[derive(Clone, Debug, Default)]
-struct Grid {
+struct SampleWindow {
     /// Index of the first value kept.
     first: i64,
     values: VecDeque<[f64; 3]>,
 }
 
-impl Grid {
+impl SampleWindow {
     fn at(&mut self, t: f64, signal: impl Fn(f64) -> [f64; 3]) -> [f64; 3] {
         let place = t / STEP;
         let before = place.floor();
@@ -79,7 +79,7 @@ impl Grid {
         sum
     }
 
-    /// Makes sure that the points `from` to `to` are there.
+    /// Evaluates the points `from` to `to` that are missing.
     fn cover(&mut self, from: i64, to: i64, signal: impl Fn(f64) -> [f64; 3]) {
         let end = self.first + self.values.len() as i64;
         let far = KEPT as i64 / 2;
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_does_not_depend_on_the_order_of_looks() {
+    fn values_do_not_depend_on_the_order_of_requests() {
         let spec = MotionSpec::always(Gesture::Twist);
         let motion = spec.build(Seed(3).stream(Stream::Motion));
         let mut a = MotionView::new(Arc::clone(&motion));

@@ -53,8 +53,8 @@ pub(super) enum Reply {
 }
 
 impl Reply {
-    /// The answer as the app writes it, and the file that follows it with its length; nothing
-    /// where the connection ends without one.
+    /// The answer as the app writes it, and the file that follows it with its length; `None`
+    /// where the connection ends without an answer.
     pub(super) fn written(self, version: &str) -> Option<(String, Option<(PathBuf, u64)>)> {
         match self {
             Self::Success(body) => Some((format!("SUCCESS\n{version}\n{body}end\n"), None)),
@@ -272,7 +272,7 @@ impl App {
         });
     }
 
-    /// Lets happen what was due until now, where the app has no threads.
+    /// Does what was due until now, where the app has no threads.
     pub(super) fn catch_up(self: &Arc<Self>) {
         loop {
             let next = lock(&self.agenda).as_mut().and_then(|agenda| {
@@ -311,7 +311,7 @@ impl App {
         self.clock.wait_unless(at, &self.closing)
     }
 
-    /// True time in so many milliseconds from now.
+    /// Returns the true time `ms` milliseconds from now.
     pub(super) fn in_ms(&self, ms: f64) -> TrueTime {
         let units = (ms.max(0.0) * (UNITS_PER_SECOND / 1000) as f64) as u64;
         TrueTime::from_units(self.clock.now().units().saturating_add(units))
@@ -451,7 +451,7 @@ impl App {
         let phase = self.take_phase(deadline);
         self.press_record();
         match phase {
-            Some(phase) => Progress::Done(self.tell_phase(&phase)),
+            Some(phase) => Progress::Done(self.phase_reply(&phase)),
             None => self.wait_for_phase(deadline),
         }
     }
@@ -465,7 +465,7 @@ impl App {
 
     fn look_for_phase(&self, deadline: TrueTime) -> Progress {
         match self.take_phase(deadline) {
-            Some(phase) => Progress::Done(self.tell_phase(&phase)),
+            Some(phase) => Progress::Done(self.phase_reply(&phase)),
             None if self.has_come(deadline) => {
                 let text = "Failed to retrieve phase info, reached poll limit";
                 Progress::Done(Reply::Error(text.to_owned()))
@@ -474,7 +474,7 @@ impl App {
         }
     }
 
-    fn tell_phase(&self, phase: &Phase) -> Reply {
+    fn phase_reply(&self, phase: &Phase) -> Reply {
         let mut body = format!("{}\n{}\n", phase.stamp_ns, java::double(phase.period_ns));
         if self.config.version != "v.0.1" {
             body.push_str(&format!("{}\n", phase.exposure_ns));
@@ -516,10 +516,10 @@ impl App {
             let made = state.recordings.get(state.since_opened..);
             made.and_then(<[Recording]>::last).cloned()
         };
-        Progress::Done(self.tell_video(last))
+        Progress::Done(self.video_reply(last))
     }
 
-    fn tell_video(&self, last: Option<Recording>) -> Reply {
+    fn video_reply(&self, last: Option<Recording>) -> Reply {
         // Without a video since it was opened, the app asks nothing for its name
         // (RRH:208).
         let Some(recording) = last else {

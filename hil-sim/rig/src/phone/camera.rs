@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn the_app_gets_some_frames_not_at_all_and_some_twice() {
+    fn the_app_misses_some_frames_and_gets_some_twice() {
         let mut config = PhoneConfig::draw(Seed(5));
         config.camera.timestamp_jitter_ns = 0.0;
         (config.camera.lost, config.camera.doubled) = (0.02, 0.05);

@@ -29,7 +29,7 @@ pub struct PhoneConfig {
     pub storage: Option<PathBuf>,
     /// The name that `get_video` gives its file, instead of the true one.
     pub video_name: Option<String>,
-    /// How long it has slept since it was started, ns: `CLOCK_MONOTONIC` stood still then.
+    /// Time that it has slept since it was started, ns: `CLOCK_MONOTONIC` stood still then.
     pub slept_ns: i64,
 }
 
@@ -86,7 +86,7 @@ pub struct SensorConfig {
     pub step: f64,
     /// White noise on the timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
-    /// What else is wrong with the timestamps.
+    /// Other errors of the timestamps.
     pub stamps: StampErrors,
 }
 
@@ -135,9 +135,9 @@ pub struct CameraConfig {
     /// Longest exposure, nanoseconds: each recording has one between
     /// [`CameraConfig::exposure_ns`] and this, even in its logarithm, as the light is.
     pub longest_exposure_ns: u64,
-    /// By how much a frame is longer for a longer exposure, as a part of it.
+    /// Share of a longer exposure by which the frame period grows.
     pub period_of_exposure: f64,
-    /// Share of the frames that get lost before the app, 0 to 1, so many at once.
+    /// Share of the frames that get lost before the app, 0 to 1, and the number lost at a time.
     pub lost: f64,
     pub lost_at_once: u32,
     /// The exposure swings by this share of itself, to and fro in [`EXPOSURE_SWING`] frames.
@@ -165,7 +165,7 @@ pub struct CameraConfig {
 /// Frames in which an exposure that changes goes to and fro.
 pub(super) const EXPOSURE_SWING: usize = 1_800;
 
-/// Of so many frames the last ones are in the dark.
+/// Number of frames of which the last [`DARK`] are in the dark.
 pub(super) const DARK_EVERY: usize = 900;
 pub(super) const DARK: usize = 60;
 
@@ -238,11 +238,12 @@ impl PhoneConfig {
         }
     }
 
-    /// By how much the clock of the frames is behind that of the sensors, ns.
+    /// Time of the sensors' clock minus that of the frames' clock, ns.
     pub(super) const fn frames_behind_ns(&self) -> i64 {
-        match self.camera.is_on_monotonic {
-            true => self.slept_ns,
-            false => 0,
+        if self.camera.is_on_monotonic {
+            self.slept_ns
+        } else {
+            0
         }
     }
 }

@@ -1,5 +1,4 @@
-//! The phone's app without a socket and without a thread, for a rig that is stepped by
-//! whoever waits.
+//! The phone's app without a socket and without a thread, for a rig that its caller steps.
 //!
 //! A request is answered at the true time at which the app would have answered it, and
 //! with the bytes that its server would have sent. One request is served after the other.
@@ -23,7 +22,7 @@ pub struct RequestId(u64);
 pub enum Answer {
     /// These bytes.
     Bytes(Vec<u8>),
-    /// These bytes, and the contents of a file behind them.
+    /// These bytes, followed by the contents of a file.
     File {
         /// The answer's head.
         head: Vec<u8>,
@@ -140,7 +139,7 @@ impl AskedPhone {
         self.is_away = false;
     }
 
-    /// Lets the network swallow all answers, or no more.
+    /// Makes the network lose all answers, or deliver them again.
     pub fn set_silent(&mut self, is_silent: bool) {
         self.is_silent = is_silent;
     }

@@ -1,4 +1,4 @@
-//! The phone's motion sensors: streams that run from power-on, whoever listens.
+//! The phone's motion sensors: streams that run from power-on, with and without a listener.
 //!
 //! A stream is a pure function of the phone's seed, its clock and the rig's
 //! motion: sample `n` has the same value and timestamp whether it was asked for
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_wander_jump_and_are_cut_as_they_are_said_to() {
+    fn stamps_have_the_configured_wander_sawtooth_and_resolution() {
         let errors = |edit: fn(&mut StampErrors)| -> Vec<f64> {
             let (sensors, zero) = sensors(|c| {
                 c.gyroscope.rate_hz = 500.0;

@@ -28,10 +28,12 @@ const FILE_BLOCK: usize = 1_024;
 /// Fault on the way of the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkFault {
-    /// The connection is closed after so many bytes of an answer.
+    /// The connection is closed after this number of bytes of an answer.
     CutAfter(u64),
-    /// No more than so many bytes a second.
+    /// Most bytes a second.
     Slow(u32),
+    /// Answers wait until the fault is over.
+    Held,
 }
 
 /// State that the phone's owner may change while the server runs.
@@ -130,7 +132,7 @@ struct Client<'a> {
     deaf: bool,
 }
 
-/// The connection has ended, for whatever reason.
+/// The connection has ended.
 struct Gone;
 
 impl From<std::io::Error> for Gone {
@@ -247,6 +249,10 @@ impl<'a> Client<'a> {
 
     /// Sends, with what the fault does to it.
     fn send(&mut self, bytes: &[u8]) -> Result<(), Gone> {
+        while self.link.fault() == Some(LinkFault::Held) && !self.app.closing.load(Ordering::SeqCst)
+        {
+            std::thread::sleep(POLL);
+        }
         match self.link.fault() {
             Some(LinkFault::CutAfter(most)) if (bytes.len() as u64) > most => {
                 let part = bytes.get(..most as usize).unwrap_or(bytes);

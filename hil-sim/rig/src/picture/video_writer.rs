@@ -42,7 +42,7 @@ pub struct Mp4Writer {
     settings: VideoSettings,
     path: PathBuf,
     child: Child,
-    /// What it says.
+    /// Its messages on standard error.
     messages: File,
 }
 

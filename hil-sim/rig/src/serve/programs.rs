@@ -1,5 +1,5 @@
-//! Programs beside a simulated rig, so that a session finds what it finds beside a real one:
-//! a recorder of the depth camera, and `adb` with the phone's files.
+//! Programs that a session expects beside a rig: a recorder of the depth camera, and `adb` with
+//! the phone's files.
 
 use std::path::{Path, PathBuf};
 
@@ -7,23 +7,21 @@ use anyhow::{Context, Result};
 
 use crate::clocks::link_delay::LinkRanges;
 use crate::depth_camera::cable::Cable;
-use crate::phone::{ClockTeller, SimPhone};
+use crate::phone::{ClockServer, SimPhone};
 use crate::whole_rig::config::RigParts;
 
-/// The table beside the rig, with the depth camera's cable, and programs that reach
-/// the phone's files.
+/// The programs, the depth camera's cable and the phone's clock. They end when it is dropped.
 #[derive(Debug)]
 pub(super) struct Table {
     recorder: String,
     programs: PathBuf,
-    _teller: ClockTeller,
+    _clock: ClockServer,
     _cable: Cable,
     _folder: tempfile::TempDir,
 }
 
 impl Table {
-    /// Lays it out, beside this phone: `hil_sim` the program with
-    /// the depth recorder.
+    /// Sets the programs up for a phone. `hil_sim` is the program with the depth recorder.
     ///
     /// # Errors
     ///
@@ -60,13 +58,13 @@ impl Table {
         // Shells and TOML take it from wherever they are.
         let storage =
             std::path::absolute(phone.app.storage()).context("where is the phone's storage?")?;
-        let teller = phone.tell_clock(&LinkRanges::PHONE_USB);
-        let teller = teller.context("no port for the phone's clock")?;
-        write_adb(&programs.join("adb"), &storage, teller.port())?;
+        let clock = phone.serve_clock(&LinkRanges::PHONE_USB);
+        let clock = clock.context("no port for the phone's clock")?;
+        write_adb(&programs.join("adb"), &storage, clock.port())?;
         Ok(Self {
             recorder,
             programs,
-            _teller: teller,
+            _clock: clock,
             _cable: cable,
             _folder: folder,
         })
@@ -80,9 +78,10 @@ impl Table {
 
     /// The first commands, to be pasted.
     pub(crate) fn commands(&self, profile: &Path) -> String {
-        let profile = match profile.as_os_str() == "rig.toml" {
-            true => String::new(),
-            false => format!(" --profile {}", profile.display()),
+        let profile = if profile.as_os_str() == "rig.toml" {
+            String::new()
+        } else {
+            format!(" --profile {}", profile.display())
         };
         format!(
             "\nIn a second terminal, in this folder:\n\n\
@@ -94,9 +93,9 @@ impl Table {
     }
 }
 
-/// Writes a program that does of `adb` what the host tool asks of it, with the simulated
-/// phone's storage as the phone's, and its clock behind a port. Nothing is started on the
-/// phone: the port is there all the time.
+/// Writes a program that stands in for `adb` as far as the host tool uses it: with the
+/// simulated phone's storage, and its clock at a port. Nothing is started on the phone, as the
+/// port is always open.
 fn write_adb(path: &Path, storage: &Path, clock_port: u16) -> Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
     let script = format!(

@@ -86,7 +86,7 @@ impl RigConfig {
     /// The same with another IMU.
     #[must_use]
     pub fn with_imu(mut self, model: SensorModel) -> Self {
-        self.imu = self.imu.map(|imu| imu.of(model));
+        self.imu = self.imu.map(|imu| imu.with_model(model));
         self
     }
 
@@ -130,12 +130,12 @@ pub struct RigParts {
     pub imu: Option<Shared<SimImu>>,
     /// The depth camera.
     pub depth_camera: Option<Shared<DepthCamera>>,
-    /// Its flashes, for whoever sees their light.
+    /// Its flashes, for the cameras that see them.
     pub flashes: FlashLog,
 }
 
 impl RigParts {
-    /// What a phone on the rig has around it, from power-on on.
+    /// Returns the surroundings of a phone on the rig, from power-on.
     pub(crate) fn surroundings(&self) -> Surroundings {
         Surroundings {
             clock: TrueClock::new(),

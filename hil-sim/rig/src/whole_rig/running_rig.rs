@@ -76,14 +76,14 @@ pub(crate) const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 /// or has not yet opened the port.
 pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
 
-/// The most true time that is caught up with behind a computer that stood still: as a real
-/// board, one at the speed of time has gone on meanwhile. A faster one would race.
+/// Longest stretch of true time that is made up for after the computer stood still, because a
+/// real board would have gone on meanwhile. After a longer one the rig would race.
 const CATCH_UP: Duration = Duration::from_millis(500);
 
 /// Speed of true time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
-    /// At most so many times real time; as fast as the machine can if not given.
+    /// Multiple of real time, at most; as fast as the machine can if not given.
     pub speed: Option<f64>,
     /// Once booted, the board pauses until a program opens its port.
     pub wait_for_host: bool,
@@ -220,8 +220,7 @@ impl RunningRig {
         SimTime::from_units(self.shared.now.load(Ordering::Relaxed))
     }
 
-    /// Forgets what the models noted so far: for a run of any length whose ground truth
-    /// nobody asks for.
+    /// Forgets the ground truth so far, in a run of any length that does not need it.
     pub(crate) fn forget(&self) {
         lock(&self.shared.noted).forget();
     }
@@ -235,7 +234,7 @@ impl RunningRig {
         Some((ticks, phone.nanos_at(self.parts.board.true_at(now))))
     }
 
-    /// Tells whether the board still runs: a firmware that fails ends it.
+    /// Returns true while the board runs: a firmware that fails ends it.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|t| !t.is_finished())
@@ -332,7 +331,7 @@ impl Pacer {
         } else if let Some(ahead) = due.checked_sub(passed)
             && ahead > Duration::from_millis(1)
         {
-            // Shorter waits are not worth the call.
+            // A call costs as much as a shorter wait.
             std::thread::sleep(ahead);
         }
     }
@@ -357,8 +356,7 @@ impl Runner {
         Ok(port)
     }
 
-    /// Powers the board on and runs it until its serial port is there, as it is
-    /// on a table before anybody starts a session.
+    /// Powers the board on and runs it until its serial port is there, as before a session.
     fn boot(&self, board: SimBuilder) -> Result<(Sim, Option<Port>)> {
         let mut rig = board.build()?;
         let port = if rig.usb_state() == UsbState::Unplugged {
@@ -382,7 +380,7 @@ impl Runner {
         if ready && port.is_none() {
             *port = Some(self.new_port(rig)?);
         } else if !ready && port.is_some() {
-            // The name goes first: nobody shall open a port that is dying.
+            // The name goes first, so that no program opens a port that ends.
             let _ = std::fs::remove_file(&self.link);
             drop(port.take());
             self.shared.plugged.store(false, Ordering::SeqCst);

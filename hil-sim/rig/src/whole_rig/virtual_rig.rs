@@ -1,5 +1,5 @@
 //! The whole rig in the caller's thread, on virtual time: board, IMU, depth camera and
-//! phones, stepped by whoever waits. There is no wall clock, thread, pseudo-terminal or
+//! phones, stepped by the caller that waits. There is no wall clock, thread, pseudo-terminal or
 //! socket in it, so a seed gives the same bytes on any machine.
 
 use std::cmp::Reverse;
@@ -124,10 +124,10 @@ impl VirtualRig {
     pub fn pass_until(
         &mut self,
         patience: Duration,
-        mut is_so: impl FnMut(&mut Self) -> bool,
+        mut is_done: impl FnMut(&mut Self) -> bool,
     ) -> bool {
         let end = self.sim.now() + duration(patience);
-        while !is_so(self) {
+        while !is_done(self) {
             if self.sim.now() >= end {
                 return false;
             }
@@ -169,7 +169,7 @@ impl VirtualRig {
         self.sim.power_cycle();
     }
 
-    /// Tells whether the board's serial port is there.
+    /// Returns true if the board's serial port is there.
     #[must_use]
     pub fn is_plugged(&self) -> bool {
         self.sim.usb_state() == UsbState::Ready
@@ -190,7 +190,7 @@ impl VirtualRig {
         Some(self.connection)
     }
 
-    /// Tells whether a connection is the one that is open.
+    /// Returns true if a connection is the one that is open.
     #[must_use]
     pub fn has(&self, connection: u64) -> bool {
         self.open && self.connection == connection
@@ -212,7 +212,7 @@ impl VirtualRig {
         }
     }
 
-    /// The bytes that have come for a connection; lets at most so much time pass for them.
+    /// Returns the bytes that have come for a connection, after waiting for them up to a time.
     pub fn receive(&mut self, connection: u64, wait: Duration) -> Vec<u8> {
         let end = self.sim.now() + duration(wait);
         while self.pending.is_empty() && self.has(connection) && self.sim.now() < end {

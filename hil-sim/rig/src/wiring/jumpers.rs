@@ -52,7 +52,7 @@ const TAP: usize = 0;
 const STROBE: usize = 1;
 
 impl Jumpers {
-    /// An edge of a pin sets out, and is held up for so long and for what is late.
+    /// Schedules an edge of a pin, delayed by its gate and by the pin's own lateness.
     fn sets_out(&mut self, to: usize, from: Pin, level: Level, now: SimTime, held: SimDuration) {
         self.pulses[to] += u64::from(level.is_high());
         let input = [wiring::READBACK, wiring::STROBE][to];

@@ -14,7 +14,7 @@ fn black_pill() -> SimBuilder {
 }
 
 #[test]
-fn it_boots_keeps_time_and_says_which_board_it_is() {
+fn it_boots_keeps_time_and_reports_its_model() {
     let mut board = Board::boot(black_pill());
     assert_eq!(board.hellos[0].board, BoardModel::BlackPill);
     assert!(!BoardModel::BlackPill.has_outputs());
@@ -53,7 +53,7 @@ fn its_trigger_is_exact_and_its_light_is_a_fault() {
 }
 
 #[test]
-fn what_it_does_not_have_is_refused() {
+fn commands_for_what_it_lacks_are_refused() {
     let mut board = Board::boot(black_pill());
     let refused = Refusal::NotOnThisBoard;
     for output in Output::AUXILIARY {

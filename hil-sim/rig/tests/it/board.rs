@@ -1,7 +1,7 @@
 //! The real firmware on the simulated board: boot, time, link, failures.
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, train};
-use crate::imu_bench::Bench;
+use crate::imu_bench::ImuBench;
 use crate::trigger::check_train;
 
 use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
@@ -143,10 +143,10 @@ fn the_link_comes_back_after_any_interruption_in_a_packet() {
     assert!(board.rig.failures().is_empty());
 }
 
-/// Runs trigger and IMU, and so many times, so many seconds apart, pulls the cable for a while,
+/// Runs trigger and IMU, and a number of times, some seconds apart, pulls the cable for a while,
 /// lets the computer sleep, or resets the bus. Every edge and sample is compared.
 fn run_interrupted(times: u32, seconds: u64) {
-    let mut bench = Bench::at_rest();
+    let mut bench = ImuBench::at_rest();
     let period = Period::from_picos(33_330_652_540).unwrap();
     bench.board.stop();
     bench.board.run(100);
@@ -212,7 +212,7 @@ fn an_hour_with_sleep_and_replug_every_minute() {
 fn the_load_of_both_boards() {
     for kind in [BoardKind::Discovery, BoardKind::BlackPill] {
         let builder = wiring::board_of(kind, None);
-        let mut bench = Bench::on(builder, SensorModel::Mpu9150, Motion::rest(), &[]);
+        let mut bench = ImuBench::on(builder, SensorModel::Mpu9150, Motion::rest(), &[]);
         bench.board.run(2_000);
         let before = bench.board.rig.cpu_stats();
         bench.board.run(5_000);
@@ -227,7 +227,7 @@ fn the_load_of_both_boards() {
     }
 }
 
-/// Whatever stops the core's transmitter, the board leaves the bus and comes back.
+/// The board leaves the bus and comes back when the core's transmitter stops for any reason.
 #[test]
 fn a_transmitter_that_stops_is_started_again() {
     let mut board = Board::boot(wiring::board());
@@ -477,9 +477,9 @@ fn a_fault_is_reported_where_a_tool_left_its_catch_on() {
 #[test]
 fn the_red_light_stays_on_after_a_panic() {
     let builder = wiring::board().tolerate_failures();
-    let mut bench = Bench::on(builder, SensorModel::Mpu9150, Motion::rest(), &[]);
+    let mut bench = ImuBench::on(builder, SensorModel::Mpu9150, Motion::rest(), &[]);
     bench.board.run(1_000);
-    let is_red = |bench: &Bench| bench.board.rig.level(Pin::PD14).is_high();
+    let is_red = |bench: &ImuBench| bench.board.rig.level(Pin::PD14).is_high();
     assert!(!is_red(&bench));
     self_test(&mut bench.board, Failure::Panic);
     next_run(&mut bench.board);
@@ -579,7 +579,7 @@ fn it_runs_on_the_first_revision_of_the_chip() {
 
 /// Here the bus is wired to others of I2C1's pins than those that the firmware uses.
 #[test]
-fn what_the_manual_forbids_ends_the_run_whatever_is_tolerated() {
+fn an_access_that_the_manual_forbids_always_ends_the_run() {
     let builder = wiring::board().i2c_bus(Pin::PB8, Pin::PB9);
     let mut rig = builder.tolerate_failures().build().unwrap();
     let error = rig.run_for(SimDuration::from_secs(2)).unwrap_err();
@@ -628,9 +628,9 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
     assert!(text.contains("not a firmware of this board"), "{text}");
 }
 
-/// The time of each handler, and the chip's temperature whatever its supply.
+/// The time of each handler, and the chip's temperature at any supply.
 #[test]
-fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
+fn the_status_reports_handler_times_and_the_chip_s_temperature() {
     for (celsius, supply) in [(-12.0, 3.3), (41.5, 2.9), (84.0, 2.5)] {
         let mut board =
             Board::boot(wiring::board().chip(|chip| chip.die = Die { celsius, supply }));

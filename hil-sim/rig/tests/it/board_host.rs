@@ -91,7 +91,7 @@ impl Board {
         }
     }
 
-    /// Runs for so many virtual milliseconds and takes what comes.
+    /// Runs for some virtual milliseconds and takes the messages that come.
     pub(crate) fn run(&mut self, ms: u64) {
         let mut left = ms;
         while left > 0 {
@@ -112,7 +112,7 @@ impl Board {
             }
         }
         panic!(
-            "waited {ms} ms in vain; {} answers, {} pulses, {} samples, last status {:?}",
+            "nothing within {ms} ms; {} answers, {} pulses, {} samples, last status {:?}",
             self.answers.len(),
             self.pulses.len(),
             self.samples.len(),
@@ -126,8 +126,7 @@ impl Board {
         self.decoder.reset();
     }
 
-    /// Pulls the USB cable for so many virtual milliseconds, and opens the port
-    /// again.
+    /// Pulls the USB cable for some virtual milliseconds, and opens the port again.
     pub(crate) fn unplug_and_plug(&mut self, ms: u64) {
         self.rig.usb_unplug();
         self.break_link();

@@ -74,13 +74,13 @@ fn a_camera_without_a_gate_is_refused() {
 }
 
 /// A train and the time of tick 0 at the pin.
-struct Bench {
+struct CameraBench {
     board: Board,
     camera: Shared<DepthCamera>,
     zero: u64,
 }
 
-impl Bench {
+impl CameraBench {
     fn new(first_frame: u32, width: u32, builder: SimBuilder) -> Self {
         let camera = camera(first_frame);
         let mut board = Board::boot_with_train(builder.model(camera.clone()), width);
@@ -109,7 +109,7 @@ impl Bench {
     }
 }
 
-/// Seconds of the camera's clock in so many of the board's.
+/// Returns the seconds of the camera's clock in a time of the board's.
 fn own(board_seconds: f64) -> f64 {
     board_seconds * (1.0 + CAMERA_PPM * 1e-6) / (1.0 + BOARD_PPM * 1e-6)
 }
@@ -121,7 +121,7 @@ fn own(board_seconds: f64) -> f64 {
 fn frames_and_flashes_are_those_of_the_reported_pulses() {
     for (first_frame, synchroniser) in [(2, INPUT_SYNCHRONISER), (3, 2)] {
         let builder = wiring::board().chip(|chip| chip.synchroniser = synchroniser);
-        let mut bench = Bench::new(first_frame, 576, builder);
+        let mut bench = CameraBench::new(first_frame, 576, builder);
         let frames = bench.run(3_000);
         let pulses = &bench.board.pulses;
         assert_eq!(frames.len(), pulses.len() - (first_frame as usize - 1));
@@ -169,7 +169,7 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
 /// not be is refused.
 #[test]
 fn the_boards_shortest_pulse_is_long_enough() {
-    let mut bench = Bench::new(2, MIN_PULSE_WIDTH, wiring::board());
+    let mut bench = CameraBench::new(2, MIN_PULSE_WIDTH, wiring::board());
     bench.run(1_000);
     assert_eq!(lock(&bench.camera).short_pulses, 0);
     assert_eq!(lock(&bench.camera).pulses, bench.board.pulses.len() as u64);

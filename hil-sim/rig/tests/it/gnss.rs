@@ -11,14 +11,14 @@ use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
-struct Bench {
+struct LidarBench {
     board: Board,
     lidar: Shared<Lidar>,
     /// Time of tick 0, from the camera's trigger: another timer's pin.
     zero: u64,
 }
 
-impl Bench {
+impl LidarBench {
     fn new(config: LidarConfig) -> Self {
         let lidar = Arc::new(Mutex::new(Lidar::new(config)));
         let mut board = Board::boot_with_train(wiring::board().model(lidar.clone()), 576);
@@ -100,7 +100,7 @@ fn a_lidar_takes_its_time_from_the_board() {
         utc_at_zero: 1_798_761_580,
         ..GNSS
     };
-    let mut bench = Bench::new(LidarConfig::default());
+    let mut bench = LidarBench::new(LidarConfig::default());
     let report = bench.start(settings);
     assert_eq!(report.settings, Some(settings));
     // The same again changes nothing.
@@ -121,7 +121,7 @@ fn a_lidar_takes_its_time_from_the_board() {
 fn every_rate_and_polarity_is_read() {
     for baud in Baud::ALL {
         for line_inverted in [false, true] {
-            let mut bench = Bench::new(LidarConfig {
+            let mut bench = LidarBench::new(LidarConfig {
                 baud: baud.hz(),
                 idle_low: line_inverted,
                 gate_inverts: line_inverted,
@@ -152,7 +152,7 @@ fn every_rate_and_polarity_is_read() {
 /// are taken.
 #[test]
 fn a_stop_finishes_what_it_began() {
-    let mut bench = Bench::new(LidarConfig::default());
+    let mut bench = LidarBench::new(LidarConfig::default());
     bench.start(GNSS);
     bench.board.run(2_000);
     let other = GnssSettings {

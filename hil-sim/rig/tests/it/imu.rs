@@ -2,7 +2,7 @@
 //! sensor: every sample's time and value, every fault.
 
 use crate::board_host::UNITS_PER_TICK;
-use crate::imu_bench::Bench;
+use crate::imu_bench::ImuBench;
 use protocol::*;
 use rig::imu::{Fault, SensorModel};
 use rig::motion::gesture::Gesture;
@@ -13,10 +13,10 @@ use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::SimDuration;
 
-/// One byte in ten with a bus error that is none: each sample comes, and is right.
+/// One byte in ten with a spurious bus error: each sample comes, and is right.
 #[test]
 fn spurious_bus_errors_cost_no_sample() {
-    let mut bench = Bench::on(
+    let mut bench = ImuBench::on(
         wiring::board().chip(|chip| chip.bus_errors = 0.1),
         SensorModel::Mpu9150,
         Motion::rest(),
@@ -45,7 +45,7 @@ fn spurious_bus_errors_cost_no_sample() {
 /// firmware wants of it?
 #[test]
 fn the_firmware_writes_no_other_plain_register() {
-    let mut bench = Bench::at_rest();
+    let mut bench = ImuBench::at_rest();
     bench.board.run(500);
     let written: Vec<_> = bench.board.rig.stored_writes().into_iter().collect();
     let expected = [
@@ -67,7 +67,7 @@ fn the_firmware_writes_no_other_plain_register() {
 #[test]
 fn samples_are_exact_over_a_wrap_of_the_counter() {
     let walk = MotionSpec::always(Gesture::Walk);
-    let mut bench = Bench::new(walk.build(Seed(7).stream(Stream::Motion)), &[]);
+    let mut bench = ImuBench::new(walk.build(Seed(7).stream(Stream::Motion)), &[]);
     // Until the host had opened the port.
     let dropped = bench.board.next_status().dropped;
     bench.check_samples();
@@ -92,7 +92,7 @@ fn samples_are_exact_over_a_wrap_of_the_counter() {
 /// and no more.
 #[test]
 fn a_missing_acknowledge_costs_one_sample() {
-    let mut bench = Bench::at_rest();
+    let mut bench = ImuBench::at_rest();
     bench.board.run(200);
     // Address, register, repeated address: what the sensor acknowledges.
     for byte in 0..3 {
@@ -122,8 +122,13 @@ fn a_missing_acknowledge_costs_one_sample() {
 
 /// Runs `begin`, waits, runs `end`, and expects good samples within a second,
 /// with the gap in the stream and the counters.
-fn recovers(begin: &[Fault], ms: u64, end: &[Fault], expected: impl Fn(ImuFault) -> bool) -> Bench {
-    let mut bench = Bench::at_rest();
+fn recovers(
+    begin: &[Fault],
+    ms: u64,
+    end: &[Fault],
+    expected: impl Fn(ImuFault) -> bool,
+) -> ImuBench {
+    let mut bench = ImuBench::at_rest();
     bench.board.run(300);
     bench.check_samples();
     let pulses = bench.board.trigger().pulses;
@@ -177,7 +182,7 @@ fn recovers(begin: &[Fault], ms: u64, end: &[Fault], expected: impl Fn(ImuFault)
 #[test]
 fn a_hung_sensor_is_freed_by_nine_clocks() {
     for clocks in 1..=9 {
-        let mut bench = Bench::at_rest();
+        let mut bench = ImuBench::at_rest();
         bench.board.run(300);
         bench.check_samples();
         bench.fault(Fault::HoldSda(Some(clocks)));
@@ -240,7 +245,7 @@ fn faults_are_named_and_recovered() {
 
 /// Every family is found by its identity, on both boards, and runs on the board's clock if it
 /// takes one.
-/// Whatever clock it runs on, each sample has the tick of its data-ready and the values of
+/// On any clock, each sample has the tick of its data-ready and the values of
 /// its registers (`check_samples`): on the board's 96,000 ticks apart, on its own not.
 #[test]
 fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
@@ -261,7 +266,7 @@ fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
             let cut = [Fault::ClockCut(true)];
             let faults = if wired { &[][..] } else { &cut };
             let builder = wiring::board_of(board, None);
-            let mut bench = Bench::on(builder, model, motion.clone(), faults);
+            let mut bench = ImuBench::on(builder, model, motion.clone(), faults);
             bench.wait_for_good_samples(1_000);
             bench.check_samples();
             bench.board.run(1_000);
@@ -290,7 +295,7 @@ fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
             let load = bench.board.next_status().cpu_permille;
             assert!(load < 150, "{model:?}: {load} of 1000");
             // The clock for an ICM-42688-P is there for that alone.
-            let level = |bench: &Bench| bench.board.rig.level(Pin::PB0);
+            let level = |bench: &ImuBench| bench.board.rig.level(Pin::PB0);
             let before = level(&bench);
             bench
                 .board
@@ -306,7 +311,7 @@ fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
 /// An ICM-42688-P has six rates; all others are refused, and nothing has changed.
 #[test]
 fn settings_of_an_icm_42688_p_reach_it_or_are_refused() {
-    let mut bench = Bench::of(SensorModel::Icm42688P, Motion::rest(), &[]);
+    let mut bench = ImuBench::with_sensor(SensorModel::Icm42688P, Motion::rest(), &[]);
     bench.wait_for_good_samples(1_000);
     let setting = |divider| ImuConfig {
         divider,
@@ -336,7 +341,7 @@ fn settings_of_an_icm_42688_p_reach_it_or_are_refused() {
 /// runs on its own, and the fault is reported.
 #[test]
 fn a_sensor_lost_at_its_external_clock_runs_on_its_own() {
-    let mut bench = Bench::new(Motion::rest(), &[Fault::LostAtExternalClock(u32::MAX)]);
+    let mut bench = ImuBench::new(Motion::rest(), &[Fault::LostAtExternalClock(u32::MAX)]);
     bench.wait_for_good_samples(1_000);
     let status = bench.status();
     assert_eq!(status.clock, ImuClock::Internal);
@@ -350,7 +355,7 @@ fn a_sensor_lost_at_its_external_clock_runs_on_its_own() {
 
 #[test]
 fn settings_reach_the_sensor_and_are_reported() {
-    let mut bench = Bench::at_rest();
+    let mut bench = ImuBench::at_rest();
     bench.board.run(300);
     for (divider, interval) in [(0, 48_000), (9, 480_000), (199, 9_600_000), (1, 96_000)] {
         let config = ImuConfig {
@@ -404,11 +409,11 @@ fn settings_reach_the_sensor_and_are_reported() {
     );
 }
 
-/// Whatever the phase of data-ready against the board's own work of each second: at 1 kHz a
+/// At any phase of data-ready against the board's own work of each second: at 1 kHz a
 /// sample has 0.6 ms beside its transfer.
 #[test]
 fn no_sample_is_late_at_any_phase_of_data_ready() {
-    let mut bench = Bench::at_rest();
+    let mut bench = ImuBench::at_rest();
     bench.board.run(300);
     for tenth in 0..10 {
         let at_1_khz = ImuConfig {

@@ -15,7 +15,7 @@ use stm32f4_sim::sim::{INPUT_SYNCHRONISER, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// A board with a sensor, and the time of tick 0.
-pub(crate) struct Bench {
+pub(crate) struct ImuBench {
     pub(crate) board: Board,
     pub(crate) sensor: Shared<SimImu>,
     zero: u64,
@@ -23,14 +23,14 @@ pub(crate) struct Bench {
     records: VecDeque<SampleRecord>,
 }
 
-impl Bench {
+impl ImuBench {
     /// Boots with a sensor that sees `motion` and has these `faults` from the start.
     pub(crate) fn new(motion: Arc<Motion>, faults: &[Fault]) -> Self {
         Self::on(wiring::board(), SensorModel::Mpu9150, motion, faults)
     }
 
     /// The same with another sensor.
-    pub(crate) fn of(model: SensorModel, motion: Arc<Motion>, faults: &[Fault]) -> Self {
+    pub(crate) fn with_sensor(model: SensorModel, motion: Arc<Motion>, faults: &[Fault]) -> Self {
         Self::on(wiring::board(), model, motion, faults)
     }
 
@@ -44,7 +44,7 @@ impl Bench {
         let seed = Seed(7);
         let board_time =
             BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let config = SimImuConfig::typical(seed).of(model);
+        let config = SimImuConfig::typical(seed).with_model(model);
         let mut sensor = SimImu::new(config, motion, board_time, seed);
         for &fault in faults {
             sensor.schedule(SimTime::ZERO, fault);
@@ -148,8 +148,8 @@ impl Bench {
     }
 }
 
-/// Looked at in every test, whatever went wrong in it.
-impl Drop for Bench {
+/// Checked at the end of every test.
+impl Drop for ImuBench {
     fn drop(&mut self) {
         if !std::thread::panicking() {
             let ignored = lock(&self.sensor).unmodelled.clone();

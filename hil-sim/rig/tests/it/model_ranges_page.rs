@@ -1,5 +1,7 @@
 //! The book's page of model ranges, and its drawings, against what they are about.
 
+use std::path::Path;
+
 use rig::model_ranges::{Draw, MODEL_RANGES};
 
 const PAGE: &str = include_str!("../../ranges.md");
@@ -26,6 +28,21 @@ fn drawn_rows_have_the_same_names_values_and_ranges() {
         assert_eq!(cells[3], nominal.trim_end(), "{name}: the value");
     }
     assert_eq!(rows, MODEL_RANGES.len(), "rows of the page with a star");
+}
+
+/// A file in the second column exists below one of the folders that the page names.
+#[test]
+fn files_of_the_page_exist() {
+    let rig = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folders = ["src", "..", "../..", "../../host/live/session/src"];
+    let mut missing = Vec::new();
+    for place in PAGE.lines().filter_map(|line| line.split('|').nth(2)) {
+        let spans = place.split('`').skip(1).step_by(2);
+        let files = spans.filter(|span| span.ends_with(".rs"));
+        let is_missing = |file: &&str| !folders.iter().any(|it| rig.join(it).join(file).is_file());
+        missing.extend(files.filter(is_missing));
+    }
+    assert!(missing.is_empty(), "{missing:?}");
 }
 
 /// A pin in a drawing is one of the table, and a place on a header beside it is that pin's.

@@ -83,14 +83,14 @@ impl Train {
     }
 }
 
-struct Bench {
+struct OutputsBench {
     board: Board,
     trains: Vec<Train>,
     zero: Option<u64>,
     lidar: Shared<Lidar>,
 }
 
-impl Bench {
+impl OutputsBench {
     fn new() -> Self {
         Self::on(wiring::board())
     }
@@ -223,10 +223,10 @@ impl Bench {
     }
 }
 
-/// After so many idle seconds, four trains and the lidar's outputs for so many more, the USB full and a
+/// After some idle seconds, four trains and the lidar's outputs for some more, the USB full and a
 /// flood of commands in every other one: every edge, every report.
 fn run_all(idle: u64, seconds: u64) {
-    let mut bench = Bench::new();
+    let mut bench = OutputsBench::new();
     bench.board.run(idle * 1_000);
     let mut reported = Vec::new();
     // All begin together on a whole second, so the pulse per second is part of that.
@@ -303,8 +303,8 @@ fn every_edge_of_all_trains_is_exact_at_full_load() {
 #[test]
 fn a_flood_on_the_strobe_input_starves_no_output() {
     // 1.25 µs high, 1.25 µs low, after every pulse of the trigger.
-    let strobe = Strobe::of(6_000, SimDuration::from_nanos(1_250));
-    let mut bench = Bench::on(wiring::board().model(strobe));
+    let strobe = Strobe::pulses(6_000, SimDuration::from_nanos(1_250));
+    let mut bench = OutputsBench::on(wiring::board().model(strobe));
     let second = u64::from(TICK_HZ);
     let first = Ticks((bench.board.now().0 / second + 2) * second);
     let fast = picos(1_000_001_000);
@@ -337,7 +337,7 @@ fn an_hour_of_all_trains_is_exact() {
 /// edges are edges of the train, every time.
 #[test]
 fn a_multiple_stays_on_every_sixth_pulse() {
-    let mut bench = Bench::new();
+    let mut bench = OutputsBench::new();
     let start = train(picos(CAMERA), WIDTH);
     let status = bench.board.start(start);
     bench.trains.push(Train::new(Pin::PA5, &status));
@@ -370,7 +370,7 @@ fn a_multiple_stays_on_every_sixth_pulse() {
 
 #[test]
 fn every_align_of_an_output_arrives_on_its_grid() {
-    let mut bench = Bench::new();
+    let mut bench = OutputsBench::new();
     let period = picos(50_000_123_457);
     bench.start(Output::Three, train(period, OUTPUT_WIDTH));
     check_aligns(&mut bench.board, (Output::Three, Pin::PE13), period, 40);
@@ -379,7 +379,7 @@ fn every_align_of_an_output_arrives_on_its_grid() {
 
 #[test]
 fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
-    let mut bench = Bench::new();
+    let mut bench = OutputsBench::new();
     let output = Output::Four;
     let good = train(picos(CAMERA), OUTPUT_WIDTH);
     for width in [0, MIN_OUTPUT_WIDTH - 1, good.period.ticks()] {

@@ -3,43 +3,25 @@
 
 use rig::clocks::oscillator::TrueTime;
 use rig::clocks::true_clock::TrueClock;
-use rig::depth_camera::flash_log::FlashLog;
-use rig::motion::MotionSpec;
-use rig::motion::gesture::Gesture;
 use rig::phone::{Answer, AskedPhone, PhoneConfig, RequestId, Surroundings};
-use rig::random::{Seed, Stream};
+use rig::random::Seed;
 
-/// A phone of a seed, and what is around it.
-pub(crate) fn on_a_walk(
-    seed: u64,
-    clock: &TrueClock,
-    edit: impl FnOnce(&mut PhoneConfig),
-) -> (PhoneConfig, Surroundings) {
-    let mut config = PhoneConfig::draw(Seed(seed));
-    edit(&mut config);
-    let spec = MotionSpec::always(Gesture::Walk);
-    let surroundings = Surroundings {
-        clock: clock.clone(),
-        motion: spec.build(Seed(seed).stream(Stream::Motion)),
-        light: FlashLog::default(),
-    };
-    (config, surroundings)
-}
-
-pub(crate) struct Bench {
+pub(crate) struct PhoneBench {
     pub(crate) phone: AskedPhone,
     pub(crate) clock: TrueClock,
 }
 
-impl Bench {
+impl PhoneBench {
     pub(crate) fn new(seed: u64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
         let clock = TrueClock::new();
-        let (config, surroundings) = on_a_walk(seed, &clock, edit);
+        let mut config = PhoneConfig::draw(Seed(seed));
+        edit(&mut config);
+        let surroundings = Surroundings::walking(Seed(seed), clock.clone());
         let phone = AskedPhone::start(config, surroundings).unwrap();
         Self { phone, clock }
     }
 
-    /// So many seconds of true time pass, at once.
+    /// Lets some seconds of true time pass at once.
     pub(crate) fn pass(&mut self, seconds: f64) {
         let until = self.clock.now().as_secs_f64() + seconds;
         self.clock

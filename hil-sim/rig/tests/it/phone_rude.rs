@@ -4,7 +4,7 @@
 
 use rig::phone::{PhoneConfig, VideoMode};
 
-use crate::phone_bench::Bench;
+use crate::phone_bench::PhoneBench;
 
 const IMU: &str = "imu?duration=200&accel=0&gyro=1&magnetic=0";
 const BUSY: [&str; 3] = ["ERROR", "v.0.1.1", "Error in IMU recording"];
@@ -17,7 +17,7 @@ fn without_pictures(c: &mut PhoneConfig) {
 /// (the sensors end with it), RRH:67.
 #[test]
 fn a_stop_takes_its_time_and_the_sensors_are_busy_meanwhile() {
-    let mut bench = Bench::new(50, |c| {
+    let mut bench = PhoneBench::new(50, |c| {
         without_pictures(c);
         c.app.stop_ms = 3_000.0;
     });
@@ -38,7 +38,7 @@ fn a_stop_takes_its_time_and_the_sensors_are_busy_meanwhile() {
 /// RRH:157 (the press is not awaited), RRH:164 (the queue is asked at once).
 #[test]
 fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
-    let mut bench = Bench::new(51, without_pictures);
+    let mut bench = PhoneBench::new(51, without_pictures);
     bench.phone.app.press_record();
     bench.pass(5.0);
     // In no time.
@@ -53,8 +53,8 @@ fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
 
 /// `Preview.java`:5020.
 #[test]
-fn a_press_right_behind_a_start_is_ignored() {
-    let mut bench = Bench::new(53, without_pictures);
+fn a_press_right_after_a_start_is_ignored() {
+    let mut bench = PhoneBench::new(53, without_pictures);
     bench.phone.app.press_record();
     bench.pass(0.4);
     bench.phone.app.press_record();
@@ -67,7 +67,7 @@ fn a_press_right_behind_a_start_is_ignored() {
 /// RRH:164: nothing comes into the queue any more.
 #[test]
 fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
-    let mut bench = Bench::new(54, without_pictures);
+    let mut bench = PhoneBench::new(54, without_pictures);
     let asked = bench.phone.ask("video_start");
     assert!(bench.phone.app.is_recording());
     bench.pass(1.0);
@@ -80,7 +80,7 @@ fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
 /// RSS:76, `Long.parseLong` of more digits than it has, in a thread that nobody guards.
 #[test]
 fn a_number_that_is_too_large_ends_the_app() {
-    let mut bench = Bench::new(55, without_pictures);
+    let mut bench = PhoneBench::new(55, without_pictures);
     bench.phone.app.press_record();
     let overflow = "imu?duration=9223372036854775808&accel=0&gyro=1&magnetic=0";
     assert!(bench.ask(overflow).is_empty());
@@ -92,7 +92,7 @@ fn a_number_that_is_too_large_ends_the_app() {
 /// sensor that the phone lacks).
 #[test]
 fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one() {
-    let mut bench = Bench::new(58, |c| c.app.ticked = [false, true, true]);
+    let mut bench = PhoneBench::new(58, |c| c.app.ticked = [false, true, true]);
     let answer = bench.ask("imu?duration=500&accel=1&gyro=1&magnetic=1");
     let names: Vec<&str> = answer
         .iter()
@@ -108,7 +108,7 @@ fn a_sensor_that_is_not_ticked_has_no_file_and_one_that_is_missing_an_empty_one(
 /// RRH:128 gives no reason.
 #[test]
 fn a_file_that_cannot_be_opened_is_reported_without_detail() {
-    let mut bench = Bench::new(60, |_| ());
+    let mut bench = PhoneBench::new(60, |_| ());
     let asked = bench.phone.ask(IMU);
     let folder = std::fs::read_dir(bench.phone.app.storage()).unwrap().next();
     std::fs::remove_dir_all(folder.unwrap().unwrap().path()).unwrap();

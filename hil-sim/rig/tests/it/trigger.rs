@@ -4,6 +4,7 @@
 use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, train};
 use crate::trigger_rig::Strobe;
 use protocol::*;
+use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::SimDuration;
@@ -156,19 +157,13 @@ pub(crate) fn check_aligns(
     rounds: u32,
 ) {
     board.run(100);
-    let mut random = 0x2545_F491_4F6C_DD1D_u64;
-    let mut next = || {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        random
-    };
+    let mut random = Seed(1).stream(Stream::Test);
     let mut previous: Option<Pulse> = None;
     let mut epoch = Epoch::default();
     for round in 0..rounds {
         let now = board.now();
         // Anywhere within half an hour, past or future as far as there is one.
-        let away = next() % (1_800 * u64::from(TICK_HZ));
+        let away = random.bits() % (1_800 * u64::from(TICK_HZ));
         let to = TriggerAlign {
             anchor: match round % 2 {
                 0 => Ticks(now.0 + away),
@@ -177,7 +172,7 @@ pub(crate) fn check_aligns(
             period,
             slew: match round % 10 {
                 9 => 0,
-                _ => 100_000 + (next() % 700_000) as u32,
+                _ => 100_000 + (random.bits() % 700_000) as u32,
             },
         };
         let command = AlignTrigger { output, to };
@@ -232,7 +227,7 @@ pub(crate) fn check_aligns(
     }
 }
 
-/// Ringing after each edge, shorter than the filter's eight samples, is none of them.
+/// Ringing after each edge, shorter than the filter's eight samples, makes no edge.
 #[test]
 fn ringing_on_the_strobe_input_makes_no_edges() {
     let mut strobe = Strobe::flashes();

@@ -21,12 +21,12 @@ impl Strobe {
     pub(crate) fn flashes() -> Self {
         Self {
             pitch: SimDuration::from_micros(1_575),
-            ..Self::of(9, SimDuration::from_micros(125))
+            ..Self::pulses(9, SimDuration::from_micros(125))
         }
     }
 
     /// As long low as high.
-    pub(crate) fn of(count: u32, high: SimDuration) -> Self {
+    pub(crate) fn pulses(count: u32, high: SimDuration) -> Self {
         Self {
             count,
             high,

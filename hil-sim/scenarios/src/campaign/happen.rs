@@ -71,7 +71,7 @@ pub(super) struct Happened {
     pub(super) phone_away: Option<SimTime>,
 }
 
-/// Everything that faults are done with.
+/// The parts of the rig that faults act on.
 #[derive(Clone)]
 pub(super) struct Stage {
     pub(super) happened: Rc<RefCell<Happened>>,
@@ -121,9 +121,10 @@ impl Stage {
             Fault::HostStalled => rig.sim.usb_set_reading(!begins),
             Fault::CorruptedFromBoard | Fault::CorruptedToBoard => {
                 let on = |way| {
-                    let is_on = match fault == way {
-                        true => begins,
-                        false => self.plan.is_active(way, happened.began, now),
+                    let is_on = if fault == way {
+                        begins
+                    } else {
+                        self.plan.is_active(way, happened.began, now)
                     };
                     u32::from(is_on) * self.plan.corruption_ppm
                 };
@@ -158,9 +159,10 @@ impl Stage {
             }
             Fault::DepthCameraStopped => {
                 if let Some(camera) = &rig.parts().depth_camera {
-                    match begins {
-                        true => lock(camera).stop(),
-                        false => lock(camera).wait_for_pulses(),
+                    if begins {
+                        lock(camera).stop()
+                    } else {
+                        lock(camera).wait_for_pulses()
                     }
                 }
                 rig.sim.models_changed();

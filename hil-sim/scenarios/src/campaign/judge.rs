@@ -252,7 +252,7 @@ fn train(alignment: &Alignment, session: &EndedSession) -> Result<(Train, u64, T
     Ok((train, number, arrival))
 }
 
-/// Compares what is counted as lost with what is missing. Gives the pulses.
+/// Compares the counts of losses with what is missing, and returns the pulses.
 fn judge_losses(file: &SessionFile, delivered: &[Delivered<'_>]) -> Result<u64> {
     let recorded = || delivered.iter().filter(|delivered| delivered.is_recorded);
     // By the board's numbers, from the first to the last that came.
@@ -308,9 +308,10 @@ fn judge_samples(
     });
     let is_reported = file.problems.iter().any(|p| p.kind == "imu_recovered");
     let hits = plan.events.iter().filter(|event| event.fault.hits_imu());
-    let without_number: u64 = match is_marked || is_reported {
-        true => hits.map(|hit| (hit.for_us + RECOVERY_US) / SAMPLE_US).sum(),
-        false => 0,
+    let without_number: u64 = if is_marked || is_reported {
+        hits.map(|hit| (hit.for_us + RECOVERY_US) / SAMPLE_US).sum()
+    } else {
+        0
     };
     let (missing, counted) = (compared.samples_missing, file.counts.imu.lost);
     ensure!(
@@ -321,7 +322,7 @@ fn judge_samples(
     Ok(())
 }
 
-/// The time of day is recorded as it was, and nothing else goes by it.
+/// Checks that the time of day is recorded as it was, and that nothing else depends on it.
 fn judge_time_of_day(plan: &Plan, ended: &Ended, folder: &Path, zero: SimTime) -> Result<()> {
     let step = plan
         .events

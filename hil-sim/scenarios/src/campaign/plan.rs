@@ -63,7 +63,7 @@ impl Fault {
         Self::CorruptedToBoard,
     ];
 
-    /// Tells whether the board begins a new run by it.
+    /// Returns true if it makes the board begin a new run.
     #[must_use]
     pub(crate) const fn is_reset(self) -> bool {
         matches!(
@@ -72,13 +72,13 @@ impl Fault {
         )
     }
 
-    /// Tells whether the phone is away by it. The session may end before it does.
+    /// Returns true if it takes the phone away. The session may end earlier.
     #[must_use]
     pub(crate) const fn is_of_phone(self) -> bool {
         matches!(self, Self::PhoneGone | Self::WifiStalled)
     }
 
-    /// Tells whether it costs the recording nothing.
+    /// Returns true if it costs the recording nothing.
     #[must_use]
     pub(crate) const fn is_harmless(self) -> bool {
         matches!(
@@ -87,13 +87,13 @@ impl Fault {
         ) || self.is_of_phone()
     }
 
-    /// Tells whether samples of the IMU are missing by it.
+    /// Returns true if it costs samples of the IMU.
     #[must_use]
     pub(crate) const fn hits_imu(self) -> bool {
         matches!(self, Self::I2cHeld | Self::ImuPowerCut | Self::ImuClockCut)
     }
 
-    /// Shortest and longest duration in ms; none if it has no end.
+    /// Shortest and longest duration in ms; `None` if it has no end.
     const fn lasts(self) -> Option<(u64, u64)> {
         match self {
             Self::UsbUnplugged => Some((50, 8_000)),
@@ -115,11 +115,11 @@ impl Fault {
 /// A fault with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Event {
-    /// What.
+    /// Kind of the fault.
     pub fault: Fault,
-    /// When, after the recording began, in µs.
+    /// Time after the recording began, in µs.
     pub at_us: u64,
-    /// For how long, in µs; 0 if it has no end.
+    /// Duration, in µs; 0 if it has no end.
     pub for_us: u64,
 }
 
@@ -180,9 +180,12 @@ impl Plan {
             .map(|fault| Self::place(fault, &mut random))
             .collect();
         events.sort_by_key(|event| event.at_us);
-        let end = |event: &Event| match event.fault.is_of_phone() {
-            true => event.at_us,
-            false => event.at_us + event.for_us,
+        let end = |event: &Event| {
+            if event.fault.is_of_phone() {
+                event.at_us
+            } else {
+                event.at_us + event.for_us
+            }
         };
         let last = events.iter().map(end).max();
         let hours = 1 + (random.bits() % 12) as i64;
@@ -213,20 +216,20 @@ impl Plan {
         }
     }
 
-    /// Tells whether one of the faults is `fault`.
+    /// Returns true if one of the faults is `fault`.
     #[must_use]
     pub fn has(&self, fault: Fault) -> bool {
         self.events.iter().any(|event| event.fault == fault)
     }
 
-    /// Tells whether a fault is there at a time, of a recording that began at `zero`.
+    /// Returns true if a fault is present at a time, in a recording that began at `zero`.
     pub(crate) fn is_active(&self, fault: Fault, zero: SimTime, now: SimTime) -> bool {
         let is_now = |event: &Event| event.begins(zero) <= now && now < event.ends(zero);
         let mut events = self.events.iter();
         events.any(|event| event.fault == fault && is_now(event))
     }
 
-    /// Tells whether the board is reset.
+    /// Returns true if the board is reset.
     #[must_use]
     pub(crate) fn resets(&self) -> bool {
         self.events.iter().any(|event| event.fault.is_reset())

@@ -17,7 +17,7 @@ enum RigKind {
 
 /// Options of `demo`.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct DemoArgs {
     #[command(flatten)]
     options: DemoOptions,
     /// The published rig, or one of two phones, four cameras and a lidar.
@@ -30,7 +30,7 @@ pub(crate) struct Args {
     sessions: super::Sessions,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     if args.rig == RigKind::Multi {
         return run_several(args);
     }
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
+fn write_json(args: &DemoArgs, figures: &impl serde::Serialize) -> Result<()> {
     super::write_json(args.json.as_deref(), figures)?;
     if let Some(path) = &args.json {
         println!("figures    {}", path.display());
@@ -56,7 +56,7 @@ fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
 }
 
 /// Two phones, other cameras and a lidar: each extracted and judged.
-fn run_several(args: &Args) -> Result<()> {
+fn run_several(args: &DemoArgs) -> Result<()> {
     let programs = args.sessions.programs()?;
     let plan = SeveralPlan {
         seed: args.options.seed,

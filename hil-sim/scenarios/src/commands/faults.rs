@@ -9,7 +9,7 @@ use scenarios::campaign::{Finding, Verdict, campaign, folders};
 
 /// Options of `faults`.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct FaultsArgs {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
@@ -23,7 +23,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &FaultsArgs) -> Result<()> {
     let temporary = tempfile::tempdir().context("no temporary folder")?;
     let seeds = args.seeds.all();
     let folder = args.keep.as_deref().unwrap_or(temporary.path());

@@ -9,7 +9,7 @@ use scenarios::whole_chain::ranges;
 
 /// Options of `study`.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct StudyArgs {
     #[command(subcommand)]
     what: What,
     #[command(flatten)]
@@ -56,7 +56,7 @@ enum What {
     },
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &StudyArgs) -> Result<()> {
     let options = &args.options;
     let show_failed = |rig: &RigResult| {
         if rig.figures.is_err() {

@@ -12,12 +12,12 @@ use crate::whole_chain::Recorded;
 use crate::whole_chain::extraction::{self, ExtractionFigures, table};
 use rig::depth_camera::k4a_mkv::device_us;
 
-/// A data set, and how right it is.
+/// A data set with its errors.
 #[derive(Debug)]
 pub struct DataSet {
     /// Its folder.
     pub folder: PathBuf,
-    /// Against the truth.
+    /// Its errors, by the ground truth.
     pub figures: ExtractionFigures,
     /// Pairs of pictures, as SVG.
     pub strip: String,
@@ -60,7 +60,7 @@ pub fn make(
         delivered.len(),
         truth.depth.len()
     );
-    let recorded = Recorded::of(folder.to_owned(), phone, PathBuf::new(), truth)?;
+    let recorded = Recorded::new(folder.to_owned(), phone, PathBuf::new(), truth)?;
     let figures = extraction::judge(&recorded, &data, &report)?;
     let strip = data.join("sample_pairs.svg");
     let strip = std::fs::read_to_string(&strip)

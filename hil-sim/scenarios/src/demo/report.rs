@@ -96,7 +96,7 @@ impl SessionFigures {
     }
 
     /// Those of a judged session.
-    pub(super) fn of(verdict: &Verdict) -> Self {
+    pub(super) fn from_verdict(verdict: &Verdict) -> Self {
         let sizes: Vec<f64> = verdict.phases.iter().map(|p| p.error_us.abs()).collect();
         Self {
             offset_error_us: verdict.offset_start.error_us,
@@ -133,7 +133,7 @@ impl Figures {
     #[must_use]
     pub fn table(&self) -> String {
         format!(
-            "Against the truth of the simulated rig:\n{}{BEFORE}\n{}",
+            "Against the ground truth of the simulated rig:\n{}{BEFORE}\n{}",
             facts_text(&self.lines()),
             facts_text(&self.before_learning.lines())
         )
@@ -169,7 +169,7 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     });
     page.text(
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
-         clocks are models. Every figure is simulated and judged against the models' truth.",
+         clocks are models. Every figure is simulated and judged against the models' ground truth.",
     );
     page.section(BEFORE.trim_end_matches(':'));
     page.text(
@@ -180,7 +180,7 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     page.section("The data set");
     page.text(&format!(
         "The recording was extracted as EuRoC into {}; every time in it was compared with the \
-         truth.",
+         ground truth.",
         data.folder.display()
     ));
     page.facts(&[
@@ -268,11 +268,11 @@ mod tests {
 
     fn figures(verdict: &Verdict) -> Figures {
         Figures {
-            session: SessionFigures::of(verdict),
+            session: SessionFigures::from_verdict(verdict),
             virtual_s: 320.0,
             wall_s: 20.0,
             seed: 7,
-            before_learning: SessionFigures::of(verdict),
+            before_learning: SessionFigures::from_verdict(verdict),
         }
     }
 

@@ -27,7 +27,7 @@ use serde::Serialize;
 use session::alignment::{plan, skew_prior};
 use session::learn::{Frames, Origin, learnt};
 use stm32f4_sim::clock::Rate;
-use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::model_bench::ModelBench;
 use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
@@ -49,7 +49,7 @@ const TO_ARRIVAL_S: f64 = 6.0;
 /// Length of a recording.
 const RECORDED_S: f64 = 300.0;
 
-/// The true skew is that of so long before and after, s: half a twist.
+/// Time before and after over which the true skew is taken, s: half a twist.
 const SKEW_OVER_S: f64 = 4.5;
 
 /// Number of times that a twist is tried.
@@ -132,7 +132,7 @@ struct Rig {
     parts: RigParts,
     phone: PhoneConfig,
     oscillator: Oscillator,
-    imu: Bench<SimImu>,
+    imu: ModelBench<SimImu>,
     profile: Profile,
     twists: Vec<Figure>,
 }
@@ -218,7 +218,7 @@ impl Rig {
         let parts = config.build();
         let settings = parts.config.imu.context("the rig has no IMU")?;
         let motion = std::sync::Arc::clone(&parts.motion);
-        let mut imu = Bench::new(SimImu::new(settings, motion, parts.board.clone(), seed));
+        let mut imu = ModelBench::new(SimImu::new(settings, motion, parts.board.clone(), seed));
         imu.set_clock(wiring::IMU_CLOCK, Some(Rate::hz(19_200_000)));
         imu.run_until(SimTime::from_nanos(100_000_000));
         // 500 Hz, 188 Hz, 500 °/s, and asleep: samples are only made of twists.
@@ -434,7 +434,7 @@ impl Rig {
 const CLOCKED: u8 = 5;
 const ASLEEP: u8 = 1 << 6;
 
-fn write(imu: &mut Bench<SimImu>, register: u8, value: u8) -> Result<()> {
+fn write(imu: &mut ModelBench<SimImu>, register: u8, value: u8) -> Result<()> {
     match imu.write(ADDRESS, register, &[value]) {
         Ok(()) => Ok(()),
         Err(byte) => bail!("the IMU does not acknowledge byte {byte} of register {register:#x}"),

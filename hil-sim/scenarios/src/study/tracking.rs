@@ -94,7 +94,7 @@ pub fn rigs() -> Rigs<Place> {
     }
 }
 
-/// The figures of a rig's sessions of so many seconds.
+/// Returns the figures of a rig's sessions of this length.
 ///
 /// # Errors
 ///
@@ -149,9 +149,10 @@ impl Place {
             return range;
         }
         let (least, most) = range;
-        let at = match least > 0.0 {
-            true => (least * most).sqrt(),
-            false => f64::midpoint(least, most),
+        let at = if least > 0.0 {
+            (least * most).sqrt()
+        } else {
+            f64::midpoint(least, most)
         };
         (at, at)
     }
@@ -249,7 +250,7 @@ impl Clocks {
     }
 }
 
-/// The truth about the phone's frames, and the trigger that is to meet them.
+/// True times of the phone's frames, and the trigger that is to meet them.
 struct Frames {
     /// True period, ns of the phone.
     period_ns: f64,

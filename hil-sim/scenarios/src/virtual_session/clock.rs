@@ -57,7 +57,7 @@ struct VirtualClock {
 }
 
 impl VirtualClock {
-    /// Answer to the question at a time; nothing where the link is silent.
+    /// Returns the answer to a question sent at a time; `None` where the link is silent.
     fn exchange(&mut self, sent: Duration) -> Option<PhoneExchange> {
         self.asked += 1;
         let nonce = self.asked;
@@ -65,11 +65,11 @@ impl VirtualClock {
         let nanos = u64::try_from(sent.as_nanos()).unwrap_or(u64::MAX);
         let asked = board.true_at(SimTime::from_nanos(nanos));
         let [read, back] = self.link.exchange(asked)?;
-        let told = |rig: &mut VirtualRig| Some(rig.phones.first()?.app.told(nonce, read));
+        let answer = |rig: &mut VirtualRig| Some(rig.phones.first()?.app.clock_answer(nonce, read));
         Some(PhoneExchange {
             sent,
             received: Duration::from_nanos(board.board_at(back).as_nanos()),
-            answer: self.rig.with(told)?,
+            answer: self.rig.with(answer)?,
         })
     }
 }

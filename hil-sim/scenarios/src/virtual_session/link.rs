@@ -64,9 +64,10 @@ impl Link for VirtualLink {
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
         let bytes = self.rig.with(|rig| rig.receive(self.connection, wait));
         into.extend_from_slice(&bytes);
-        match bytes.is_empty() {
-            true => self.still_there(),
-            false => Ok(()),
+        if bytes.is_empty() {
+            self.still_there()
+        } else {
+            Ok(())
         }
     }
 

@@ -177,7 +177,7 @@ fn is_busy(error: &PhoneError) -> bool {
     error.refusal() == Some(Refusal::SensorsBusy)
 }
 
-/// Tells whether the sensors are free, by the answer to [`SHORTEST_IMU`].
+/// Returns true if the sensors are free, by the answer to [`SHORTEST_IMU`].
 fn is_free(reply: Result<Reply, PhoneError>) -> Result<(), PhoneError> {
     match reply {
         Ok(_) => Ok(()),

@@ -68,9 +68,10 @@ impl VirtualRecorder {
         };
         let frames = self.rig.with(|rig| rig.depth_frames()[first..].to_vec());
         self.frames = frames;
-        match self.shows_ball {
-            true => write_ball(&path, &self.frames),
-            false => write_frames(&path, &self.frames),
+        if self.shows_ball {
+            write_ball(&path, &self.frames)
+        } else {
+            write_frames(&path, &self.frames)
         }
     }
 }

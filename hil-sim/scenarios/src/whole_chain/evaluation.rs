@@ -24,7 +24,7 @@ pub struct Measured {
     pub sigma: f64,
     /// Stated half width of the 99 % interval.
     pub uncertainty_99: f64,
-    /// By the truth.
+    /// By the ground truth.
     pub truth: f64,
 }
 
@@ -36,7 +36,7 @@ impl Measured {
     }
 }
 
-/// What `evaluate` measures on a recording.
+/// Results of `evaluate` on a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvaluationFigures {
     /// Bias of the last frames, µs.

@@ -38,10 +38,10 @@ impl Errors {
     #[must_use]
     pub fn line(&self) -> String {
         let (count, rms, most) = (self.count, self.rms_us, self.largest_us);
-        format!("{count} frames, rms {rms:.2} µs, at most {most:.2} µs from the truth")
+        format!("{count} frames, rms {rms:.2} µs, at most {most:.2} µs from the ground truth")
     }
 
-    pub(super) fn of(pairs: impl Iterator<Item = (i64, i64)>) -> Self {
+    pub(super) fn from_pairs(pairs: impl Iterator<Item = (i64, i64)>) -> Self {
         let mut out = Self::default();
         let mut squares = 0.0;
         for (found, truth) in pairs {
@@ -77,7 +77,7 @@ pub struct ExtractionFigures {
 }
 
 impl ExtractionFigures {
-    /// Tells whether all is within the limits.
+    /// Returns true if all errors are within the limits.
     #[must_use]
     pub fn good(&self) -> bool {
         self.phone_start.largest_us <= PHONE_LIMIT_US
@@ -186,13 +186,13 @@ pub(crate) fn judge(
             .session
             .recorded
             .map_or(0.0, |span| (span.to - span.from).as_secs_f64()),
-        phone_start: Errors::of(starts.into_iter()),
-        phone_middle: Errors::of(middles.into_iter()),
+        phone_start: Errors::from_pairs(starts.into_iter()),
+        phone_middle: Errors::from_pairs(middles.into_iter()),
         phone_sigma_us: report["clock"]["sigma_us"][1]
             .as_f64()
             .context("the report states no uncertainty of the phone's times")?,
         free_running,
-        depth: Errors::of(depth.into_iter()),
+        depth: Errors::from_pairs(depth.into_iter()),
         pairs,
         dropped,
     })
@@ -349,7 +349,7 @@ fn check_pairs(
     let mut found = 0;
     for row in &rows {
         let (phone, depth) = (whole(row[0])? as usize, whole(row[1])? as usize);
-        // Frames of the camera's own clock have no exact truth to be judged by.
+        // Frames of the camera's own clock have no exact ground truth.
         if depth_rows.get(depth).is_some_and(|r| r[1].is_none()) {
             continue;
         }

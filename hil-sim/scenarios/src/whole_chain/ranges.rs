@@ -11,7 +11,7 @@ use super::{Plan, evaluation, extraction, record};
 use crate::programs::Programs;
 use crate::study::{Figure, Specimen};
 
-/// The recording of so many seconds on a rig of the study.
+/// Makes a recording of this length on a rig of the study.
 #[must_use]
 pub fn plan(rig: &Specimen, seconds: u32) -> Plan {
     let name = format!("{} {}", rig.seed, rig.kind);
@@ -38,7 +38,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
     let alignment = session.alignment.as_ref().context("it was not aligned")?;
     let span = session.recorded.context("nothing was recorded")?;
     let start = BoardSeconds(span.from.as_secs_f64());
-    // What the truth's own line through its points knows: its start, and its slope.
+    // Errors of the line through the true points: of its start, and of its slope.
     let phase = &verdict.phase;
     let of_mean = phase.residual_us / (phase.pairs.max(1) as f64).sqrt();
     let of_slope = 12.0_f64.sqrt() * of_mean * 60.0 / verdict.recorded_s;

@@ -18,7 +18,7 @@ use super::extraction::{table, whole};
 use super::{Recorded, new_folder, session};
 use crate::judge::{OtherVerdict, Verdict};
 use crate::programs::{Programs, ask};
-use crate::virtual_session::Bench;
+use crate::virtual_session::SessionBench;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -74,7 +74,7 @@ pub struct PhoneFigures {
     pub sigma_us: f64,
     /// Depth images minus its frames at the beginning, as extracted, µs.
     pub grid_offset_us: f64,
-    /// The same minus the truth, µs.
+    /// The same minus the true value, µs.
     pub grid_error_us: f64,
     /// Their drift, as extracted, µs/min.
     pub grid_drift_us_per_min: f64,
@@ -138,7 +138,7 @@ pub struct SeveralFigures {
 }
 
 impl SeveralFigures {
-    /// Tells whether all is within the limits: phones and depth camera in µs, what the
+    /// Returns true if all errors are within the limits: phones and depth camera in µs, what the
     /// board itself makes to the tick.
     #[must_use]
     pub fn good(&self) -> bool {
@@ -210,7 +210,7 @@ impl SeveralFigures {
 }
 
 /// Records, extracts and judges; everything lies below `out` then. What is done next
-/// is reported with `tell`.
+/// is reported with `progress`.
 ///
 /// # Errors
 ///
@@ -219,7 +219,7 @@ pub fn run(
     plan: &SeveralPlan,
     programs: &Programs,
     out: &Path,
-    tell: impl Fn(&str),
+    progress: impl Fn(&str),
 ) -> Result<SeveralFigures> {
     new_folder(out)?;
     let motion = MotionSpec::always(Gesture::Twist);
@@ -238,12 +238,12 @@ pub fn run(
     let board = wiring::board_of(config.board, programs.elf.as_deref())
         .model(Arc::clone(&lidar))
         .model(Arc::clone(&pins));
-    let mut bench = Bench::new(config, board, phones.collect(), &PHONES, out)?;
+    let mut bench = SessionBench::new(config, board, phones.collect(), &PHONES, out)?;
     add_sensors(&mut bench.profile)?;
     let mut options = bench.options("recording");
     options.duration = Some(seconds(plan.seconds.into()));
     options.fetch_video = true;
-    tell(&format!(
+    progress(&format!(
         "recording {} s with two phones, four cameras and a lidar, and fetching the videos",
         plan.seconds
     ));
@@ -257,7 +257,7 @@ pub fn run(
         .depth
         .retain(|frame| base.ticks(frame.center).0 <= end);
     recorded.write_depth()?;
-    tell("extracting everything in board time");
+    progress("extracting everything in board time");
     let data = out.join("data");
     let mut arguments = vec![
         "extract".to_owned(),
@@ -271,7 +271,7 @@ pub fn run(
     }
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let report = ask(programs, &arguments, &[&recorded.folder])?;
-    tell("comparing with the truth");
+    progress("comparing with the ground truth");
     let verdict = recorded.truth.judge(&recorded.folder)?;
     let figures = Judge {
         recorded: &recorded,
@@ -285,7 +285,7 @@ pub fn run(
         phones: figures.phones(&verdict)?,
         session: verdict.others,
         phase_us: verdict.phase.start_us,
-        depth: Errors::of(depth_frames(&recorded, &data)?.0.into_iter()),
+        depth: Errors::from_pairs(depth_frames(&recorded, &data)?.0.into_iter()),
         outputs: figures.outputs(&lock(&pins))?,
         lidar: figures.lidar(&mut lock(&lidar))?,
         lost: verdict.lost,
@@ -350,8 +350,8 @@ impl Judge<'_> {
             };
             figures.push(PhoneFigures {
                 name: (*name).to_owned(),
-                start: Errors::of(starts.into_iter()),
-                middle: Errors::of(middles.into_iter()),
+                start: Errors::from_pairs(starts.into_iter()),
+                middle: Errors::from_pairs(middles.into_iter()),
                 sigma_us: said["clock"]["sigma_us"][1]
                     .as_f64()
                     .context("the report states no uncertainty of the phone's times")?,

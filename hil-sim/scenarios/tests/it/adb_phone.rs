@@ -21,6 +21,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use test_support::processes;
+
 /// The longest that anything is waited for.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -151,7 +153,7 @@ impl AdbPhone {
         wait_until("adb misses the phone", || self.state().is_none());
     }
 
-    /// Waits until so many programs for its processor were started.
+    /// Waits until a number of programs for its processor were started.
     pub(crate) fn wait_for_programs(&self, count: usize) {
         wait_until("programs were started", || {
             self.phone.started.load(Ordering::SeqCst) >= count
@@ -192,7 +194,7 @@ impl Server {
             let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
             let port = free.local_addr().unwrap().port();
             drop(free);
-            let process = Command::new("adb")
+            let process = processes::bound("adb")
                 .args(["nodaemon", "server"])
                 .env("HOME", folder)
                 .env("TMPDIR", folder)

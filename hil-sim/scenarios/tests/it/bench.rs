@@ -10,18 +10,20 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
-use scenarios::virtual_session::{Bench, Run};
+use scenarios::virtual_session::{Run, SessionBench};
+use session::devices::Choice;
 use session::event::{Phase, SessionEvent};
 use session::options::{Options, seconds};
 use stm32f4_sim::time::SimDuration;
+use test_support::TestFolder;
 
 /// Names of two phones.
 pub(crate) const TWO: [&str; 2] = ["left", "right"];
 
 /// A rig that somebody twists all the time, and the folder of its recordings.
 pub(crate) struct Twisted {
-    pub(crate) bench: Bench,
-    pub(crate) folder: tempfile::TempDir,
+    pub(crate) bench: SessionBench,
+    pub(crate) folder: TestFolder,
 }
 
 impl Twisted {
@@ -40,7 +42,7 @@ impl Twisted {
         names: &[&str],
         edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
     ) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = TestFolder::new();
         let motion = MotionSpec::always(Gesture::Twist);
         let mut config = RigConfig::published(Seed(seed)).with_motion(motion);
         let mut phones: Vec<PhoneConfig> = (0..names.len().max(1) as u64)
@@ -53,14 +55,14 @@ impl Twisted {
             .collect();
         edit(&mut config, &mut phones[0]);
         let board = wiring::board_of(config.board, None).tolerate_failures();
-        let mut bench = Bench::new(config, board, phones, names, folder.path()).unwrap();
+        let mut bench = SessionBench::new(config, board, phones, names, folder.path()).unwrap();
         bench.hurry();
         // Half the default: the campaign and the whole chain are for the full load.
         bench.profile.imu.rate_hz = 250;
         Self { bench, folder }
     }
 
-    /// The wishes for a recording of so many seconds.
+    /// Returns the options for a recording of some seconds.
     pub(crate) fn options(&self, name: &str, length: u64) -> Options {
         Options {
             duration: Some(seconds(length)),
@@ -68,7 +70,7 @@ impl Twisted {
         }
     }
 
-    /// Records for so many seconds, which must end well.
+    /// Records for some seconds; the session must end well.
     pub(crate) fn record(&mut self, name: &str, length: u64) {
         let options = self.options(name, length);
         self.bench.run(&options).good().unwrap();
@@ -87,6 +89,22 @@ impl Twisted {
         what: impl FnOnce(&mut rig::whole_rig::virtual_rig::VirtualRig) + 'static,
     ) {
         self.bench.on(is_it, ms(100), what);
+    }
+
+    /// The person answers the next prompt that `asks`.
+    pub(crate) fn answer_on(
+        &mut self,
+        asks: impl FnMut(&SessionEvent) -> bool + 'static,
+        choice: Choice,
+    ) {
+        let hands = self.bench.hands();
+        self.soon_after(asks, move |_| hands.answer(choice));
+    }
+
+    /// The person presses Ctrl-C right after `is_it`.
+    pub(crate) fn interrupt_on(&mut self, is_it: impl FnMut(&SessionEvent) -> bool + 'static) {
+        let hands = self.bench.hands();
+        self.soon_after(is_it, move |_| hands.interrupt());
     }
 
     /// The train is stopped, and the phone records nothing.

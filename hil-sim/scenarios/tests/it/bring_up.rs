@@ -27,16 +27,16 @@ use stm32f4_sim::time::SimDuration;
 /// A link in place of another.
 type Through = Box<dyn Fn(Box<dyn Link>) -> Box<dyn Link>>;
 
-/// A board with its wires, and whoever is at it.
-pub(crate) struct Bench {
+/// A board with its wires, and the person who moves them.
+pub(crate) struct BringUpBench {
     rig: SharedRig,
     jumpers: Arc<Mutex<Jumpers>>,
     board: Board,
-    /// What is said goes through such a link.
+    /// All bytes pass through such a link.
     through: Through,
 }
 
-/// What is measured where nothing else is said.
+/// The measurements of a test that needs no others.
 pub(crate) fn plan(parts: &[Part]) -> Plan<'_> {
     Plan {
         parts,
@@ -46,22 +46,22 @@ pub(crate) fn plan(parts: &[Part]) -> Plan<'_> {
     }
 }
 
-impl Bench {
+impl BringUpBench {
     fn new(seed: u64, jumpers: Jumpers) -> Self {
         Self::with_link(seed, jumpers, |link| link)
     }
 
-    /// What is said goes through another link.
+    /// The same with all bytes through another link.
     pub(crate) fn with_link(
         seed: u64,
         jumpers: Jumpers,
         through: impl Fn(Box<dyn Link>) -> Box<dyn Link> + 'static,
     ) -> Self {
-        Self::of(wiring::board(), seed, jumpers, through)
+        Self::on_board(wiring::board(), seed, jumpers, through)
     }
 
     /// Of a board whose chip is another.
-    fn of(
+    fn on_board(
         board: SimBuilder,
         seed: u64,
         jumpers: Jumpers,
@@ -212,7 +212,7 @@ fn assert_severities(report: &BoardTestReport, expected: &[(&str, Severity)]) {
 /// The start delay of a board is two ticks off: the test says so, and keeps the right one.
 #[test]
 fn measured_delays_are_kept_and_hold() {
-    let mut bench = Bench::new(36, Jumpers::default());
+    let mut bench = BringUpBench::new(36, Jumpers::default());
     let before = bench.board.call(QueryBoard).unwrap();
     let wrong = BoardSettings {
         output_start_delay: before.output_start_delay + 4,
@@ -247,7 +247,7 @@ pub(crate) fn the_sensor_recovers_from_a_wire_that_bounces_and_not_from_a_loose_
         (&[20, 90, 130][..], Severity::Good),
         (&loose, Severity::Bad),
     ] {
-        let mut bench = Bench::new(37, Jumpers::default());
+        let mut bench = BringUpBench::new(37, Jumpers::default());
         let plugs = |rig: &SharedRig, prompt| {
             if prompt == Prompt::PlugSdaIn {
                 sensor(rig, Fault::ReleaseSda);
@@ -273,7 +273,7 @@ pub(crate) fn the_sensor_recovers_from_a_wire_that_bounces_and_not_from_a_loose_
 pub(crate) fn a_sensor_goes_on_without_its_clock_and_not_without_data_ready() {
     let ms = SimDuration::from_millis;
     for (is_wrong, severity) in [(false, Severity::Good), (true, Severity::Bad)] {
-        let mut bench = Bench::new(38, Jumpers::default());
+        let mut bench = BringUpBench::new(38, Jumpers::default());
         let pulls = |rig: &SharedRig, prompt| {
             match prompt {
                 Prompt::UnplugClock => {
@@ -301,8 +301,8 @@ pub(crate) fn a_sensor_goes_on_without_its_clock_and_not_without_data_ready() {
 
 /// After a gate that does not invert, a lidar like the VLP-16 would read nothing.
 #[test]
-pub(crate) fn a_line_that_is_high_when_idle_is_said() {
-    let mut bench = Bench::new(39, Jumpers::default());
+pub(crate) fn a_line_that_is_high_when_idle_is_reported() {
+    let mut bench = BringUpBench::new(39, Jumpers::default());
     let jumpers = Arc::clone(&bench.jumpers);
     let plugs = |_: &SharedRig, prompt| {
         let is_line = prompt == Prompt::MoveStrobeWire("PC12");
@@ -339,7 +339,9 @@ pub(crate) fn a_divider_that_is_loaded_too_much_fails() {
             buffer: Some([ns(rise), ns(fall)]),
             ..Jumpers::default()
         };
-        let report = Bench::new(40, jumpers).measure(&[Part::Buffer]).unwrap();
+        let report = BringUpBench::new(40, jumpers)
+            .measure(&[Part::Buffer])
+            .unwrap();
         let expected = [
             ("read-back after the buffer", read_back),
             ("pulse after the buffer", pulse),
@@ -351,7 +353,7 @@ pub(crate) fn a_divider_that_is_loaded_too_much_fails() {
 /// A board that leaves the bus for good ends the test, with a report.
 #[test]
 fn a_board_that_does_not_come_back_fails() {
-    let mut bench = Bench::new(41, Jumpers::default());
+    let mut bench = BringUpBench::new(41, Jumpers::default());
     let rig = bench.rig.clone();
     bench.through = Box::new(move |link| {
         rig.with(|rig| rig.sim.usb_unplug());
@@ -369,7 +371,7 @@ fn a_broken_wire_and_a_held_bus_fail() {
         readback: false,
         ..Jumpers::default()
     };
-    let mut bench = Bench::new(32, jumpers);
+    let mut bench = BringUpBench::new(32, jumpers);
     // Without its pull-ups the bus stays low.
     sensor(&bench.rig, Fault::HoldSda(None));
     let parts = [Part::Trigger, Part::Imu, Part::Outputs];
@@ -388,7 +390,7 @@ fn a_broken_wire_and_a_held_bus_fail() {
 
 #[test]
 fn a_board_in_use_is_left_alone() {
-    let mut bench = Bench::new(33, Jumpers::default());
+    let mut bench = BringUpBench::new(33, Jumpers::default());
     let start = TriggerStart {
         period: Period::from_picos(33_333_333_333).unwrap(),
         width: MIN_PULSE_WIDTH,
@@ -405,7 +407,7 @@ fn a_board_in_use_is_left_alone() {
 /// Slower than the gap between two pulses leaves it, though no edge comes late by it.
 #[test]
 fn a_slow_handler_fails() {
-    let mut bench = Bench::new(34, Jumpers::default());
+    let mut bench = BringUpBench::new(34, Jumpers::default());
     let (key, failure) = (SELF_TEST_KEY, Failure::SlowHandler);
     bench.board.call(SelfTest { key, failure }).unwrap();
     let report = bench.measure(&[Part::Link]).unwrap();
@@ -425,7 +427,7 @@ fn a_slow_handler_fails() {
 #[test]
 fn a_supply_that_is_too_high_fails() {
     let board = wiring::board().chip(|chip| chip.die.supply = 3.7);
-    let mut bench = Bench::of(board, 36, Jumpers::default(), |link| link);
+    let mut bench = BringUpBench::on_board(board, 36, Jumpers::default(), |link| link);
     let report = bench.measure(&[Part::Clock]).unwrap();
     let expected = [("supply", Severity::Bad), ("crystal", Severity::Good)];
     assert_severities(&report, &expected);
@@ -440,7 +442,7 @@ pub(crate) fn the_crystal_is_compared_with_the_computers_clock() {
         (150.0, 0.0, Severity::Bad),
         (-150.0, 0.0, Severity::Bad),
     ] {
-        let mut bench = Bench::with_link(35, Jumpers::default(), move |link| {
+        let mut bench = BringUpBench::with_link(35, Jumpers::default(), move |link| {
             Box::new(OffClock {
                 link,
                 rate: 1.0 + ppm * 1e-6,

@@ -56,7 +56,7 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
 }
 
 #[test]
-fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
+fn a_good_rig_passes_and_each_fault_names_its_remedy() {
     let rig = WholeRig::with(21, SPEED, |config, _| {
         config.motion = MotionSpec::default();
     });

@@ -133,7 +133,7 @@ fn commands_of_the_programs_are_in_their_help() {
 }
 
 #[test]
-fn options_that_stand_by_themselves_are_in_a_help() {
+fn options_written_alone_are_in_a_help() {
     let mut known = BTreeSet::new();
     hil_sim().all_options(&mut known);
     xtask().all_options(&mut known);
@@ -161,7 +161,7 @@ fn options_that_stand_by_themselves_are_in_a_help() {
 }
 
 #[test]
-fn the_check_finds_what_is_not_there() {
+fn the_check_finds_unknown_commands_and_options() {
     let help = hil_sim();
     let unknown = |line: &str| help.unknown(&arguments(line, "hil-sim").unwrap());
     assert_eq!(unknown("target/release/hil-sim serve --speed 1"), None);

@@ -13,40 +13,21 @@ use recording::profile::Profile;
 use recording::session_file::{Alignment, SessionFile};
 use rig::picture::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
 use rig::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
+use rig::random::{Random, Seed, Stream};
+use test_support::processes::run;
 
 /// Any; each draws other videos.
 const SEEDS: Range<u64> = 7100..7101;
 
-/// Values drawn one after the other (SplitMix64).
-struct Draw(u64);
-
-impl Draw {
-    fn share(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) as f64 / 2f64.powi(64)
-    }
-
-    fn within(&mut self, from: f64, to: f64) -> f64 {
-        from + (to - from) * self.share()
-    }
-
-    fn one<T: Copy>(&mut self, of: &[T]) -> T {
-        of[(self.share() * of.len() as f64) as usize]
-    }
-
-    fn camera(&mut self) -> RollingShutter {
-        RollingShutter {
-            columns: 48,
-            exposure_ns: self.within(90e3, 1000e3),
-            row_time_ns: self.within(7e3, 22e3),
-            amplitude: self.within(25.0, 90.0),
-            texture: self.one(&[0.0, 0.01]),
-            seed: self.0,
-            ..RollingShutter::default()
-        }
+fn camera(random: &mut Random) -> RollingShutter {
+    RollingShutter {
+        columns: 48,
+        exposure_ns: random.uniform(90e3, 1000e3),
+        row_time_ns: random.uniform(7e3, 22e3),
+        amplitude: random.uniform(25.0, 90.0),
+        texture: *random.one_of(&[0.0, 0.01]),
+        seed: random.bits(),
+        ..RollingShutter::default()
     }
 }
 
@@ -82,7 +63,7 @@ impl Drawn<'_> {
         writer.finish().unwrap();
     }
 
-    /// What is said of it.
+    /// Evaluates it.
     fn figure(&self, settings: &Settings) -> Result<Evaluated, EvaluateError> {
         let dir = tempfile::tempdir().unwrap();
         self.record(dir.path());
@@ -118,17 +99,17 @@ fn pass_by(image: &mut GreyImage, place: f64) {
 
 /// Room light dimmed by switching it at 480 to 900 Hz: at a whole multiple of the frame rate
 /// (then it stands still in the picture, like strobes in step), near one, or anywhere.
-fn lamp(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
-    let rate = draw.one(&[24.0, 25.0, 30.0, 30_000.0 / 1001.0, 60.0]);
-    let still = (draw.within(480.0, 900.0) / rate).round() * rate;
+fn lamp(random: &mut Random, kind: usize) -> (String, Drawn<'static>) {
+    let rate = *random.one_of(&[24.0, 25.0, 30.0, 30_000.0 / 1001.0, 60.0]);
+    let still = (random.uniform(480.0, 900.0) / rate).round() * rate;
     let hz = match kind % 3 {
         0 => still,
-        1 => still + draw.within(-0.4, 0.4),
-        _ => draw.within(480.0, 900.0),
+        1 => still + random.uniform(-0.4, 0.4),
+        _ => random.uniform(480.0, 900.0),
     };
-    let duty = draw.within(0.05, 0.8);
-    let moves = draw.one(&[0.0, 9.0]);
-    let camera = draw.camera();
+    let duty = random.uniform(0.05, 0.8);
+    let moves = *random.one_of(&[0.0, 9.0]);
+    let camera = camera(random);
     let name = format!("lamp {hz:.2} Hz at {rate:.2}, on {duty:.2}, scene {moves}, {camera:?}");
     let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
         *image = lit_by(camera, start, frame, [hz, duty]);
@@ -136,10 +117,10 @@ fn lamp(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
             pass_by(image, moves * frame as f64);
         }
     };
-    (name, drawn(draw, rate, camera, paint))
+    (name, drawn(random, rate, camera, paint))
 }
 
-/// A frame in the light of a lamp of so many Hz that is on for this share of each turn.
+/// Renders a frame in the light of a lamp of a frequency and duty cycle.
 fn lit_by(camera: &RollingShutter, start: i64, frame: u64, [hz, duty]: [f64; 2]) -> GreyImage {
     let turn = 1e9 / hz;
     let end = start as f64 + camera.rows as f64 * camera.row_time_ns + 20e6;
@@ -152,23 +133,23 @@ fn lit_by(camera: &RollingShutter, start: i64, frame: u64, [hz, duty]: [f64; 2])
 }
 
 /// Bars across the picture, still or moving by some rows a frame.
-fn bars(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
-    let period = draw.within(40.0, 240.0);
-    let width = draw.within(0.1, 0.6) * period;
+fn bars(random: &mut Random, kind: usize) -> (String, Drawn<'static>) {
+    let period = random.uniform(40.0, 240.0);
+    let width = random.uniform(0.1, 0.6) * period;
     // Once in four as many as a train has, all in view.
     let (period, count) = match kind % 4 {
-        0 => (draw.within(60.0, 105.0), 9.0),
-        _ => (period, draw.one(&[3.0, 5.0, 7.0, 9.0, 99.0])),
+        0 => (random.uniform(60.0, 105.0), 9.0),
+        _ => (period, *random.one_of(&[3.0, 5.0, 7.0, 9.0, 99.0])),
     };
     let first = if count > 50.0 {
         -1000.0
     } else {
-        draw.within(0.0, 200.0)
+        random.uniform(0.0, 200.0)
     };
     let speed = match kind % 3 {
         0 => 0.0,
-        1 => draw.within(0.02, 1.0),
-        _ => draw.within(1.0, 20.0),
+        1 => random.uniform(0.02, 1.0),
+        _ => random.uniform(1.0, 20.0),
     };
     let name = format!("{count} bars of {width:.1} every {period:.1} from {first:.1}, {speed:.2}");
     let paint = move |_: &RollingShutter, _: i64, frame: u64, image: &mut GreyImage| {
@@ -182,40 +163,40 @@ fn bars(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
         };
         image.pixels = (0..48 * 1080).map(shade).collect();
     };
-    (name, drawn(draw, 30.0, RollingShutter::default(), paint))
+    (name, drawn(random, 30.0, RollingShutter::default(), paint))
 }
 
 /// Flicker of the mains, or nothing but noise and rows of a scene.
-fn mains(draw: &mut Draw, kind: usize) -> (String, Drawn<'static>) {
-    let rate = draw.one(&[25.0, 30.0, 50.0]);
-    let depth = draw.within(0.1, 0.9);
+fn mains(random: &mut Random, kind: usize) -> (String, Drawn<'static>) {
+    let rate = *random.one_of(&[25.0, 30.0, 50.0]);
+    let depth = random.uniform(0.1, 0.9);
     let flicker = Flicker {
-        frequency_hz: draw.one(&[100.0, 120.0, 240.0]),
+        frequency_hz: *random.one_of(&[100.0, 120.0, 240.0]),
         depth,
-        phase_rad: draw.within(0.0, 6.0),
+        phase_rad: random.uniform(0.0, 6.0),
     };
     let camera = RollingShutter {
         flicker: kind.is_multiple_of(2).then_some(flicker),
         ambient: 110.0,
-        texture: draw.within(0.0, 0.2),
-        ..draw.camera()
+        texture: random.uniform(0.0, 0.2),
+        ..camera(random)
     };
     let name = format!("mains {:?}, texture {:.2}", camera.flicker, camera.texture);
     let paint = |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
         *image = camera.render(start, frame, &[]);
     };
-    (name, drawn(draw, rate, camera, paint))
+    (name, drawn(random, rate, camera, paint))
 }
 
 fn drawn<'a>(
-    draw: &mut Draw,
+    random: &mut Random,
     rate: f64,
     camera: RollingShutter,
     paint: impl Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a,
 ) -> Drawn<'a> {
     Drawn {
         rate,
-        frames: draw.one(&[40, 40, 80]),
+        frames: *random.one_of(&[40, 40, 80]),
         applied_us: 0.0,
         camera,
         draw: Box::new(paint),
@@ -227,12 +208,12 @@ fn drawn<'a>(
 fn nothing_but_strobes_gives_a_figure() {
     let (mut videos, mut accepted) = (0, Vec::new());
     for seed in SEEDS {
-        let mut draw = Draw(seed);
+        let mut random = Seed(seed).stream(Stream::Test);
         for kind in 0..16 {
             let (name, video) = match kind {
-                0..7 => lamp(&mut draw, kind),
-                7..14 => bars(&mut draw, kind),
-                _ => mains(&mut draw, kind),
+                0..7 => lamp(&mut random, kind),
+                7..14 => bars(&mut random, kind),
+                _ => mains(&mut random, kind),
             };
             let settings = Settings {
                 row_time_us: (kind % 2 == 0).then_some(1e-3 * video.camera.row_time_ns),
@@ -276,14 +257,12 @@ fn test_pictures_are_no_strobes() {
         "life=seed=7:",
         "gradients=seed=7:c0=red:c1=blue:x0=10:y0=20:x1=300:y1=500:",
     ] {
-        let status = Command::new("ffmpeg")
+        let mut ffmpeg = Command::new("ffmpeg");
+        ffmpeg
             .args(["-v", "error", "-y", "-f", "lavfi", "-i"])
             .arg(format!("{picture}s=320x540"))
-            .args(["-frames:v", "40", "-r", "30", "-pix_fmt", "yuv420p"])
-            .arg(&video)
-            .status()
-            .unwrap();
-        assert!(status.success(), "{picture}");
+            .args(["-frames:v", "40", "-r", "30", "-pix_fmt", "yuv420p"]);
+        run(ffmpeg.arg(&video));
         let found = figure(dir.path(), &Settings::default()).ok();
         assert_eq!(found.map(|it| it.result), None, "{picture}");
     }
@@ -291,7 +270,7 @@ fn test_pictures_are_no_strobes() {
 
 /// With a known row time the rate is reported.
 #[test]
-fn the_rate_of_a_lamp_is_told() {
+fn the_rate_of_a_lamp_is_reported() {
     let camera = RollingShutter {
         columns: 48,
         exposure_ns: 400e3,
@@ -304,7 +283,7 @@ fn the_rate_of_a_lamp_is_told() {
         row_time_us: Some(10.2),
         ..Settings::default()
     };
-    let video = drawn(&mut Draw(1), 30.0, camera, paint);
+    let video = drawn(&mut Seed(1).stream(Stream::Test), 30.0, camera, paint);
     let refusal = video.figure(&settings).unwrap_err();
     assert!(refusal.to_string().contains("613.7 Hz"), "{refusal}");
 }
@@ -321,7 +300,7 @@ fn strobes<'a>(
         let flashes: Vec<Flash> = flashes.into_iter().flatten().collect();
         *image = camera.render(start, frame, &flashes);
     };
-    drawn(&mut Draw(3), rate, camera, paint)
+    drawn(&mut Seed(3).stream(Stream::Test), rate, camera, paint)
 }
 
 /// Strobes that begin after some frames, that come on some frames only, that the trigger
@@ -330,13 +309,13 @@ fn strobes<'a>(
 fn strobes_give_a_figure() {
     let mut refused = Vec::new();
     for seed in SEEDS {
-        let mut draw = Draw(seed ^ 0x5EED);
+        let mut random = Seed(seed ^ 0x5EED).stream(Stream::Test);
         for kind in 0..8 {
-            let camera = draw.camera();
-            let rate = draw.one(&[24.0, 30.0, 60.0]);
-            let bias_us = draw.within(-700.0, 700.0);
-            let slew_us = draw.within(60.0, 100.0);
-            let some = draw.one(&[3, 5, 11]);
+            let camera = camera(&mut random);
+            let rate = *random.one_of(&[24.0, 30.0, 60.0]);
+            let bias_us = random.uniform(-700.0, 700.0);
+            let slew_us = random.uniform(60.0, 100.0);
+            let some = *random.one_of(&[3, 5, 11]);
             let bias = move |frame: u64| match kind % 4 {
                 0 => (frame >= some).then_some(bias_us),
                 1 => frame.is_multiple_of(some.min(3)).then_some(bias_us),

@@ -1,4 +1,4 @@
-//! The evaluation on rendered frames with known truth. All figures are simulated.
+//! The evaluation on rendered frames with a ground truth. All figures are simulated.
 
 use crate::strobes::Scene;
 use evaluate::classify::Reference;

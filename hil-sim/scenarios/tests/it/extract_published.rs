@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::support::run_python;
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
@@ -15,12 +16,6 @@ use recording::profile::Profile;
 use system::{Cancel, ReadMonitor};
 use test_support::{contents, python};
 
-fn script(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/python")
-        .join(name)
-}
-
 fn twist() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../host/sync/twist-sync-python/python/twist_sync/example")
@@ -28,7 +23,7 @@ fn twist() -> PathBuf {
 
 fn make_bag(folder: &Path, compression: &str) {
     let arguments = [&twist(), folder, Path::new(compression)];
-    python::run_script(&script("make_published_bag.py"), &arguments);
+    run_python("make_published_bag.py", &arguments);
     let mut refused = job(folder, Format::Euroc);
     refused.recording = folder.join("published.bag");
     let error = run(&refused).unwrap_err().to_string();
@@ -81,8 +76,8 @@ fn the_bag_extracts_to_the_same_numbers() {
     let (report, euroc) = extract(folder.path(), Format::Euroc);
     let (_, tum) = extract(folder.path(), Format::Tum);
     let (_, kalibr) = extract(folder.path(), Format::Kalibr);
-    let printed = python::run_script(
-        &script("check_published.py"),
+    let printed = run_python(
+        "check_published.py",
         &[folder.path(), &topics, &euroc, &tum, &kalibr],
     );
     assert_eq!(printed.trim(), "ok");

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::extract_vendor::Case;
+use crate::support::run_python;
 use crate::synthetic::Synthetic;
 use extract::layout::Format;
 use extract::options::Options;
@@ -25,10 +26,12 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
         .map(|row| format!("{}\n", row[1].unwrap()))
         .collect();
     std::fs::write(case.path("stamps.txt"), stamps).unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/make_depth_bag.py");
     for form in ["mcap", "zstd", "sqlite3"] {
         let mut bag = case.path(form);
-        python::run_script(&script, &[&case.path("stamps.txt"), &bag, Path::new(form)]);
+        run_python(
+            "make_depth_bag.py",
+            &[&case.path("stamps.txt"), &bag, Path::new(form)],
+        );
         let out = format!("of_{form}");
         if form != "mcap" {
             let refused = format!("refused_{form}");

@@ -6,6 +6,7 @@ use std::process::Command;
 
 use serde_json::json;
 
+use crate::support::run_python;
 use crate::synthetic::{Synthetic, Truth, make};
 use crate::whole_chain::programs;
 use extract::error::ExtractError;
@@ -16,7 +17,7 @@ use extract::run::{Job, run};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use scenarios::whole_chain::{self, Plan};
-use test_support::python;
+use test_support::{TestFolder, processes};
 
 /// Numbers of the maker's enumerations (k4atypes.h).
 const NFOV_2X2BINNED: u8 = 1;
@@ -26,30 +27,56 @@ const STANDALONE: u8 = 0;
 const SUBORDINATE: u8 = 2;
 
 pub(crate) struct Case {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
+    /// Holds the folder, if it goes with the test.
+    _temporary: Option<TestFolder>,
 }
 
 impl Case {
     pub(crate) fn new(config: &Synthetic) -> (Self, Truth) {
-        let folder = tempfile::tempdir().unwrap();
-        let recording = folder.path().join("recording");
-        std::fs::create_dir(&recording).unwrap();
-        let truth = make(&recording, config);
-        (Self { folder }, truth)
+        let case = Self::empty();
+        let truth = case.make(config);
+        (case, truth)
+    }
+
+    /// The same in a folder that stays until the next run.
+    pub(crate) fn lasting(name: &str, config: &Synthetic) -> (Self, Truth) {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        // After a clean build there is no such folder.
+        let _ = std::fs::remove_dir_all(&folder);
+        let case = Self {
+            folder,
+            _temporary: None,
+        };
+        let truth = case.make(config);
+        (case, truth)
+    }
+
+    fn empty() -> Self {
+        let temporary = TestFolder::new();
+        Self {
+            folder: temporary.path().to_owned(),
+            _temporary: Some(temporary),
+        }
+    }
+
+    fn make(&self, config: &Synthetic) -> Truth {
+        let recording = self.path("recording");
+        std::fs::create_dir_all(&recording).unwrap();
+        make(&recording, config)
     }
 
     /// A recording of the whole chain, with the phone's files in its folder.
     pub(crate) fn of_chain(plan: &Plan) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let recorded = whole_chain::record(plan, &programs(), folder.path()).unwrap();
-        let case = Self { folder };
+        let case = Self::empty();
+        let recorded = whole_chain::record(plan, &programs(), &case.folder).unwrap();
         std::fs::rename(recorded.phone, recorded.folder.join("phone")).unwrap();
         std::fs::rename(recorded.folder, case.path("recording")).unwrap();
         case
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     pub(crate) fn extract(
@@ -104,21 +131,17 @@ impl Case {
         let spec_path = self.path(&format!("{name}.json"));
         std::fs::write(&spec_path, spec.to_string()).unwrap();
         let out = self.path(&format!("{name}.mkv"));
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/vendor_recording.py");
-        python::run_script(&script, &[&spec_path, &out]);
+        run_python("vendor_recording.py", &[&spec_path, &out]);
         out
     }
 
     /// Frames by ffmpeg.
     pub(crate) fn test_picture(&self, name: &str, size: &str, frames: usize) -> PathBuf {
         let path = self.path(name);
-        let made = Command::new("ffmpeg")
-            .args(["-v", "error", "-f", "lavfi", "-i"])
-            .arg(format!("testsrc2=size={size}"))
-            .args(["-frames:v", &frames.to_string()])
-            .arg(&path)
-            .status();
-        assert!(made.unwrap().success());
+        let (source, frames) = (format!("testsrc2=size={size}"), frames.to_string());
+        let mut ffmpeg = Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error", "-f", "lavfi", "-i", &source]);
+        processes::run(ffmpeg.args(["-frames:v", &frames]).arg(&path));
         path
     }
 
@@ -245,12 +268,8 @@ fn the_files_own_tags_decide_the_times() {
 
     // Written again with times in whole milliseconds.
     let merged = case.path("merged.mkv");
-    let done = Command::new("mkvmerge")
-        .arg("-q")
-        .arg("-o")
-        .args([&merged, &wide])
-        .status();
-    assert!(done.unwrap().success(), "mkvmerge (Debian: mkvtoolnix)");
+    let mut mkvmerge = Command::new("mkvmerge");
+    processes::run(mkvmerge.args(["-q", "-o"]).args([&merged, &wide]));
     let report = case.extract(Some(&merged), "merged", Options::default());
     said(&report, "mkvmerge");
     said(&report, "to 1 ms");

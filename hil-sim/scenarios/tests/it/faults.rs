@@ -71,7 +71,7 @@ fn a_stall_of_twenty_seconds_is_survived() {
 /// The board is reset while the host takes nothing: what it says of its new run
 /// comes before the host knows of one.
 #[test]
-fn a_reset_while_the_host_stalls_ends_the_recording_whole() {
+fn a_reset_while_the_host_stalls_closes_the_recording() {
     let events = [
         (Fault::HostStalled, 5_163_198, 12_006_373),
         (Fault::WatchdogReset, 5_812_658, 0),

@@ -3,12 +3,13 @@
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
 use crate::support;
 use clock::BoardToPhone;
 use protocol::Ticks;
 use recording::session_file::SessionFile;
+use test_support::{TestFolder, processes};
 
 /// A rig that waits for commands, and what it said at first.
 struct Served {
@@ -19,7 +20,7 @@ struct Served {
 
 impl Served {
     fn start(folder: &Path) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
+        let mut child = processes::bound(env!("CARGO_BIN_EXE_hil-sim"))
             .args([
                 "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
             ])
@@ -84,7 +85,7 @@ fn is_near_truth(session: &SessionFile, truth: &Path) {
 
 /// Types a command as a person does, with Enter at each question; gives what it printed.
 fn typed(command: &str, place: &Path, search_path: &str) -> String {
-    let mut child = Command::new("sh")
+    let mut child = processes::bound("sh")
         .args(["-c", command])
         .current_dir(place)
         .env("PATH", search_path)
@@ -118,8 +119,8 @@ fn typed(command: &str, place: &Path, search_path: &str) -> String {
 /// From `serve` on, nothing but the last line that was printed, with less than its minutes: it
 /// calibrates, records, and ends in a data set.
 #[test]
-fn what_is_printed_last_leads_to_a_data_set() {
-    let folder = tempfile::tempdir().unwrap();
+fn each_command_that_is_printed_last_leads_on_to_a_data_set() {
+    let folder = TestFolder::new();
     let place = folder.path();
     support::smartdepthsync();
     let mut rig = Served::start(place);

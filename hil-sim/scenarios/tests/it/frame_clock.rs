@@ -11,7 +11,7 @@ use crate::bench::Twisted;
 
 const SECOND_NS: i64 = 1_000_000_000;
 
-/// A phone that has slept for so long, with its frames on the clock that stood still then or
+/// A phone that has slept for a time, with its frames on the clock that stood still then or
 /// on its sensors'.
 fn sleeper(seed: u64, slept_ns: i64, is_on_monotonic: bool, is_read: bool) -> Twisted {
     let mut rig = Twisted::with(seed, |_, phone| {
@@ -45,7 +45,7 @@ fn frames_on_the_clock_that_sleeps_are_corrected_where_both_clocks_are_read() {
     assert_eq!(video.boot_minus_frames_ns, slept_ns);
 
     let folder = rig.recording("slept");
-    let truth = Truth::of(rig.bench.stop().unwrap()).unwrap();
+    let truth = Truth::from_run(rig.bench.stop().unwrap()).unwrap();
     let phase = truth.judge(&folder).unwrap().phase;
     let sigma_us = session.alignment.unwrap().phase_sigma_us.hypot(1.0);
     assert!(
@@ -56,7 +56,7 @@ fn frames_on_the_clock_that_sleeps_are_corrected_where_both_clocks_are_read() {
 }
 
 #[test]
-fn frames_whose_clock_cannot_be_told_are_refused() {
+fn frames_of_an_unknown_clock_are_refused() {
     // Both clocks fit where they are 5 s apart, and the phase is on the later one.
     for (slept_s, is_on_monotonic, is_read) in [(3_600, true, false), (5, false, true)] {
         let mut rig = sleeper(32, slept_s * SECOND_NS, is_on_monotonic, is_read);

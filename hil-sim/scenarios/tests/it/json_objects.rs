@@ -8,20 +8,21 @@ use crate::whole_rig::WholeRig;
 use serde_json::Value;
 use test_support::below;
 use test_support::calibrations::CHAIN;
+use test_support::processes::Ran;
 
 /// Runs a command of words without spaces and gives what it prints. It may end with loss or
 /// refusal, as long as it prints its object.
 fn print(folder: &Path, arguments: &str) -> Value {
-    let output = Command::new(support::smartdepthsync())
-        .arg("--json")
-        .args(arguments.split(' '))
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    let value: Value = serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|error| panic!("{arguments}: {error}: {output:?}"));
-    assert!(value.is_object(), "{arguments}: {value:#}");
-    assert_eq!(value["error"], Value::Null, "{arguments}: {value:#}");
+    let mut command = support::tool();
+    command.arg("--json").args(arguments.split(' '));
+    print_of(command.current_dir(folder))
+}
+
+fn print_of(command: &mut Command) -> Value {
+    let ran = Ran::new(command);
+    let value = ran.json();
+    assert!(value.is_object(), "{ran}");
+    assert_eq!(value["error"], Value::Null, "{ran}");
     value
 }
 
@@ -58,10 +59,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
 
     // A session, and what is made of its recording.
     let options = "--duration 12s --marker 1s --second-twist --json".split(' ');
-    let options: Vec<&str> = options.collect();
-    let output = rig.record("whole", &options).output().unwrap();
-    serde_json::from_slice::<Value>(&output.stdout)
-        .unwrap_or_else(|error| panic!("{error}: {output:?}"));
+    print_of(&mut rig.record("whole", &options.collect::<Vec<_>>()));
     let recording = rig.recording("whole");
     let recording = recording.to_str().unwrap();
     print(folder, &format!("verify {recording}"));

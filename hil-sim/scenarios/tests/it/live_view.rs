@@ -3,18 +3,19 @@
 //! is kept in `target/tmp/live_view` for people to look at.
 
 use std::fs;
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use crate::support;
-use crate::whole_rig::WholeRig;
+use crate::whole_rig::{PATIENCE, WholeRig};
 use board::finding::Severity;
 use recording::reader::Reader;
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::verify::verify;
-
-const PATIENCE: Duration = Duration::from_secs(90);
+use rig::phone::LinkFault;
+use test_support::processes;
 
 /// A terminal of a tmux server of its own, with a program in it. The program's exit
 /// code comes from a file: tmux (3.3a) loses it now and then, where the terminal is
@@ -22,15 +23,26 @@ const PATIENCE: Duration = Duration::from_secs(90);
 struct Tmux {
     /// Holds the server's socket and the exit code.
     folder: tempfile::TempDir,
-    gone: bool,
+    server: Child,
 }
 
 impl Tmux {
     fn start(width: u16, height: u16, program: &Command) -> Self {
-        let terminal = Self {
-            folder: tempfile::tempdir().unwrap(),
-            gone: false,
-        };
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("socket");
+        // As a daemon it would outlive a test that is killed.
+        let server = processes::bound("tmux")
+            .args(["-D", "-f", "/dev/null", "-S"])
+            .arg(&socket)
+            .env("TERM", "xterm")
+            .spawn()
+            .expect("this test needs tmux: sudo apt-get install tmux");
+        let terminal = Self { folder, server };
+        let begun = Instant::now();
+        while UnixStream::connect(&socket).is_err() {
+            assert!(begun.elapsed() < PATIENCE, "no tmux server");
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let (width, height) = (width.to_string(), height.to_string());
         let size = ["new-session", "-d", "-x", &width, "-y", &height];
         let code = terminal.code_file().to_string_lossy().into_owned();
@@ -39,9 +51,8 @@ impl Tmux {
             .chain(program.get_args())
             .map(|word| word.to_string_lossy().into_owned())
             .collect();
-        let arguments: Vec<&str> = ["-f", "/dev/null"]
+        let arguments: Vec<&str> = size
             .into_iter()
-            .chain(size)
             .chain(shell)
             .chain(program.iter().map(String::as_str))
             // What it leaves on the screen stays readable.
@@ -63,7 +74,7 @@ impl Tmux {
             // As over SSH: a terminal of sixteen colours at least.
             .env("TERM", "xterm")
             .output()
-            .expect("this test needs tmux: sudo apt-get install tmux");
+            .unwrap();
         String::from_utf8_lossy(&output.stdout).into_owned()
     }
 
@@ -107,17 +118,16 @@ impl Tmux {
     }
 
     /// The terminal is closed with everything in it.
-    fn close(&mut self) {
+    fn close(&self) {
         self.run(&["kill-server"]);
-        self.gone = true;
     }
 }
 
 impl Drop for Tmux {
     fn drop(&mut self) {
-        if !self.gone {
-            self.close();
-        }
+        self.close();
+        let _ = self.server.kill();
+        let _ = self.server.wait();
     }
 }
 
@@ -128,7 +138,7 @@ fn keep(name: &str, screen: &str) {
 }
 
 fn monitor(rig: &WholeRig) -> Command {
-    let mut command = Command::new(support::smartdepthsync());
+    let mut command = support::tool();
     command.arg("monitor").arg("--port").arg(rig.rig.port());
     command
 }
@@ -180,15 +190,19 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 #[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let rig = WholeRig::with_readback(33, 3.0);
-    // What is enough is seen for some seconds.
-    let profile = rig.profile().replace("twist_s = 6", "twist_s = 20");
     // As after `evaluate precision --calibrate`: a picture of the book is made of this.
     let bias = "bias_us = 0.0\nbias_sigma_us = 0.1\nbias_measured = \"2026-01-31\"";
-    let profile = format!("{profile}\n[frame_sync]\n{bias}\n");
-    let command = rig.record_with("seen", &profile, &[]);
-    let terminal = Tmux::start(80, 24, &command);
+    let profile = format!("{}\n[frame_sync]\n{bias}\n", rig.profile());
+    let terminal = Tmux::start(80, 24, &rig.record_attended("seen", &profile));
+    terminal.wait_for(&["Twist the rig for"]);
+    // The twist lasts until the phone answers.
+    rig.phone().set_fault(Some(LinkFault::Held));
+    terminal.keys("Enter");
     let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
     keep("record_twist_80x24.txt", &screen);
+    rig.phone().set_fault(None);
+    terminal.wait_for(&["[Enter] go on"]);
+    terminal.keys("Enter");
     terminal.wait_for(&["RECORDING", "µs off grid", "ns after the edge"]);
     rig.wait_ms(3_000);
     terminal.keys("m");
@@ -214,7 +228,7 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
 fn a_closed_terminal_ends_the_recording_in_order() {
     let rig = WholeRig::new(34, 3.0);
     let command = rig.record("cut", &[]);
-    let mut terminal = Tmux::start(100, 30, &command);
+    let terminal = Tmux::start(100, 30, &command);
     terminal.wait_for(&["RECORDING"]);
     rig.wait_ms(2_000);
     terminal.close();

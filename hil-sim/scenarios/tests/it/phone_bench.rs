@@ -3,37 +3,30 @@
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use rig::clocks::oscillator::TrueTime;
 use rig::clocks::true_clock::TrueClock;
-use rig::depth_camera::flash_log::FlashLog;
-use rig::motion::MotionSpec;
-use rig::motion::gesture::Gesture;
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
-use rig::random::{Seed, Stream};
+use rig::random::Seed;
 
-use crate::support::smartdepthsync;
+use test_support::processes::Ran;
+
+use crate::support::tool;
 
 /// A phone whose rig walks, in true time `speed` times as fast as real time.
-pub(crate) struct Bench {
+pub(crate) struct PhoneBench {
     pub(crate) phone: SimPhone,
     pub(crate) clock: TrueClock,
 }
 
-impl Bench {
+impl PhoneBench {
     pub(crate) fn new(seed: u64, speed: f64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
         let mut config = PhoneConfig::draw(Seed(seed));
         edit(&mut config);
-        let spec = MotionSpec::always(Gesture::Walk);
         let clock = TrueClock::new();
         let_pass(&clock, speed);
-        let surroundings = Surroundings {
-            clock: clock.clone(),
-            motion: spec.build(Seed(seed).stream(Stream::Motion)),
-            light: FlashLog::default(),
-        };
+        let surroundings = Surroundings::walking(Seed(seed), clock.clone());
         Self {
             phone: SimPhone::start(config, surroundings, 0).unwrap(),
             clock,
@@ -55,18 +48,15 @@ impl Bench {
     }
 
     /// Runs `smartdepthsync phone …` against this phone.
-    pub(crate) fn command(&self, arguments: &[&str], folder: &Path) -> Output {
-        Command::new(smartdepthsync())
-            .arg("phone")
-            .args(arguments)
-            .args(["--phone", &self.address()])
-            .current_dir(folder)
-            .output()
-            .unwrap()
+    pub(crate) fn command(&self, arguments: &[&str], folder: &Path) -> Ran {
+        let mut command = tool();
+        command.arg("phone").args(arguments);
+        let command = command.args(["--phone", &self.address()]);
+        Ran::new(command.current_dir(folder))
     }
 }
 
-impl Drop for Bench {
+impl Drop for PhoneBench {
     fn drop(&mut self) {
         self.clock.stop();
     }

@@ -2,15 +2,16 @@
 //! case with what is said, how it ends, and what runs on the phone then.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 use std::time::Duration;
 
 use clock::PhoneNanos;
 use phone::adb::copy_command;
 use rig::phone::{LinkFault, PhoneConfig, StorageAccess, VideoMode};
+use test_support::processes::{Ran, run};
 
-use crate::phone_bench::Bench;
-use crate::support::smartdepthsync;
+use crate::phone_bench::PhoneBench;
+use crate::support::{smartdepthsync, tool};
 use crate::whole_rig::Session;
 
 const PHONE: i32 = 12;
@@ -20,16 +21,7 @@ fn small(c: &mut PhoneConfig) {
     c.camera.columns = 16;
 }
 
-fn says(output: &Output, code: i32, words: &[&str]) {
-    let said = [&output.stdout[..], &output.stderr].concat();
-    let said = String::from_utf8_lossy(&said);
-    assert_eq!(output.status.code(), Some(code), "{said}");
-    for word in words {
-        assert!(said.contains(word), "{word:?} not in: {said}");
-    }
-}
-
-fn wait_s(bench: &Bench, seconds: f64) {
+fn wait_s(bench: &PhoneBench, seconds: f64) {
     let until = bench.clock.now().as_secs_f64() + seconds;
     while bench.clock.now().as_secs_f64() < until {
         std::thread::sleep(Duration::from_millis(1));
@@ -38,25 +30,25 @@ fn wait_s(bench: &Bench, seconds: f64) {
 
 #[test]
 fn a_video_begun_by_hand_is_left_alone() {
-    let bench = Bench::new(70, 5.0, |c| c.video = VideoMode::Never);
+    let bench = PhoneBench::new(70, 5.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     bench.phone.app.press_record();
     wait_s(&bench, 5.0);
     let output = bench.command(&["start"], folder.path());
-    says(&output, PHONE, &["refused imu", "phone stop"]);
+    output.ended_with(PHONE, &["refused imu", "phone stop"]);
     assert!(bench.phone.app.is_recording());
 }
 
 #[test]
-fn a_video_that_is_not_there_any_more_is_said_to_be_deleted() {
+fn a_missing_video_is_reported_as_deleted() {
     // The app finds no file of its last video.
-    let bench = Bench::new(77, 10.0, |c| c.video = VideoMode::Never);
+    let bench = PhoneBench::new(77, 10.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     for action in ["start", "stop"] {
-        says(&bench.command(&[action], folder.path()), 0, &[]);
+        bench.command(&[action], folder.path()).ended_with(0, &[]);
     }
     let output = bench.command(&["get-video", "--recorded"], folder.path());
-    says(&output, PHONE, &["refused get_video", "was deleted"]);
+    output.ended_with(PHONE, &["refused get_video", "was deleted"]);
 }
 
 #[test]
@@ -64,7 +56,7 @@ fn an_answer_before_its_frames_is_not_an_answer() {
     use phone::{PhoneClient, PhoneError, Settings};
     for (seed, known) in [(71, true), (72, false)] {
         // Without the phone's clock, the time of this computer counts: in step with it.
-        let bench = Bench::new(seed, if known { 10.0 } else { 1.0 }, |c| {
+        let bench = PhoneBench::new(seed, if known { 10.0 } else { 1.0 }, |c| {
             c.video = VideoMode::Never;
         });
         let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
@@ -92,12 +84,12 @@ fn an_answer_before_its_frames_is_not_an_answer() {
 }
 
 #[test]
-fn what_waits_behind_another_client_is_not_carried_out_later() {
-    let bench = Bench::new(73, 10.0, |c| c.video = VideoMode::Never);
+fn a_request_that_waited_for_another_client_is_not_carried_out_later() {
+    let bench = PhoneBench::new(73, 10.0, |c| c.video = VideoMode::Never);
     let folder = tempfile::tempdir().unwrap();
     let other = bench.occupy();
     let output = bench.command(&["start", "--timeout", "0.5s"], folder.path());
-    says(&output, PHONE, &["an empty request", "one at a time"]);
+    output.ended_with(PHONE, &["an empty request", "one at a time"]);
     drop(other);
     wait_s(&bench, 15.0);
     assert!(bench.phone.app.videos().is_empty());
@@ -107,18 +99,18 @@ fn what_waits_behind_another_client_is_not_carried_out_later() {
 fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     let folder = tempfile::tempdir().unwrap();
     // Frames too slow for the app's own patience.
-    let bench = Bench::new(74, 10.0, |c| {
+    let bench = PhoneBench::new(74, 10.0, |c| {
         c.video = VideoMode::Never;
         c.camera.frame_period_ns = 200e6;
     });
     let output = bench.command(&["start"], folder.path());
-    says(&output, PHONE, &["poll limit", "asked to stop", "Camera2"]);
+    output.ended_with(PHONE, &["poll limit", "asked to stop", "Camera2"]);
     assert_eq!(bench.phone.app.videos().len(), 1);
     assert!(!bench.phone.app.is_recording());
 
     // Ctrl-C while the phone has begun and not answered.
-    let bench = Bench::new(75, 1.0, |c| c.video = VideoMode::Never);
-    let mut command = Command::new(smartdepthsync());
+    let bench = PhoneBench::new(75, 1.0, |c| c.video = VideoMode::Never);
+    let mut command = tool();
     command.args(["phone", "start", "--phone", &bench.address()]);
     let session = Session::start(&mut command);
     while !bench.phone.app.is_recording() {
@@ -130,7 +122,7 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     assert!(!bench.phone.app.is_recording());
 
     // The answer is lost on the way.
-    let bench = Bench::new(76, 5.0, |c| {
+    let bench = PhoneBench::new(76, 5.0, |c| {
         c.video = VideoMode::Never;
         // The answer comes after the 60th of them, at most 10 s after it was asked for.
         c.camera.frame_period_ns = 140e6;
@@ -146,31 +138,29 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
             phone.set_fault(None);
         });
         let output = bench.command(&["start"], folder.path());
-        says(&output, PHONE, &["closed the connection", "asked to stop"]);
+        output.ended_with(PHONE, &["closed the connection", "asked to stop"]);
     });
     assert!(!bench.phone.app.is_recording());
 }
 
 #[test]
-fn sensors_right_behind_a_stop_are_tried_again() {
-    let bench = Bench::new(77, 1.0, |c| {
+fn sensors_requested_right_after_a_stop_are_tried_again() {
+    let bench = PhoneBench::new(77, 1.0, |c| {
         c.video = VideoMode::Never;
         c.app.stop_ms = 2_000.0;
     });
     let folder = tempfile::tempdir().unwrap();
-    says(
-        &bench.command(&["start"], folder.path()),
-        0,
-        &["phase_ns: "],
-    );
-    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    bench
+        .command(&["start"], folder.path())
+        .ended_with(0, &["phase_ns: "]);
+    bench.command(&["stop"], folder.path()).ended_with(0, &[]);
     let output = bench.command(&["imu", "--duration", "1s"], folder.path());
-    says(&output, 0, &["samples: ", "rate_hz: "]);
+    output.ended_with(0, &["samples: ", "rate_hz: "]);
 }
 
 #[test]
 fn a_video_is_fetched_only_when_the_app_can_send_it() {
-    let bench = Bench::new(78, 2.0, |c| {
+    let bench = PhoneBench::new(78, 2.0, |c| {
         small(c);
         c.app.storage = StorageAccess::Documents;
         c.app.stop_ms = 2_000.0;
@@ -185,25 +175,19 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         "10s",
     ];
     // Without any video it is not asked by default, and named if it is all the same.
-    says(
-        &bench.command(&["get-video"], folder.path()),
-        2,
-        &["--recorded"],
-    );
-    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    bench
+        .command(&["get-video"], folder.path())
+        .ended_with(2, &["--recorded"]);
+    bench.command(&["stop"], folder.path()).ended_with(0, &[]);
     let output = bench.command(&get, folder.path());
-    says(
-        &output,
-        PHONE,
-        &["closed the connection", "open the app again"],
-    );
+    output.ended_with(PHONE, &["closed the connection", "open the app again"]);
     bench.phone.reopen_app().unwrap();
     // Right after a stop, and with storage access: it waits until the app is free.
-    says(&bench.command(&["start"], folder.path()), 0, &[]);
-    says(&bench.command(&["stop"], folder.path()), 0, &[]);
-    says(&bench.command(&get, folder.path()), 0, &["VID_"]);
+    bench.command(&["start"], folder.path()).ended_with(0, &[]);
+    bench.command(&["stop"], folder.path()).ended_with(0, &[]);
+    bench.command(&get, folder.path()).ended_with(0, &["VID_"]);
     // Without the sync recording nothing tells that a video runs: the app hangs.
-    let bench = Bench::new(79, 2.0, |c| {
+    let bench = PhoneBench::new(79, 2.0, |c| {
         small(c);
         c.app.storage = StorageAccess::Documents;
         c.camera.reports_frames = false;
@@ -218,36 +202,32 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         "4s",
     ];
     let output = bench.command(&soon, folder.path());
-    says(&output, PHONE, &["hangs", "force the app to stop"]);
+    output.ended_with(PHONE, &["hangs", "force the app to stop"]);
 }
 
 #[test]
 fn a_gyroscope_without_a_file_is_an_error() {
-    let bench = Bench::new(80, 10.0, |c| c.app.ticked = [true, false, true]);
+    let bench = PhoneBench::new(80, 10.0, |c| c.app.ticked = [true, false, true]);
     let folder = tempfile::tempdir().unwrap();
     let output = bench.command(&["imu", "--duration", "2s"], folder.path());
-    says(
-        &output,
-        PHONE,
-        &["no file of its gyroscope", "Enabled sensors"],
-    );
+    output.ended_with(PHONE, &["no file of its gyroscope", "Enabled sensors"]);
     // Two recordings within one second have other names, and are taken.
-    let bench = Bench::new(80, 10.0, |c| c.app.storage = StorageAccess::Documents);
+    let bench = PhoneBench::new(80, 10.0, |c| c.app.storage = StorageAccess::Documents);
     for _ in 0..3 {
         let output = bench.command(&["imu", "--duration", "0.01s"], folder.path());
-        says(&output, 0, &[]);
+        output.ended_with(0, &[]);
     }
 }
 
 #[test]
 fn a_long_answer_on_a_slow_network_is_waited_for() {
     // 30 s of the gyroscope are 0.8 MB: 16 s at this rate, with 3 s of patience.
-    let bench = Bench::new(82, 30.0, |_| ());
+    let bench = PhoneBench::new(82, 30.0, |_| ());
     bench.phone.set_fault(Some(LinkFault::Slow(50_000)));
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["imu", "--duration", "30s", "--timeout", "3s"];
     let output = bench.command(&arguments, folder.path());
-    says(&output, 0, &["samples: 15"]);
+    output.ended_with(0, &["samples: 15"]);
 }
 
 /// A program named `adb` that has one phone, whose storage is the simulated one's.
@@ -278,14 +258,14 @@ const PULL: &str = "cp \"$(here \"$4\")\" \"$5\"";
 
 #[test]
 fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
-    let bench = Bench::new(83, 10.0, small);
+    let bench = PhoneBench::new(83, 10.0, small);
     let folder = tempfile::tempdir().unwrap();
     let start = |name: &str| {
         let output = bench.command(&["start", "--json"], folder.path());
-        says(&output, 0, &[]);
-        says(&bench.command(&["stop"], folder.path()), 0, &[]);
+        output.ended_with(0, &[]);
+        bench.command(&["stop"], folder.path()).ended_with(0, &[]);
         wait_s(&bench, 4.0);
-        let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let printed = output.json();
         let out = folder.path().join(name);
         std::fs::create_dir(&out).unwrap();
         (printed["phase_ns"].as_i64().unwrap(), out)
@@ -297,16 +277,16 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     let tools = folder.path().join("tools");
     std::fs::create_dir(&tools).unwrap();
     let get = |path: &std::ffi::OsStr, phase: i64| {
-        Command::new(smartdepthsync())
+        let mut command = Command::new(smartdepthsync());
+        command
             .args(["phone", "get-files", "--phase", &phase.to_string(), "--out"])
             .arg(&out)
-            .env("PATH", path)
-            .output()
-            .unwrap()
+            .env("PATH", path);
+        Ran::new(&mut command)
     };
     let storage = bench.phone.app.storage();
     let path = stand_in_adb(&tools, storage, PULL);
-    says(&get(&path, phase), 0, &["_imu_timestamps.csv"]);
+    get(&path, phase).ended_with(0, &["_imu_timestamps.csv"]);
     let video = bench.phone.app.videos()[1].clone();
     let whole = phone::video_files::of_video(&out.join(video.path.file_name().unwrap()));
     let whole = whole.unwrap().unwrap();
@@ -314,25 +294,21 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     let read = |path: &Path| std::fs::read(path).unwrap();
     assert!(read(&whole.frames.unwrap()) == read(&video.timestamps));
     // Again, and they are there.
-    says(&get(&path, phase), 0, &[]);
-    says(
-        &get(&path, phase + 1),
-        PHONE,
-        &["AB12", "by MTP", "extract --phone"],
-    );
+    get(&path, phase).ended_with(0, &[]);
+    get(&path, phase + 1).ended_with(PHONE, &["AB12", "by MTP", "extract --phone"]);
 
     // A copy that is cut short is not left.
     std::fs::remove_dir_all(&out).unwrap();
     let path = stand_in_adb(&tools, storage, "head -c 10 \"$(here \"$4\")\" > \"$5\"");
-    says(&get(&path, phase), PHONE, &["but 10 bytes came"]);
+    get(&path, phase).ended_with(PHONE, &["but 10 bytes came"]);
     assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
 
     // Without adb there is a line, and it does what it says.
     let nothing = folder.path().join("nothing");
     let output = get(nothing.as_os_str(), phase);
-    says(&output, PHONE, &["`adb` is not on the PATH"]);
+    output.ended_with(PHONE, &["`adb` is not on the PATH"]);
     let line = copy_command(PhoneNanos(phase), &out);
-    assert!(String::from_utf8_lossy(&output.stderr).contains(&line));
+    output.ended_with(PHONE, &[&line]);
     let mounted = folder.path().join("gvfs/mtp:host=Phone/Internal/DCIM");
     std::fs::create_dir_all(&mounted).unwrap();
     std::os::unix::fs::symlink(storage, mounted.join("OpenCamera")).unwrap();
@@ -340,12 +316,9 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     let path = stand_in_adb(&tools, storage, PULL);
     for number in ["", "_1", " (1)"] {
         number_files(storage, number);
-        let copied = Command::new("sh")
-            .args(["-c", &line])
-            .env("XDG_RUNTIME_DIR", folder.path())
-            .status()
-            .unwrap();
-        assert!(copied.success());
+        let mut copy = Command::new("sh");
+        copy.env("XDG_RUNTIME_DIR", folder.path());
+        run(copy.args(["-c", &line]));
         let come = || {
             let found = phone::video_files::find(&out, None).unwrap().unwrap();
             assert_eq!(found.missing(), ["video (.mp4)"]);
@@ -353,7 +326,7 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
             std::fs::remove_dir_all(&out).unwrap();
         };
         come();
-        says(&get(&path, phase), 0, &["_imu_timestamps"]);
+        get(&path, phase).ended_with(0, &["_imu_timestamps"]);
         come();
         std::fs::create_dir(&out).unwrap();
     }

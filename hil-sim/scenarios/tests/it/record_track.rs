@@ -1,9 +1,7 @@
 //! `smartdepthsync record --track` with a phone behind `adb`.
 
-use std::process::Command;
-
 use crate::adb_phone::AdbPhone;
-use crate::support::smartdepthsync;
+use crate::support::tool;
 use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -81,7 +79,7 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     // The files of the video come through it too.
     rig.phone().app.wait_saved().unwrap();
     let phase = recorded.phones[0].video.unwrap().phase.0.to_string();
-    let mut command = Command::new(smartdepthsync());
+    let mut command = tool();
     command.args(["phone", "get-files", "--phase", &phase, "--out"]);
     let output = phone.show(command.arg(&folder)).output().unwrap();
     assert!(output.status.success(), "{output:?}");

@@ -55,12 +55,11 @@ fn without_phone_or_board_nothing_is_made() {
 }
 
 #[test]
-fn an_interrupt_ends_a_session_in_order_in_every_state() {
+fn an_interrupt_before_the_phone_answers_leaves_no_folder() {
     let mut rig = Twisted::new(3);
-    // Before anything was made: the phone does not answer.
-    rig.bench.with(|rig| rig.phones[0].set_silent(true));
     let hands = rig.bench.hands();
     rig.bench.with(|rig| {
+        rig.phones[0].set_silent(true);
         let at = rig.now() + ms(3_000);
         rig.at(at, move |_| hands.interrupt());
     });
@@ -68,32 +67,38 @@ fn an_interrupt_ends_a_session_in_order_in_every_state() {
     let run = rig.bench.run(&options);
     assert!(matches!(run.ended, Ok(None)), "{:?}", run.ended);
     assert!(!rig.recording("silent").exists());
-    rig.bench.with(|rig| rig.phones[0].set_silent(false));
+}
 
+#[test]
+fn an_interrupt_ends_a_session_in_order_in_every_state() {
+    let mut rig = Twisted::new(3);
     // The slow way to the grid, so that it lasts.
     rig.bench.profile.align.slew_us = 20.0;
     for (state, is_it) in STATES {
-        let hands = rig.bench.hands();
-        rig.soon_after(is_it, move |_| hands.interrupt());
+        rig.interrupt_on(is_it);
         let options = rig.options(state, 60);
         let run = rig.bench.run(&options);
         assert_eq!(outcome(&run), SessionOutcome::Interrupted, "{state}");
         rig.readable(state, SessionOutcome::Interrupted);
         rig.all_is_stopped(state);
     }
-    rig.bench.hurry();
+}
 
-    // After the recording: the rest is left out, what was recorded stays.
-    let hands = rig.bench.hands();
-    rig.soon_after(is_second_twist, move |_| hands.interrupt());
+#[test]
+fn an_interrupt_after_the_recording_keeps_it_and_leaves_out_the_rest() {
+    let mut rig = Twisted::new(3);
+    rig.interrupt_on(is_second_twist);
     let mut options = rig.options("second_twist", 2);
     options.second_twist = true;
     rig.bench.run(&options);
     let file = rig.readable("second_twist", SessionOutcome::Interrupted);
     assert!(file.recorded.unwrap().to > file.recorded.unwrap().from);
     rig.all_is_stopped("second twist");
+}
 
-    // The download never ends.
+#[test]
+fn an_interrupt_of_a_download_that_never_ends_leaves_no_part_of_the_video() {
+    let mut rig = Twisted::new(3);
     let hands = rig.bench.hands();
     rig.soon_after(is_fetching, move |rig| {
         rig.phones[0].set_silent(true);
@@ -140,9 +145,13 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
         assert!(!problems(&file).is_empty(), "{state}");
         rig.all_is_stopped(state);
     }
+}
 
-    // It comes back in time: a break between two requests costs nothing; nor one while it is
-    // to be stopped, which is after 2 s: it is asked again.
+/// A break between two requests costs nothing; nor one while it is to be stopped, which is
+/// after 2 s: it is asked again.
+#[test]
+fn a_phone_that_comes_back_in_time_costs_nothing() {
+    let mut rig = Twisted::new(4);
     for (name, length, away) in [("back", 5, 500), ("late", 2, 5_000)] {
         rig.soon_after(is_recording, move |rig| {
             rig.phones[0].leave_network();
@@ -151,8 +160,11 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
         });
         rig.record(name, length);
     }
+}
 
-    // No download: the recording is there, the video is not.
+#[test]
+fn a_phone_that_leaves_before_the_download_costs_the_video_alone() {
+    let mut rig = Twisted::new(4);
     rig.bench
         .on(is_fetching, ms(0), |rig| rig.phones[0].leave_network());
     let mut options = rig.options("short", 2);
@@ -257,7 +269,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     assert!((0.0..0.02).contains(&missing), "{missing}");
 }
 
-/// Tells whether a prompt asks for this step again.
+/// Returns true if a prompt asks for this step again.
 fn asks_again(event: &SessionEvent, wanted: Step) -> bool {
     matches!(event, SessionEvent::Prompt { prompt: Prompt::Repeat { step, .. } } if *step == wanted)
 }
@@ -272,14 +284,10 @@ fn asks(wanted: Prompt) -> impl Fn(&SessionEvent) -> bool {
 }
 
 #[test]
-fn a_person_tries_again_marks_and_leaves() {
+fn a_person_tries_again_and_leaves() {
     let mut rig = Twisted::new(11);
     rig.bench.seat_person();
     rig.bench.with(|rig| rig.phones[0].leave_network());
-    let answer = |rig: &mut Twisted, choice: Choice| {
-        let hands = rig.bench.hands();
-        move |_: &mut rig::whole_rig::virtual_rig::VirtualRig| hands.answer(choice)
-    };
     let hands = rig.bench.hands();
     rig.soon_after(
         |event| asks_again(event, Step::Connect),
@@ -288,17 +296,18 @@ fn a_person_tries_again_marks_and_leaves() {
             hands.answer(Choice::Repeat);
         },
     );
-    let quit = answer(&mut rig, Choice::Quit);
-    rig.soon_after(asks_to_twist, quit);
+    rig.answer_on(asks_to_twist, Choice::Quit);
     let options = rig.options("asked", 60);
     rig.bench.run(&options);
     rig.readable("asked", SessionOutcome::Interrupted);
+}
 
-    // Through a whole session, by the keys.
-    let begin = answer(&mut rig, Choice::Continue);
-    rig.soon_after(asks_to_twist, begin);
-    let go_on = answer(&mut rig, Choice::Continue);
-    rig.soon_after(asks(Prompt::TwistGood), go_on);
+#[test]
+fn a_person_goes_through_a_session_by_keys_and_sets_marks() {
+    let mut rig = Twisted::new(11);
+    rig.bench.seat_person();
+    rig.answer_on(asks_to_twist, Choice::Continue);
+    rig.answer_on(asks(Prompt::TwistGood), Choice::Continue);
     let hands = rig.bench.hands();
     rig.soon_after(is_recording, move |rig| {
         hands.wish(Wish::Mark(None));
@@ -319,17 +328,10 @@ fn a_twist_that_is_needed_cannot_be_left_out() {
     // At rest no twist relates the clocks.
     let mut rig = Twisted::with(15, |config, _| config.motion = MotionSpec::default());
     rig.bench.seat_person();
-    let again = asks(Prompt::TwistAgain);
-    let is_again = move |event: &SessionEvent| again(event);
-    for (number, choice) in [(0, Choice::Skip), (1, Choice::Continue)] {
-        let hands = rig.bench.hands();
-        rig.soon_after(nth(number, asks_to_twist), move |_| hands.answer(choice));
-    }
-    let hands = rig.bench.hands();
-    rig.soon_after(nth(0, is_again), move |_| hands.answer(Choice::Skip));
-    let hands = rig.bench.hands();
-    let quits = asks(Prompt::TwistAgain);
-    rig.soon_after(nth(1, quits), move |_| hands.answer(Choice::Quit));
+    rig.answer_on(nth(0, asks_to_twist), Choice::Skip);
+    rig.answer_on(nth(1, asks_to_twist), Choice::Continue);
+    rig.answer_on(nth(0, asks(Prompt::TwistAgain)), Choice::Skip);
+    rig.answer_on(nth(1, asks(Prompt::TwistAgain)), Choice::Quit);
     let options = rig.options("kept", 60);
     let run = rig.bench.run(&options);
     let refusals = run.events.iter().map(|seen| &seen.stamped.event);
@@ -359,7 +361,7 @@ fn a_link_that_only_gives_damage_ends_the_recording_in_its_time() {
 }
 
 #[test]
-fn what_is_bad_before_a_recording_ends_it() {
+fn a_failed_check_ends_a_session_before_its_recording() {
     let mut rig = Twisted::with(13, |config, _| config.imu = None);
     let options = rig.options("no_imu", 2);
     let run = rig.bench.run(&options);
@@ -477,7 +479,7 @@ fn a_kill_at_any_moment_leaves_a_recording_that_lacks_at_most_a_second() {
 
 /// An app takes a while to close its video; its sensors are busy until then.
 #[test]
-fn a_session_ends_well_whatever_time_a_stop_takes() {
+fn a_session_ends_well_however_long_a_stop_takes() {
     for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
         let mut rig = Twisted::with(seed, |_, phone| phone.app.stop_ms = stop_ms);
         let mut options = rig.options("whole", 3);

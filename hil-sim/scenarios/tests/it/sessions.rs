@@ -15,8 +15,8 @@ use session::event::SessionEvent;
 use session::options::{Track, seconds};
 
 use crate::bench::{TWO, Twisted};
+use crate::support::run_python;
 use crate::whole_chain::near_truth;
-use crate::whole_rig::run_python;
 
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {
@@ -55,7 +55,7 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
 
     let truth = rig.bench.stop().unwrap();
     let samples = truth.imu.clone();
-    let verdict = Truth::of(truth).unwrap().judge(&folder).unwrap();
+    let verdict = Truth::from_run(truth).unwrap().judge(&folder).unwrap();
     let alignment = session.alignment.unwrap();
     near_truth(&verdict.offset_start, 20.0, 40.0);
     // One stamp of the phone has 1 µs of jitter; the rest is the offset's.
@@ -217,7 +217,7 @@ fn a_session_is_aligned_with_an_imu_on_its_own_clock() {
     assert_eq!(setup.sensor.model, ImuModel::Mpu9250);
     assert_eq!(setup.status.clock, ImuClock::Internal);
 
-    let truth = Truth::of(rig.bench.stop().unwrap()).unwrap();
+    let truth = Truth::from_run(rig.bench.stop().unwrap()).unwrap();
     let verdict = truth.judge(&folder).unwrap();
     near_truth(&verdict.offset_start, 30.0, 50.0);
 }

@@ -1,4 +1,4 @@
-//! Rendered recordings with known truth, for the evaluation.
+//! Rendered recordings with a ground truth, for the evaluation.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ pub(crate) struct Scene {
     pub(crate) lit_from: u64,
     /// And of those only on every n-th.
     pub(crate) lit_every: u64,
-    /// In so many of them at first, only the train's last flash is in the picture, at
+    /// In this number of them at first, only the train's last flash is in the picture, at
     /// its first rows, and wanders in.
     pub(crate) entering: u64,
 }
@@ -82,7 +82,7 @@ impl Scene {
         *image = camera.render(self.start_ns(frame), frame, &self.flashes(frame));
     }
 
-    /// Mean truth of the last `n` frames with flashes, µs.
+    /// Mean true bias of the last `n` frames with flashes, µs.
     pub(crate) fn truth_of_last_us(&self, n: usize) -> f64 {
         let lit: Vec<u64> = (0..self.frames)
             .filter(|&f| !self.flashes(f).is_empty())

@@ -5,20 +5,25 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
-use tempfile::TempDir;
+use test_support::{TestFolder, processes, python};
 
 /// Free memory for a test's recordings, bytes: more than what `record` warns of.
 const ENOUGH: u64 = 2_000_000_000;
 
 /// A folder for recordings, in memory where there is enough: while a program waits for the
 /// disk, a fast board makes seconds of data that it has not seen. Nothing may be started there.
-pub(crate) fn folder_in_memory() -> TempDir {
+pub(crate) fn folder_in_memory() -> TestFolder {
     let memory = Path::new("/dev/shm");
     let room = rustix::fs::statvfs(memory).map_or(0, |stat| stat.f_bavail * stat.f_frsize);
     if room > ENOUGH {
-        return tempfile::tempdir_in(memory).unwrap();
+        return tempfile::tempdir_in(memory).unwrap().into();
     }
-    tempfile::tempdir().unwrap()
+    TestFolder::new()
+}
+
+/// Returns a command of the program under test, which ends with the test.
+pub(crate) fn tool() -> Command {
+    processes::bound(smartdepthsync())
 }
 
 /// Cargo builds it with the whole workspace; with this
@@ -61,4 +66,10 @@ fn newest(folder: &Path) -> SystemTime {
         });
     }
     newest
+}
+
+/// Runs a script beside the tests and returns its output.
+pub(crate) fn run_python(script: &str, arguments: &[&Path]) -> String {
+    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
+    python::run_script(&scripts.join(script), arguments)
 }

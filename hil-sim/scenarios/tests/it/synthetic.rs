@@ -1,4 +1,4 @@
-//! Synthetic recordings with known truth: a recording's folder written from the
+//! Synthetic recordings with a ground truth: a recording's folder written from the
 //! rig's models directly, without booting the board.
 //!
 //! The models are those of the rig (motion, clocks that wander, gyroscopes with
@@ -101,23 +101,17 @@ pub(crate) fn pattern(frame: u64, pixels: &mut [u16]) {
 
 /// A scene as a depth camera sees it: smooth surfaces, millimetres of noise, holes.
 pub(crate) fn scene(frame: u64, pixels: &mut [u16]) {
-    let mut noise = frame.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut random = Seed(frame).stream(Stream::Test);
     for (index, pixel) in pixels.iter_mut().enumerate() {
-        noise ^= noise << 13;
-        noise ^= noise >> 7;
-        noise ^= noise << 17;
+        let noise = random.bits() >> 61;
         let (x, y) = ((index % 640) as u64, (index / 640) as u64);
         let surface = 900 + (x * 3 + frame) % 1500 / 2 + y * 2;
         let hole = (x / 40 + y / 36 + frame / 30).is_multiple_of(11);
-        *pixel = if hole {
-            0
-        } else {
-            (surface + (noise >> 61)) as u16
-        };
+        *pixel = if hole { 0 } else { (surface + noise) as u16 };
     }
 }
 
-/// The truth about one depth frame.
+/// The ground truth of one depth frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DepthTruth {
     /// Number of its pulse.
@@ -128,7 +122,7 @@ pub(crate) struct DepthTruth {
     pub(crate) delivered: bool,
 }
 
-/// The truth about a recording.
+/// The ground truth of a recording.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Truth {
     /// Start of exposure of the first row of each phone frame in board time, ns.

@@ -7,24 +7,18 @@ use std::fs::File;
 use std::path::Path;
 use std::process::Command;
 
+use crate::support::run_python;
 use extract::depth::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
 use system::ReadMonitor;
-use test_support::python::run_script;
+use test_support::processes;
 
 /// Device time of the first capture in the library's recordings.
 const START_US: i64 = 7_654_321;
 
-fn script() -> &'static Path {
-    Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/tests/python/vendor_k4a.py"
-    ))
-}
-
 fn run(what: &str, path: &Path) -> Value {
-    serde_json::from_str(&run_script(script(), &[Path::new(what), path])).unwrap()
+    serde_json::from_str(&run_python("vendor_k4a.py", &[Path::new(what), path])).unwrap()
 }
 
 /// Times in µs and checksums of big-endian images.
@@ -157,11 +151,11 @@ fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
     );
     let unpack = "import bz2, shutil, sys; \
         shutil.copyfileobj(bz2.open(sys.argv[1]), open(sys.argv[2], 'wb'))";
-    let unpacked = Command::new("python3")
-        .args(["-c", unpack, packed])
-        .arg(&path)
-        .status();
-    assert!(unpacked.unwrap().success());
+    processes::run(
+        Command::new("python3")
+            .args(["-c", unpack, packed])
+            .arg(&path),
+    );
     let reported = run("read", &path);
 
     let mut recording = Recording::open(&path, &ReadMonitor::default()).unwrap();

@@ -99,7 +99,7 @@ fn each_camera_board_and_imu_gives_a_data_set() {
 
 /// From the twist to the data set on a rig of which nothing is as modelled.
 #[test]
-fn what_is_stated_holds_on_a_rig_drawn_from_the_ranges() {
+fn stated_errors_hold_on_a_rig_drawn_from_the_ranges() {
     let out = tempfile::tempdir().unwrap();
     // Seed 1 draws 100 µs of jitter from pulse to flash, and `extract` then says that it
     // cannot tell which pulse made which frame.
@@ -113,16 +113,17 @@ fn what_is_stated_holds_on_a_rig_drawn_from_the_ranges() {
         println!("{figure:?}");
         let limit = figure.sigma.map_or(f64::INFINITY, |sigma| 4.0 * sigma);
         assert!(figure.error.abs() < limit, "{figure:?}");
-        let cap = match figure.name.contains("µs/min") {
-            true => 1_000.0,
-            false => 200.0,
+        let cap = if figure.name.contains("µs/min") {
+            1_000.0
+        } else {
+            200.0
         };
         assert!(figure.error.abs() < cap, "{figure:?}");
     }
 }
 
 #[test]
-fn bias_and_drift_are_as_the_truth_says() {
+fn bias_and_drift_agree_with_the_ground_truth() {
     let out = tempfile::tempdir().unwrap();
     let recorded = whole_chain::record(&Plan::new(101, 8), &programs(), out.path()).unwrap();
     let found = evaluation::evaluated(&recorded, &programs()).unwrap();

@@ -1,7 +1,7 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -20,10 +20,10 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::SimDuration;
-use test_support::python;
+use test_support::{TestFolder, processes};
 
 /// The longest that anything is waited for, in real time: it only ends what hangs.
-const PATIENCE: Duration = Duration::from_secs(300);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Virtual time against real time: fast enough for many sessions. What a test acts within
 /// lasts at least 10 s of it, a second for a busy machine.
@@ -32,7 +32,7 @@ pub(crate) const SPEED: f64 = 10.0;
 /// A rig whose operator twists it all the time, with a folder for recordings.
 pub(crate) struct WholeRig {
     pub(crate) rig: RunningRig,
-    pub(crate) folder: tempfile::TempDir,
+    pub(crate) folder: TestFolder,
 }
 
 impl WholeRig {
@@ -85,15 +85,16 @@ impl WholeRig {
         self.rig.phone().unwrap()
     }
 
-    /// The owner's profile, with a shorter twist and a faster way to the grid, and samples
-    /// that the simulated board makes in half the time.
+    /// The owner's profile, with a faster way to the grid, samples that the simulated board
+    /// makes in half the time, and short twists: the phone must answer within 15 s more than a
+    /// twist takes, also where a busy machine needs five seconds for one of the rig's.
     pub(crate) fn profile(&self) -> String {
         let profile = self.rig.profile().unwrap();
-        profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n")
+        profile.replace("[phone]\n", "[phone]\ntwist_s = 3\n")
             + "\n[align]\nslew_us = 1000\n\n[imu]\nrate_hz = 200\nlow_pass_hz = 98\n"
     }
 
-    /// Waits for so much board time.
+    /// Waits until some board time has passed.
     pub(crate) fn wait_ms(&self, ms: u64) {
         let until = self.rig.now() + SimDuration::from_millis(ms);
         while self.rig.now() < until {
@@ -104,13 +105,16 @@ impl WholeRig {
 
     /// `smartdepthsync record` on this rig, not yet started, with nobody there.
     pub(crate) fn record(&self, name: &str, arguments: &[&str]) -> Command {
-        self.record_with(name, &self.profile(), arguments)
+        let mut command = self.record_attended(name, &self.profile());
+        command.arg("--yes").args(arguments);
+        command
     }
 
-    pub(crate) fn record_with(&self, name: &str, profile: &str, arguments: &[&str]) -> Command {
+    /// The same with somebody there, by this profile.
+    pub(crate) fn record_attended(&self, name: &str, profile: &str) -> Command {
         let file = self.folder.path().join(format!("{name}.toml"));
         std::fs::write(&file, profile).unwrap();
-        let mut command = Command::new(support::smartdepthsync());
+        let mut command = support::tool();
         command
             .arg("record")
             .arg("--port")
@@ -119,8 +123,7 @@ impl WholeRig {
             .arg(file)
             .arg("--out")
             .arg(self.out())
-            .args(["--name", name, "--yes"])
-            .args(arguments);
+            .args(["--name", name]);
         command
     }
 
@@ -136,6 +139,7 @@ impl WholeRig {
 
 /// A program that runs, with what it says as it says it. It is ended when dropped.
 pub(crate) struct Session {
+    command: String,
     child: Child,
     said: Arc<Mutex<String>>,
     readers: Vec<JoinHandle<()>>,
@@ -153,6 +157,7 @@ impl Session {
         let out = listen(child.stdout.take().unwrap(), &said);
         let err = listen(child.stderr.take().unwrap(), &said);
         Self {
+            command: processes::line(command),
             child,
             said,
             readers: vec![out, err],
@@ -183,11 +188,19 @@ impl Session {
         while !has_come(&self.said()) {
             if let Some(status) = self.child.try_wait().unwrap() {
                 let said = self.all_said();
-                assert!(has_come(&said), "ended ({status}) before {name}: {said}");
+                assert!(
+                    has_come(&said),
+                    "{}\n{status} before {name}\n{said}",
+                    self.command
+                );
                 return;
             }
             let said = self.said();
-            assert!(begun.elapsed() < PATIENCE, "{name} never came: {said}");
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "{}\nno {name}\n{said}",
+                self.command
+            );
             std::thread::sleep(Duration::from_millis(2));
         }
     }
@@ -203,15 +216,21 @@ impl Session {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return (status, self.all_said());
             }
-            assert!(begun.elapsed() < PATIENCE, "no end: {}", self.said());
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "{}\nno end\n{}",
+                self.command,
+                self.said()
+            );
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 
     /// Waits for its end, which must be this exit code.
     pub(crate) fn ends_with(self, code: i32) -> String {
+        let command = self.command.clone();
         let (status, said) = self.end();
-        assert_eq!(status.code(), Some(code), "{said}");
+        assert_eq!(status.code(), Some(code), "{command}\n{said}");
         said
     }
 }
@@ -238,10 +257,4 @@ fn listen(pipe: impl Read + Send + 'static, said: &Arc<Mutex<String>>) -> JoinHa
             line.clear();
         }
     })
-}
-
-/// Runs a script beside the tests and gives what it prints.
-pub(crate) fn run_python(script: &str, arguments: &[&Path]) -> String {
-    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
-    python::run_script(&scripts.join(script), arguments)
 }

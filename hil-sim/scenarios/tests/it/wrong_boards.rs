@@ -24,9 +24,9 @@ use rig::wiring::jumpers::{Jumpers, Late};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::shared::lock;
 
-use crate::bring_up::{self, Bench, plan};
+use crate::bring_up::{self, BringUpBench, plan};
 
-/// What came over links to the board, and the time then.
+/// Messages of the board over all links, with the time of each.
 type Tape = Vec<(Duration, Entry)>;
 
 #[derive(Clone, Debug)]
@@ -90,7 +90,7 @@ impl Link for Kept {
 type Change = fn(&mut DeviceToHost, Output) -> bool;
 type AnyChange = dyn Fn(&mut DeviceToHost, Output) -> bool;
 
-/// A board that says it all again.
+/// A board that repeats the recorded messages.
 struct Replay {
     tape: VecDeque<(Duration, Entry)>,
     now: Duration,
@@ -169,7 +169,7 @@ impl Link for Replayed {
     }
 }
 
-/// What a board in order says to these parts of the test, with somebody at its wires.
+/// Records the messages of a good board in these parts of the test, with a person at its wires.
 fn tape(parts: &[Part]) -> Tape {
     let (tape, report) = tape_of(parts, |_| {});
     for check in &report.checks {
@@ -178,11 +178,11 @@ fn tape(parts: &[Part]) -> Tape {
     tape
 }
 
-/// The same of a board that something was done to.
-fn tape_of(parts: &[Part], prepare: impl FnOnce(&Bench)) -> (Tape, BoardTestReport) {
+/// The same of a board that `prepare` has changed.
+fn tape_of(parts: &[Part], prepare: impl FnOnce(&BringUpBench)) -> (Tape, BoardTestReport) {
     let tape = Arc::new(Mutex::new(Tape::new()));
     let kept = Arc::clone(&tape);
-    let mut bench = Bench::with_link(31, Jumpers::default(), move |link| {
+    let mut bench = BringUpBench::with_link(31, Jumpers::default(), move |link| {
         Kept::around(link, &kept)
     });
     prepare(&bench);
@@ -264,7 +264,7 @@ fn setup(message: &mut DeviceToHost, change: impl FnOnce(&mut protocol::ImuSetup
     true
 }
 
-/// Some edges on the way to another phase are so late.
+/// Makes some edges on the way to another phase late.
 fn slewing(message: &mut DeviceToHost, late: i64) -> bool {
     pulse(message, |p| {
         if !p.aligned && p.number % 5 == 0 {
@@ -273,7 +273,7 @@ fn slewing(message: &mut DeviceToHost, late: i64) -> bool {
     })
 }
 
-/// Filler of so many bytes, of 240.
+/// Cuts the filler, of 240 bytes, to this length.
 fn filler(message: &mut DeviceToHost, bytes: usize) -> bool {
     if let DeviceToHost::Filler(filler) = message {
         filler.payload.truncate(bytes);
@@ -281,7 +281,7 @@ fn filler(message: &mut DeviceToHost, bytes: usize) -> bool {
     true
 }
 
-/// Times of samples by a sensor's clock that is so many ppm slow.
+/// Gives samples the times of a sensor's clock that is slow by some ppm.
 fn off_by(message: &mut DeviceToHost, ppm: u64) -> bool {
     if let DeviceToHost::Imu(sample) = message {
         sample.at.0 += sample.at.0 * ppm / 1_000_000;
@@ -409,8 +409,8 @@ const CLOCK_LIMITS: &[Limit] = &[
     ("supply", "supply", (3_600, 1)),
 ];
 
-/// Edges of the serial line, so many times as far from the beginning of its sentence as they are,
-/// and so much later.
+/// Moves edges of the serial line: by a factor from the beginning of their sentence, and later by
+/// some ticks.
 fn of_line(message: &mut DeviceToHost, times: f64, later: i64) -> bool {
     capture(message, |c| {
         let begins = 2_400_000;
@@ -468,7 +468,7 @@ fn hello(message: &mut DeviceToHost, change: impl FnOnce(&mut Hello)) -> bool {
     true
 }
 
-/// A board that names the reset behind this text of a panic as another.
+/// Names another cause for the reset that left a panic with this text.
 fn misnamed(message: &mut DeviceToHost, panic: &str) -> bool {
     hello(message, |h| {
         if h.last_panic
@@ -480,7 +480,7 @@ fn misnamed(message: &mut DeviceToHost, panic: &str) -> bool {
     })
 }
 
-/// A board that says something of a run that ended by this cause, and nothing is to be said.
+/// Reports a panic of a run that ended by this cause, without one.
 fn rumour(message: &mut DeviceToHost, cause: ResetCause) -> bool {
     hello(message, |h| {
         if h.reset_cause == cause {
@@ -626,7 +626,8 @@ fn edges_that_are_late_at_the_pins_fail() {
             late: Some(late),
             ..Jumpers::default()
         };
-        let report = Bench::with_link(31, jumpers, |link| link).measure_attended(&plan(parts));
+        let report =
+            BringUpBench::with_link(31, jumpers, |link| link).measure_attended(&plan(parts));
         assert_eq!(failed(&report), expected, "row {n}: {report:#?}");
     }
 }
@@ -656,7 +657,7 @@ const TESTS: &[(&str, fn())] = &[
     ),
     (
         "clock of the IMU",
-        a_sensor_on_its_own_clock_is_said_and_does_not_fail,
+        a_sensor_on_its_own_clock_is_reported_and_does_not_fail,
     ),
     (
         "IMU without its clock",
@@ -668,7 +669,7 @@ const TESTS: &[(&str, fn())] = &[
     ),
     (
         "inverted serial line",
-        bring_up::a_line_that_is_high_when_idle_is_said,
+        bring_up::a_line_that_is_high_when_idle_is_reported,
     ),
 ];
 
@@ -683,7 +684,7 @@ const IN_ORDER: &[Part] = &[
 
 /// Each row by itself, and no check of any part without a row and a limit.
 #[test]
-fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
+fn each_check_fails_on_a_board_with_that_one_fault() {
     let tables: [(&[Part], &[Row], &[Limit]); 10] = [
         (&[Part::Trigger], TRIGGER, &[]),
         (IN_ORDER, &[], &[]),
@@ -768,9 +769,9 @@ fn every_check_fails_on_a_board_that_is_wrong_in_just_that_way() {
 
 /// A sensor without its clock, or a clone without that input, is right with less.
 #[test]
-fn a_sensor_on_its_own_clock_is_said_and_does_not_fail() {
+fn a_sensor_on_its_own_clock_is_reported_and_does_not_fail() {
     let parts = [Part::Imu];
-    let (tape, _) = tape_of(&parts, Bench::cut_imu_clock);
+    let (tape, _) = tape_of(&parts, BringUpBench::cut_imu_clock);
     // A clone's clock is farther off than the data sheet has it.
     let report = replay(&tape, &parts, |m, _| {
         setup(m, |s| s.interval = s.interval / 100 * 103)

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn the_list_is_whole() {
+    fn the_list_is_complete() {
         for cell in CELLS {
             assert!(!cell.why.is_empty());
             if cell.blocks == 1 {

@@ -7,16 +7,7 @@
 //! written (10.3.12).
 
 use super::Soc;
-use super::rules::Rule;
-
-/// How a stream must not be enabled (RM0090 10.3.17).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum EnabledWrongly {
-    /// While flags of its last transfer are set.
-    WithFlags,
-    /// By the write that sets it up.
-    WhileSetUp,
-}
+use super::rules::{EnabledWrongly, Rule};
 
 /// One transfer that a request asks for: read from, write to, and width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +89,7 @@ impl Dma {
         })
     }
 
-    /// What is wrong with a write that enables a stream, if it is one.
+    /// Returns the stream that a write enables against the rules, and the rule it breaks.
     pub(crate) fn enables_wrongly(
         &self,
         offset: u32,

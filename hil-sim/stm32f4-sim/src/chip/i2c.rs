@@ -66,7 +66,7 @@ enum Phase {
     Stopping,
 }
 
-/// Bus errors that are none: with this probability the controller reports one after a
+/// Spurious bus errors: with this probability the controller reports one after a
 /// byte, which goes on all the same (ES0182 2.10.1).
 #[derive(Clone, Debug)]
 pub(crate) struct BusErrors {

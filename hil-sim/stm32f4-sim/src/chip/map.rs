@@ -463,7 +463,7 @@ impl Soc {
         (tim.tick_began(self.now), tim.count(self.now))
     }
 
-    /// Time at which the first event is due, whatever it is.
+    /// Time at which the first event of any kind is due.
     pub(crate) fn due(&self) -> SimTime {
         self.events.next()
     }

@@ -93,7 +93,7 @@ impl Memory {
         }
     }
 
-    /// Writes a word to RAM; false if there is none at `addr`.
+    /// Writes a word to RAM; false if `addr` is not in RAM.
     #[inline]
     pub(crate) fn write32(&mut self, addr: u32, value: u32) -> bool {
         let Some((mem, at)) = self.region_mut(addr) else {
@@ -106,7 +106,7 @@ impl Memory {
         true
     }
 
-    /// Writes a half-word to RAM; false if there is none at `addr`.
+    /// Writes a half-word to RAM; false if `addr` is not in RAM.
     #[inline]
     pub(crate) fn write16(&mut self, addr: u32, value: u32) -> bool {
         let Some((mem, at)) = self.region_mut(addr) else {
@@ -119,7 +119,7 @@ impl Memory {
         true
     }
 
-    /// Writes a byte to RAM; false if there is none at `addr`.
+    /// Writes a byte to RAM; false if `addr` is not in RAM.
     #[inline]
     pub(crate) fn write8(&mut self, addr: u32, value: u32) -> bool {
         let Some((mem, at)) = self.region_mut(addr) else {

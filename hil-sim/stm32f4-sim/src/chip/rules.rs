@@ -1,15 +1,23 @@
-//! Ends of a run whatever is tolerated: a register that is not modelled, and what
-//! the manuals forbid. Where the chip would hang, lose an access or only work most of
+//! Reasons that always end a run: a register that is not modelled, and what the manuals
+//! forbid. Where the chip would hang, lose an access or only work most of
 //! the time, the simulator stops and names the rule.
 
 use core::fmt;
 
-use super::dma::EnabledWrongly;
 use super::gpio::Mode;
 use super::{Revision, Soc, names};
 use crate::pin::Pin;
 
-/// Why a run ends at once.
+/// Forbidden ways to enable a DMA stream (RM0090 10.3.17).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum EnabledWrongly {
+    /// While flags of its last transfer are set.
+    WithFlags,
+    /// By the write that sets it up.
+    WhileSetUp,
+}
+
+/// Reason why a run ends at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum End {
     /// A register was touched that is neither modelled nor stored.

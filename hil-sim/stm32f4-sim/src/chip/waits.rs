@@ -74,7 +74,7 @@ mod tests {
     const STORE: u16 = 0x5042;
 
     /// Cycles from one half-word of a program to another, with APB1 at a quarter of the
-    /// core's clock, APB2 at half of it, and so many wait states.
+    /// core's clock, APB2 at half of it, and a number of wait states.
     fn cycles(program: &[u16], from: u32, to: u32, states: u32) -> u64 {
         let mut soc = chip();
         let words = [0x2001_0000, AT | 1];

@@ -30,7 +30,7 @@ pub(super) struct Step {
     pub(super) it_after: u8,
 }
 
-/// What stands for code that is not in the flash.
+/// Placeholder for code that is not in the flash.
 const SLOW: Step = Step {
     op: Op::Slow,
     len: 2,
@@ -96,7 +96,7 @@ impl Code {
             let place = self.places.get_mut(Self::index(pc));
             ends |= place.as_ref().is_none_or(|place| it == 0 && **place != 0);
             if ends {
-                // Whatever the condition.
+                // Under any condition.
                 self.steps.push(Step {
                     op: Op::Next,
                     len: 0,
@@ -108,9 +108,10 @@ impl Code {
             if let Some(place) = place.filter(|_| it == 0) {
                 *place = self.steps.len() as u32;
             }
-            let (op, len) = match self.planted.contains(&pc) {
-                true => (Op::Slow, 2),
-                false => decode(pc, it != 0, mem),
+            let (op, len) = if self.planted.contains(&pc) {
+                (Op::Slow, 2)
+            } else {
+                decode(pc, it != 0, mem)
             };
             let it_after = match op {
                 Op::It { state } => state,

@@ -375,10 +375,7 @@ fn data_proc(op: DpOp, s: bool, rd: u8, rn: u8, operand: Operand) -> Op {
             (DpOp::Cmp, _, _) => Op::CmpImm { rn, imm },
             _ => Op::DpImm {
                 op,
-                carry: match s {
-                    true => carry.map_or(2, u8::from),
-                    false => 3,
-                },
+                carry: if s { carry.map_or(2, u8::from) } else { 3 },
                 rd_rn: rd | rn << 4,
                 imm,
             },

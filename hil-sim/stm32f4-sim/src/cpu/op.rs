@@ -3,7 +3,7 @@
 //! rsemu decodes an instruction every time it runs. Here it is decoded once
 //! (by rsemu's own decoder) into a compact operation with everything that is
 //! known beforehand folded in: branch targets, literal values, immediates.
-//! Whatever has no compact form becomes [`Op::Slow`] and is run by rsemu.
+//! An instruction without a compact form becomes [`Op::Slow`] and is run by rsemu.
 
 use rsemu::cpu::arm::v7m::isa::{BitfieldOp, DpOp, ExtendOp, MiscOp, ShiftType};
 

@@ -16,7 +16,7 @@ use crate::random::{Random, Seed};
 
 /// Where the instruction under test lies.
 const AT: u32 = FLASH_BASE + 0x200;
-/// What lets DWT_CYCCNT count (DDI 0403 C1.6.5, C1.8.7).
+/// Registers and bits that let DWT_CYCCNT count (DDI 0403 C1.6.5, C1.8.7).
 const TRCENA: u32 = 1 << 24;
 const CYCCNTENA: u32 = 1;
 

@@ -65,12 +65,12 @@ impl Sim {
         self.with_chip(Soc::plug);
     }
 
-    /// The host resets the bus in whatever is going on, and enumerates the device again.
+    /// Resets the USB bus at once, as the host does, and enumerates the device again.
     pub fn usb_reset_bus(&mut self) {
         self.with_chip(Soc::reset_bus);
     }
 
-    /// The host stops all traffic for so long, as in a computer's sleep, and resets the bus then.
+    /// Stops all USB traffic for a time, as in a computer's sleep, and then resets the bus.
     pub fn usb_suspend(&mut self, length: SimDuration) {
         self.with_chip(|s| s.suspend_bus(length));
     }
@@ -95,7 +95,7 @@ impl Sim {
         self.with_chip(|s| s.usb_configure(|u| u.set_buffer_limit(bytes)));
     }
 
-    /// Flips a bit in so many of a million bytes on their way (0 for none).
+    /// Flips a bit in this number of a million bytes on their way (0 for none).
     pub fn usb_corrupt(&mut self, from_device_ppm: u32, to_device_ppm: u32) {
         self.with_chip(|s| s.usb_configure(|u| u.set_corruption(from_device_ppm, to_device_ppm)));
     }

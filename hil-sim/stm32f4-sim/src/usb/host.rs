@@ -241,7 +241,7 @@ impl UsbHost {
         self.reading = reading;
     }
 
-    /// The host stops asking when so many bytes wait to be taken.
+    /// Number of bytes waiting to be taken at which the host stops asking.
     pub(crate) fn set_buffer_limit(&mut self, bytes: usize) {
         self.buffer_limit = bytes;
     }
@@ -283,7 +283,7 @@ impl UsbHost {
         self.step(now, otg);
     }
 
-    /// Resets the bus in whatever is going on, and enumerates the device again.
+    /// Resets the bus at once, and enumerates the device again.
     pub(crate) fn reset_bus(&mut self, now: SimTime, otg: &mut Otg) {
         if matches!(self.phase, Phase::Unplugged | Phase::NoDevice) {
             return;

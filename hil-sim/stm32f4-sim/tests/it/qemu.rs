@@ -94,19 +94,17 @@ fn on_ours(folder: &Path, cases: &[Case], process_stack: bool) -> Result<Left, S
             .is_some_and(|word| word == 1u32.to_le_bytes())
     };
     let ended = sim.run_until(SimDuration::from_secs(10), done);
-    match ended.map_err(|e| e.to_string())? {
-        true => {
-            let left = Left(sim.peek(SRAM.start, SRAM.len()).unwrap());
-            match (left.word(FAULT), left.word(FAULT + 4)) {
-                (0, 0) => Ok(left),
-                (cfsr, pc) => Err(format!("fault with CFSR {cfsr:#x} at {pc:#x}")),
-            }
-        }
-        false => Err("the program does not end".into()),
+    if !ended.map_err(|e| e.to_string())? {
+        return Err("the program does not end".into());
+    }
+    let left = Left(sim.peek(SRAM.start, SRAM.len()).unwrap());
+    match (left.word(FAULT), left.word(FAULT + 4)) {
+        (0, 0) => Ok(left),
+        (cfsr, pc) => Err(format!("fault with CFSR {cfsr:#x} at {pc:#x}")),
     }
 }
 
-/// What differs, or nothing.
+/// Returns the difference, if there is one.
 fn difference(folder: &Path, cases: &[Case], process_stack: bool) -> Option<(usize, String)> {
     let theirs = on_qemu(folder, cases, process_stack);
     assert_eq!(
@@ -206,6 +204,6 @@ fn compare(first_seed: u64, instructions: usize) {
 }
 
 #[test]
-fn instructions_leave_what_they_leave_on_qemu() {
+fn instructions_have_the_same_results_as_on_qemu() {
     compare(1, 150_000);
 }

@@ -9,7 +9,7 @@ use std::sync::mpsc::channel;
 
 use crate::support::{self, StandIn, code, frame, hello, json, polite, run};
 use protocol::{DeviceToHost, HostToDevice, usb};
-use test_support::interrupts::PATIENCE;
+use test_support::processes::PATIENCE;
 
 #[test]
 fn info_says_who_the_board_is() {

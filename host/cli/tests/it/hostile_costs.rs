@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use mcap::records::MessageHeader;
 use protocol::HostToDevice;
+use rand::{RngExt as _, SeedableRng as _};
 use recording::profile::DEFAULT;
 use recording::rosbag2::options;
 use recording::session_file::SessionFile;
@@ -20,7 +21,7 @@ use super::hostile_files::{command, limited, limited_to, recording_with_video, u
 use super::phone_command::endless;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, text};
-use test_support::interrupts::worked_s;
+use test_support::processes::worked_s;
 
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
 /// for `noise` bytes that cannot be packed.
@@ -51,14 +52,8 @@ fn bomb(folder: &Path, topic: Topic, message: &[u8], chunks: usize, noise: usize
         channel_id: beside.unwrap(),
         ..header
     };
-    let mut state = 1_u32;
-    let noise: Vec<u8> = (0..noise)
-        .map(|_| {
-            // Numerical Recipes' generator: good enough not to be packed.
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 24) as u8
-        })
-        .collect();
+    let mut random = rand_pcg::Pcg64::seed_from_u64(1);
+    let noise: Vec<u8> = (0..noise).map(|_| random.random()).collect();
     let each = ((16 << 20) - noise.len()) / (31 + message.len());
     if !noise.is_empty() {
         writer

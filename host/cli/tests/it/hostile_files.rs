@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, hello, text};
-use test_support::interrupts::PATIENCE;
+use test_support::processes::PATIENCE;
 use test_support::{below, contents};
 
 /// What a command may use of the machine: bytes of address space, seconds of processor.

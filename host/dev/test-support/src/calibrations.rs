@@ -1,8 +1,8 @@
-//! What other tools know of cameras.
+//! Camera calibrations as other tools write them.
 
 use serde_json::{Value, json};
 
-/// What Kalibr found of two cameras, as PyYAML writes it in both of its styles, long lines
+/// A calibration of two cameras by Kalibr, as PyYAML writes it in both of its styles, long lines
 /// broken.
 pub const CHAIN: &str = "cam0:
   T_cam_imu:

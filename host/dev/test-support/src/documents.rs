@@ -32,7 +32,7 @@ fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// What is written as code in a page.
+/// The text that a page writes as code.
 #[derive(Default)]
 pub struct Code {
     /// Lines of blocks; one that goes on on the next is one.
@@ -82,7 +82,7 @@ impl Code {
     }
 }
 
-/// What follows a program's name, up to the end of the command; none if it is not
+/// Returns the words after a program's name, up to the end of the command; `None` if it is not
 /// called there.
 pub fn arguments(line: &str, program: &str) -> Option<Vec<String>> {
     let line = line.split(" #").next().unwrap();

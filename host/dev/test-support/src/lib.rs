@@ -1,5 +1,5 @@
 //! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
-//! images of firmware, calibrations, folders, and processes that are interrupted.
+//! images of firmware, calibrations, folders and processes.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -10,11 +10,51 @@
 pub mod browser;
 pub mod calibrations;
 pub mod documents;
-pub mod interrupts;
+pub mod processes;
 pub mod python;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+use tempfile::TempDir;
+
+/// A temporary folder. If its test fails, the folder stays and its path is printed.
+pub struct TestFolder(TempDir);
+
+impl TestFolder {
+    /// Makes a folder where the system keeps temporary files.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::from(tempfile::tempdir().unwrap())
+    }
+
+    /// Its path.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Default for TestFolder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl From<TempDir> for TestFolder {
+    fn from(folder: TempDir) -> Self {
+        Self(folder)
+    }
+}
+
+impl Drop for TestFolder {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.disable_cleanup(true);
+            println!("files of the test: {}", self.path().display());
+        }
+    }
+}
 
 /// An image of firmware for `dfu-util`: what goes into the flash, and the suffix by its document
 /// (USB DFU 1.1, appendix B), its CRC bit by bit.

@@ -4,8 +4,8 @@ use super::*;
 use stm32f4_sim::pin::Level;
 
 /// Awake on its own clock at 500 Hz, low-pass 1, with CLKIN at 19.2 MHz all the same.
-fn mpu(model: SensorModel, config: SimImuConfig) -> Bench<SimImu> {
-    running_on(1, config.of(model), Gesture::Rest)
+fn mpu(model: SensorModel, config: SimImuConfig) -> ModelBench<SimImu> {
+    running_on(1, config.with_model(model), Gesture::Rest)
 }
 
 #[test]
@@ -16,7 +16,7 @@ fn each_sensor_has_its_identity_and_wakes_as_its_map_says() {
         (SensorModel::Mpu6500, 0x70, 0x01),
         (SensorModel::Mpu9250, 0x71, 0x01),
     ] {
-        let mut bench = asleep(SimImuConfig::ideal().of(model), Gesture::Rest);
+        let mut bench = asleep(SimImuConfig::ideal().with_model(model), Gesture::Rest);
         bench.run(SimDuration::from_millis(11));
         assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [identity]);
         assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [power]);
@@ -61,8 +61,8 @@ fn thermometers_differ() {
 
 const ICM: SensorModel = SensorModel::Icm42688P;
 
-fn icm(config: SimImuConfig, writes: &[(u8, u8)]) -> Bench<SimImu> {
-    let mut bench = asleep(config.of(ICM), Gesture::Rest);
+fn icm(config: SimImuConfig, writes: &[(u8, u8)]) -> ModelBench<SimImu> {
+    let mut bench = asleep(config.with_model(ICM), Gesture::Rest);
     bench.run(SimDuration::from_millis(2));
     write_all(&mut bench, writes);
     bench
@@ -83,8 +83,8 @@ const SET_UP: [(u8, u8); 7] = [
 const CLKIN: [(u8, u8); 4] = [(0x76, 1), (0x7b, 0x04), (0x76, 0), (0x4d, 0x95)];
 const ON: (u8, u8) = (0x4e, 0x0f);
 
-/// Runs for so many periods of a clock at PB0 of this length, in ns.
-fn clocked(bench: &mut Bench<SimImu>, periods: u64, period_ns: u64) {
+/// Runs for a number of periods of a clock at PB0; `period_ns` is their length.
+fn clocked(bench: &mut ModelBench<SimImu>, periods: u64, period_ns: u64) {
     for _ in 0..periods {
         bench.set_pin(Pin::PB0, Level::High);
         // The sensor does at once what is due.

@@ -16,7 +16,7 @@ use super::*;
 
 /// The bench as a bus and as a clock.
 #[derive(Clone, Debug)]
-struct Board(Rc<RefCell<Bench<SimImu>>>);
+struct Board(Rc<RefCell<ModelBench<SimImu>>>);
 
 impl ErrorType for Board {
     type Error = ErrorKind;
@@ -49,7 +49,7 @@ impl DelayNs for Board {
 
 #[test]
 fn a_driver_that_others_wrote_reads_what_the_mpu_6050_measures() {
-    let mut config = SimImuConfig::ideal().of(SensorModel::Mpu6050);
+    let mut config = SimImuConfig::ideal().with_model(SensorModel::Mpu6050);
     config.temperature_c = 30.0;
     config.gyro.bias = [0.5, -1.5, 0.0];
     let mut board = Board(Rc::new(RefCell::new(asleep(config, Gesture::Rest))));

@@ -36,14 +36,14 @@ impl I2cTarget for Registers {
     }
 }
 
-struct Bench {
+struct BusBench {
     i2c: I2c,
     bus: I2cBus,
     now: SimTime,
     target: Shared<Registers>,
 }
 
-impl Bench {
+impl BusBench {
     fn new() -> Self {
         let target = Arc::new(Mutex::new(Registers::default()));
         let mut bus = I2cBus::default();
@@ -83,7 +83,7 @@ impl Bench {
 
 #[test]
 fn reads_a_register_by_polling() {
-    let mut b = Bench::new();
+    let mut b = BusBench::new();
     b.i2c.write(0x00, CR1_PE | CR1_START, b.now);
     b.go();
     assert_eq!(b.sr1(), SR1_SB);
@@ -130,7 +130,7 @@ fn reads_a_register_by_polling() {
 
 #[test]
 fn an_absent_target_is_an_acknowledge_failure() {
-    let mut b = Bench::new();
+    let mut b = BusBench::new();
     b.i2c.write(0x00, CR1_PE | CR1_START, b.now);
     b.go();
     b.i2c.write(0x10, 0x20, b.now);
@@ -146,7 +146,7 @@ fn an_absent_target_is_an_acknowledge_failure() {
 /// An error is reported, and the transfer goes on.
 #[test]
 fn a_spurious_bus_error_is_a_flag_and_an_interrupt() {
-    let mut b = Bench::new();
+    let mut b = BusBench::new();
     b.i2c.bus_errors.probability = 1.0;
     b.i2c.write(0x04, CR2_ITERREN, b.now);
     b.i2c.write(0x00, CR1_PE | CR1_START, b.now);
@@ -164,7 +164,7 @@ fn a_spurious_bus_error_is_a_flag_and_an_interrupt() {
 
 #[test]
 fn a_stuck_bus_gives_no_start_until_it_is_free() {
-    let mut b = Bench::new();
+    let mut b = BusBench::new();
     b.bus.hold_sda(true);
     b.i2c.write(0x00, CR1_PE | CR1_START, b.now);
     b.go();

@@ -27,7 +27,7 @@ fn running_with(synchroniser: u64) -> Tim {
 /// The synchroniser's clocks and the filter's samples, whenever within its clock the
 /// edge comes.
 #[test]
-fn an_edge_is_captured_behind_synchroniser_and_filter() {
+fn an_edge_is_captured_after_synchroniser_and_filter() {
     for synchroniser in [0, 2, 3] {
         for (icf, samples) in [(0, 0), (1, 2), (2, 4), (3, 8)] {
             for fraction in [0, 1, TICK_NS_48 / 2, TICK_NS_48 - 1] {

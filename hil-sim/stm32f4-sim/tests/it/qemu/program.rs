@@ -20,7 +20,7 @@ type Code = Vec<u16>;
 /// An instruction, or several that need each other.
 #[derive(Clone)]
 pub(crate) struct Unit {
-    /// What it is, or the section of DDI 0403E.
+    /// Its name, or the section of DDI 0403E.
     pub(crate) what: &'static str,
     pub(crate) code: Code,
 }

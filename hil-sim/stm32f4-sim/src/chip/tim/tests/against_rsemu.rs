@@ -246,7 +246,7 @@ fn channels(random: &mut Random) -> ([u32; 2], u32) {
 }
 
 #[test]
-fn random_use_leaves_what_rsemus_timer_leaves() {
+fn random_use_agrees_with_rsemu_s_timer() {
     let mut compared = 0;
     for seed in 0..2_000 {
         let mut random = Seed(seed).stream(2u64);

@@ -1,8 +1,8 @@
 //! The readings of the phone's clocks on a port, as our program on a phone reports them, with the
 //! delays of a link on the way.
 //!
-//! It stands for the program, for `adb`'s forwarding and for the cable: how long the way
-//! there and back takes is drawn from what links may be like, in true time.
+//! It stands for the program, for `adb`'s forwarding and for the cable: the delays there and
+//! back are drawn from the ranges of links, in true time.
 
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -18,16 +18,16 @@ use crate::clocks::oscillator::TrueTime;
 use crate::random::Stream;
 use stm32f4_sim::shared::lock;
 
-/// Tells the clocks until it is dropped.
+/// A server of the clocks' readings, until it is dropped.
 #[derive(Debug)]
-pub struct ClockTeller {
+pub struct ClockServer {
     port: u16,
     stop: Arc<AtomicBool>,
     open: Arc<Mutex<Option<TcpStream>>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl ClockTeller {
+impl ClockServer {
     pub(super) fn start(app: Arc<App>, ranges: &LinkRanges) -> std::io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
         let port = listener.local_addr()?.port();
@@ -53,13 +53,13 @@ impl ClockTeller {
     }
 }
 
-impl Drop for ClockTeller {
+impl Drop for ClockServer {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::SeqCst);
         if let Some(stream) = &*lock(&self.open) {
             let _ = stream.shutdown(Shutdown::Both);
         }
-        // Whoever waits for a connection gets one.
+        // A thread that waits for a connection gets one.
         let _ = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port));
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -78,7 +78,7 @@ fn serve(
         if let Ok(stream) = &stream {
             *lock(open) = stream.try_clone().ok();
         }
-        // Looked at after that: whoever stops it shuts what is open by then.
+        // The order matters: the thread that stops it closes what is open by then.
         if stop.load(Ordering::SeqCst) {
             return;
         }
@@ -89,9 +89,9 @@ fn serve(
 }
 
 impl App {
-    /// What our program on the phone tells of its clocks at a time.
+    /// Returns the answer of the clock program on the phone to a question at a time.
     #[must_use]
-    pub fn told(&self, nonce: u64, at: TrueTime) -> Answer {
+    pub fn clock_answer(&self, nonce: u64, at: TrueTime) -> Answer {
         let boot_ns = self.oscillator.nanos_at(at);
         Answer {
             nonce,
@@ -117,6 +117,6 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
         if clock.wait_until(back).is_err() {
             return Ok(());
         }
-        stream.write_all(&app.told(nonce, read).bytes())?;
+        stream.write_all(&app.clock_answer(nonce, read).bytes())?;
     }
 }
