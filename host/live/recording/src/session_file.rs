@@ -398,8 +398,12 @@ impl SessionFile {
                 format.format
             )));
         }
-        let session: Self =
-            serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        // Through a value: with the feature `arbitrary_precision`, which a build with the
+        // simulator has, `from_str` cannot read the numbers of flattened parts.
+        let value = serde_json::from_str::<serde_json::Value>(&text);
+        let session: Self = value
+            .and_then(serde_json::from_value)
+            .map_err(|error| wrong(error.to_string()))?;
         session.check().map_err(wrong)?;
         Ok(session)
     }
