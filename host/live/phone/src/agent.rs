@@ -8,9 +8,9 @@
 //! port. So once queries fail, the program is copied and started again until it answers.
 //!
 //! Nothing is left running on the phone, however this program ends: the program there removes its
-//! own file when it starts, and exits after [`PATIENCE_S`](phone_agent::PATIENCE_S) seconds without a query. Dropping the
-//! [`Agent`] releases the forwarded port on this computer; after a SIGKILL the `adb` server keeps
-//! the port until the server ends.
+//! own file when it starts, and exits after [`PATIENCE_S`](phone_agent::PATIENCE_S) seconds without
+//! a query. Dropping the [`Agent`] releases the forwarded port on this computer; after a SIGKILL
+//! the `adb` server keeps the port until the server ends.
 
 mod exchange;
 mod program;
@@ -62,8 +62,8 @@ impl Agent {
             Cancel::when(move || ends.load(Ordering::Relaxed) || cancel.is_requested())
         };
         let (sender, exchanges) = channel();
-        let asking = std::thread::Builder::new().name(String::from("phone's clock"));
-        let thread = asking.spawn(move || query(program, stream, now, &ended, &sender));
+        let querying = std::thread::Builder::new().name(String::from("phone's clock"));
+        let thread = querying.spawn(move || query(program, stream, now, &ended, &sender));
         Ok(Self {
             device,
             stop: ends,

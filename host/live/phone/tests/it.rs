@@ -8,6 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use phone::answer::MalformedAnswer;
+use phone::task::{Phone as _, PhoneTask};
 use phone::{PhoneClient, PhoneError, Settings};
 
 const HEAD: &str = "SUCCESS\nv.0.1.1\n";
@@ -86,6 +87,25 @@ fn video(size: usize, name: &str, bytes: usize) -> Vec<u8> {
     let mut all = format!("{HEAD}{size}\n{name}\nend\n").into_bytes();
     all.extend((0..bytes).map(|i| (i % 251) as u8));
     all
+}
+
+#[test]
+fn a_cancelled_request_ends_though_another_follows() {
+    // Connections are accepted, and nothing is answered.
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let task = PhoneTask::start(listener.local_addr().unwrap().to_string()).unwrap();
+    let cancelled = task.probe();
+    cancelled.cancel();
+    let _other = task.probe();
+    let begun = Instant::now();
+    let answer = loop {
+        match cancelled.answer() {
+            Some(answer) => break answer,
+            None => assert!(begun.elapsed() < PATIENCE),
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert!(matches!(answer, Err(PhoneError::Cancelled { .. })));
 }
 
 #[test]

@@ -22,8 +22,8 @@ pub(super) struct Program {
     adb: Adb,
     pub(super) device: String,
     pub(super) port: u16,
-    /// `adb shell`, which lasts as long as the agent does.
-    _shell: Process,
+    /// `adb shell`, which runs as long as the program does.
+    shell: Option<Process>,
 }
 
 /// Finds the program's file for an instruction set, by Android's name: beside this executable, or
@@ -86,8 +86,7 @@ impl Program {
             .stderr(Stdio::null());
         let shell = Process::spawn(&mut command).map_err(|source| adb.cannot_run(source))?;
         let forward = ["forward", "tcp:0", &format!("localabstract:{socket}")];
-        let forwarded = adb.run_to_end(device, &forward, PATIENCE);
-        let said = forwarded?;
+        let said = adb.run_to_end(device, &forward, PATIENCE)?;
         let port = said.trim().parse().map_err(|_| AdbError::Failed {
             command: String::from("forward tcp:0"),
             reason: format!("expected a port, found {:?}", said.trim()),
@@ -96,13 +95,14 @@ impl Program {
             adb: adb.clone(),
             device: device.to_owned(),
             port,
-            _shell: shell,
+            shell: Some(shell),
         })
     }
 }
 
 impl Drop for Program {
     fn drop(&mut self) {
+        self.shell = None;
         let port = format!("tcp:{}", self.port);
         let remove = ["forward", "--remove", &port];
         self.adb.clean_up(&self.device, &remove);
