@@ -2,7 +2,7 @@
 
 use phone_agent::{Answer, QUESTION, read_question};
 
-use crate::system::{self, Clock, File};
+use crate::syscalls::{self, Clock, File};
 
 /// Serves on the abstract socket `name` until no question has arrived for `patience`, a decimal
 /// number of seconds. Removes `own_file`, a path that ends with a zero. Returns the exit code.
@@ -12,7 +12,7 @@ pub(crate) fn run(own_file: &[u8], name: &[u8], patience: &[u8]) -> i32 {
         return 2;
     };
     // Fails if it was started by hand from a folder that it may not change.
-    let _ = system::remove(own_file);
+    let _ = syscalls::remove(own_file);
     let Some(listener) = File::listen(name) else {
         return 1;
     };
@@ -46,8 +46,8 @@ fn serve(host: &File, patience_s: u32) -> bool {
         };
         let answer = Answer {
             nonce,
-            boot_ns: system::now(Clock::Boot),
-            monotonic_ns: system::now(Clock::Monotonic),
+            boot_ns: syscalls::now(Clock::Boot),
+            monotonic_ns: syscalls::now(Clock::Monotonic),
         };
         if !host.send(&answer.bytes()) {
             return true;

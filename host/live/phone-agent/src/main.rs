@@ -13,7 +13,7 @@ mod agent;
 #[cfg(target_os = "none")]
 mod start;
 #[cfg(target_os = "none")]
-mod system;
+mod syscalls;
 
 /// Refuses to run on a computer.
 #[cfg(not(target_os = "none"))]

@@ -5,7 +5,7 @@ use core::arch::global_asm;
 use core::ffi::CStr;
 
 use crate::agent;
-use crate::system::exit;
+use crate::syscalls::exit;
 
 // The kernel starts the program with the stack pointer at argc, which argv follows.
 #[cfg(target_arch = "aarch64")]

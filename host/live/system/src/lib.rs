@@ -21,5 +21,5 @@ pub use files::{folder_of, new_file_in, put_in_place, replace};
 pub use input::{Input, Sparse, open, read_text};
 pub use monitor::{Cancel, ReadMonitor, ReadProgress, is_cancelled};
 pub use process::Process;
-pub use running::{Finished, Limits, Output, RunError, Running, run};
+pub use running::{Limits, Output, RunError, Running, run};
 pub use shell::{find_program, shell_word};

@@ -94,23 +94,14 @@ impl From<RunError> for io::Error {
     }
 }
 
-/// End of a program.
-#[derive(Clone, Debug)]
-pub struct Finished {
-    /// Exit status.
-    pub status: ExitStatus,
-    /// Standard error without the whitespace around it; of a long one its beginning and its end.
-    pub messages: String,
-}
-
 /// Result of a program that has ended.
 #[derive(Clone, Debug)]
 pub struct Output {
     /// Exit status.
     pub status: ExitStatus,
-    /// All of standard output.
+    /// Standard output that was not read before.
     pub stdout: Vec<u8>,
-    /// Standard error, as in [`Finished::messages`].
+    /// Standard error without the whitespace around it; of a long one its beginning and its end.
     pub messages: String,
 }
 
@@ -120,14 +111,7 @@ pub struct Output {
 ///
 /// The program cannot be started, or exceeds a limit. Its exit status is no error.
 pub fn run(command: &mut Command, limits: Limits, most: usize) -> Result<Output, RunError> {
-    let mut running = Running::start(command, limits)?;
-    let stdout = running.read_to_end(most)?;
-    let Finished { status, messages } = running.finish()?;
-    Ok(Output {
-        status,
-        stdout,
-        messages,
-    })
+    Running::start(command, limits)?.finish(most)
 }
 
 /// A program whose output is read while it runs. Dropping it kills the program.
@@ -194,37 +178,30 @@ impl Running {
         Ok(read)
     }
 
-    /// Reads standard output to its end.
-    ///
-    /// # Errors
-    ///
-    /// There are more than `most` bytes, a limit is exceeded, or reading fails.
-    pub fn read_to_end(&mut self, most: usize) -> Result<Vec<u8>, RunError> {
-        let (mut all, mut part) = (Vec::new(), Vec::new());
-        while self.read(BLOCK, &mut part)? > 0 {
-            all.append(&mut part);
-            if all.len() > most {
-                return Err(RunError::Output(most));
-            }
-        }
-        Ok(all)
-    }
-
-    /// Waits for the end of the program, whose further output is lost.
+    /// Reads the rest of standard output, up to `most` bytes, and waits for the program's end.
     ///
     /// # Errors
     ///
     /// A limit is exceeded, or the program cannot be waited for.
-    pub fn finish(mut self) -> Result<Finished, RunError> {
-        self.stdout = None;
+    pub fn finish(mut self, most: usize) -> Result<Output, RunError> {
+        let (mut stdout, mut part) = (Vec::new(), Vec::new());
+        while self.read(BLOCK, &mut part)? > 0 {
+            stdout.append(&mut part);
+            if stdout.len() > most {
+                return Err(RunError::Output(most));
+            }
+        }
         let since = Instant::now();
         let mut status = None;
         loop {
             self.check(since)?;
             let [_, is_message] = self.receive(&END_CHECK)?;
             if let Some(status) = status.filter(|_| !is_message) {
-                let messages = self.messages.text();
-                return Ok(Finished { status, messages });
+                return Ok(Output {
+                    status,
+                    stdout,
+                    messages: self.messages.text(),
+                });
             }
             if status.is_none() {
                 status = self.process.try_wait().map_err(RunError::Read)?;

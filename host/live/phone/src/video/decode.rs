@@ -107,7 +107,7 @@ impl Video {
             self.ffmpeg = Some(ffmpeg);
             return Ok(true);
         }
-        let end = ffmpeg.finish().map_err(failed("ffmpeg"))?;
+        let end = ffmpeg.finish(0).map_err(failed("ffmpeg"))?;
         // The first line names the cause.
         match end.messages.lines().next() {
             Some(first) => Err(VideoError::Decode(first.to_owned())),
