@@ -25,7 +25,7 @@ use recording::session_file::CHECK_LEARNT;
 use report::summary::findings_text;
 use serde::Serialize;
 use session::checks::{Checks, Fault, IMU_TIME, TRIGGER_TIME};
-use session::connect::has_addresses;
+use session::steps::connect::has_addresses;
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]

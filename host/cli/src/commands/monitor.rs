@@ -19,9 +19,9 @@ use board::imu::Scale;
 use board::transport::LinkError;
 use board::{Board, BoardError, Event};
 use session::devices::Connector as _;
+use session::devices::hardware::SerialConnector;
 use session::event::{SessionEvent, Stamped};
-use session::hardware::SerialConnector;
-use session::watch;
+use session::link::watch;
 
 /// Interval of the plain lines where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;

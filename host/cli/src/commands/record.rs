@@ -25,10 +25,10 @@ use recording::profile::Profile;
 use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
 use report::session::{files_to_fetch, summary};
 use report::summary::{Summary, findings_text};
+use session::devices::hardware::{AdbClockStarter, SerialConnector};
+use session::devices::recorder_process::RecorderProcess;
 use session::devices::{Phone, SystemClock};
-use session::hardware::{AdbClockStarter, SerialConnector};
 use session::options::{Options, Track, seconds};
-use session::recorder_process::RecorderProcess;
 use session::run::{Devices, Ended, run as run_session};
 use system::ReadMonitor;
 

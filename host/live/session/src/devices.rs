@@ -5,6 +5,9 @@
 //! by [`Link::receive`](board::transport::Link::receive), whose link keeps the time of all
 //! deadlines, and for anything else by [`Clock::wait`].
 
+pub mod hardware;
+pub mod recorder_process;
+
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 

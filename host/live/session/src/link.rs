@@ -1,5 +1,8 @@
 //! The link to the board, which may break and come back.
 
+pub mod monitors;
+pub mod watch;
+
 use std::time::Duration;
 
 use board::imu::{Sample, Scale};

@@ -7,6 +7,8 @@
 //!
 //! [`placement`]: crate::alignment::placement
 
+pub(crate) mod videos;
+
 use std::time::Duration;
 
 use clock::ClockRelation;

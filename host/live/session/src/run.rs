@@ -6,14 +6,14 @@ use recording::profile::Profile;
 use recording::session_file::{SessionFile, SessionOutcome};
 
 use crate::checks::Checks;
-use crate::close::close;
-use crate::connect::{Parts, connect};
 use crate::devices::{Clock, Connector, DepthRecorder, Operator, Phone, PhoneClockStarter};
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, SessionEvent, Stamped};
 use crate::options::Options;
 use crate::phones::Phones;
 use crate::steps;
+use crate::steps::close::close;
+use crate::steps::connect::{Parts, connect};
 
 /// All devices of a session, and who listens to it.
 pub struct Devices<'a> {

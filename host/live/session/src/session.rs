@@ -1,7 +1,7 @@
 //! The session: all that is alive in it, and how it waits ([`Session::pump`]).
 //!
 //! Each part has one job: the [link](crate::link) to the board, the
-//! [phones](crate::phones), the [log](crate::log), the [monitors](crate::monitors) of the
+//! [phones](crate::phones), the [log](crate::log), the [monitors](crate::link::monitors) of the
 //! board's messages, the housekeeping, and the person. A function that waits takes the
 //! session; one that does not takes the parts it needs.
 //!
@@ -22,8 +22,8 @@ use crate::error::{SessionError, Stop};
 use crate::event::{Phase, Prompt, SessionEvent, Step};
 use crate::housekeeping::Housekeeping;
 use crate::link::BoardLink;
+use crate::link::monitors::{Monitors, take_message};
 use crate::log::Log;
-use crate::monitors::{Monitors, take_message};
 use crate::phones::{Answers, Phones, call_off};
 use crate::tracking::Tracking;
 

@@ -1,5 +1,8 @@
 //! The steps of a session, from the checks to the end of the recording.
 
+pub mod close;
+pub mod connect;
+
 use board::imu::{ImuLook, Scale};
 use clock::{BoardToPhone, ClockRelation};
 use protocol::{
@@ -14,13 +17,13 @@ use crate::checks::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::devices::Wish;
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, SessionEvent, Step};
+use crate::link::watch::Watch;
 use crate::log::Log;
 use crate::options::Options;
 use crate::phones::REFERENCE;
+use crate::phones::videos::{place_others, start_videos, watch_videos};
 use crate::session::Session;
 use crate::twist::first_twists;
-use crate::videos::{place_others, start_videos, watch_videos};
-use crate::watch::Watch;
 
 /// How much longer than planned an arrival may take to be reported, ticks.
 const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;

@@ -22,9 +22,9 @@ use crate::devices::{PhoneClock, PhoneClockStarter};
 use crate::error::{SessionError, Stop};
 use crate::event::{SessionEvent, Tracked};
 use crate::link::BoardLink;
+use crate::link::watch::Watch;
 use crate::log::Log;
 use crate::options::Track;
-use crate::watch::Watch;
 
 /// The board is asked so often.
 const ASK_EVERY: Duration = Duration::from_millis(40);

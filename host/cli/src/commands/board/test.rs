@@ -9,7 +9,7 @@ use board::bring_up::{Operator, Part, Plan};
 use board::finding::Severity;
 use protocol::usb::serial_number;
 use session::devices::Connector as _;
-use session::hardware::SerialConnector;
+use session::devices::hardware::SerialConnector;
 
 use super::keep_trying;
 use crate::context::Context;

@@ -13,8 +13,8 @@ use twist_sync::GyroTrack;
 use crate::error::Stop;
 use crate::event::SessionEvent;
 use crate::link::BoardLink;
+use crate::link::watch::Watch;
 use crate::log::Log;
-use crate::watch::Watch;
 use board::finding::Finding;
 
 /// The monitors.

@@ -1,6 +1,6 @@
 //! The devices of a session as they are on hardware: a serial port, and `adb` for the
 //! phone's clock. The phone's app is [`PhoneTask`](phone::task::PhoneTask), and the depth
-//! recorder a [process](crate::recorder_process).
+//! recorder a [process](crate::devices::recorder_process).
 
 use board::BoardError;
 use board::transport::serial::{SerialLink, program_time};

@@ -9,9 +9,9 @@ use crate::error::{SessionError, Stop};
 use crate::event::{Device, Phase, SessionEvent, Step};
 use crate::log::Log;
 use crate::options::Options;
+use crate::phones::videos::{fetch_files, fetch_video, stop_videos};
 use crate::session::Session;
 use crate::twist::second_twist;
-use crate::videos::{fetch_files, fetch_video, stop_videos};
 
 /// How long the board is listened to at a time.
 const LISTEN: Duration = Duration::from_millis(20);
