@@ -15,8 +15,8 @@ use ratatui::crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
 };
 
+use super::layout::draw;
 use super::state::{Keys, State};
-use super::text::draw;
 use crate::context::Interrupt;
 use crate::log;
 
@@ -200,7 +200,7 @@ fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
 mod tests {
     use super::*;
     use crate::operator::AtTerminal;
-    use crate::view::text::keys_text;
+    use crate::view::layout::keys_text;
     use session::devices::{Choice, Operator as _, Wish};
 
     /// Whatever the last line offers to stop with stops it.

@@ -10,11 +10,11 @@
 //! ten times a second and draws it. A slow line only makes the picture old; a terminal that
 //! is closed ends that thread and nothing else.
 
+mod layout;
 pub(crate) mod plain;
 pub(crate) mod screen;
 mod sentences;
 pub(crate) mod state;
-mod text;
 
 use std::sync::mpsc::Receiver;
 
