@@ -1,7 +1,7 @@
-//! What to do about the errors of the libraries: exit code and next step.
+//! Advice on the errors of the libraries: exit code and next step.
 //!
-//! A library says what is wrong in a typed error; what the user can do about it is
-//! this program's to say, here, in one place.
+//! A library states what is wrong in a typed error. What the user can do about it is stated by
+//! this program, in this one place.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -17,21 +17,16 @@ use phone::error::Refusal as AppRefusal;
 use protocol::{ImuSetup, Refusal};
 use recording::RecordingError;
 use recording::profile::ProfileError;
-use session::checks::Fault;
-use session::error::SessionError;
-use session::event::{Device, SessionEvent};
+use session::error::{Fault, SessionError};
 
 use crate::outcome::{ExitStatus, Failure, file_step};
 
-/// What to do about what only a look at the whole tells.
-const REPORT: &str = "see the recording's report";
-
-/// What to do where another firmware is needed.
+/// Next step where another firmware is needed.
 const FLASH: &str = ExitStatus::OtherVersion.next_step();
 
-/// An error of a library, for which this program knows exit code and next step.
+/// An error of a library with exit code and next step.
 pub trait Advice: Display {
-    /// The exit code, and what to do.
+    /// Returns the exit code and the next step.
     fn advice(&self) -> (ExitStatus, Cow<'static, str>);
 }
 
@@ -161,7 +156,7 @@ impl Advice for SessionError {
     }
 }
 
-/// The exit code for what a check found bad.
+/// Returns the exit code for the fault of a bad check.
 const fn fault_status(fault: Fault) -> ExitStatus {
     match fault {
         Fault::Rig => ExitStatus::Refused,
@@ -170,33 +165,7 @@ const fn fault_status(fault: Fault) -> ExitStatus {
     }
 }
 
-/// What to do about an event, in one line.
-pub(crate) fn remedy(event: &SessionEvent) -> &str {
-    use SessionEvent as E;
-    match event {
-        E::Found { finding } => finding.next_step.as_deref().unwrap_or(REPORT),
-        E::LinkLost { .. } => "plug the USB cable in: the recording goes on by itself",
-        E::BoardReset { .. } => "check the board's supply and cable, then record again",
-        E::BoardQuiet { .. } => "check the USB cable",
-        E::RecorderGone { .. } | E::RecorderFailed { .. } | E::RecorderKilled { .. } => {
-            "look at depth_recorder.log; start the recording again"
-        }
-        E::PhoneAway { .. } | E::PhoneLeftOut { .. } | E::VideoEnded { .. } => {
-            "check the phone: app in the foreground, same network"
-        }
-        E::DiskNearlyFull { .. } => "free some space",
-        E::TrackLost => "check the phone's cable and `adb devices`",
-        E::TwistDue { .. } => "stop, and record again when the phase matters",
-        E::NotStopped { what, .. } => match what {
-            Device::Video(_) => "stop the video on the phone",
-            Device::Trigger => "stop it: `smartdepthsync board trigger stop`",
-            Device::Output => "press the board's reset button",
-        },
-        _ => REPORT,
-    }
-}
-
-/// What to do about what the board refuses.
+/// Returns the next step after a refusal of the board.
 pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
     match refusal {
         Refusal::TriggerRunning | Refusal::OutputRunning => {
@@ -287,17 +256,18 @@ impl Advice for PhoneError {
     }
 }
 
-/// A failure that may be the phone's, which is named by its address then.
+/// Adds the phone's address to a failure of the phone.
 pub(crate) fn at_phone(failure: impl Into<Failure>, address: &str) -> Failure {
     let failure = failure.into();
     let text = failure.to_string();
-    match text.contains(address) || failure.status() != ExitStatus::Phone {
-        true => failure,
-        false => failure.about(&format!("the phone at {address}")),
+    if text.contains(address) || failure.status() != ExitStatus::Phone {
+        failure
+    } else {
+        failure.about(&format!("the phone at {address}"))
     }
 }
 
-/// The exit code that a command ends with after an error of the phone.
+/// Returns the exit code of a command after an error of the phone.
 pub(crate) fn phone_status(error: &PhoneError) -> ExitStatus {
     match error.cause() {
         PhoneError::Address { .. } | PhoneError::Argument(_) => ExitStatus::Usage,
@@ -397,7 +367,7 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
     })
 }
 
-/// What to do about the refusals that the app is known to give.
+/// Returns the next step after a refusal of the app.
 const fn app_refusal_step(refusal: AppRefusal) -> &'static str {
     match refusal {
         AppRefusal::SensorsBusy => {
@@ -458,7 +428,7 @@ impl Advice for RecordingError {
     }
 }
 
-/// What to do about a recording or a bag that is none, or of a form that is not read.
+/// Returns the next step for a path that is no recording, or a bag in an unsupported form.
 pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
     match error {
         RecordingError::ForeignBag { .. } => {
@@ -468,7 +438,7 @@ pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
     }
 }
 
-/// The scale of the board's IMU, which every command that reads it needs.
+/// Returns the scale of the board's IMU, which every command that reads samples needs.
 pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
     Ok(Scale::of(setup).ok_or(SessionError::NoScale)?)
 }
@@ -478,7 +448,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wrong_address_is_told_its_form() {
+    fn a_wrong_address_is_answered_with_its_form() {
         let error = PhoneError::Address {
             address: "phone:0".to_owned(),
             reason: "its port is out of range",

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
-use session::checks::{Checks, Fault};
+use session::checks::Checks;
+use session::error::Fault;
 use session::housekeeping::{DISK_FULL, free_space};
 
 use crate::new_profile::summary;

@@ -1,8 +1,8 @@
 //! The command line: one subcommand a file in `commands/`.
 //!
 //! A new subcommand is a module in `commands/` with a documented
-//! `#[derive(clap::Args)] pub(crate) struct Args` and
-//! `pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>`,
+//! `#[derive(clap::Args)] pub(crate) struct RecordArgs` (named after the command) and
+//! `pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Failure>`,
 //! a variant of [`Command`] and an arm in [`Command::run`].
 //!
 //! No other module imports this one: what the subcommands share is in [`crate::context`] and
@@ -36,7 +36,7 @@ pub struct Cli {
     /// Options of every subcommand.
     #[command(flatten)]
     global: Global,
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     command: Command,
 }
@@ -45,31 +45,31 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Create a rig profile interactively, check the rig, and name the next command
-    Setup(commands::setup::Args),
+    Setup(commands::setup::SetupArgs),
     /// Check that the rig is ready for a recording; each problem is listed with its fix
-    Doctor(commands::doctor::Args),
+    Doctor(commands::doctor::DoctorArgs),
     /// Record: twist, align the trigger to the phone's frames, record, stop
-    Record(commands::record::Args),
+    Record(commands::record::RecordArgs),
     /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, ROS, ...
-    Extract(commands::extract::Args),
+    Extract(commands::extract::ExtractArgs),
     /// Measure frame sync from the depth camera's strobes on the phone's video
-    Evaluate(commands::evaluate::Args),
+    Evaluate(commands::evaluate::EvaluateArgs),
     /// Check a recording, and write its report again
-    Verify(commands::verify::Args),
+    Verify(commands::verify::VerifyArgs),
     /// Look at the board live: trigger, gyroscope, rates, losses
-    Monitor(commands::monitor::Args),
+    Monitor(commands::monitor::MonitorArgs),
     /// Use the board by hand: list, info, flash, test, trigger, imu, pps
-    Board(commands::board::Args),
+    Board(commands::board::BoardArgs),
     /// Talk to the phone's app
-    Phone(commands::phone::Args),
+    Phone(commands::phone::PhoneArgs),
     /// Make, check and teach a rig profile by hand
-    Profile(commands::profile::Args),
+    Profile(commands::profile::ProfileArgs),
     /// Print the completions for a shell
     #[command(hide = true)]
-    Completions(commands::completions::Args),
+    Completions(commands::completions::CompletionsArgs),
     /// Write the manual pages into a folder
     #[command(hide = true)]
-    Man(commands::man::Args),
+    Man(commands::man::ManArgs),
 }
 
 impl Command {
@@ -91,7 +91,7 @@ impl Command {
     }
 }
 
-/// Runs the program and says how it ended.
+/// Runs the program and returns its exit status.
 pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     let args: Vec<OsString> = args.into_iter().collect();
     let cli = match Cli::try_parse_from(&args) {
@@ -124,13 +124,13 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     match cli.command.run(&context) {
         Ok(status) => status,
         Err(failure) => {
-            tell_failure(&context, &failure);
+            print_failure(&context, &failure);
             failure.status()
         }
     }
 }
 
-fn tell_failure(context: &Context, failure: &Failure) {
+fn print_failure(context: &Context, failure: &Failure) {
     if context.global.json {
         return print_error(failure);
     }

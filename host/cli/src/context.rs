@@ -1,5 +1,4 @@
-//! What every command is given: the options of all, Ctrl-C, and the way out for all that
-//! is printed.
+//! The context of every command: the global options, Ctrl-C, and the printing of results.
 //!
 //! Results go to standard output (text, or one JSON document with `--json`);
 //! progress and errors go to standard error.
@@ -38,7 +37,7 @@ pub struct Global {
     pub verbose: u8,
 }
 
-/// What every subcommand is given.
+/// The context of every subcommand.
 #[derive(Clone, Debug)]
 pub struct Context {
     /// Options of every subcommand.
@@ -70,12 +69,11 @@ impl Context {
     ///
     /// As [`Context::print`].
     pub(crate) fn show<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
-        let json = serde_json::to_string_pretty(value)?;
-        match self.global.json {
-            true => write_stdout(&json, Shown::Json)?,
-            false => write_stdout(&fields::text(&json), Shown::ForPeople)?,
+        if self.global.json {
+            return self.print_json(value);
         }
-        Ok(())
+        let json = serde_json::to_string(value)?;
+        Ok(write_stdout(&fields::text(&json)?, Shown::ForPeople)?)
     }
 
     /// Prints a result with `--json`.
@@ -120,25 +118,23 @@ impl Context {
         self.print_text(|| wrapped(&text(), width.into()))
     }
 
-    /// Whether to report no progress.
+    /// Returns true if no progress is reported.
     pub(crate) const fn is_silent(&self) -> bool {
         self.global.json || self.global.quiet
     }
 
-    /// Says something to the person who waits, on standard error; silent with
-    /// `--json` and `--quiet`.
+    /// Prints a line for the user on standard error, unless `--json` or `--quiet` is given.
     pub(crate) fn say(&self, text: impl AsRef<str>) {
         if !self.is_silent() {
-            // Nobody to tell it to if standard error is gone.
             let text = harmless(text.as_ref(), Shown::ForPeople);
             let mut stderr = io::stderr().lock();
-            // Of a bar that is drawn there.
+            // Clears a progress bar.
             let clear = if stderr.is_terminal() { "\r\x1b[K" } else { "" };
             let _ = writeln!(stderr, "{clear}{text}");
         }
     }
 
-    /// Does work that reads files. Reads under the monitor that it is given end with the first
+    /// Runs work that reads files. Reads under the monitor that it is given end with the first
     /// Ctrl-C, and after a second a bar shows their progress.
     ///
     /// # Errors
@@ -161,7 +157,7 @@ impl Context {
         result.map_err(E::into)
     }
 
-    /// A progress bar of this length on standard error; hidden where nobody would see it.
+    /// Creates a progress bar of this length on standard error, hidden where it would not be seen.
     pub(crate) fn progress(&self, length: Option<u64>, template: &str) -> ProgressBar {
         let is_seen = !self.is_silent() && io::stderr().is_terminal();
         let target = if is_seen {
@@ -172,7 +168,7 @@ impl Context {
         ProgressBar::with_draw_target(length, target).with_style(bar_style(template))
     }
 
-    /// A spinner with a message.
+    /// Creates a spinner with a message.
     pub(crate) fn spinner(&self) -> ProgressBar {
         self.progress(None, "{spinner} {msg}")
     }
@@ -219,7 +215,7 @@ impl ReadingBar {
     }
 }
 
-/// Whether and how often the user wanted to stop.
+/// Number of times that the user asked to stop.
 ///
 /// The first Ctrl-C (or SIGTERM, SIGHUP) asks the command to stop cleanly; the
 /// third ends the process at once.
@@ -227,7 +223,7 @@ impl ReadingBar {
 pub struct Interrupt(Arc<AtomicU32>);
 
 impl Interrupt {
-    /// Whether to stop.
+    /// Returns true if the user asked to stop.
     pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed) > 0
     }
@@ -237,12 +233,12 @@ impl Interrupt {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Whether to stop, for those who ask it again and again.
+    /// Returns a closure that returns true if the user asked to stop.
     pub(crate) fn question(&self) -> impl Fn() -> bool {
         || self.requested()
     }
 
-    /// Returns the same question as a handle for work that ends early.
+    /// Returns a handle that cancels work once the user asked to stop.
     pub(crate) fn cancel(&self) -> Cancel {
         let interrupt = self.clone();
         Cancel::when(move || interrupt.requested())
@@ -271,12 +267,12 @@ fn bar_style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
-/// Tells whether the terminal was closed: there is nobody to tell it to.
+/// Returns true if the error means that the terminal was closed.
 fn is_closed_terminal(error: &io::Error) -> bool {
     rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
 }
 
-/// Tells whether standard output is a pipe that nobody reads any more.
+/// Returns true if standard output is a pipe without a reader.
 pub(crate) fn is_stdout_closed() -> bool {
     let out = io::stdout();
     let mut polled = [PollFd::new(&out, PollFlags::empty())];

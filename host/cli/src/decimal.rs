@@ -63,9 +63,10 @@ pub(crate) fn parse_fps(text: &str) -> Result<Period, &'static str> {
 /// Not a time, or too many ticks.
 pub(crate) fn parse_ticks(text: &str) -> Result<u32, &'static str> {
     let ticks = (unsigned_micros(text)? * TICKS_PER_US).round();
-    match ticks <= f64::from(u32::MAX) {
-        true => Ok(ticks as u32),
-        false => Err(TOO_LARGE),
+    if ticks <= f64::from(u32::MAX) {
+        Ok(ticks as u32)
+    } else {
+        Err(TOO_LARGE)
     }
 }
 

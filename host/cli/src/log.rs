@@ -1,17 +1,16 @@
-//! Where log lines go: to standard error, except while the live view is there.
+//! The output of log lines: standard error, except while the live view is open.
 //!
-//! The view draws on the same terminal, so a line of the log would land in the middle
-//! of it; and a terminal that takes nothing would stop the thread that logs. Lines are
-//! therefore held back while the view is open and written when it has gone, at most
-//! [`MOST`] bytes of them.
+//! The view draws on the same terminal, so a log line would land in the middle of it, and a
+//! terminal that blocks would stop the thread that logs. Lines are therefore held back while the
+//! view is open, up to [`MOST`] bytes, and written when it has closed.
 
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// How much is held back, in bytes.
+/// Largest size of the lines held back, bytes.
 const MOST: usize = 64 << 10;
 
-/// What stands in place of more.
+/// Line in place of further ones.
 const TOO_MUCH: &[u8] = b"further log lines were left out: too many came while the view was open\n";
 
 static HELD: Mutex<Option<Vec<u8>>> = Mutex::new(None);
@@ -66,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_held_back_in_order_and_what_is_too_much_is_told() {
+    fn lines_are_held_back_in_order_and_further_ones_are_replaced() {
         let mut held = Vec::new();
         for line in ["one\n", "two\n", &"x".repeat(MOST), &"y".repeat(MOST)] {
             add(&mut held, line.as_bytes());

@@ -33,7 +33,7 @@ impl Camera {
         }
     }
 
-    /// What is known of it, in the lines before its table.
+    /// Returns the comment with the camera's properties, for the lines before its table.
     fn comment(&self) -> String {
         let Self { model, mode, .. } = self;
         let mut text = format!(
@@ -132,7 +132,7 @@ pub(crate) fn recorder_command(text: &str, model: &Model, mode: &Mode) -> Array 
     }
 }
 
-/// How the middle of exposure of a camera is known, in a line.
+/// Returns the source of a camera's middle of exposure, in a line.
 pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
     let depth = &profile.depth;
     let basis = model.mode(&depth.mode).map_or("", |mode| match mode.basis {

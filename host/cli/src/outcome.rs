@@ -1,4 +1,4 @@
-//! How a command ends: the exit codes, in one place, and errors that know theirs.
+//! The outcome of a command: all exit codes, and errors with an exit code.
 //!
 //! A command returns `Result<ExitStatus, Failure>`: the status of one that did its work,
 //! perhaps with loss, and has printed the result; or a [`Failure`] that knows its exit code.
@@ -37,7 +37,7 @@ pub enum ExitStatus {
     Permission = 6,
     /// Another program has the port.
     Busy = 7,
-    /// What answers on the port is not this board.
+    /// The device that answers on the port is not this board.
     NotThisBoard = 8,
     /// The board speaks another protocol version.
     OtherVersion = 9,
@@ -76,18 +76,18 @@ impl ExitStatus {
         Self::Interrupted,
     ];
 
-    /// Of a command that has finished, perhaps with loss.
+    /// Returns the code of a command that has finished, perhaps with loss.
     pub(crate) const fn of_loss(lossy: bool) -> Self {
         if lossy { Self::Loss } else { Self::Good }
     }
 
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn code(self) -> u8 {
         self as u8
     }
 
-    /// What to do about an error of which no more is known.
+    /// Returns the next step for an error without one of its own.
     #[must_use]
     pub(crate) const fn next_step(self) -> &'static str {
         match self {
@@ -162,27 +162,27 @@ impl Failure {
         Self::new(ExitStatus::Storage, message).next_step(file_step(error.kind()))
     }
 
-    /// The same, with what the user can do about it.
+    /// Returns the same error with a next step.
     #[must_use]
     pub fn next_step(mut self, step: impl Into<String>) -> Self {
         self.next_step = Some(step.into());
         self
     }
 
-    /// The same with what it is about before it.
+    /// Returns the same error with its subject before the message.
     #[must_use]
     pub(crate) fn about(mut self, what: &str) -> Self {
         self.message = format!("{what}: {}", self.message);
         self
     }
 
-    /// The exit code.
+    /// Returns the exit code.
     #[must_use]
     pub const fn status(&self) -> ExitStatus {
         self.status
     }
 
-    /// What the user can do: its own next step, else the exit code's.
+    /// Returns its own next step, else that of its exit code.
     pub(crate) fn what_to_do(&self) -> &str {
         let own = self.next_step.as_deref();
         own.unwrap_or_else(|| self.status.next_step())
@@ -223,7 +223,7 @@ pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
     system::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
 }
 
-/// What to do about a file that cannot be used, for the system's reason.
+/// Returns the next step for a file that cannot be used, from the system's reason.
 #[must_use]
 pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {
     match reason {

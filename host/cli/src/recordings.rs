@@ -36,17 +36,17 @@ impl RecordingArg {
     }
 }
 
-/// Refuses what is there and is no recording of any form; what is not there or damaged is
-/// reported where it is read.
+/// Refuses an existing path that is no recording of any form. The reader reports a path that is
+/// missing or damaged.
 fn check(path: &Path) -> Result<(), Failure> {
     if !path.exists() || path.join(SESSION_FILE).exists() {
         return Ok(());
     }
     let file = mcap_in(path)?;
-    match file == path && path.extension().is_none_or(|ending| ending != "mcap") {
-        true => Err(RecordingError::NoRecording { path: file }.into()),
-        false => Ok(()),
+    if file == path && path.extension().is_none_or(|ending| ending != "mcap") {
+        return Err(RecordingError::NoRecording { path: file }.into());
     }
+    Ok(())
 }
 
 /// The folder of a recording; a file in it stands for it.

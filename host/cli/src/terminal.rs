@@ -11,7 +11,7 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// How a character is shown that a terminal would obey.
+/// The form in which a character is shown that a terminal would obey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shown {
     /// As `\u{1b}`.
@@ -20,7 +20,7 @@ pub(crate) enum Shown {
     Json,
 }
 
-/// A text that does nothing to a terminal but to be read. Line ends and tabs stay.
+/// Escapes the characters of a text that a terminal would obey. Line ends and tabs stay.
 pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
     if !text.contains(is_obeyed) {
         return Cow::Borrowed(text);
@@ -46,10 +46,11 @@ pub(crate) fn wrapped(text: &str, width: usize) -> String {
         let is_command = line
             .strip_prefix("  ")
             .is_some_and(|it| !it.starts_with(' '));
-        match is_command {
-            true => out.push_str(line),
+        if is_command {
+            out.push_str(line);
+        } else {
             // Mark and kind of a finding are its first column.
-            false => out += &broken(line, line.rfind("  ").map_or(0, |at| at + 2), width),
+            out += &broken(line, line.rfind("  ").map_or(0, |at| at + 2), width);
         }
         out.push('\n');
     }

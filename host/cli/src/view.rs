@@ -1,15 +1,16 @@
-//! The view of a session or of a board for the person who waits.
+//! The live view of a session or of a board.
 //!
 //! - [`state`]: events are folded into a [`State`](state::State). Pure.
-//! - [`text`]: the state onto a screen of any size. Pure.
-//! - [`sentences`]: what is said of an event; [`plain`]: the state as one line, where there
+//! - [`facts`]: the words for a state; [`layout`]: their places on a screen of any size. Pure.
+//! - [`sentences`]: the sentence about an event; [`plain`]: the state as one line, where there
 //!   is no terminal. Pure.
 //! - [`screen`]: the thread that owns the terminal.
 //!
-//! The session never waits for the terminal: a thread of its own takes a copy of the state
-//! ten times a second and draws it. A slow line only makes the picture old; a terminal that
-//! is closed ends that thread and nothing else.
+//! The session never waits for the terminal: a separate thread copies the state ten times a
+//! second and draws the copy. A slow terminal only delays the picture, and a closed one ends
+//! that thread and nothing else.
 
+mod facts;
 mod layout;
 pub(crate) mod plain;
 pub(crate) mod screen;
@@ -82,7 +83,7 @@ impl<'a> View<'a> {
     }
 
     fn say(&mut self, Stamped { at, event }: &Stamped) {
-        if let Some(mut text) = sentence(event) {
+        if let Some(mut text) = sentence(event, event.notice().as_ref()) {
             if let SessionEvent::RecordingStarted { .. } = event {
                 text.push_str("; Enter sets a mark, Ctrl-C stops");
             }

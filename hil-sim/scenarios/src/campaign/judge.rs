@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use board::finding::{EventKind, FindingKind};
 use protocol::{DeviceToHost, ImuFlags, ImuState, ResetCause, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
@@ -62,7 +63,7 @@ pub(super) fn judge(plan: &Plan, ended: &Ended) -> Result<Verdict> {
     let file = &session.file;
     let mut problems = BTreeMap::new();
     for problem in &file.problems {
-        *problems.entry(problem.kind.clone()).or_default() += 1;
+        *problems.entry(problem.kind.to_string()).or_default() += 1;
     }
     Ok(Verdict {
         plan: plan.clone(),
@@ -99,7 +100,7 @@ fn reset(plan: &Plan, ended: &Ended) -> Result<Option<SimTime>> {
 /// The session went on, or ended as it should.
 fn judge_end(plan: &Plan, ended: &Ended, session: &EndedSession) -> Result<SessionOutcome> {
     let file = &session.file;
-    let kinds: Vec<&str> = file.problems.iter().map(|p| p.kind.as_str()).collect();
+    let kinds: Vec<&FindingKind> = file.problems.iter().map(|p| &p.kind).collect();
     let outcome = match &session.result {
         Ok(outcome @ (SessionOutcome::Good | SessionOutcome::Loss)) => *outcome,
         other => bail!("the session ended with {other:?}; {kinds:?}"),
@@ -111,7 +112,7 @@ fn judge_end(plan: &Plan, ended: &Ended, session: &EndedSession) -> Result<Sessi
     let stopped = ended.run.time_of(stopping).context("it never stopped")?;
     // Only a phone that was away when it was to be stopped may be given up, and only that
     // may be left recording.
-    let is_missed = kinds.contains(&"phone_lost");
+    let is_missed = kinds.iter().any(|&kind| *kind == EventKind::PhoneLost);
     let was_away = ended.happened.phone_away.is_some_and(|at| at >= stopped);
     ensure!(
         !is_missed || was_away,
@@ -306,7 +307,10 @@ fn judge_samples(
         DeviceToHost::Imu(sample) => delivered.is_recorded && sample.flags.has(ImuFlags::FIRST),
         _ => false,
     });
-    let is_reported = file.problems.iter().any(|p| p.kind == "imu_recovered");
+    let is_reported = file
+        .problems
+        .iter()
+        .any(|p| p.kind == EventKind::ImuRecovered);
     let hits = plan.events.iter().filter(|event| event.fault.hits_imu());
     let without_number: u64 = if is_marked || is_reported {
         hits.map(|hit| (hit.for_us + RECOVERY_US) / SAMPLE_US).sum()

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use board::finding::FindingKind;
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::motion::MotionSpec;
@@ -154,8 +155,9 @@ pub(crate) const fn ms(ms: u64) -> SimDuration {
     SimDuration::from_millis(ms)
 }
 
-pub(crate) fn problems(session: &SessionFile) -> Vec<&str> {
-    session.problems.iter().map(|p| p.kind.as_str()).collect()
+pub(crate) fn problems(session: &SessionFile) -> Vec<FindingKind> {
+    let problems = session.problems.iter();
+    problems.map(|problem| problem.kind.clone()).collect()
 }
 
 /// Outcome of a session that has a folder.

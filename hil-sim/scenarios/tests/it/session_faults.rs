@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use board::BoardError;
-use board::finding::Severity;
+use board::finding::{EventKind, Severity};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, SESSION_FILE};
@@ -171,7 +171,7 @@ fn a_phone_that_leaves_before_the_download_costs_the_video_alone() {
     options.fetch_video = true;
     rig.bench.run(&options);
     let file = rig.readable("short", SessionOutcome::Loss);
-    assert_eq!(problems(&file), ["video_not_fetched"]);
+    assert_eq!(problems(&file), [EventKind::VideoNotFetched]);
 }
 
 #[test]
@@ -189,7 +189,10 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
         assert!(run.time_of(is_back).is_some(), "{state}");
         let file = rig.readable(state, SessionOutcome::Loss);
         assert_eq!(file.reconnects, 1, "{state}");
-        assert!(problems(&file).contains(&"link_lost"), "{state}");
+        assert!(
+            problems(&file).contains(&EventKind::LinkLost.into()),
+            "{state}"
+        );
         // Board time went on: the recording has the length that was asked for.
         let span = file.recorded.unwrap();
         let length = (span.to - span.from).as_secs_f64();
@@ -229,8 +232,8 @@ fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
     let options = rig.options("away", 60);
     rig.bench.run(&options);
     let file = rig.readable("away", SessionOutcome::Interrupted);
-    for problem in ["link_lost", "trigger_not_stopped"] {
-        assert!(problems(&file).contains(&problem), "{problem}");
+    for problem in [EventKind::LinkLost, EventKind::TriggerNotStopped] {
+        assert!(problems(&file).contains(&problem.into()), "{problem}");
     }
     assert!(!rig.bench.with(|rig| rig.phones[0].app.is_recording()));
 
@@ -257,7 +260,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     let error = failure(&run);
     assert!(matches!(error, SessionError::LinkLost { .. }), "{error}");
     let file = rig.readable("never", SessionOutcome::Failed);
-    assert!(problems(&file).contains(&"link_lost"));
+    assert!(problems(&file).contains(&EventKind::LinkLost.into()));
     assert!(!rig.bench.with(|rig| rig.phones[0].app.is_recording()));
     // All that had come is there.
     let samples = Reader::open(&rig.recording("never")).unwrap();
@@ -357,7 +360,7 @@ fn a_link_that_only_gives_damage_ends_the_recording_in_its_time() {
     let error = failure(&run);
     assert!(matches!(error, SessionError::LinkLost { .. }), "{error}");
     let file = rig.readable("damage", SessionOutcome::Failed);
-    assert!(problems(&file).contains(&"link_lost"));
+    assert!(problems(&file).contains(&EventKind::LinkLost.into()));
 }
 
 #[test]
@@ -393,7 +396,7 @@ fn a_depth_recorder_is_watched_and_stopped() {
     let options = rig.options("gone", 5);
     rig.bench.run(&options);
     let file = rig.readable("gone", SessionOutcome::Loss);
-    assert_eq!(problems(&file), ["depth_recorder_gone"]);
+    assert_eq!(problems(&file), [EventKind::DepthRecorderGone]);
     rig.all_is_stopped("gone");
 
     // It does not end when it is asked to.
@@ -501,7 +504,7 @@ fn a_session_notices_that_the_video_has_ended() {
     let options = rig.options("ended", 15);
     rig.bench.run(&options);
     let file = rig.readable("ended", SessionOutcome::Loss);
-    assert_eq!(problems(&file), ["video_ended"]);
+    assert_eq!(problems(&file), [EventKind::VideoEnded]);
     assert_eq!(file.markers.len(), 1);
     assert!(file.markers[0].label.contains("video ended"));
 }

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use board::finding::Severity;
+use board::finding::{FindingKind, Severity};
 use protocol::{ImuClock, ImuModel};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
-use recording::session_file::{SessionFile, SessionOutcome};
+use recording::session_file::{CHECK_READBACK, SessionFile, SessionOutcome};
 use rig::clocks::link_delay::LinkRanges;
 use rig::imu::{SampleRecord, SensorModel};
 use scenarios::judge::Truth;
@@ -35,11 +35,12 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     assert_eq!(session.counts.lost(), 0);
     assert!(session.problems.is_empty());
     // Both sides were checked before, and all of them were in order.
-    let checked: Vec<&str> = session.preflight.iter().map(|c| c.kind.as_str()).collect();
+    let checked: Vec<&FindingKind> = session.preflight.iter().map(|c| &c.kind).collect();
     for name in ["board", "phone", "IMU", "IMU clock", "IMU noise", "link"] {
-        assert!(checked.contains(&name), "{name} is missing in {checked:?}");
+        let is_checked = checked.iter().any(|&kind| *kind == name);
+        assert!(is_checked, "{name} is missing in {checked:?}");
     }
-    assert_eq!(checked.last(), Some(&"trigger read-back"));
+    assert_eq!(checked.last(), Some(&&CHECK_READBACK.into()));
     let is_bad = |check: &board::finding::Finding| check.severity == Severity::Bad;
     assert!(!session.preflight.iter().any(is_bad));
     assert_eq!(session.markers.len(), 2);

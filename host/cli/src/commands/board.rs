@@ -18,7 +18,7 @@ use crate::outcome::{ExitStatus, Failure};
 
 /// Options of `board`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct BoardArgs {
     #[command(flatten)]
     port: PortArg,
     #[command(subcommand)]
@@ -34,15 +34,15 @@ enum Action {
     #[command(after_help = "Example: smartdepthsync board info")]
     Info,
     /// Put firmware on the board by USB, without a programmer, and check it
-    Flash(flash::Args),
+    Flash(flash::FlashArgs),
     /// Test a new board, with a report to send
-    Test(test::Args),
+    Test(test::TestArgs),
     /// Run the camera trigger by hand: start, align, period, stop, status
-    Trigger(trigger::Args),
+    Trigger(trigger::TriggerArgs),
     /// Stream the board's IMU: rate, jitter, noise
-    Imu(imu::Args),
+    Imu(imu::BoardImuArgs),
     /// Run pulse per second and NMEA sentences for a lidar: start, stop, status
-    Pps(pps::Args),
+    Pps(pps::PpsArgs),
 }
 
 /// Runs `board`.
@@ -50,7 +50,7 @@ enum Action {
 /// # Errors
 ///
 /// The board cannot be reached, refuses, or fails.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &BoardArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let port = &args.port;
     match &args.action {
         Action::List => list::run(context),

@@ -12,7 +12,7 @@ use crate::outcome::{ExitStatus, Failure};
 /// `smartdepthsync completions bash > ~/.local/share/bash-completion/completions/smartdepthsync`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync completions bash")]
-pub(crate) struct Args {
+pub(crate) struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]
     shell: Shell,
@@ -24,7 +24,7 @@ pub(crate) struct Args {
 ///
 /// Standard output cannot be written.
 pub(crate) fn run(
-    args: &Args,
+    args: &CompletionsArgs,
     mut program: Command,
     context: &Context,
 ) -> Result<ExitStatus, Failure> {

@@ -24,13 +24,14 @@ use recording::profile::Profile;
 use recording::session_file::CHECK_LEARNT;
 use report::summary::findings_text;
 use serde::Serialize;
-use session::checks::{Checks, Fault, IMU_TIME, TRIGGER_TIME};
+use session::checks::{Checks, IMU_TIME, TRIGGER_TIME};
+use session::error::Fault;
 use session::steps::connect::has_addresses;
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync doctor")]
-pub(crate) struct Args {
+pub(crate) struct DoctorArgs {
     #[command(flatten)]
     pub(crate) port: PortArg,
     #[command(flatten)]
@@ -79,7 +80,7 @@ impl Found {
 /// # Errors
 ///
 /// None but those of printing; what is wrong is in the result.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &DoctorArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let found = look(args, context);
     let status = found.outcome();
     context.print_checks(&found, || {
@@ -104,7 +105,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 }
 
 /// Makes the checks.
-fn look(args: &Args, context: &Context) -> Found {
+fn look(args: &DoctorArgs, context: &Context) -> Found {
     let mut found = Found::default();
     let profile = match args.profile.load() {
         Ok((profile, place)) => {
@@ -177,7 +178,7 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
 /// Tries the trigger as the profile's camera has it; without a profile that can be read, as
 /// the published rig's.
 fn check_trigger(
-    args: &Args,
+    args: &DoctorArgs,
     profile: Option<&Profile>,
     board: &mut Board,
     checks: &mut Checks,

@@ -31,7 +31,7 @@ const ROTATIONS: [(&str, Direction); 4] = [
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct EvaluateArgs {
     #[command(subcommand)]
     what: What,
 }
@@ -137,7 +137,7 @@ impl CommonArgs {
     }
 }
 
-/// What was written into the rig profile.
+/// The measured bias as it was written into the rig profile.
 #[derive(Debug, Serialize)]
 struct Calibrated {
     profile: PathBuf,
@@ -183,7 +183,7 @@ struct DriftOutput<'a> {
 /// # Errors
 ///
 /// Nothing could be measured, or a file cannot be read or written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &EvaluateArgs, context: &Context) -> Result<ExitStatus, Failure> {
     match &args.what {
         What::Precision(args) => run_precision(args, context),
         What::Drift(args) => run_drift(args, context),
@@ -246,7 +246,7 @@ impl From<EvaluateError> for Failure {
     }
 }
 
-/// What to do about a part of the picture that gives nothing.
+/// Next step for a part of the picture without flashes.
 const REGION: &str = "give a --region inside the picture, or leave it out";
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, Failure> {

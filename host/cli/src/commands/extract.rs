@@ -38,7 +38,7 @@ const MORE: &str = "More";
 /// Options of `extract`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync extract recordings/walk --format tum")]
-pub(crate) struct Args {
+pub(crate) struct ExtractArgs {
     #[command(flatten)]
     recording: RecordingArg,
     /// The format: EuRoC (ASL), TUM RGB-D, a folder a topic as the published extractor has it,
@@ -95,7 +95,7 @@ struct MoreArgs {
 ///
 /// There is no recording, the output folder cannot be used, or a file cannot be
 /// written. Missing and damaged parts end in [`ExitStatus::Loss`].
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
     let out = match &args.out {
         Some(out) => out.clone(),

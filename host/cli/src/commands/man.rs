@@ -12,7 +12,7 @@ use crate::outcome::{ExitStatus, Failure};
 /// `smartdepthsync man ~/.local/share/man/man1`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync man man1")]
-pub(crate) struct Args {
+pub(crate) struct ManArgs {
     /// The folder; it is made if it is not there
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
@@ -23,7 +23,11 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// The folder cannot be written.
-pub(crate) fn run(args: &Args, program: Command, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &ManArgs,
+    program: Command,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     std::fs::create_dir_all(&args.folder)
         .and_then(|()| clap_mangen::generate_to(program, &args.folder))
         .map_err(|error| Failure::file("write", &args.folder, &error))?;

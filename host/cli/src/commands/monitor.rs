@@ -14,7 +14,7 @@ use crate::rig_profile::ProfileArg;
 use crate::view::plain::line;
 use crate::view::screen::{Key, PERIOD, Screen, SharedState, lock};
 use crate::view::state::{Losses, Rates, Sensor, State, Trigger};
-use board::finding::Finding;
+use board::finding::{EventKind, Finding};
 use board::imu::Scale;
 use board::transport::LinkError;
 use board::{Board, BoardError, Event};
@@ -33,10 +33,10 @@ const LINE_TICKS: u64 = TICK_HZ as u64;
 /// the state at the end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync monitor --duration 1m")]
-pub(crate) struct Args {
+pub(crate) struct MonitorArgs {
     #[command(flatten)]
     port: PortArg,
-    /// How long, in board time: 90s, 5m, 1h; else until stopped
+    /// Length of the look in board time: 90s, 5m, 1h; else until stopped
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     duration: Option<u64>,
     #[command(flatten)]
@@ -65,7 +65,7 @@ struct PrintedState<'a> {
 /// # Errors
 ///
 /// The board cannot be reached, or does not come back.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &MonitorArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let (profile, _) = args.profile.load()?;
     let mut board = args.port.open_of(Some(&profile))?;
     let scale = imu_scale(&board.call(QueryImu)?)?;
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         last_line: None,
     };
     while !context.interrupt.requested() && !is_stdout_closed() {
-        monitor.take_events(&mut board)?;
+        monitor.handle_events(&mut board)?;
         let now = lock(&monitor.state).now;
         if screen.is_none() {
             monitor.line(now)?;
@@ -129,13 +129,13 @@ struct Monitor<'a> {
 }
 
 impl Monitor<'_> {
-    /// Takes what the board has sent; waits for the next picture at most.
-    fn take_events(&mut self, board: &mut Board) -> Result<(), Failure> {
+    /// Handles the board's events, waiting for them at most until the next picture.
+    fn handle_events(&mut self, board: &mut Board) -> Result<(), Failure> {
         let mut wait = PERIOD;
         // Bounded, so that keys stay alive under full load.
         for _ in 0..2_000 {
             match board.next_event(wait) {
-                Ok(Some(event)) => self.take(board.conversation().latest(), event)?,
+                Ok(Some(event)) => self.handle(board.conversation().latest(), event)?,
                 Ok(None) => break,
                 Err(BoardError::Link(error)) => {
                     self.relink(board, &error);
@@ -148,35 +148,35 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    fn take(&mut self, at: Ticks, event: Event) -> Result<(), Failure> {
+    fn handle(&mut self, at: Ticks, event: Event) -> Result<(), Failure> {
         match event {
             Event::Message(message) => {
                 let sample = match &message {
                     DeviceToHost::Imu(raw) => Some(self.scale.apply(raw)),
                     _ => None,
                 };
-                self.tell(at, SessionEvent::Board { message, sample });
+                self.show(at, SessionEvent::Board { message, sample });
             }
             Event::Lost { stream, count } => {
                 if let Some(finding) = watch::lost(stream, count) {
-                    self.tell(at, SessionEvent::Found { finding });
+                    self.show(at, SessionEvent::Found { finding });
                 }
                 let stream = stream.to_string();
-                self.tell(at, SessionEvent::Lost { stream, count });
+                self.show(at, SessionEvent::Lost { stream, count });
             }
             Event::Disordered { stream } => {
                 let finding = watch::disordered(stream);
-                self.tell(at, SessionEvent::Found { finding });
+                self.show(at, SessionEvent::Found { finding });
             }
             Event::Damaged(error) => {
                 let reason = error.to_string();
-                let finding = Finding::check("damaged", reason.as_str());
-                self.tell(at, SessionEvent::Found { finding });
-                self.tell(at, SessionEvent::Damaged { reason });
+                let finding = Finding::check(EventKind::Damaged, reason.as_str());
+                self.show(at, SessionEvent::Found { finding });
+                self.show(at, SessionEvent::Damaged { reason });
             }
             Event::Restarted { .. } => {
-                let finding = Finding::check("restarted", "the board was reset");
-                self.tell(at, SessionEvent::Found { finding });
+                let finding = Finding::check(EventKind::Restarted, "the board was reset");
+                self.show(at, SessionEvent::Found { finding });
                 self.begun = None;
                 self.last_line = None;
             }
@@ -188,7 +188,7 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    fn tell(&self, at: Ticks, event: SessionEvent) {
+    fn show(&self, at: Ticks, event: SessionEvent) {
         lock(&self.state).take(&Stamped { at, event });
     }
 
@@ -197,13 +197,13 @@ impl Monitor<'_> {
         let at = lock(&self.state).now;
         let reason = error.to_string();
         let patience_s = None;
-        self.tell(at, SessionEvent::LinkLost { reason, patience_s });
+        self.show(at, SessionEvent::LinkLost { reason, patience_s });
         let mut connector = self.connector.clone();
         while !self.context.interrupt.requested() {
             let link = connector.connect(Some(&self.id));
             if link.and_then(|link| board.reconnect(link)).is_ok() {
                 let away_s = 0.0;
-                self.tell(at, SessionEvent::LinkBack { away_s });
+                self.show(at, SessionEvent::LinkBack { away_s });
                 break;
             }
             std::thread::sleep(Duration::from_millis(300));
@@ -222,7 +222,7 @@ impl Monitor<'_> {
         Ok(())
     }
 
-    /// Tells whether so many ticks have passed since the first board time.
+    /// Returns true if `duration` ticks have passed since the first board time.
     fn is_over(&mut self, now: Ticks, duration: Option<u64>) -> bool {
         if now == Ticks::ZERO && self.begun.is_none() {
             return false;

@@ -21,21 +21,21 @@ use phone::{PhoneClient, PhoneError, Settings};
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct PhoneArgs {
     #[command(flatten)]
     connection: ConnectionArgs,
     #[command(subcommand)]
     request: Request,
 }
 
-/// How to reach the phone.
+/// Options for reaching the phone.
 #[derive(Clone, Debug, clap::Args)]
 struct ConnectionArgs {
     /// The phone's address, as the app's dialog shows it, if not the profile's; port 6969 if
     /// it has none
     #[arg(long, global = true, value_name = "HOST[:PORT]")]
     phone: Option<String>,
-    /// How long to wait for the phone, beyond the time that the request itself takes
+    /// Longest wait for the phone, beyond the time that the request itself takes
     #[arg(long, global = true, value_name = "TIME", default_value = "15s", value_parser = parse_real_time)]
     timeout: Duration,
 }
@@ -61,7 +61,7 @@ enum Request {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync phone imu --duration 5s --out gyro.csv")]
 struct ImuArgs {
-    /// How long to record
+    /// Length of the recording
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = imu_duration)]
     duration: Duration,
     /// Save the samples in this file, as the app writes them
@@ -86,7 +86,7 @@ struct GetVideoArgs {
     /// and a video that it would be recording: so it is not asked unless you say so
     #[arg(long)]
     recorded: bool,
-    /// How long the app may take to finish the file before it sends it
+    /// Longest wait for the app to finish the file before it sends it
     #[arg(long, value_name = "TIME", default_value = "120s", value_parser = parse_real_time)]
     ready: Duration,
 }
@@ -114,7 +114,7 @@ struct GetFilesArgs {
 ///
 /// The phone cannot be reached, does not keep to its protocol, or refuses; or
 /// a file cannot be written. All are [`Failure`]s.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &PhoneArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let mut settings = Settings {
         connect: args.connection.timeout.min(Duration::from_secs(5)),
         margin: args.connection.timeout,
@@ -250,7 +250,12 @@ fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
         Ok(true) => {}
         Err(error) => context.say(format!("whether a video was running is not known: {error}")),
     }
-    context.show(&json!({ "stopped": recorded.ok() }))
+    let stopped = match &recorded {
+        Ok(true) => "stopped: yes",
+        Ok(false) => "stopped: no",
+        Err(_) => "stopped: not reported",
+    };
+    context.print(&json!({ "stopped": recorded.ok() }), || stopped.to_owned())
 }
 
 fn get_video(
@@ -299,8 +304,8 @@ fn imu_duration(text: &str) -> Result<Duration, String> {
     let time = parse_real_time(text)?;
     // The app counts whole milliseconds.
     let time = Duration::from_millis((time.as_secs_f64() * 1e3).round() as u64);
-    match time.is_zero() || time > MAX_IMU_DURATION {
-        true => Err(format!("expected 1ms to {} s", MAX_IMU_DURATION.as_secs())),
-        false => Ok(time),
+    if time.is_zero() || time > MAX_IMU_DURATION {
+        return Err(format!("expected 1ms to {} s", MAX_IMU_DURATION.as_secs()));
     }
+    Ok(time)
 }

@@ -27,7 +27,7 @@ use system::ReadMonitor;
 
 /// Options of `profile`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ProfileArgs {
     #[command(subcommand)]
     action: Action,
 }
@@ -55,7 +55,7 @@ enum Action {
         recording: RecordingArg,
         #[command(flatten)]
         profile: ProfileArg,
-        /// Of several phones, the one to learn about; else all of them
+        /// The phone to learn about, if the rig has several; else all of them
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
         /// The app's file of frame timestamps, if it is not in the recording's folder; of
@@ -70,11 +70,11 @@ enum Action {
     ImportKalibr {
         /// The profile to write into; its comments stay
         file: PathBuf,
-        /// What kalibr_calibrate_imu_camera wrote: cam0 is the phone, cam1 the depth
+        /// The result of kalibr_calibrate_imu_camera: cam0 is the phone, cam1 the depth
         /// camera's colour
         #[arg(value_name = "CAMCHAIN")]
         chain: PathBuf,
-        /// Of several phones, the one that cam0 is; else the reference
+        /// The phone that is cam0, if the rig has several; else the reference
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
     },
@@ -85,7 +85,7 @@ enum Action {
 /// # Errors
 ///
 /// A file cannot be read or written, or nothing can be learnt.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &ProfileArgs, context: &Context) -> Result<ExitStatus, Failure> {
     match &args.action {
         Action::Init { file, camera } => init(file, camera, context),
         Action::Check { file } => {
@@ -174,7 +174,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
     Ok(ExitStatus::Good)
 }
 
-/// What a profile learnt about a phone, as `--json` prints it.
+/// The clocks of a phone as learnt from a recording, for `--json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct Lesson {
     /// The phone's name.

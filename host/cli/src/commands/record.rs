@@ -45,8 +45,8 @@ const MORE: &str = "More";
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync record --duration 5m")]
-pub(crate) struct Args {
-    /// How long to record, in board time: 90s, 5m, 1h; else until stopped
+pub(crate) struct RecordArgs {
+    /// Length of the recording in board time: 90s, 5m, 1h; else until stopped
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     duration: Option<u64>,
     /// Folder in which the recording's folder is made
@@ -118,12 +118,10 @@ const TRACKS: [(&str, Track); 3] = [
     ("never", Track::Never),
 ];
 
-impl Args {
+impl RecordArgs {
     fn options(&self) -> Options {
-        let duration = match self.calibrate {
-            true => Some(self.duration.unwrap_or(CALIBRATION_TICKS)),
-            false => self.duration,
-        };
+        let calibration = self.calibrate.then_some(CALIBRATION_TICKS);
+        let duration = self.duration.or(calibration);
         let more = &self.more;
         Options {
             name: self.name.clone(),
@@ -160,7 +158,7 @@ struct PrintedSession<'a> {
 /// # Errors
 ///
 /// A step failed; what was recorded before is kept.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Failure> {
     if args.more.events && context.global.json {
         return Err(Failure::new(
             ExitStatus::Usage,
@@ -172,9 +170,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     if let Some(shift) = args.more.shift {
         profile.frame_sync.shift_us = shift.as_secs_f64() * 1e6;
     }
-    let to_teach = match args.calibrate {
-        true => Some(calibrates(args, &place)?),
-        false => None,
+    let to_teach = if args.calibrate {
+        Some(calibrates(args, &place)?)
+    } else {
+        None
     };
     let Ended {
         result,
@@ -222,9 +221,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         learnt,
         session: &file,
     };
-    match args.more.events {
-        true => context.say(text(&report)),
-        false => context.print_checks(&report, || text(&report))?,
+    if args.more.events {
+        context.say(text(&report));
+    } else {
+        context.print_checks(&report, || text(&report))?;
     }
     match not_learnt {
         Some(failure) => {
@@ -236,7 +236,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 
 /// Runs the session on the devices of this computer.
 fn record(
-    args: &Args,
+    args: &RecordArgs,
     profile: &Profile,
     place: &Place,
     context: &Context,
@@ -271,7 +271,7 @@ fn record(
         events: &mut |event| view.take(event),
     };
     let ended = run_session(&args.options(), profile, devices);
-    // Gives the terminal back before anything else is said on it.
+    // Restores the terminal before anything else is printed.
     drop(view);
     ended?.ok_or_else(|| {
         Failure::new(
@@ -283,7 +283,7 @@ fn record(
 }
 
 /// The profile that a calibration teaches.
-fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
+fn calibrates<'a>(args: &RecordArgs, place: &'a Place) -> Result<&'a Path, Failure> {
     let file = place.file()?;
     match args.duration {
         Some(ticks) if ticks < seconds(60) => Err(Failure::new(
@@ -295,8 +295,7 @@ fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     }
 }
 
-/// Notes in the session of a calibration that the clocks are learnt: what its checks found
-/// before is no more so.
+/// Updates the check of the learnt clocks in the session of a calibration.
 fn learnt_now(file: &mut SessionFile, folder: &Path) -> Result<(), Failure> {
     let mut checks = file.preflight.iter_mut();
     if let Some(check) = checks.find(|check| check.kind == CHECK_LEARNT) {
@@ -305,8 +304,8 @@ fn learnt_now(file: &mut SessionFile, folder: &Path) -> Result<(), Failure> {
     Ok(file.save(folder)?)
 }
 
-/// Gives what to type next, ready to be pasted; `to_teach` is the profile that a calibration is
-/// for, and whether it could not be taught.
+/// Returns the next commands, ready to be pasted. `to_teach` is the profile of a calibration, and
+/// true if nothing was learnt for it.
 fn next_commands(
     folder: &Path,
     session: &SessionFile,
@@ -338,7 +337,7 @@ fn next_commands(
     commands
 }
 
-/// What is said at the end: the verdict, each remark once, and what to type next.
+/// Returns the text at the end: the verdict, each remark once, and the next commands.
 fn text(printed: &PrintedSession<'_>) -> String {
     let session = printed.session;
     let verdict = &printed.verdict;

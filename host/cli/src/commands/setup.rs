@@ -23,7 +23,7 @@ use recording::camera::{DEFAULT_CAMERA, Mode, Model};
 /// `doctor` does, and names the next command.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync setup --phone 192.168.1.50 --recorder k4arecorder")]
-pub(crate) struct Args {
+pub(crate) struct SetupArgs {
     #[command(flatten)]
     port: PortArg,
     /// The profile to write
@@ -32,7 +32,7 @@ pub(crate) struct Args {
     /// Replace the profile if it is there
     #[arg(long)]
     overwrite: bool,
-    /// What the rig is called
+    /// Name of the rig
     #[arg(long)]
     name: Option<String>,
     /// The phone's address, as the app's dialog shows it
@@ -131,7 +131,7 @@ fn parse_exposure(text: &str) -> Result<f64, String> {
 ///
 /// An answer is missing or cannot be used, or the profile cannot be written. What is wrong
 /// with the rig is in the result.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &SetupArgs, context: &Context) -> Result<ExitStatus, Failure> {
     refuse_to_overwrite(&args.profile, args.overwrite)?;
     let known = match args.phone {
         Some(_) => None,
@@ -150,7 +150,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let text = asked_profile(args, known, &mut asker)?;
     write_file(&args.profile, &text)?;
     context.say(format!("wrote {}\n", args.profile.display()));
-    let doctor = doctor::Args {
+    let doctor = doctor::DoctorArgs {
         port: args.port.clone(),
         profile: ProfileArg {
             profile: Some(args.profile.clone()),
@@ -170,14 +170,14 @@ struct Asker<'a, R> {
 }
 
 impl<R: BufRead> Asker<'_, R> {
-    /// What is given as an option, else an answer that `take` accepts; an empty one is the
-    /// default. Without anybody to ask it is the default at once.
+    /// Returns the value that is given as an option, else an answer that `parse` accepts. An empty
+    /// answer means the default, and so does the lack of somebody to ask.
     fn ask<T>(
         &mut self,
         given: Option<T>,
         question: &str,
         default: &str,
-        take: impl Fn(&str) -> Result<T, String>,
+        parse: impl Fn(&str) -> Result<T, String>,
     ) -> Result<T, Failure> {
         if let Some(given) = given {
             return Ok(given);
@@ -197,8 +197,8 @@ impl<R: BufRead> Asker<'_, R> {
                 "" => default,
                 given => given,
             };
-            match take(answer) {
-                Ok(taken) => return Ok(taken),
+            match parse(answer) {
+                Ok(value) => return Ok(value),
                 // Nobody is there to give a better one.
                 Err(expected) if ended || !self.is_terminal => {
                     let message = format!("{question}: {answer:?} is no answer; {expected}");
@@ -214,7 +214,7 @@ impl<R: BufRead> Asker<'_, R> {
 
 /// The profile that the answers make.
 fn asked_profile<R: BufRead>(
-    args: &Args,
+    args: &SetupArgs,
     known: Option<String>,
     asker: &mut Asker<'_, R>,
 ) -> Result<String, Failure> {
@@ -226,9 +226,10 @@ fn asked_profile<R: BufRead>(
         as_typed,
     )?;
     let by_adb = known.as_deref().unwrap_or_default();
-    let question = match by_adb.is_empty() {
-        true => "The phone's address, as the app's dialog shows it?",
-        false => "The phone's address (found by adb)?",
+    let question = if by_adb.is_empty() {
+        "The phone's address, as the app's dialog shows it?"
+    } else {
+        "The phone's address (found by adb)?"
     };
     let phone = asker.ask(args.phone.clone(), question, by_adb, |text| match text {
         "" => Err(String::from(
@@ -253,7 +254,7 @@ fn asked_profile<R: BufRead>(
     text(&camera, &set)
 }
 
-fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camera, Failure> {
+fn ask_camera<R: BufRead>(args: &SetupArgs, asker: &mut Asker<'_, R>) -> Result<Camera, Failure> {
     let given = &args.camera;
     let question = format!("Which depth camera ({})?", Model::ids());
     let model = asker.ask(given.camera, &question, DEFAULT_CAMERA, parse_model)?;
@@ -278,7 +279,7 @@ mod tests {
     #[derive(clap::Parser)]
     struct Line {
         #[command(flatten)]
-        args: Args,
+        args: SetupArgs,
     }
 
     fn asked(options: &str, lines: &str, by_adb: Option<&str>) -> Result<String, Failure> {

@@ -20,7 +20,7 @@ use system::ReadMonitor;
 /// damaged, 13 if it cannot be read at all.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync verify recordings/walk")]
-pub(crate) struct Args {
+pub(crate) struct VerifyArgs {
     #[command(flatten)]
     recording: RecordingArg,
 }
@@ -38,7 +38,7 @@ struct Verified {
 /// # Errors
 ///
 /// There is no such recording.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &VerifyArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
     let verified = context.over_files(|monitor| {
         let verification = verify(&recording, monitor)?;

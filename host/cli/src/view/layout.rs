@@ -1,8 +1,8 @@
-//! The state onto a screen.
+//! The layout of the state on a screen; the words are in [`facts`].
 //!
-//! Laid out for 80 columns and 24 lines; larger screens give the room to the chart
-//! and the lists, smaller ones lose the chart first. Only the sixteen colours of
-//! any terminal are used, and nothing is shown by colour alone.
+//! Laid out for 80 columns and 24 lines. Larger screens give more room to the chart and the
+//! lists, smaller ones lose the chart first. Only the sixteen colours of any terminal are used,
+//! and nothing is shown by colour alone.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -12,22 +12,22 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Paragraph, Wrap};
 
 use protocol::Ticks;
-use recording::error_budget::micros_text;
 
-use super::plain::{line, lock};
-use super::state::{Keys, State, Twist};
+use super::facts::{self, Fact, Mood};
+use super::plain::line;
+use super::state::{State, Twist};
 use crate::terminal::broken;
 
-/// Below this the chart is left out.
+/// Height of the screen below which the chart is left out.
 const CHART_MIN: u16 = 20;
 
-/// Below this width, things stand below each other.
+/// Width of the screen below which the panels are stacked.
 const WIDE: u16 = 70;
 
-/// Rows that all but chart, sensors and other phones need.
+/// Rows needed by everything except chart, sensors and other phones.
 const SENSORS_MIN: u16 = 16;
 
-/// The same with a twist, whose part must not give any room.
+/// Rows needed during a twist, whose part must keep its size.
 const TWIST_MIN: u16 = 24;
 
 /// Rows of the twist's part.
@@ -42,7 +42,7 @@ const WARN: Style = Style::new().fg(Color::Yellow);
 const DIM: Style = Style::new().fg(Color::DarkGray);
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 
-/// Draws it. `help` shows what the keys do.
+/// Draws the state. With `help`, the meaning of the keys is shown above it.
 pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
     let area = frame.area();
     if area.width < 20 || area.height < 6 {
@@ -97,7 +97,12 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
         Constraint::Length(1),
     ])
     .areas(area);
-    frame.render_widget(title_line(state), title);
+    let colour = if state.warnings.is_empty() {
+        Color::Green
+    } else {
+        Color::Yellow
+    };
+    frame.render_widget(bar(facts::title(state), colour), title);
     draw_panels(frame, state, panels);
     frame.render_widget(Paragraph::new(sensors), rows);
     if let Some(twist) = &twist {
@@ -107,30 +112,10 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
     }
     draw_warnings(frame, warning_lines, warning);
     draw_said(frame, said_lines, talk);
-    frame.render_widget(keys_line(state.keys()), keys);
+    frame.render_widget(bar(facts::keys(state.keys()), Color::Gray), keys);
     if help {
         draw_help(frame, area);
     }
-}
-
-fn title_line(state: &State) -> Paragraph<'static> {
-    let mut text = format!(" SmartDepthSync  {}", state.doing().to_uppercase());
-    if let Some((elapsed, length)) = state.recorded_s() {
-        text.push_str(&format!("  {}", clock(elapsed)));
-        if let Some(length) = length {
-            text.push_str(&format!(" of {}", clock(length)));
-        }
-    }
-    text.push_str(&format!(
-        "   board {} at {:.1} s",
-        short(&state.board),
-        state.now.as_secs_f64()
-    ));
-    let colour = match state.warnings.is_empty() {
-        true => Color::Green,
-        false => Color::Yellow,
-    };
-    Paragraph::new(text).style(Style::new().fg(Color::Black).bg(colour))
 }
 
 fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
@@ -147,7 +132,8 @@ fn draw_panels(frame: &mut Frame<'_>, state: &State, area: Rect) {
         left,
     );
     frame.render_widget(
-        Paragraph::new(state_lines(state)).block(block(" rates and losses ")),
+        Paragraph::new(fact_lines(facts::rates_and_losses(state)).collect::<Vec<_>>())
+            .block(block(" rates and losses ")),
         right,
     );
 }
@@ -215,32 +201,28 @@ fn draw_twist(frame: &mut Frame<'_>, twist: &Twist, area: Rect) {
     ])
     .areas(area);
     let enough = twist.is_enough();
-    let label = format!("{:.1} of {:.0} s", twist.elapsed_s, twist.length_s);
     let elapsed = if twist.length_s > 0.0 {
         twist.elapsed_s / twist.length_s
     } else {
         0.0
     };
     let title = " twist now, about all axes ";
-    frame.render_widget(meter(title, Color::Cyan, elapsed, label), time);
+    frame.render_widget(
+        meter(title, Color::Cyan, elapsed, facts::twist_time(twist)),
+        time,
+    );
     // From a hundred times too much (empty) to enough (full), by its logarithm.
     let full = twist.sigma_us.map_or(0.0, |sigma| {
         1.0 - (sigma / twist.enough_us).max(1e-9).log10() / 2.0
     });
-    let label = match twist.sigma_us {
-        Some(sigma) if enough => format!("{sigma:.1} µs: ENOUGH (needed {:.0})", twist.enough_us),
-        Some(sigma) => format!("{sigma:.1} µs, needed {:.0}", twist.enough_us),
-        None => String::from("no motion yet"),
-    };
     let colour = if enough { Color::Green } else { Color::Yellow };
     let title = " expected 1-sigma of the offset, falling ";
-    frame.render_widget(meter(title, colour, full, label), bar);
-    let [x, y, z] = twist.rms;
+    frame.render_widget(meter(title, colour, full, facts::twist_sigma(twist)), bar);
     let style = if enough { GOOD } else { WARN }.add_modifier(Modifier::BOLD);
     frame.render_widget(
         Paragraph::new(vec![
             Line::styled(format!(" {}", twist.advice()), style),
-            Line::raw(format!(" x {x:.1}   y {y:.1}   z {z:.1} rad/s rms")),
+            Line::raw(facts::twist_motion(twist)),
         ]),
         hint,
     );
@@ -255,7 +237,7 @@ fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<
         .label(label)
 }
 
-/// Lines of a text as wide as the screen; those after the first stand further to the right.
+/// Breaks a text into lines of the screen's width. Lines after the first are indented.
 fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let line = format!("{first}{}", words.join(" "));
@@ -263,7 +245,7 @@ fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
     lines.lines().map(str::to_owned).collect()
 }
 
-/// The warnings with what to do about them, the newest first, each in its lines.
+/// Returns the lines of each warning with its next step, the newest first.
 fn warnings(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
     let newest = state.warnings.iter().rev();
     newest
@@ -279,7 +261,7 @@ fn warnings(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
         .collect()
 }
 
-/// The sentences, the newest last, each in its lines.
+/// Returns the lines of each sentence, the newest last.
 fn said(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
     let lines = |text: &String| wrapped(" ", text, width).into_iter().map(Line::raw);
     state
@@ -289,8 +271,8 @@ fn said(state: &State, width: u16) -> Vec<Vec<Line<'static>>> {
         .collect()
 }
 
-/// Rows of warnings and of what was said: at least the newest of each as a whole, where
-/// there is room for it.
+/// Returns the rows for warnings and for sentences: enough for the whole newest one of each, if
+/// there is room.
 fn heights(
     room: u16,
     screen: u16,
@@ -331,34 +313,9 @@ fn draw_said(frame: &mut Frame<'_>, said: Vec<Vec<Line<'static>>>, area: Rect) {
     frame.render_widget(Paragraph::new(shown), area);
 }
 
-/// What the keys do, as the last line says it.
-pub(super) const fn keys_text(keys: Keys) -> &'static str {
-    match keys {
-        Keys::Look => " q stop   h help",
-        Keys::Answer => " Enter go on   r twist again / repeat   s skip   q stop   h help",
-        Keys::Record => " m mark   q stop   h help",
-    }
-}
-
-fn keys_line(keys: Keys) -> Paragraph<'static> {
-    Paragraph::new(keys_text(keys)).style(Style::new().fg(Color::Black).bg(Color::Gray))
-}
-
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
-    let text = [
-        "Enter  go on, where something is asked",
-        "r      do the last step again (twist again)",
-        "s      skip the step",
-        "m      set a mark, while recording",
-        "q      stop; what was recorded is kept",
-        "h      this help, and away again",
-        "",
-        "together to: middles of the two exposures (1-sigma)",
-        "phase: the last pulse against the grid it was sent to",
-        "clocks: error of phone time in board time now (1-sigma)",
-    ];
     let width = 60.min(area.width);
-    let height = (text.len() as u16 + 2).min(area.height);
+    let height = (facts::HELP.len() as u16 + 2).min(area.height);
     let place = Rect::new(
         area.x + (area.width - width) / 2,
         area.y + (area.height - height) / 2,
@@ -367,203 +324,62 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     );
     frame.render_widget(Clear, place);
     frame.render_widget(
-        Paragraph::new(text.map(Line::raw).to_vec()).block(Block::bordered().title(" help ")),
+        Paragraph::new(facts::HELP.map(Line::raw).to_vec())
+            .block(Block::bordered().title(" help ")),
         place,
     );
 }
 
-/// The end of a long ID, which is what differs.
-fn short(id: &str) -> String {
-    let skip = id.chars().count().saturating_sub(8);
-    id.chars().skip(skip).collect()
+/// A line of one colour across the screen.
+fn bar<'a>(text: impl Into<Line<'a>>, colour: Color) -> Paragraph<'a> {
+    Paragraph::new(text.into()).style(Style::new().fg(Color::Black).bg(colour))
 }
 
-fn fact(name: &'static str, value: impl Into<String>, style: Style) -> Line<'static> {
-    let name = Span::styled(format!("{name:<10}"), DIM);
-    Line::from(vec![name, Span::styled(value.into(), style)])
+const fn style_of(mood: Mood) -> Style {
+    match mood {
+        Mood::Plain => Style::new(),
+        Mood::Good => GOOD,
+        Mood::Warn => WARN,
+        Mood::Bad => BAD,
+        Mood::Bold => BOLD,
+        Mood::Dim => DIM,
+    }
+}
+
+/// The line of a fact, with its name in a column of `width`.
+fn fact_line(fact: Fact, width: usize) -> Line<'static> {
+    let name = Span::styled(format!("{:<width$}", fact.name), DIM);
+    Line::from(vec![name, Span::styled(fact.value, style_of(fact.mood))])
+}
+
+fn fact_lines(facts: Vec<Fact>) -> impl Iterator<Item = Line<'static>> {
+    facts.into_iter().map(|fact| fact_line(fact, 10))
 }
 
 /// One line each of the auxiliary outputs, the lidar, and the other phones.
 fn sensor_lines(state: &State) -> Vec<Line<'static>> {
-    let row = |name: &str, text: String, style: Style| {
-        let name: String = name.chars().take(16).collect();
-        let name = Span::styled(format!(" {name:<17}"), DIM);
-        Line::from(vec![name, Span::styled(text, style)])
-    };
-    let sensors = state.sensors().into_iter().map(|sensor| {
-        let mut text = format!("{}, {:.2}/s", sensor.at, sensor.rate);
-        if !sensor.state.is_empty() {
-            text.push_str(&format!(", {}", sensor.state));
-        }
-        match (sensor.utc_text(), sensor.pulse) {
-            (Some(utc), _) => text.push_str(&format!(", at {utc}")),
-            (None, Some(pulse)) => text.push_str(&format!(", pulse {pulse}")),
-            (None, None) => {}
-        }
-        if sensor.late > 0 {
-            text.push_str(&format!(", {} LATE", sensor.late));
-        }
-        row(&sensor.name, text, bad_if(sensor.late > 0))
-    });
-    let phones = state.phones.iter().skip(1).map(|phone| {
-        let mut text = match state.clock_now(phone) {
-            Some(known) => format!("clocks ± {:.1} µs now", known.sigma_us),
-            None => String::from("no twist yet"),
-        };
-        if let Some(placed) = &phone.placement {
-            let (offset, sigma) = (placed.offset_us, placed.offset_sigma_us);
-            text.push_str(&format!(", frames {offset:+.0} ± {sigma:.0} µs off grid"));
-        }
-        row(&phone.name, text, Style::new())
-    });
-    sensors.chain(phones).collect()
-}
-
-const fn bad_if(is_bad: bool) -> Style {
-    match is_bad {
-        true => BAD,
-        false => Style::new(),
-    }
+    let sensors = facts::sensors(state).into_iter();
+    sensors
+        .map(|mut sensor| {
+            let name: String = sensor.name.chars().take(16).collect();
+            sensor.name = format!(" {name}");
+            fact_line(sensor, 18)
+        })
+        .collect()
 }
 
 fn trigger_lines(state: &State) -> Vec<Line<'static>> {
-    let trigger = &state.trigger;
-    let train = match trigger.state.as_str() {
-        "" => "?",
-        word => word,
-    };
-    let fps = trigger.fps.map(|fps| format!(", {fps:.4} fps"));
-    let (readback, readback_style) = match (trigger.readback_ns, trigger.readback_missing) {
-        (Some(ns), 0) => (format!("seen, {ns:.0} ns after the edge"), GOOD),
-        (Some(ns), missing) => (format!("{ns:.0} ns, {missing} NOT SEEN"), BAD),
-        (None, _) if trigger.fps.is_some() => (String::from("not wired or not seen"), WARN),
-        (None, _) => (String::from("-"), Style::new()),
-    };
-    let (phase, phase_style) = phase_text(state);
-    let known = state.phase_now().map(|now| {
-        let style = if now.is_sure { GOOD } else { WARN };
-        let sigma = micros_text(now.sigma_us);
-        let text = format!("cameras expose together to ± {sigma}");
-        Line::styled(text, style.add_modifier(Modifier::BOLD))
+    let together = facts::together(state).map(|(text, mood)| {
+        let style = style_of(mood).add_modifier(Modifier::BOLD);
+        Line::styled(text, style)
     });
-    let mut lines: Vec<Line<'_>> = known.into_iter().collect();
-    lines.extend([
-        fact("train", format!("{train}{}", fps.unwrap_or_default()), BOLD),
-        fact("phase", phase, phase_style),
-        fact("read-back", readback, readback_style),
-    ]);
-    let reference = state.phones.first();
-    match reference.and_then(|phone| state.clock_now(phone)) {
-        Some(known) => {
-            let age = clock(known.age_s);
-            lines.push(fact(
-                "clocks",
-                format!("± {:.1} µs now, {age} old", known.sigma_us),
-                if known.sigma_us < 100.0 { GOOD } else { WARN },
-            ));
-            let relation = format!("{:.6} s, {:+.3} ppm", known.offset_s, known.skew_ppm);
-            lines.push(fact("", relation, Style::new()));
-        }
-        None => lines.push(fact("clocks", "no twist yet", Style::new())),
-    }
-    lines
-}
-
-/// The trigger on its grid. How well the grid itself is known stands in the first line.
-fn phase_text(state: &State) -> (String, Style) {
-    let Some(now) = state.phase_now() else {
-        return (String::from("not aligned yet"), Style::new());
-    };
-    let phase = now.phase_us;
-    match now.tracked {
-        _ if now.is_twist_due => (String::from("time for a TWIST"), WARN),
-        Some(tracked) => (
-            format!("{phase:+.1} µs, {}", lock(&tracked)),
-            if tracked.holds { GOOD } else { WARN },
-        ),
-        None => (
-            format!("{phase:+.2} µs off grid"),
-            if phase == 0.0 { GOOD } else { BAD },
-        ),
-    }
-}
-
-fn state_lines(state: &State) -> Vec<Line<'static>> {
-    let (rates, losses) = (state.rates(), &state.losses);
-    let imu = match (state.imu_runs, rates.temperature) {
-        (Some(false), _) => fact("IMU", "DOES NOT ANSWER", BAD),
-        (_, Some(celsius)) => fact(
-            "IMU",
-            format!("{:.1}/s, {celsius:.1} C", rates.imu),
-            Style::new(),
-        ),
-        (_, None) => fact("IMU", format!("{:.1}/s", rates.imu), Style::new()),
-    };
-    let relinks = match losses.reconnects {
-        0 => String::new(),
-        n => format!(", {n} relinks"),
-    };
-    let is_whole = losses.messages + losses.damaged + u64::from(losses.reconnects) == 0;
-    let late = state.trigger.late;
-    let last = state.trigger.pulse;
-    let last = last.map_or(String::new(), |pulse| format!("{pulse}, "));
-    let pulses = match late {
-        0 => format!(
-            "{last}{:.1}/s, strobe {:.1}/s",
-            rates.pulses, rates.captures
-        ),
-        late => format!("{last}{late} LATE"),
-    };
-    let mut lines = vec![
-        imu,
-        fact("pulses", pulses, bad_if(late > 0)),
-        fact(
-            "lost",
-            format!(
-                "{} messages, {} damaged{relinks}",
-                losses.messages, losses.damaged
-            ),
-            if is_whole { GOOD } else { BAD },
-        ),
-        fact("load", format!("{:.1} %", rates.load_percent), Style::new()),
-    ];
-    lines.push(match &state.disk {
-        Some(disk) => {
-            let left = disk.left_s.map(|left| format!(", for {}", clock(left)));
-            let free = disk.free as f64 * 1e-9;
-            fact(
-                "disk",
-                format!("{free:.1} GB free{}", left.unwrap_or_default()),
-                if disk.free < 1_000_000_000 {
-                    WARN
-                } else {
-                    Style::new()
-                },
-            )
-        }
-        None => fact("disk", "nothing is recorded", DIM),
-    });
-    if let Some((at, label)) = &state.mark {
-        let mark = format!("{label} at {:.1} s", at.as_secs_f64());
-        lines.push(fact("last mark", mark, Style::new()));
-    }
-    lines
-}
-
-/// Seconds as `1:02:03`.
-fn clock(seconds: f64) -> String {
-    let sign = if seconds < 0.0 { "-" } else { "" };
-    let whole = seconds.abs().min(1e9) as u64;
-    let (hours, minutes, seconds) = (whole / 3_600, whole / 60 % 60, whole % 60);
-    match hours {
-        0 => format!("{sign}{minutes}:{seconds:02}"),
-        _ => format!("{sign}{hours}:{minutes:02}:{seconds:02}"),
-    }
+    let facts = fact_lines(facts::trigger_and_clocks(state));
+    together.into_iter().chain(facts).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use board::finding::Finding;
+    use board::finding::{EventKind, Finding};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
@@ -636,7 +452,7 @@ mod tests {
                     output is in depth_recorder.log";
         let todo = "read the recorder's log, start it again by hand in the folder of the \
                     recording, and look whether it goes on to the END";
-        let gone = Finding::bad("depth_recorder_gone", gone).next_step(todo);
+        let gone = Finding::bad(EventKind::DepthRecorderGone, gone).next_step(todo);
         state.warnings.push_back(gone.at(Ticks(48_000_000 * 100)));
         let long = "a long sentence that goes on ".repeat(4);
         state.said.push_back(format!("error: {long}WHOLE"));

@@ -7,20 +7,17 @@ use session::event::Tracked;
 
 use super::state::{PhaseNow, State};
 
-/// Tells whether the phone's clock is read.
+/// Returns the state of the lock onto the phone's clock.
 pub(super) const fn lock(tracked: &Tracked) -> &'static str {
-    match tracked.holds {
-        true => "locked",
-        false => "LOCK LOST",
-    }
+    if tracked.holds { "locked" } else { "LOCK LOST" }
 }
 
-/// Tells how well the phase is known.
+/// Returns the uncertainty of the phase in words.
 pub(super) fn known(now: &PhaseNow) -> String {
     together(now.sigma_us, now.largest)
 }
 
-/// The state as one plain line.
+/// Returns the state as one plain line.
 pub(crate) fn line(state: &State) -> String {
     let mut line = format!("{:.1} s  {}", state.now.as_secs_f64(), state.doing());
     // Writing into a String cannot fail.

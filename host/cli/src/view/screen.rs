@@ -50,7 +50,7 @@ pub(crate) fn lock(state: &SharedState) -> MutexGuard<'_, State> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The view, while it is on the terminal. Dropping it gives the terminal back.
+/// The view while it is on the terminal. Dropping it restores the terminal.
 pub(crate) struct Screen {
     stop: Arc<AtomicBool>,
     keys: Option<Receiver<Key>>,
@@ -58,7 +58,7 @@ pub(crate) struct Screen {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Tells whether there is a terminal that can show the view, and a person at its keys.
+/// Returns true if there is a terminal that can show the view, with a person at its keys.
 pub(crate) fn is_possible() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
     stderr().is_terminal() && stdin().is_terminal() && !dumb
@@ -109,7 +109,7 @@ impl Screen {
         self.keys.take()
     }
 
-    /// Gives the terminal back, if it still takes anything.
+    /// Restores the terminal, if it still takes output.
     pub(crate) fn close(&mut self) {
         let Some(thread) = self.thread.take() else {
             return;
@@ -160,7 +160,7 @@ fn show(
                 }
                 Some(Act::Stop) => interrupt.request(),
                 // Nobody listens any more: then it is only shown.
-                Some(Act::Tell(key)) => drop(keys.send(key)),
+                Some(Act::Press(key)) => drop(keys.send(key)),
                 None => {}
             }
         }
@@ -174,7 +174,7 @@ fn show(
 enum Act {
     Help,
     Stop,
-    Tell(Key),
+    Press(Key),
 }
 
 /// The effect of a key where keys mean this.
@@ -185,13 +185,13 @@ fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
     Some(match key.code {
         KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Act::Stop,
         KeyCode::Char('h' | '?') => Act::Help,
-        KeyCode::Enter => Act::Tell(Key::GoOn),
-        KeyCode::Char('r') => Act::Tell(Key::Repeat),
-        KeyCode::Char('s') => Act::Tell(Key::Skip),
-        KeyCode::Char('m' | ' ') => Act::Tell(Key::Mark),
+        KeyCode::Enter => Act::Press(Key::GoOn),
+        KeyCode::Char('r') => Act::Press(Key::Repeat),
+        KeyCode::Char('s') => Act::Press(Key::Skip),
+        KeyCode::Char('m' | ' ') => Act::Press(Key::Mark),
         // Where nothing is asked nobody takes keys, and the last line says that this stops.
         KeyCode::Char('q') | KeyCode::Esc if keys == Keys::Look => Act::Stop,
-        KeyCode::Char('q') | KeyCode::Esc => Act::Tell(Key::Quit),
+        KeyCode::Char('q') | KeyCode::Esc => Act::Press(Key::Quit),
         _ => return None,
     })
 }
@@ -200,7 +200,7 @@ fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
 mod tests {
     use super::*;
     use crate::operator::AtTerminal;
-    use crate::view::layout::keys_text;
+    use crate::view::facts;
     use session::devices::{Choice, Operator as _, Wish};
 
     /// Whatever the last line offers to stop with stops it.
@@ -208,13 +208,13 @@ mod tests {
     fn q_stops_wherever_the_last_line_says_so() {
         let press = |letter| KeyEvent::new(KeyCode::Char(letter), KeyModifiers::NONE);
         for keys in [Keys::Look, Keys::Answer, Keys::Record] {
-            assert!(keys_text(keys).contains("q stop"));
+            assert!(facts::keys(keys).contains("q stop"));
             let (sender, receiver) = channel();
             let interrupt = Interrupt::default();
             let mut operator = AtTerminal::new(Some(receiver), true, &interrupt);
             match act(press('q'), keys) {
                 Some(Act::Stop) => interrupt.request(),
-                Some(Act::Tell(key)) => sender.send(key).unwrap(),
+                Some(Act::Press(key)) => sender.send(key).unwrap(),
                 other => panic!("{keys:?}: {other:?}"),
             }
             let stops = match keys {

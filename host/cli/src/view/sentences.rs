@@ -1,29 +1,25 @@
-//! The sentences that are said to the person of a session's events.
+//! The sentences that the operator is shown about a session's events.
 
 use board::finding::Severity;
-use session::event::{Prompt, SessionEvent, Step};
+use session::event::{Notice, Prompt, SessionEvent, Step};
 
 use crate::outcome::Failure;
 
-/// Gives the sentence that is said of an event, if one is.
-pub(crate) fn sentence(event: &SessionEvent) -> Option<String> {
-    match event {
-        SessionEvent::Prompt { prompt } => Some(question(prompt)),
-        SessionEvent::StepFailed { error, .. } => {
-            let failure = Failure::from(error.as_ref());
-            Some(format!("error: {failure}\n  -> {}", failure.what_to_do()))
-        }
-        SessionEvent::ClockFollowed { .. }
-        | SessionEvent::ClockNotFollowed { .. }
-        | SessionEvent::StopRetried { .. } => Some(event.to_string()),
-        // Counted, and reported where they are missed.
-        SessionEvent::Lost { .. } | SessionEvent::Damaged { .. } | SessionEvent::Hello => None,
-        _ => event.kind().map(|_| match event.severity() {
-            Severity::Good => event.to_string(),
-            Severity::Check => format!("warning: {event}"),
-            Severity::Bad => format!("ERROR: {event}"),
-        }),
+/// Returns the sentence that is shown about an event, if there is one. `notice` is the event's.
+pub(crate) fn sentence(event: &SessionEvent, notice: Option<&Notice>) -> Option<String> {
+    if let SessionEvent::Prompt { prompt } = event {
+        return Some(question(prompt));
     }
+    if let SessionEvent::StepFailed { error, .. } = event {
+        let failure = Failure::from(error.as_ref());
+        return Some(format!("error: {failure}\n  -> {}", failure.what_to_do()));
+    }
+    let finding = &notice.filter(|notice| notice.is_shown)?.finding;
+    Some(match finding.severity {
+        Severity::Good => finding.text.clone(),
+        Severity::Check => format!("warning: {}", finding.text),
+        Severity::Bad => format!("ERROR: {}", finding.text),
+    })
 }
 
 fn question(prompt: &Prompt) -> String {
@@ -34,9 +30,10 @@ fn question(prompt: &Prompt) -> String {
             return format!("{name}: [Enter] or [r] try again{skip}, [q] quit");
         }
         Prompt::Twist { length_s, can_skip } => {
-            let skip = match can_skip {
-                true => ", [s] to leave it out",
-                false => "",
+            let skip = if can_skip {
+                ", [s] to leave it out"
+            } else {
+                ""
             };
             return format!(
                 "Twist the rig for {length_s} s about all axes. [Enter] to begin{skip}, [q] to quit"

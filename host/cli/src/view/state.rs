@@ -15,11 +15,10 @@ use board::imu::Sample;
 use protocol::{DeviceToHost, ImuState, Output, Status, TICK_HZ, Ticks, TrainState};
 use recording::profile::Profile;
 use recording::session_file::Alignment;
-use session::event::{Phase, SessionEvent, Stamped, Tracked};
+use session::event::{Notice, Phase, SessionEvent, Stamped, Tracked};
 use twist_sync::coach::Coach;
 
 use super::sentences::sentence;
-use crate::advice::remedy;
 use rate::{Connected, LIDAR, Rate, drop_before, state_word};
 pub(crate) use shown::{Disk, Keys, Losses, PhaseNow, Phone, Rates, Sensor, Trigger, Twist};
 
@@ -83,7 +82,8 @@ pub(crate) struct State {
     sensors: [Connected; 4],
 }
 
-fn keep<T>(list: &mut VecDeque<T>, item: T) {
+/// Adds an item, and drops the oldest one beyond [`KEPT`].
+fn push_bounded<T>(list: &mut VecDeque<T>, item: T) {
     list.push_back(item);
     if list.len() > KEPT {
         list.pop_front();
@@ -127,13 +127,12 @@ impl State {
     /// Takes an event.
     pub(crate) fn take(&mut self, Stamped { at, event }: &Stamped) {
         self.now = *at;
-        if let Some(text) = sentence(event) {
-            keep(&mut self.said, text);
+        let notice = event.notice();
+        if let Some(text) = sentence(event, notice.as_ref()) {
+            push_bounded(&mut self.said, text);
         }
-        if is_warned_of(event) {
-            let kind = event.kind().unwrap_or_default();
-            let warning = Finding::new(event.severity(), kind, event.to_string());
-            keep(&mut self.warnings, warning.at(*at).next_step(remedy(event)));
+        if let Some(notice) = notice.filter(is_warning) {
+            push_bounded(&mut self.warnings, notice.finding.at(*at));
         }
         match event {
             SessionEvent::Board { message, sample } => self.message(message, sample.as_ref()),
@@ -271,16 +270,8 @@ impl State {
     }
 }
 
-/// Tells whether the person is warned of an event until the end: of what is wrong in the
-/// recording, and of what they can do something about.
-fn is_warned_of(event: &SessionEvent) -> bool {
-    event.is_problem()
-        || matches!(
-            event,
-            SessionEvent::BoardQuiet { .. }
-                | SessionEvent::DiskNearlyFull { .. }
-                | SessionEvent::PhoneAway { .. }
-                | SessionEvent::TrackLost
-                | SessionEvent::TwistDue { .. }
-        )
+/// Returns true if the screen shows an event as a warning until the end: if something is wrong
+/// in the recording, or the operator can do something about it.
+fn is_warning(notice: &Notice) -> bool {
+    notice.is_problem || notice.finding.next_step.is_some()
 }

@@ -19,9 +19,9 @@ use crate::support::{imu_setup, json, run};
 
 const MCAP: &str = "recording.mcap";
 
-fn kinds(verification: &Verification) -> Vec<&str> {
+fn kinds(verification: &Verification) -> Vec<String> {
     let findings = verification.findings.iter();
-    findings.map(|finding| finding.kind.as_str()).collect()
+    findings.map(|finding| finding.kind.to_string()).collect()
 }
 
 fn verify(recording: &Path) -> Result<Verification, RecordingError> {
@@ -127,7 +127,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
         assert_ne!(report.severity, Severity::Good, "bit {bit} of byte {at}");
         let lost = chunks - report.file.chunks;
         assert!(lost <= 1, "bit {bit} of byte {at}: {lost} chunks lost");
-        assumed += usize::from(kinds(&report).contains(&"topics_assumed"));
+        assumed += usize::from(kinds(&report).contains(&String::from("topics_assumed")));
         let saved = entries(&place).len();
         // A chunk is half a second: 500 samples in four kinds of messages, and few others.
         assert!(

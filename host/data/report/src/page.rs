@@ -203,7 +203,10 @@ impl Page {
     pub fn findings<'a>(&mut self, findings: impl IntoIterator<Item = &'a Finding>) {
         for finding in findings {
             let word = finding.severity.word();
-            let (kind, words) = (escape(&finding.kind), marked_up(&finding.words()));
+            let (kind, words) = (
+                escape(&finding.kind.to_string()),
+                marked_up(&finding.words()),
+            );
             let step = finding.next_step.as_deref().map(marked_up);
             let step = step.map_or(String::new(), |step| format!("<br>help: {step}"));
             let note = format!("<p class=\"note {word}\">{kind}: {words}{step}</p>");

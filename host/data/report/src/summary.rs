@@ -50,10 +50,11 @@ const fn mark(severity: Severity) -> &'static str {
 /// A line a finding, and what to do below it.
 pub fn findings_text<'a>(findings: impl IntoIterator<Item = &'a Finding>) -> String {
     let findings: Vec<&Finding> = findings.into_iter().collect();
-    let wide = width(findings.iter().map(|finding| finding.kind.as_str()));
+    let kinds: Vec<String> = findings.iter().map(|it| it.kind.to_string()).collect();
+    let wide = width(kinds.iter().map(String::as_str));
     let mut text = String::new();
-    for finding in findings {
-        let (mark, kind, words) = (mark(finding.severity), &finding.kind, finding.words());
+    for (finding, kind) in findings.into_iter().zip(&kinds) {
+        let (mark, words) = (mark(finding.severity), finding.words());
         let _ = writeln!(text, "{mark}  {kind:<wide$} {words}");
         if let Some(step) = &finding.next_step {
             let _ = writeln!(text, "       {:<wide$} help: {step}", "");

@@ -4,6 +4,10 @@
 use protocol::Ticks;
 use serde::{Deserialize, Serialize};
 
+mod kind;
+
+pub use kind::{EventKind, FindingKind};
+
 /// Severity of a finding, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -31,8 +35,8 @@ impl Severity {
 /// Something that was checked or noticed, once or often.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
-    /// A stable word for its kind, or the name of what was checked.
-    pub kind: String,
+    /// Its kind, or the name of what was checked.
+    pub kind: FindingKind,
     /// Severity.
     pub severity: Severity,
     /// Text of the finding; of several, the first.
@@ -53,7 +57,7 @@ const fn once() -> u64 {
 impl Finding {
     /// Creates a finding without a next step.
     #[must_use]
-    pub fn new(severity: Severity, kind: impl Into<String>, text: impl Into<String>) -> Self {
+    pub fn new(severity: Severity, kind: impl Into<FindingKind>, text: impl Into<String>) -> Self {
         Self {
             kind: kind.into(),
             severity,
@@ -66,19 +70,19 @@ impl Finding {
 
     /// Creates a good finding.
     #[must_use]
-    pub fn good(kind: impl Into<String>, text: impl Into<String>) -> Self {
+    pub fn good(kind: impl Into<FindingKind>, text: impl Into<String>) -> Self {
         Self::new(Severity::Good, kind, text)
     }
 
     /// Creates a finding of something missing, or less good than it could be.
     #[must_use]
-    pub fn check(kind: impl Into<String>, text: impl Into<String>) -> Self {
+    pub fn check(kind: impl Into<FindingKind>, text: impl Into<String>) -> Self {
         Self::new(Severity::Check, kind, text)
     }
 
     /// Creates a finding of something broken.
     #[must_use]
-    pub fn bad(kind: impl Into<String>, text: impl Into<String>) -> Self {
+    pub fn bad(kind: impl Into<FindingKind>, text: impl Into<String>) -> Self {
         Self::new(Severity::Bad, kind, text)
     }
 

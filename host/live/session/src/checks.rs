@@ -1,10 +1,10 @@
 //! The checks before a recording: board, IMU, link, trigger read-back and phone.
 //!
-//! A session makes them in its first step, with the rig in somebody's hands: so the noise
-//! of the IMU is judged in motion too ([`ImuLook`]). The read-back of the trigger is judged
-//! on the train that the session starts anyway, so that a depth camera which waits
-//! already for its first pulse gets none that is not recorded. The program adds the checks
-//! of the computer, and makes the same ones in `doctor`.
+//! A session makes them in its first step, while somebody holds the rig, so the noise of the
+//! IMU is also judged in motion ([`ImuLook`]). The read-back of the trigger is judged on the
+//! train that the session starts anyway: a depth camera that already waits for its first pulse
+//! must not receive one that is not recorded. The program adds the checks of the computer, and
+//! makes the same checks in `doctor`.
 
 use board::Board;
 use board::BoardInfo;
@@ -15,83 +15,71 @@ use recording::profile::Profile;
 use recording::session_file::CHECK_READBACK;
 use serde::Serialize;
 
-use crate::error::SessionError;
+use crate::error::{Fault, SessionError};
 
-/// How long the IMU is looked at, ticks.
+/// Length of a look at the IMU, ticks.
 pub const IMU_TIME: u64 = TICK_HZ as u64;
 
-/// How often it is looked at, at most, while the board still sets it up, as after power-on.
+/// Largest number of looks while the board still sets the IMU up, as after power-on.
 const IMU_LOOKS: usize = 3;
 
-/// For how long the trigger's read-back is looked at, ticks.
+/// Length of a look at the trigger's read-back, ticks.
 pub const TRIGGER_TIME: u64 = TICK_HZ as u64 / 2;
 
-/// More noise than this is a bad sensor or supply, rad/s. The data sheet gives
+/// Noise above which the sensor or its supply is bad, rad/s. The data sheet states
 /// 0.06 °/s rms = 0.001 rad/s at 100 Hz.
 const GYRO_NOISE_LIMIT: f64 = 0.01;
 
-/// How far the acceleration of a rig at rest may be from gravity: a part of it.
-/// The data sheet gives ±3 % of scale and ±80 mg of zero offset.
+/// Largest deviation of the acceleration at rest from gravity, as a fraction of it. The data
+/// sheet states ±3 % of scale and ±80 mg of zero offset.
 const GRAVITY_TOLERANCE: f64 = 0.15;
 
-/// The remedy for an IMU from which nothing comes.
+/// Next step for an IMU that sends no samples.
 pub const IMU_WIRING: &str =
     "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V";
 
-/// The remedy for a profile that names more than the board has.
+/// Next step for a profile with more outputs than the board has.
 pub const NO_OUTPUTS: &str =
     "leave `[[outputs]]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY";
 
-/// Where that lies which a check found bad.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Fault {
-    /// The rig, its wiring or its profile.
-    Rig,
-    /// The program that records the depth camera.
-    Recorder,
-    /// The disk.
-    Disk,
-}
-
-/// Checks, in the order in which they were made.
+/// The results of checks, in order.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checks {
-    /// All of them.
+    /// One result per check.
     pub checks: Vec<Finding>,
-    /// Where the first bad one lies.
+    /// The part at fault in the first bad one.
     #[serde(skip)]
     fault: Option<Fault>,
 }
 
 impl Checks {
-    /// Adds one that is as it should be.
+    /// Adds a check that passed.
     pub fn good(&mut self, name: &str, found: impl Into<String>) {
         self.checks.push(Finding::good(name, found));
     }
 
-    /// Adds one that could be better; `next` says what to do.
+    /// Adds a check that could be better; `next` is the next step.
     pub fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
         self.checks
             .push(Finding::check(name, found).next_step(next));
     }
 
-    /// Adds one with which a recording will not work; `next` says what to do.
+    /// Adds a check with which a recording will not work; `next` is the next step.
     pub fn bad(&mut self, fault: Fault, name: &str, found: impl Into<String>, next: &str) {
         self.fault.get_or_insert(fault);
         self.checks.push(Finding::bad(name, found).next_step(next));
     }
 
-    /// The first bad one as an error.
+    /// Returns the first bad check as an error.
     ///
     /// # Errors
     ///
-    /// There is one.
+    /// A check is bad.
     pub fn result(&self) -> Result<(), SessionError> {
         let bad = self.checks.iter().find(|c| c.severity == Severity::Bad);
         match (bad, self.fault) {
             (Some(bad), Some(fault)) => Err(SessionError::Check {
-                name: bad.kind.clone(),
+                name: bad.kind.to_string(),
                 found: bad.text.clone(),
                 next_step: bad.next_step.clone(),
                 fault,
@@ -100,7 +88,7 @@ impl Checks {
         }
     }
 
-    /// The board and its firmware, as it said when it was connected, and whether it has what
+    /// Adds the board and its firmware, from its hello, and checks that it has the outputs that
     /// the profile names.
     pub fn firmware(&mut self, board: &Board, profile: Option<&Profile>) {
         let hello = board.hello();
@@ -119,7 +107,7 @@ impl Checks {
         }
     }
 
-    /// Auxiliary sensors of the profile that this board has no output for.
+    /// Checks that the board has outputs for the auxiliary sensors of the profile.
     fn outputs(&mut self, board: BoardModel, profile: &Profile) {
         let outputs = profile.outputs.iter().map(|sensor| sensor.name.as_str());
         let lidar = profile.lidar.iter().map(|lidar| lidar.name.as_str());
@@ -135,8 +123,9 @@ impl Checks {
         self.bad(Fault::Rig, "outputs", found, NO_OUTPUTS);
     }
 
-    /// Looks at the IMU's samples for [`IMU_TIME`] by `look`, which returns what the board
-    /// says of it then; again while that sets it up.
+    /// Checks the IMU by `look`, which collects samples for [`IMU_TIME`] and returns them with
+    /// the state of the IMU. Repeats the look while the board still sets the IMU up. Returns
+    /// the last state.
     ///
     /// # Errors
     ///
@@ -155,7 +144,7 @@ impl Checks {
         Ok(setup)
     }
 
-    /// The IMU, after a look at its samples. `setup` is what the board says then.
+    /// Judges the IMU from a look at its samples and from its state after that.
     fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
         let report = look.report();
         if setup.status.state != ImuState::Running || report.samples == 0 {
@@ -217,7 +206,7 @@ impl Checks {
         }
     }
 
-    /// The accelerometer at rest feels gravity, and nothing else.
+    /// Checks that the accelerometer at rest measures gravity alone: `mean` is its average, m/s².
     fn gravity(&mut self, mean: [Option<f64>; 3]) {
         let norm = mean
             .iter()
@@ -238,7 +227,7 @@ impl Checks {
         }
     }
 
-    /// The link, after so much was lost and damaged while the IMU was looked at.
+    /// Judges the link from the messages that were lost and damaged during the look at the IMU.
     pub fn link(&mut self, lost: u64, damaged: u32) {
         if lost > 0 || damaged > 0 {
             self.warn(
@@ -251,7 +240,7 @@ impl Checks {
         }
     }
 
-    /// The trigger's read-back, from the state of a train.
+    /// Judges the trigger's read-back from the state of a train.
     pub fn readback(&mut self, status: &TriggerStatus) {
         let readback = &status.readback;
         match (readback.seen, readback.missing, readback.delay) {
@@ -279,7 +268,7 @@ impl Checks {
         }
     }
 
-    /// The phone, after it has answered.
+    /// Adds a phone that has answered: the version of its app, and its address.
     pub fn phone(&mut self, version: &str, address: &str) {
         self.good("phone", format!("app {version} at {address}"));
     }

@@ -1,9 +1,9 @@
 //! The devices of a session, as traits: on hardware they are ports, threads and processes,
 //! in a simulation models that run on virtual time in the caller's thread.
 //!
-//! A session never sleeps and never reads a clock but through these. It waits for the board
-//! by [`Link::receive`](board::transport::Link::receive), whose link keeps the time of all
-//! deadlines, and for anything else by [`Clock::wait`].
+//! A session sleeps and reads clocks only through these. It waits for the board by
+//! [`Link::receive`](board::transport::Link::receive), whose clock times all deadlines, and for
+//! anything else by [`Clock::wait`].
 
 pub mod hardware;
 pub mod recorder_process;
@@ -22,88 +22,88 @@ use serde::Serialize;
 
 /// Opens links to the board, the first time and after a loss.
 pub trait Connector {
-    /// A link to the board; to the one with this ID, if it is given.
+    /// Opens a link to the board; to the one with the given ID, if there is one.
     ///
     /// # Errors
     ///
-    /// It cannot be opened (now).
+    /// The link cannot be opened now.
     fn connect(&mut self, board_id: Option<&str>) -> board::Result<Box<dyn Link>>;
 }
 
 /// Reads the phone's clock many times a second while the session runs.
 pub trait PhoneClock {
-    /// The phone's name in what reads it.
+    /// Returns the phone's name in the program that reads its clock.
     fn device(&self) -> &str;
-    /// Tells whether it is read through a network, and not by a cable.
+    /// Returns true if the clock is read through a network, and not by a cable.
     fn is_by_network(&self) -> bool;
-    /// The readings since the last call. Their times are on the link's clock.
+    /// Returns the readings since the last call. Their times are on the link's clock.
     fn exchanges(&mut self) -> Vec<PhoneExchange>;
 }
 
-/// Starts what reads the phone's clock.
+/// Starts the reading of the phone's clock.
 pub trait PhoneClockStarter {
-    /// Tells whether there is anything that could read it.
+    /// Returns true if there is a program that could read the clock.
     fn is_possible(&self) -> bool;
 
-    /// Starts it.
+    /// Starts to read the clock.
     ///
     /// # Errors
     ///
-    /// It cannot be read.
+    /// The clock cannot be read.
     fn start(&mut self) -> Result<Box<dyn PhoneClock>, PhoneError>;
 }
 
 /// The program that records the depth camera.
 pub trait DepthRecorder {
-    /// Starts what the profile names; false if it names nothing.
+    /// Starts the program that the profile names. Returns false if it names none.
     ///
     /// # Errors
     ///
-    /// There is no such program, or it may not be run.
+    /// The program does not exist, or may not be run.
     fn start(&mut self, depth: &Depth, folder: &Path) -> Result<bool, RecorderError>;
 
-    /// How it ended, once it has; `None` while it runs.
+    /// Returns the end of the program; `None` while it runs.
     fn poll(&mut self) -> Option<RecorderEnd>;
 
-    /// Asks it to stop.
+    /// Asks the program to stop.
     fn ask_to_stop(&mut self);
 
-    /// Ends it at once.
+    /// Kills the program.
     fn kill(&mut self);
 }
 
-/// The depth recorder cannot be started.
+/// The error of a depth recorder that cannot be started.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot start the depth recorder `{program}`: {source}")]
 pub struct RecorderError {
-    /// The command's first word.
+    /// First word of its command.
     pub program: String,
-    /// The system's reason.
+    /// The error of the system.
     pub source: std::io::Error,
 }
 
 /// The end of a depth recorder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RecorderEnd {
-    /// Its program.
+    /// First word of its command.
     pub program: String,
-    /// How it ended, as the system says it.
+    /// Its exit status, in the words of the system.
     pub status: String,
-    /// True if a program ends like this that was asked to stop.
+    /// True if this is how a program ends that was asked to stop.
     pub is_as_asked: bool,
 }
 
 /// The session's clocks and pauses.
 pub trait Clock {
-    /// Time since any fixed moment, as [`Link::now`].
+    /// Returns the time since a fixed moment, as [`Link::now`] does.
     fn now(&self) -> Duration;
-    /// The date and time of day.
+    /// Returns date and time of day.
     fn wall_clock(&self) -> Zoned;
-    /// The time of day as the recording's files take it, on any thread.
+    /// Returns a clock that gives the recording's files the time of day, on any thread.
     fn time_of_day(&self) -> WallClock {
         Box::new(SystemTime::now)
     }
-    /// Lets this time pass.
+    /// Sleeps for this time.
     fn wait(&self, time: Duration);
 }
 
@@ -131,43 +131,43 @@ impl Clock for SystemClock {
 pub enum Choice {
     /// Go on.
     Continue,
-    /// Do the last step again.
+    /// Repeat the last step.
     Repeat,
-    /// Leave the step out.
+    /// Skip the step.
     Skip,
     /// Stop cleanly.
     Quit,
 }
 
-/// A wish of the person while it records.
+/// A request of the operator during the recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Wish {
-    /// A mark now, with a label or a numbered one.
+    /// Set a mark now, with this label or a numbered one.
     Mark(Option<String>),
-    /// The end of the recording.
+    /// End the recording.
     Stop,
 }
 
-/// The person at the rig. No method waits.
+/// The person at the rig. No method blocks.
 pub trait Operator {
-    /// Tells whether somebody is there to be asked. Where nobody is, each prompt is answered with
-    /// [`Choice::Continue`], and [`Self::answer`] is not called.
+    /// Returns true if somebody is present who can be asked. Otherwise each prompt is answered
+    /// with [`Choice::Continue`], and [`Self::answer`] is not called.
     fn is_present(&self) -> bool;
 
-    /// Forgets what was typed before a prompt.
+    /// Discards keys that were typed before a prompt.
     fn forget_typed(&mut self);
 
-    /// The answer to a prompt, once there is one.
+    /// Returns the answer to a prompt, once there is one.
     fn answer(&mut self) -> Option<Choice>;
 
-    /// A wish while it records, if there is one.
+    /// Returns a request during the recording, if there is one.
     fn wish(&mut self) -> Option<Wish>;
 
-    /// Tells whether the session is to end: Ctrl-C, or a termination signal.
+    /// Returns true if Ctrl-C or a termination signal asked the session to end.
     fn interrupted(&self) -> bool;
 }
 
-/// No depth recorder: the camera is recorded by hand, or not at all.
+/// No depth recorder: the camera is recorded by other means, or not at all.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoRecorder;
 

@@ -1,4 +1,4 @@
-//! The reasons for which a session, or a step of it, fails.
+//! The errors of a session and of its steps.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,67 +10,79 @@ use phone::adb::AdbError;
 use protocol::{ResetCause, Ticks, TrainState};
 use recording::RecordingError;
 use recording::profile::ProfileError;
+use serde::Serialize;
 
-use crate::checks::Fault;
 use crate::devices::RecorderError;
 use clock::alignment::AlignmentError;
 
-/// Why a session, or a step of it, failed. What to do about it is the program's to say.
+/// The part of a setup that is at fault where a check is bad.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fault {
+    /// The rig, its wiring or its profile.
+    Rig,
+    /// The program that records the depth camera.
+    Recorder,
+    /// The disk.
+    Disk,
+}
+
+/// The error of a session or of a step. Advice about it is left to the program.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// The board.
+    /// A call to the board failed.
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// A phone.
-    #[error("{}{error}", of_phone(name.as_deref(), address, error))]
+    /// A request to a phone failed.
+    #[error("{}{error}", phone_prefix(name.as_deref(), address, error))]
     Phone {
-        /// Its name, where there are several.
+        /// Name of the phone, if the rig has several.
         name: Option<String>,
-        /// Its address.
+        /// Address of the phone.
         address: String,
-        /// What is wrong.
+        /// The error of the request.
         error: PhoneError,
     },
-    /// The phone's clock is to be followed, and cannot be.
+    /// The phone's clock must be followed, and cannot be read.
     #[error(transparent)]
     PhoneClock(PhoneError),
-    /// The profile does not say where a phone is.
+    /// The profile has no address of a phone.
     #[error("the profile has no address of {name:?}")]
     NoAddress {
         /// The phone's name.
         name: String,
     },
-    /// The phone's samples cannot be written.
+    /// The phone's samples of a twist cannot be written.
     #[error(transparent)]
     Samples(PhoneError),
-    /// The depth recorder.
+    /// The depth recorder cannot be started.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
-    /// The recording, or a file of it.
+    /// The recording or a file of it cannot be written.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The rig profile.
+    /// The rig profile has a wrong value.
     #[error(transparent)]
     Profile(#[from] ProfileError),
-    /// The IMU's counts have no meaning.
+    /// The board gave no scale for its IMU.
     #[error("the board gave no scale for its IMU")]
     NoScale,
     /// A check found that a recording will not work.
     #[error("{name}: {found}")]
     Check {
-        /// The check.
+        /// Name of the check.
         name: String,
-        /// What it found.
+        /// Its result in words.
         found: String,
-        /// What to do about it.
+        /// Its next step.
         next_step: Option<String>,
-        /// Where it lies.
+        /// The part at fault.
         fault: Fault,
     },
     /// No twist passed the gates.
     #[error("none of {tries} twists gave a trustworthy relation of the clocks")]
     Twists {
-        /// How many were made.
+        /// Number of twists that were made.
         tries: usize,
     },
     /// The twist at the end did not pass the gates.
@@ -88,17 +100,17 @@ pub enum SessionError {
     /// The trigger is not on its grid.
     #[error("the trigger did not arrive at pulse {pulse} ({state:?})")]
     NotArrived {
-        /// The pulse at which it was planned to be.
+        /// Number of the pulse that was planned as the first on the grid.
         pulse: u64,
-        /// The train's state.
+        /// State of the train.
         state: TrainState,
     },
     /// A lost link did not come back.
     #[error("the link to the board did not come back within {} s ({error})", waited.as_secs())]
     LinkLost {
-        /// How long it was waited for.
+        /// Time for which the session waited.
         waited: Duration,
-        /// How it was lost.
+        /// The error with which the link was lost.
         error: LinkError,
     },
     /// The board was reset before anything was recorded.
@@ -108,32 +120,32 @@ pub enum SessionError {
         reset_cause(*cause), at.as_secs_f64()
     )]
     BoardReset {
-        /// The latest time before it.
+        /// Latest board time before the reset.
         at: Ticks,
-        /// Why it was reset, as it says.
+        /// The cause that the board reports.
         cause: ResetCause,
     },
-    /// The recording is not in its place any more.
+    /// The recording's folder was deleted or moved.
     #[error("the recording in {} was deleted or moved", folder.display())]
     RecordingMoved {
-        /// Where it was.
+        /// Its former path.
         folder: PathBuf,
     },
     /// The disk is full.
     #[error("the disk is full: {} MB are left", free / 1_000_000)]
     DiskFull {
-        /// Bytes that are left.
+        /// Free space, bytes.
         free: u64,
     },
     /// An output would be slower than the board can make it.
     #[error("{name} cannot run at every {every}th pulse: its period would be more than a second")]
     OutputTooSlow {
-        /// The sensor on it.
+        /// Name of the sensor on it.
         name: String,
-        /// Pulses of the trigger to one of it.
+        /// Number of trigger pulses per pulse of this output.
         every: u32,
     },
-    /// The profile's lidar cannot be served.
+    /// The profile's settings of the lidar are wrong.
     #[error("{0}")]
     Lidar(String),
     /// This computer's clock cannot be given to a lidar.
@@ -142,12 +154,12 @@ pub enum SessionError {
 }
 
 impl SessionError {
-    /// Tells whether trying the same step again may help.
+    /// Returns true if repeating the step may help.
     #[must_use]
     pub fn is_repeatable(&self) -> bool {
         match self {
             Self::Board(error) => matches!(error, BoardError::Refused { .. }),
-            Self::Phone { error, .. } | Self::PhoneClock(error) => is_of_phone(error),
+            Self::Phone { error, .. } | Self::PhoneClock(error) => is_phone_fault(error),
             Self::Recorder(_)
             | Self::Check { .. }
             | Self::Twists { .. }
@@ -158,7 +170,7 @@ impl SessionError {
         }
     }
 
-    /// Tells whether nothing more can be written.
+    /// Returns true if nothing more can be written.
     #[must_use]
     pub const fn is_storage(&self) -> bool {
         matches!(
@@ -171,9 +183,9 @@ impl SessionError {
     }
 }
 
-/// Tells whether it is the phone that failed, and not the request or this computer's disk.
+/// Returns true if the phone failed, and not the request or the disk of this computer.
 #[must_use]
-pub fn is_of_phone(error: &PhoneError) -> bool {
+pub fn is_phone_fault(error: &PhoneError) -> bool {
     !matches!(
         error.cause(),
         PhoneError::Address { .. }
@@ -185,21 +197,21 @@ pub fn is_of_phone(error: &PhoneError) -> bool {
     )
 }
 
-/// The phone that an error is about, before the error's own words.
-fn of_phone(name: Option<&str>, address: &str, error: &PhoneError) -> String {
+/// Returns the name and address of a phone as the beginning of an error's message.
+fn phone_prefix(name: Option<&str>, address: &str, error: &PhoneError) -> String {
     let mut text = name.map_or(String::new(), |name| format!("phone {name}: "));
-    if is_of_phone(error) && !error.to_string().contains(address) {
+    if is_phone_fault(error) && !error.to_string().contains(address) {
         text += &format!("the phone at {address}: ");
     }
     text
 }
 
-/// Why a step does not go on.
+/// The reason for which a step stops.
 #[derive(Debug)]
 pub enum Stop {
-    /// The user wants it.
+    /// The user interrupted it.
     Interrupted,
-    /// The board was reset while it recorded: the recording is complete up to there.
+    /// The board was reset during the recording, which is complete up to the reset.
     BoardReset,
     /// Something failed.
     Failed(SessionError),

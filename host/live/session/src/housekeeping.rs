@@ -1,30 +1,30 @@
-//! The look at the depth recorder and at the disk, once a second.
+//! Watches the depth recorder and the disk, once a second.
 
 use std::path::Path;
 use std::time::Duration;
 
 use recording::MCAP_FILE;
+use recording::profile::Depth;
 
 use crate::devices::{Clock, DepthRecorder};
 use crate::error::{SessionError, Stop};
 use crate::event::SessionEvent;
 use crate::log::Log;
 
-/// How often they are looked at.
+/// Interval of the looks.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Below this much free space a warning is given, bytes. An hour of recording is
-/// about 150 MB, and videos go to the phone.
+/// Free space below which a warning is given, bytes. An hour of recording takes about 150 MB;
+/// videos are stored on the phone.
 const DISK_LOW: u64 = 1_000_000_000;
 
-/// Below this much free space the session is stopped while it still can be
-/// closed well, bytes.
+/// Free space below which the session is stopped, bytes: enough to close it properly.
 pub const DISK_FULL: u64 = 20_000_000;
 
-/// The depth recorder, and when both were looked at.
+/// The depth recorder, and the time of the last look.
 pub(crate) struct Housekeeping<'a> {
     pub(crate) recorder: &'a mut dyn DepthRecorder,
-    /// The recorder was started, and has not been seen to end.
+    /// True if the recorder was started, and its end was not seen yet.
     pub(crate) recorder_runs: bool,
     last: Duration,
     has_warned: bool,
@@ -40,17 +40,17 @@ impl<'a> Housekeeping<'a> {
         }
     }
 
-    /// Starts the depth recorder of the profile, if there is one.
-    pub(crate) fn start_recorder(&mut self, log: &mut Log<'_>) -> Result<(), Stop> {
-        let depth = &log.file.profile.depth;
+    /// Starts the depth recorder that `depth` names, if there is one.
+    pub(crate) fn start_recorder(&mut self, depth: &Depth, log: &mut Log<'_>) -> Result<(), Stop> {
         self.recorder_runs = self.recorder.start(depth, &log.folder)?;
-        match self.recorder_runs {
-            true => log.report(SessionEvent::RecorderStarted),
-            false => Ok(()),
+        if self.recorder_runs {
+            log.report(SessionEvent::RecorderStarted)?;
         }
+        Ok(())
     }
 
-    /// Looks, if it is time to. A full disk ends the session unless it is `closing`.
+    /// Looks at recorder and disk if it is time to. A full disk ends the session unless it is
+    /// `closing`.
     pub(crate) fn look(
         &mut self,
         clock: &dyn Clock,
@@ -70,18 +70,16 @@ impl<'a> Housekeeping<'a> {
             log.report(SessionEvent::RecorderGone { end })?;
         }
         let Ok(file) = log.folder.join(MCAP_FILE).metadata() else {
-            return match closing {
-                true => Ok(()),
-                false => Err(SessionError::RecordingMoved {
-                    folder: log.folder.clone(),
-                }
-                .into()),
-            };
+            if closing {
+                return Ok(());
+            }
+            let folder = log.folder.clone();
+            return Err(SessionError::RecordingMoved { folder }.into());
         };
         let Some(free) = free_space(&log.folder) else {
             return Ok(());
         };
-        log.tell(SessionEvent::Disk {
+        log.publish(SessionEvent::Disk {
             free,
             recorded: file.len(),
         });
@@ -96,8 +94,8 @@ impl<'a> Housekeeping<'a> {
     }
 }
 
-/// Free space for this user on the disk of a folder, bytes; `None` where the system does
-/// not say.
+/// Returns the free space for this user on the disk of a folder, bytes; `None` if the system
+/// does not report it.
 #[must_use]
 pub fn free_space(folder: &Path) -> Option<u64> {
     let stat = rustix::fs::statvfs(folder).ok()?;

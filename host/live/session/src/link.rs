@@ -1,4 +1,4 @@
-//! The link to the board, which may break and come back.
+//! The link to the board, which may be lost and return.
 
 pub mod monitors;
 pub mod watch;
@@ -14,14 +14,14 @@ use crate::devices::{Clock, Connector};
 use crate::error::{SessionError, Stop};
 use crate::log::Log;
 
-/// A link on which no message comes for so long is as good as lost, whatever bytes
-/// come: a status comes every second.
+/// Silence after which the link counts as lost, whatever bytes arrive: the board sends a status
+/// every second.
 const SILENCE: Duration = Duration::from_secs(10);
 
-/// After so long without a message its absence is reported.
+/// Silence after which it is reported.
 const QUIET: Duration = Duration::from_secs(5);
 
-/// Pause between tries to take a lost link up.
+/// Pause between attempts to reopen a lost link.
 const PAUSE: Duration = Duration::from_millis(300);
 
 /// The link to the board.
@@ -29,21 +29,21 @@ pub struct BoardLink<'a> {
     /// The board.
     pub board: Board,
     id: String,
-    /// Finds the board again.
+    /// Opens the link again.
     connector: &'a mut dyn Connector,
-    /// How long a lost link is waited for.
+    /// Longest wait for a lost link.
     patience: Duration,
-    /// The run that the board is in: another one is a reset.
+    /// Number of the board's run at the beginning; another one means that it was reset.
     epoch: u32,
-    /// When the board was heard last, on the link's clock.
+    /// Time of the last message, on the link's clock.
     last_sign: Duration,
-    /// True if it was reported that no message comes.
+    /// True if the silence was reported.
     is_quiet: bool,
     scale: Scale,
 }
 
 impl<'a> BoardLink<'a> {
-    /// A link that is there. A lost one is waited for as long as `patience`.
+    /// Takes over an open link. If it is lost, `patience` is the longest wait for its return.
     #[must_use]
     pub fn new(
         board: Board,
@@ -63,21 +63,20 @@ impl<'a> BoardLink<'a> {
         }
     }
 
-    /// Tells whether the frames of the link are given out too.
+    /// Sets whether raw frames are returned among the events.
     pub(crate) const fn keep_frames(&mut self, keep: bool) {
         self.board.keep_frames(keep);
     }
 
-    /// The board's ID in hex.
+    /// Returns the board's ID in hex.
     pub(crate) fn id(&self) -> &str {
         &self.id
     }
 
-    /// Takes the next event, within `wait`.
+    /// Returns the next event, waiting up to `wait` for it.
     pub(crate) fn next_event(&mut self, wait: Duration) -> board::Result<Option<Event>> {
         let event = self.board.next_event(wait)?;
-        // Only what was understood is a sign of life: no damaged frame is, and not that
-        // an answer does not come.
+        // Damaged frames and expired commands are no signs of life.
         if let Some(Event::Message(_) | Event::Answer(_) | Event::Restarted { .. }) = event {
             self.last_sign = self.board.now();
             self.is_quiet = false;
@@ -85,19 +84,19 @@ impl<'a> BoardLink<'a> {
         Ok(event)
     }
 
-    /// How long no message has come.
+    /// Returns the time since the last message.
     fn silence(&self) -> Duration {
         self.board.now().saturating_sub(self.last_sign)
     }
 
-    /// How long no message has come, if that is some time; once each time.
+    /// Returns the length of a silence that has become worth reporting, once per silence.
     pub(crate) fn has_become_quiet(&mut self) -> Option<Duration> {
         let is_quiet = self.silence() > QUIET;
         let is_new = is_quiet && !std::mem::replace(&mut self.is_quiet, is_quiet);
         is_new.then_some(QUIET)
     }
 
-    /// Board time by the host's clock, where no message tells it any more.
+    /// Returns the board time, extended by the host's clock while the board is silent.
     pub(crate) fn overdue(&self, latest: Ticks) -> Ticks {
         let silence = self.silence();
         let beyond = if silence > QUIET {
@@ -113,19 +112,19 @@ impl<'a> BoardLink<'a> {
         )
     }
 
-    /// The error of a link on which nothing has come for so long that it is as good as lost.
-    pub(crate) fn silent(&self) -> Option<LinkError> {
+    /// Returns an error if the silence is so long that the link counts as lost.
+    pub(crate) fn silence_error(&self) -> Option<LinkError> {
         (self.silence() > SILENCE).then(|| LinkError::Gone {
             reason: format!("no message came for {} s", SILENCE.as_secs()),
         })
     }
 
-    /// Tells whether the board is in another run than at the beginning of the session.
+    /// Returns true if the board was reset since the beginning of the session.
     pub(crate) fn is_other_run(&self) -> bool {
         self.board.hello().epoch != self.epoch
     }
 
-    /// The IMU has another scale now.
+    /// Sets the scale of the IMU.
     pub(crate) const fn set_scale(&mut self, scale: Scale) {
         self.scale = scale;
     }
@@ -135,12 +134,12 @@ impl<'a> BoardLink<'a> {
         self.scale.apply(raw)
     }
 
-    /// How long a lost link is waited for, while it is not closed.
+    /// Returns the longest wait for a lost link while the session is not being closed.
     pub(crate) const fn patience(&self) -> Duration {
         self.patience
     }
 
-    /// Opens the link again, which was lost by `error`, within `patience`.
+    /// Reopens a link that was lost by `error`, trying for up to `patience`.
     pub(crate) fn reopen(
         &mut self,
         error: &LinkError,
@@ -150,7 +149,7 @@ impl<'a> BoardLink<'a> {
         log: &mut Log<'_>,
     ) -> Result<(), Stop> {
         let lost = clock.now();
-        // A port that fell silent but is still there is opened exclusively: by us.
+        // A silent port that still exists is open exclusively, so it must be closed first.
         self.board.hang_up();
         loop {
             if is_interrupted() {
@@ -165,7 +164,7 @@ impl<'a> BoardLink<'a> {
                 Err(error @ BoardError::OtherVersion { .. }) => return Err(error.into()),
                 Err(error) => {
                     tracing::debug!("the link is still away: {error}");
-                    // The port that was tried is held no longer than the try.
+                    // Closes the port that was tried.
                     self.board.hang_up();
                 }
             }

@@ -1,25 +1,23 @@
-//! The log of a session: every event goes through it, into the recording, into
-//! `session.json`, and to whoever listens.
+//! The log of a session: passes every event to the recording, to the problems of
+//! `session.json`, and to the listener.
 
 use std::path::PathBuf;
 
-use clock::ClockRelation;
+use board::finding::{EventKind, Finding};
 use protocol::{TICK_HZ, Ticks};
 use recording::RecordingError;
-use recording::session_file::{PhoneRecord, SessionFile, SessionOutcome};
 use recording::writer::Writer;
 
 use crate::error::Stop;
-use crate::event::{PhoneName, SessionEvent, Stamped};
-use board::finding::Finding;
+use crate::event::{SessionEvent, Stamped};
 
-/// The most problems that are kept one by one.
+/// Largest number of problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;
 
-/// A message this far ahead of all others, in ticks, counts for nothing by itself: 10 s.
+/// Distance from which a message's time is far ahead of all others, ticks: 10 s.
 const FAR: u64 = 10 * TICK_HZ as u64;
 
-/// Who listens to a session.
+/// Receives the events of a session as they happen.
 pub type Listener<'a> = &'a mut dyn FnMut(&Stamped);
 
 /// The outputs of a session.
@@ -29,40 +27,33 @@ pub struct Log<'a> {
     pub(crate) writer: Option<Writer>,
     /// The recording's folder.
     pub(crate) folder: PathBuf,
-    /// What is decided.
-    pub file: SessionFile,
     /// Latest board time that was handled.
     pub(crate) now: Ticks,
-    /// A time far beyond it that one message had.
+    /// The problems that were reported.
+    problems: Vec<Finding>,
+    /// The time of one message that was far ahead of `now`.
     ahead: Option<Ticks>,
     has_odd_time: bool,
-    has_problems: bool,
 }
 
 impl<'a> Log<'a> {
-    /// A log into a folder that is there.
+    /// Creates a log that writes into an existing folder.
     #[must_use]
-    pub const fn new(
-        listener: Listener<'a>,
-        writer: Writer,
-        folder: PathBuf,
-        file: SessionFile,
-    ) -> Self {
+    pub const fn new(listener: Listener<'a>, writer: Writer, folder: PathBuf) -> Self {
         Self {
             listener,
             writer: Some(writer),
             folder,
-            file,
             now: Ticks::ZERO,
+            problems: Vec::new(),
             ahead: None,
             has_odd_time: false,
-            has_problems: false,
         }
     }
 
-    /// Takes the board time of a message. One that is far ahead of all others counts once
-    /// a second message has the same: a single wrong one must not end a recording. That
-    /// there was one is reported, once.
+    /// Advances the latest board time to that of a message. A time far ahead of all others
+    /// counts only once a second message has the same, so that a single wrong one does not end
+    /// a recording; it is reported once.
     pub(crate) fn advance(&mut self, at: Ticks) -> Result<(), Stop> {
         let is_far = |from: Ticks| at.0.abs_diff(from.0) > FAR;
         if at > self.now && is_far(self.now) && self.ahead.is_none_or(is_far) {
@@ -80,10 +71,10 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Tells whether anything went wrong so far.
+    /// Returns the problems that were reported, in order.
     #[must_use]
-    pub const fn has_problems(&self) -> bool {
-        self.has_problems
+    pub fn problems(&self) -> &[Finding] {
+        &self.problems
     }
 
     /// Writes into the recording, while it is open.
@@ -97,107 +88,68 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Gives an event to the listener alone.
-    pub(crate) fn tell(&mut self, event: SessionEvent) {
+    /// Passes an event to the listener alone.
+    pub(crate) fn publish(&mut self, event: SessionEvent) {
         (self.listener)(&Stamped {
             at: self.now,
             event,
         });
     }
 
-    /// Reports an event: to the listener, in the recording's log, and in the session file
-    /// if it is a problem.
+    /// Reports an event to the listener, in the recording's log, and among the problems if it
+    /// is one.
     pub(crate) fn report(&mut self, event: SessionEvent) -> Result<(), Stop> {
         self.report_at(self.now, event)
     }
 
-    /// As [`Log::report`], for an event whose time is not the latest.
+    /// Reports an event as [`Log::report`] does, with a time other than the latest.
     pub(crate) fn report_at(&mut self, at: Ticks, event: SessionEvent) -> Result<(), Stop> {
+        let notice = event.notice();
         let stamped = Stamped { at, event };
-        let event = &stamped.event;
-        let Some(kind) = event.kind() else {
-            self.tell(stamped.event);
+        (self.listener)(&stamped);
+        let Some(notice) = notice else {
             return Ok(());
         };
-        let (severity, text) = (event.severity(), event.to_string());
-        if event.is_problem() {
-            self.has_problems = true;
-            let count = self.file.problems.len();
-            let more = "further problems are in /session/log only";
-            let (kind, text) = match count {
-                MAX_PROBLEMS => ("more", more),
-                _ => (kind, text.as_str()),
+        let Finding {
+            kind,
+            severity,
+            text,
+            ..
+        } = notice.finding;
+        if notice.is_problem && self.problems.len() <= MAX_PROBLEMS {
+            let problem = if self.problems.len() == MAX_PROBLEMS {
+                let more = "further problems are in /session/log only";
+                Finding::new(severity, EventKind::More, more)
+            } else {
+                Finding::new(severity, kind.clone(), text.as_str())
             };
-            if count <= MAX_PROBLEMS {
-                let next_step = match event {
-                    SessionEvent::Found { finding } => finding.next_step.clone(),
-                    _ => None,
-                };
-                self.file.problems.push(Finding {
-                    next_step,
-                    ..Finding::new(severity, kind, text).at(at)
-                });
-            }
+            // The other steps help only while the session runs.
+            let next_step = match stamped.event {
+                SessionEvent::Found { finding } => finding.next_step,
+                _ => None,
+            };
+            self.problems.push(Finding {
+                next_step,
+                ..problem.at(at)
+            });
         }
-        (self.listener)(&stamped);
-        self.write(|writer, _| writer.log(at, severity, kind, &text))
+        if !notice.is_logged {
+            return Ok(());
+        }
+        self.write(|writer, _| writer.log(at, severity, &kind.to_string(), &text))
     }
 
-    /// Reports a problem while closing, where nothing can be done about a failure.
+    /// Reports a problem while closing, when nothing can be done about a failure to write.
     pub(crate) fn report_at_end(&mut self, event: SessionEvent) {
         if self.report(event).is_err() {
             self.writer = None;
         }
     }
 
-    /// Reports what the watch has found.
+    /// Reports the findings of the watch.
     pub(crate) fn report_all(&mut self, findings: Vec<Finding>) -> Result<(), Stop> {
         findings
             .into_iter()
             .try_for_each(|finding| self.report(SessionEvent::Found { finding }))
-    }
-
-    /// How the session ends with this result.
-    #[must_use]
-    pub const fn outcome_of(&self, result: &Result<(), Stop>) -> SessionOutcome {
-        match result {
-            Err(Stop::Failed(_)) => SessionOutcome::Failed,
-            Err(Stop::Interrupted) => SessionOutcome::Interrupted,
-            Ok(()) | Err(Stop::BoardReset) if self.has_problems() => SessionOutcome::Loss,
-            Ok(()) | Err(Stop::BoardReset) => SessionOutcome::Good,
-        }
-    }
-
-    /// Writes the session file.
-    pub(crate) fn save(&self) -> Result<(), Stop> {
-        Ok(self.file.save(&self.folder)?)
-    }
-
-    /// The phone at a place.
-    pub(crate) fn phone(&self, place: usize) -> &PhoneRecord {
-        &self.file.phones[place]
-    }
-
-    /// The phone at a place, to be changed.
-    pub(crate) fn phone_mut(&mut self, place: usize) -> &mut PhoneRecord {
-        &mut self.file.phones[place]
-    }
-
-    /// Keeps a new relation of the clock of the phone at a place.
-    pub(crate) fn set_clock(
-        &mut self,
-        place: usize,
-        phone: PhoneName,
-        clock: ClockRelation,
-        source: &str,
-    ) -> Result<(), Stop> {
-        self.phone_mut(place).clock = Some(clock);
-        let further = (place > 0).then(|| phone.name.clone());
-        self.write(|writer, now| writer.clock_model(now, further.as_deref(), &clock, source))?;
-        self.report(SessionEvent::ClockKnown {
-            place,
-            phone,
-            clock,
-        })
     }
 }

@@ -1,44 +1,44 @@
-//! The wishes for a session.
+//! The settings of a session.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use protocol::TICK_HZ;
 
-/// What a session is asked to do. Times are ticks of board time.
+/// The settings of a session. Times are ticks of board time.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Folder in which the recording's folder is made.
+    /// Folder in which the recording's folder is created.
     pub out: PathBuf,
-    /// Name of the recording's folder; date and time if there is none.
+    /// Name of the recording's folder; `None` for date and time.
     pub name: Option<String>,
-    /// How long to record, ticks; until stopped if there is none.
+    /// Length of the recording, ticks; `None` to record until stopped.
     pub duration: Option<u64>,
-    /// How long to wait for a lost link to come back, on the link's clock.
+    /// Longest wait for a lost link, on the link's clock.
     pub link_patience: Duration,
-    /// Marks to set so long after the start, ticks.
+    /// Marks to set, each as the time since the start of the recording, ticks.
     pub markers: Vec<u64>,
-    /// Whether the phone's clock is to be followed.
+    /// The condition for following the phone's clock.
     pub track: Track,
-    /// Twists before the recording.
+    /// Number of twists before the recording.
     pub twists: u32,
-    /// Between two of these twists, ticks.
+    /// Pause between two of these twists, ticks.
     pub twist_gap: u64,
-    /// Twist again at the end.
+    /// True to twist again at the end.
     pub second_twist: bool,
-    /// Download the phones' videos at the end.
+    /// True to download the phones' videos at the end.
     pub fetch_video: bool,
-    /// Copy the phones' other files at the end.
+    /// True to copy the phones' other files at the end.
     pub fetch_files: bool,
-    /// Record every frame of the link as it came, for the report of a fault.
+    /// True to record every raw frame of the link too, for the report of a fault.
     pub raw_link: bool,
-    /// Number of the first command to the board, for a simulation that is to repeat to the
-    /// byte; any number if there is none.
+    /// Number of the first command to the board, for a simulation that must repeat to the byte;
+    /// `None` for any number.
     pub first_command: Option<u32>,
 }
 
 impl Options {
-    /// One twist, and a recording into this folder until it is stopped.
+    /// Returns the settings for one twist, and a recording into this folder until stopped.
     #[must_use]
     pub const fn into_folder(out: PathBuf) -> Self {
         Self {
@@ -59,19 +59,19 @@ impl Options {
     }
 }
 
-/// Whether the phone's clock is to be followed while it records.
+/// The condition for following the phone's clock during a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Track {
-    /// Where it can be.
+    /// Follow it if it can be read.
     #[default]
     IfThere,
-    /// It is an error if it cannot be.
+    /// Follow it, and fail if it cannot be read.
     Always,
-    /// Never.
+    /// Do not follow it.
     Never,
 }
 
-/// Seconds of board time as ticks.
+/// Converts seconds of board time to ticks.
 #[must_use]
 pub const fn seconds(seconds: u64) -> u64 {
     seconds.saturating_mul(TICK_HZ as u64)

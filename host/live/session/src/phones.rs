@@ -1,9 +1,9 @@
-//! The phones of a session, by their place in the profile: 0 is the reference, to whose
-//! frames the trigger is aligned; the others follow in order.
+//! The phones of a session, by their index in the profile, called `place`: 0 is the reference,
+//! to whose frames the trigger is aligned.
 //!
-//! All are asked at the same time: one twist relates every clock, and videos begin and end
-//! together. The trigger follows the first alone; of the others it is stated where their
-//! frames lie ([`placement`]).
+//! All receive requests at the same time: one twist relates every clock, and videos begin and
+//! end together. The trigger follows the reference alone; the position of the other phones'
+//! frames is computed ([`placement`]).
 //!
 //! [`placement`]: crate::alignment::placement
 
@@ -24,13 +24,13 @@ use crate::event::PhoneName;
 use crate::options::seconds;
 use clock::rates::Course;
 
-/// The place of the phone to whose frames the trigger is aligned.
+/// Index of the phone to whose frames the trigger is aligned.
 pub(crate) const REFERENCE: usize = 0;
 
-/// How often a phone that records is asked whether it does, ticks.
+/// Interval of the checks that a phone still records, ticks.
 const ASK_EVERY: u64 = seconds(5);
 
-/// Pause while a phone is waited for and nothing else is to be done.
+/// Pause between two looks for a phone's answer.
 const PAUSE: Duration = Duration::from_millis(10);
 
 /// The phones of a session.
@@ -47,11 +47,11 @@ struct Seat<'a> {
     check: VideoCheck,
 }
 
-/// The answers of phones, by their places.
+/// The answers of phones, each with the phone's index.
 pub(crate) type Answers<T> = Vec<(usize, Result<T, PhoneError>)>;
 
 impl<'a> Phones<'a> {
-    /// These phones, in the profile's order.
+    /// Takes the devices in the order of the profile's phones.
     #[must_use]
     pub fn new(profile: &'a Profile, devices: Vec<Box<dyn Phone>>, clock: &'a dyn Clock) -> Self {
         let seat = |(profile, device)| Seat {
@@ -67,7 +67,7 @@ impl<'a> Phones<'a> {
         }
     }
 
-    /// Asks all for the versions of their apps; ends when `is_interrupted`.
+    /// Requests the versions of the apps of all phones; stops if `is_interrupted`.
     pub(crate) fn probe(&self, is_interrupted: &dyn Fn() -> bool) -> Result<Vec<String>, Stop> {
         let probe = |place: usize| {
             let asked = self.device(place).probe();
@@ -76,7 +76,7 @@ impl<'a> Phones<'a> {
                     Some(Ok(version)) => return Ok(version.to_string()),
                     Some(Err(error)) => return Err(self.failure(place, error).into()),
                     None if is_interrupted() => {
-                        call_off(self.clock, [asked]);
+                        cancel(self.clock, [asked]);
                         return Err(Stop::Interrupted);
                     }
                     None => self.clock.wait(PAUSE),
@@ -86,28 +86,28 @@ impl<'a> Phones<'a> {
         self.places().map(probe).collect()
     }
 
-    /// The profile of the phone at a place.
+    /// Returns the profile of a phone.
     pub(crate) fn profile(&self, place: usize) -> &'a PhoneProfile {
         self.seats[place].profile
     }
 
-    /// Keeps how the rate of the clock at a place changes.
+    /// Sets the change of rate of a phone's clock.
     pub(crate) fn set_change(&mut self, place: usize, change: RateChange) {
         self.seats[place].change = change;
     }
 
-    /// A relation of the clock at a place, with how its rate changes.
+    /// Combines a relation of a phone's clock with its change of rate.
     pub(crate) fn course(&self, place: usize, clock: ClockRelation) -> Course {
         let change = self.seats[place].change;
         Course { clock, change }
     }
 
-    /// The places of all phones.
+    /// Returns the indices of all phones.
     pub(crate) const fn places(&self) -> std::ops::Range<usize> {
         0..self.seats.len()
     }
 
-    /// The phone at a place, as events name it.
+    /// Returns the name of a phone for events.
     pub(crate) fn name(&self, place: usize) -> PhoneName {
         PhoneName {
             name: self.profile(place).name.clone(),
@@ -115,7 +115,7 @@ impl<'a> Phones<'a> {
         }
     }
 
-    /// A failure of the phone at a place.
+    /// Converts an error of a phone's request to one of the session.
     pub(crate) fn failure(&self, place: usize, error: PhoneError) -> SessionError {
         let phone = self.profile(place);
         SessionError::Phone {
@@ -125,18 +125,17 @@ impl<'a> Phones<'a> {
         }
     }
 
-    /// The phone at a place.
+    /// Returns a phone.
     pub(crate) fn device(&self, place: usize) -> &dyn Phone {
         self.seats[place].device.as_ref()
     }
 
-    /// From here on the phone at a place may be recording a video.
+    /// Notes that a phone may be recording a video from here on.
     pub(crate) fn set_video_may_run(&mut self, place: usize) {
         self.seats[place].video_may_run = true;
     }
 
-    /// The phones that may be recording a video; they are taken to be stopped
-    /// from here on.
+    /// Returns the phones that may be recording a video, and forgets that they may.
     pub(crate) fn take_running_videos(&mut self) -> Vec<usize> {
         let seats = self.seats.iter_mut().enumerate();
         seats
@@ -144,26 +143,26 @@ impl<'a> Phones<'a> {
             .collect()
     }
 
-    /// News of the video of the phone at a place, if it is time to ask and an answer is
-    /// there.
+    /// Checks that a phone still records, if it is time to. Returns a change of state once the
+    /// phone has answered.
     pub(crate) fn video_news(&mut self, place: usize, now: Ticks) -> Option<VideoNews> {
         let seat = &mut self.seats[place];
         if !seat.video_may_run {
             return None;
         }
-        seat.check.look(seat.device.as_ref(), now)
+        seat.check.poll(seat.device.as_ref(), now)
     }
 
-    /// Calls off the questions whether videos run: the next requests need the phones.
-    pub(crate) fn call_off_checks(&mut self) {
+    /// Cancels pending checks, because the next requests need the phones.
+    pub(crate) fn cancel_checks(&mut self) {
         let seats = self.seats.iter_mut();
         let asked: Vec<_> = seats.filter_map(|seat| seat.check.asked.take()).collect();
-        call_off(self.clock, asked);
+        cancel(self.clock, asked);
     }
 }
 
-/// Calls off requests to phones, and waits until they have ended.
-pub(crate) fn call_off<T>(clock: &dyn Clock, asked: impl IntoIterator<Item = Pending<T>>) {
+/// Cancels requests to phones, and waits until they have ended.
+pub(crate) fn cancel<T>(clock: &dyn Clock, asked: impl IntoIterator<Item = Pending<T>>) {
     let asked: Vec<_> = asked.into_iter().inspect(Pending::cancel).collect();
     for request in asked {
         while request.answer().is_none() {
@@ -172,21 +171,21 @@ pub(crate) fn call_off<T>(clock: &dyn Clock, asked: impl IntoIterator<Item = Pen
     }
 }
 
-/// News of a phone's video.
+/// A change of state of a phone's video.
 pub(crate) enum VideoNews {
-    /// It has ended.
+    /// The video has ended.
     Ended,
-    /// The phone answers again, and records.
+    /// The phone answers again, and still records.
     Back,
-    /// The phone does not say whether it records.
+    /// The phone does not answer whether it records.
     Away(PhoneError),
 }
 
-/// The question whether a phone still records.
+/// The repeated check that a phone still records.
 ///
-/// The app ends its video when it goes to the background, and says nothing. While it
-/// records, it refuses to record sensors, which costs it nothing; so it is asked for that
-/// ([`phone::PhoneClient::is_recording`]).
+/// The app ends its video when it goes to the background, without notice. While it records, it
+/// refuses requests to record sensors, which does not disturb the video; the check is such a
+/// request ([`phone::PhoneClient::is_recording`]).
 #[derive(Default)]
 struct VideoCheck {
     next: Ticks,
@@ -196,7 +195,7 @@ struct VideoCheck {
 }
 
 impl VideoCheck {
-    fn look(&mut self, phone: &dyn Phone, now: Ticks) -> Option<VideoNews> {
+    fn poll(&mut self, phone: &dyn Phone, now: Ticks) -> Option<VideoNews> {
         let Some(asked) = &self.asked else {
             if !self.has_ended && now >= self.next {
                 self.next = Ticks(now.0.saturating_add(ASK_EVERY));

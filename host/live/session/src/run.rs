@@ -15,50 +15,50 @@ use crate::steps;
 use crate::steps::close::close;
 use crate::steps::connect::{Parts, connect};
 
-/// All devices of a session, and who listens to it.
+/// All devices of a session, and its listener.
 pub struct Devices<'a> {
-    /// Reaches the board.
+    /// Opens the link to the board.
     pub connector: &'a mut dyn Connector,
     /// The phones, in the profile's order: the first is the reference.
     pub phones: Vec<Box<dyn Phone>>,
-    /// Reads the reference phone's clock while it records.
+    /// Starts to read the reference phone's clock.
     pub phone_clock: &'a mut dyn PhoneClockStarter,
     /// Records the depth camera.
     pub recorder: &'a mut dyn DepthRecorder,
-    /// Checks the computer and the profile: before the session, and when the checks are
+    /// Checks the computer and the profile. Called before the session, and when the checks are
     /// repeated.
     pub host_checks: &'a mut dyn FnMut() -> Checks,
-    /// All time but the board link's.
+    /// All time except that of the board's link.
     pub clock: &'a dyn Clock,
     /// The person at the rig.
     pub operator: &'a mut dyn Operator,
-    /// Takes the events, as they happen.
+    /// Receives the events as they happen.
     pub events: &'a mut dyn FnMut(&Stamped),
 }
 
-/// A session that has ended, with whatever it left.
+/// The result of a session.
 #[derive(Debug)]
 pub struct Ended {
-    /// How it ended; or why it failed.
+    /// Its outcome, or the error with which it failed.
     pub result: Result<SessionOutcome, SessionError>,
     /// The recording's folder.
     pub folder: PathBuf,
-    /// What was decided.
+    /// Content of `session.json`.
     pub file: SessionFile,
 }
 
-/// Runs a session. `None` if it was interrupted before there was a folder.
+/// Runs a session. Returns `None` if it was interrupted before there was a folder.
 ///
 /// # Errors
 ///
-/// It failed before there was a folder: board or phone cannot be reached, or no
-/// folder can be made. Later failures are in [`Ended::result`].
+/// Board or phone cannot be reached, or the folder cannot be created. Later failures are in
+/// [`Ended::result`].
 pub fn run(
     options: &Options,
     profile: &Profile,
     devices: Devices<'_>,
 ) -> Result<Option<Ended>, SessionError> {
-    // It may start a program: the board is not to be kept waiting for that later.
+    // This may start a program, which must not delay the session once it is connected.
     let checked = (devices.host_checks)();
     let parts = Parts {
         connector: devices.connector,
@@ -76,17 +76,16 @@ pub fn run(
     };
     let result = steps::run(&mut session, options, checked, devices.host_checks);
     let result = close(&mut session, options, result);
-    let log = &mut session.log;
-    let outcome = log.outcome_of(&result);
-    log.file.outcome = Some(outcome);
-    let saved = log.file.save(&log.folder);
-    let (folder, file) = (log.folder.clone(), log.file.clone());
+    let outcome = session.outcome_of(&result);
+    session.file.outcome = Some(outcome);
+    let saved = session.save();
+    let (folder, file) = (session.log.folder.clone(), session.file.clone());
     session.enter(Phase::Ended);
     let ended = SessionEvent::Ended {
         outcome,
         folder: folder.clone(),
     };
-    session.log.tell(ended);
+    session.log.publish(ended);
     let result = match result {
         Err(Stop::Failed(error)) => Err(error),
         _ => saved.map(|()| outcome).map_err(SessionError::from),

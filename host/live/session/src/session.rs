@@ -1,39 +1,42 @@
-//! The session: all that is alive in it, and how it waits ([`Session::pump`]).
+//! The live parts of a session, and how it waits ([`Session::pump`]).
 //!
 //! Each part has one job: the [link](crate::link) to the board, the
 //! [phones](crate::phones), the [log](crate::log), the [monitors](crate::link::monitors) of the
-//! board's messages, the housekeeping, and the person. A function that waits takes the
+//! board's messages, the housekeeping, and the operator. A function that waits takes the
 //! session; one that does not takes the parts it needs.
 //!
-//! Whatever a session waits for, it waits by pumping: messages are recorded and
-//! watched, the link is taken up again if it breaks, an interrupt is noticed.
+//! A session always waits by pumping: meanwhile messages are recorded and watched, a broken
+//! link is reopened, and interrupts are noticed.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use board::transport::LinkError;
 use board::{Board, BoardError, Event, StreamCounts};
+use clock::ClockRelation;
 use phone::task::Pending;
 use protocol::{DeviceToHost, Pong, Reply, TICK_HZ, Ticks};
+use recording::RecordingError;
 use recording::profile::Profile;
+use recording::session_file::{SessionFile, SessionOutcome};
 
-use crate::devices::{Choice, Clock, DepthRecorder, Operator, Phone};
+use crate::devices::{Choice, Clock, Operator, Phone};
 use crate::error::{SessionError, Stop};
-use crate::event::{Phase, Prompt, SessionEvent, Step};
+use crate::event::{Phase, PhoneName, Prompt, SessionEvent, Step};
 use crate::housekeeping::Housekeeping;
 use crate::link::BoardLink;
-use crate::link::monitors::{Monitors, take_message};
+use crate::link::monitors::{Monitors, handle_message};
 use crate::log::Log;
-use crate::phones::{Answers, Phones, call_off};
+use crate::phones::{Answers, Phones, cancel};
 use crate::tracking::Tracking;
 
-/// How long a session pumps at a time while it waits.
+/// Longest pump while the session waits for a condition.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// How long a lost link is waited for at most while a session is being closed.
+/// Longest wait for a lost link while the session is being closed.
 const PATIENCE_CLOSING: Duration = Duration::from_secs(3);
 
-/// All that is alive in a session.
+/// The live parts of a session.
 pub struct Session<'a> {
     pub(crate) profile: &'a Profile,
     pub(crate) clock: &'a dyn Clock,
@@ -43,75 +46,83 @@ pub struct Session<'a> {
     pub(crate) phones: Phones<'a>,
     /// The outputs.
     pub log: Log<'a>,
+    /// Content of `session.json`: everything decided and measured so far.
+    pub file: SessionFile,
     /// The monitors of the board's messages.
     pub monitors: Monitors,
     pub(crate) housekeeping: Housekeeping<'a>,
     /// The phone's clock, if it is followed.
     pub(crate) tracking: Option<Tracking>,
-    /// The trigger was started by this session.
+    /// True if this session has started the trigger, and not stopped it.
     pub trigger_started: bool,
-    phase: Phase,
-    /// The session is being closed: interrupts are no reason to stop any more.
+    pub(crate) phase: Phase,
+    /// True while the session is being closed, when interrupts do not stop it.
     pub(crate) closing: bool,
-    /// The board was reset: it has nothing more to say to this session.
-    pub(crate) was_reset: bool,
-    /// The counts of the streams when it was.
+    /// The counts of the streams at a reset of the board, which ends its part in the session.
     pub(crate) counts_at_reset: Option<StreamCounts>,
-    /// The last frame, which is of the new run if the next event is a reset.
-    frame: Option<Vec<u8>>,
+    /// True if the board was reset.
+    pub(crate) was_reset: bool,
+    /// The last frame, which belongs to the new run if the next event is a reset.
+    pub(crate) frame: Option<Vec<u8>>,
 }
 
 impl<'a> Session<'a> {
-    /// Puts the parts together.
-    #[must_use]
-    pub fn new(
-        profile: &'a Profile,
-        clock: &'a dyn Clock,
-        operator: &'a mut dyn Operator,
-        link: BoardLink<'a>,
-        phones: Phones<'a>,
-        mut log: Log<'a>,
-        recorder: &'a mut dyn DepthRecorder,
-    ) -> Self {
-        log.now = link.board.hello().now;
-        Self {
-            profile,
-            clock,
-            operator,
-            link,
-            phones,
-            log,
-            monitors: Monitors::default(),
-            housekeeping: Housekeeping::new(recorder, clock.now()),
-            tracking: None,
-            trigger_started: false,
-            phase: Phase::Connecting,
-            closing: false,
-            was_reset: false,
-            counts_at_reset: None,
-            frame: None,
-        }
-    }
-
-    /// Latest board time that was handled.
+    /// Returns the latest board time that was handled.
     #[must_use]
     pub const fn now(&self) -> Ticks {
         self.log.now
     }
 
-    /// The part of the session that runs.
+    /// Returns the part of the session that runs.
     #[must_use]
     pub const fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Another part begins.
+    /// Begins another part.
     pub(crate) fn enter(&mut self, phase: Phase) {
         self.phase = phase;
-        self.log.tell(SessionEvent::Phase { phase });
+        self.log.publish(SessionEvent::Phase { phase });
     }
 
-    /// Takes what the board has sent; waits at most for `wait` if that is nothing.
+    /// Writes `session.json`.
+    pub(crate) fn save(&mut self) -> Result<(), RecordingError> {
+        self.log.problems().clone_into(&mut self.file.problems);
+        self.file.save(&self.log.folder)
+    }
+
+    /// Returns the outcome of a session with this result.
+    pub(crate) fn outcome_of(&self, result: &Result<(), Stop>) -> SessionOutcome {
+        match result {
+            Err(Stop::Failed(_)) => SessionOutcome::Failed,
+            Err(Stop::Interrupted) => SessionOutcome::Interrupted,
+            Ok(()) | Err(Stop::BoardReset) if self.log.problems().is_empty() => {
+                SessionOutcome::Good
+            }
+            Ok(()) | Err(Stop::BoardReset) => SessionOutcome::Loss,
+        }
+    }
+
+    /// Sets the relation of the clock of the phone at index `place`, found from `source`.
+    pub(crate) fn set_clock(
+        &mut self,
+        place: usize,
+        phone: PhoneName,
+        clock: ClockRelation,
+        source: &str,
+    ) -> Result<(), Stop> {
+        self.file.phones[place].clock = Some(clock);
+        let further = (place > 0).then(|| phone.name.clone());
+        self.log
+            .write(|writer, now| writer.clock_model(now, further.as_deref(), &clock, source))?;
+        self.log.report(SessionEvent::ClockKnown {
+            place,
+            phone,
+            clock,
+        })
+    }
+
+    /// Handles pending events of the board, waiting up to `wait` if there are none.
     ///
     /// # Errors
     ///
@@ -125,14 +136,14 @@ impl<'a> Session<'a> {
         // Bounded, so that prompts stay alive even under full load.
         for _ in 0..2_000 {
             match self.link.next_event(wait) {
-                Ok(Some(event)) => self.take(event)?,
+                Ok(Some(event)) => self.handle(event)?,
                 Ok(None) => {
-                    // All that had come is taken.
+                    // Everything that had arrived is handled.
                     self.monitors.time(self.log.now);
                     break;
                 }
                 Err(BoardError::Link(error)) => {
-                    self.take_up_link(&error)?;
+                    self.reopen_link(&error)?;
                     break;
                 }
                 Err(other) => return Err(other.into()),
@@ -140,9 +151,9 @@ impl<'a> Session<'a> {
             wait = Duration::ZERO;
         }
         if let Some(tracking) = &mut self.tracking {
-            tracking.look(&mut self.link, &mut self.log)?;
+            tracking.look(&mut self.link, &self.file, &mut self.log)?;
         }
-        self.listen()?;
+        self.check_silence()?;
         let findings = std::mem::take(&mut self.monitors.findings);
         self.log.report_all(findings)?;
         let now = self.link.board.now();
@@ -151,7 +162,7 @@ impl<'a> Session<'a> {
             .look(self.clock, &mut self.log, self.closing)
     }
 
-    /// Pumps until `done` gives something.
+    /// Pumps until `done` returns a value.
     ///
     /// # Errors
     ///
@@ -168,13 +179,13 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Pumps for so long in board time.
+    /// Pumps for a number of ticks of board time.
     pub(crate) fn pump_for(&mut self, ticks: u64) -> Result<(), Stop> {
         let until = self.now().0.saturating_add(ticks);
         self.pump_until(|session| (session.now().0 >= until).then_some(()))
     }
 
-    /// Calls the board; takes up the link once if it breaks meanwhile.
+    /// Calls the board, and once more after reopening the link if it breaks meanwhile.
     ///
     /// # Errors
     ///
@@ -183,31 +194,32 @@ impl<'a> Session<'a> {
         Ok(self.try_call(call)??)
     }
 
-    /// Calls the board as [`Session::call`], for who can go on without the answer.
+    /// Calls the board as [`Session::call`] does, and returns a refusal or a missing answer as a
+    /// value.
     pub(crate) fn try_call<T>(
         &mut self,
         mut call: impl FnMut(&mut Board) -> board::Result<T>,
     ) -> Result<board::Result<T>, Stop> {
         match call(&mut self.link.board) {
             Err(BoardError::Link(error)) => {
-                self.take_up_link(&error)?;
+                self.reopen_link(&error)?;
                 Ok(call(&mut self.link.board))
             }
             other => Ok(other),
         }
     }
 
-    /// Asks phones at the same time and pumps until all have answered. Their answers are
-    /// in the result, by their places.
+    /// Sends a request to several phones at the same time and pumps until all have answered.
+    /// Returns the answers in the order of the phones' indices.
     pub(crate) fn ask_phones<T>(
         &mut self,
         places: impl IntoIterator<Item = usize>,
         ask: impl Fn(usize, &dyn Phone) -> Pending<T>,
         mut meanwhile: impl FnMut(&mut Self),
     ) -> Result<Answers<T>, Stop> {
-        self.phones.call_off_checks();
-        let asked = |place| (place, ask(place, self.phones.device(place)));
-        let mut waiting: Vec<_> = places.into_iter().map(asked).collect();
+        self.phones.cancel_checks();
+        let request = |place| (place, ask(place, self.phones.device(place)));
+        let mut waiting: Vec<_> = places.into_iter().map(request).collect();
         let mut answers = Answers::new();
         let result = self.pump_until(|session| {
             meanwhile(session);
@@ -221,23 +233,23 @@ impl<'a> Session<'a> {
             waiting.is_empty().then_some(())
         });
         if result.is_err() {
-            call_off(self.clock, waiting.into_iter().map(|(_, request)| request));
+            cancel(self.clock, waiting.into_iter().map(|(_, request)| request));
         }
         answers.sort_by_key(|&(place, _)| place);
         result.map(|()| answers)
     }
 
-    /// Asks the person and pumps until there is an answer.
+    /// Asks the operator and pumps until there is an answer.
     pub(crate) fn ask(&mut self, prompt: Prompt) -> Result<Choice, Stop> {
         if !self.operator.is_present() {
             return Ok(Choice::Continue);
         }
-        self.log.tell(SessionEvent::Prompt { prompt });
+        self.log.publish(SessionEvent::Prompt { prompt });
         self.pump_until(|session| session.operator.answer())
     }
 
-    /// Runs a step; if it fails in a way that may pass, and somebody is there, it
-    /// can be repeated or left out.
+    /// Runs a step. If it fails in a way that may pass, a present operator can repeat or skip
+    /// it.
     pub(crate) fn step(
         &mut self,
         step: Step,
@@ -251,7 +263,7 @@ impl<'a> Session<'a> {
             if !self.operator.is_present() {
                 return Err(error.into());
             }
-            self.log.tell(SessionEvent::StepFailed {
+            self.log.publish(SessionEvent::StepFailed {
                 step,
                 error: Arc::new(error),
             });
@@ -264,8 +276,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Takes what came from the board.
-    fn take(&mut self, event: Event) -> Result<(), Stop> {
+    /// Handles one event of the board.
+    fn handle(&mut self, event: Event) -> Result<(), Stop> {
         let now = self.now();
         if self.was_reset || self.log.writer.is_none() {
             return Ok(());
@@ -278,7 +290,8 @@ impl<'a> Session<'a> {
         match event {
             Event::Frame(frame) => self.frame = Some(frame),
             Event::Message(message) => {
-                take_message(&self.link, &mut self.monitors, &mut self.log, message)?;
+                let log = &mut self.log;
+                handle_message(&self.link, &mut self.monitors, &self.file, log, message)?;
             }
             Event::Lost { stream, count } => {
                 self.monitors.lost(stream, count);
@@ -316,8 +329,8 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Ends what the board was asked for: after a reset it knows nothing of this session, and
-    /// its clock is another.
+    /// Ends the board's part in the session: a reset has ended everything that it was asked
+    /// for, and restarted its clock.
     fn board_was_reset(&mut self, last: Ticks) -> Result<(), Stop> {
         self.was_reset = true;
         self.trigger_started = false;
@@ -329,22 +342,24 @@ impl<'a> Session<'a> {
                 cause = hello.reset_cause;
             }
         }
-        if self.log.file.recorded.is_none() && !self.closing {
+        if self.file.recorded.is_none() && !self.closing {
             return Err(SessionError::BoardReset { at: last, cause }.into());
         }
         self.log.report(SessionEvent::BoardReset { cause, last })?;
-        match self.closing {
-            true => Ok(()),
-            false => Err(Stop::BoardReset),
+        if self.closing {
+            Ok(())
+        } else {
+            Err(Stop::BoardReset)
         }
     }
 
-    /// Waits for a lost link and goes on with it, if the board lives.
-    fn take_up_link(&mut self, error: &LinkError) -> Result<(), Stop> {
+    /// Waits for a lost link to return, and continues if the board was not reset meanwhile.
+    fn reopen_link(&mut self, error: &LinkError) -> Result<(), Stop> {
         let lost_at = self.now();
-        let patience = match self.closing {
-            true => self.link.patience().min(PATIENCE_CLOSING),
-            false => self.link.patience(),
+        let patience = if self.closing {
+            self.link.patience().min(PATIENCE_CLOSING)
+        } else {
+            self.link.patience()
         };
         self.log.report(SessionEvent::LinkLost {
             reason: error.to_string(),
@@ -356,15 +371,16 @@ impl<'a> Session<'a> {
         let is_interrupted = || self.operator.interrupted() && !self.closing;
         self.link
             .reopen(error, patience, self.clock, &is_interrupted, &mut self.log)?;
-        self.log.file.reconnects += 1;
+        self.file.reconnects += 1;
         if self.link.is_other_run() {
-            // What came of the former run is taken first, up to the reset.
+            // The messages of the former run come first, up to the reset.
             while let Some(event) = self.link.board.queued_event() {
-                self.take(event)?;
+                self.handle(event)?;
             }
-            return match self.was_reset {
-                true => Ok(()),
-                false => self.board_was_reset(lost_at),
+            return if self.was_reset {
+                Ok(())
+            } else {
+                self.board_was_reset(lost_at)
             };
         }
         let now = self.link.board.hello().now;
@@ -373,8 +389,9 @@ impl<'a> Session<'a> {
         self.log.report(SessionEvent::LinkBack { away_s })
     }
 
-    /// Sees to it that the board is still understood.
-    fn listen(&mut self) -> Result<(), Stop> {
+    /// Reports a board that has become quiet, and reopens a link that has been silent for too
+    /// long.
+    fn check_silence(&mut self) -> Result<(), Stop> {
         if self.was_reset {
             return Ok(());
         }
@@ -385,8 +402,8 @@ impl<'a> Session<'a> {
                 damaged,
             })?;
         }
-        match self.link.silent() {
-            Some(error) => self.take_up_link(&error),
+        match self.link.silence_error() {
+            Some(error) => self.reopen_link(&error),
             None => Ok(()),
         }
     }

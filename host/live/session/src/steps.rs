@@ -6,8 +6,8 @@ pub mod connect;
 use board::imu::{ImuLook, Scale};
 use clock::{BoardToPhone, ClockRelation};
 use protocol::{
-    AlignPlan, AlignTrigger, EdgeGrid, Output, Period, QueryImu, QueryTrigger, SetPeriod,
-    StartTrigger, StopTrigger, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus,
+    AlignTrigger, EdgeGrid, Output, Period, QueryImu, QueryTrigger, SetPeriod, StartTrigger,
+    StopTrigger, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus,
 };
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
 
@@ -18,23 +18,22 @@ use crate::devices::Wish;
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, SessionEvent, Step};
 use crate::link::watch::Watch;
-use crate::log::Log;
 use crate::options::Options;
 use crate::phones::REFERENCE;
 use crate::phones::videos::{place_others, start_videos, watch_videos};
 use crate::session::Session;
 use crate::twist::first_twists;
 
-/// How much longer than planned an arrival may take to be reported, ticks.
+/// Longest wait for the report of an arrival beyond its plan, ticks.
 const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
 
-/// Periods from the arrival on the grid to the beginning of the recorded span: the depth
-/// camera may make its next frames by its own clock, or mark them as bad, after the
-/// phase was moved.
+/// Number of periods from the arrival on the grid to the beginning of the recorded span. After a
+/// change of phase, the depth camera may take its next frames by its own clock, or mark them as
+/// bad.
 const SETTLING_PERIODS: u64 = 15;
 
-/// Runs the session from the checks to the end of the recording. `host_checks` checks the
-/// computer; it was called for `checked` before the session began.
+/// Runs the session from the checks to the end of the recording. `checked` is the result of a
+/// first call of `host_checks`, which checks the computer.
 pub(crate) fn run(
     session: &mut Session<'_>,
     options: &Options,
@@ -49,7 +48,8 @@ pub(crate) fn run(
     first_twists(session, options)?;
     session.enter(Phase::StartingRecorder);
     session.step(Step::Recorder, |session| {
-        session.housekeeping.start_recorder(&mut session.log)
+        let depth = &session.profile.depth;
+        session.housekeeping.start_recorder(depth, &mut session.log)
     })?;
     session.enter(Phase::StartingTrigger);
     session.step(Step::Trigger, |session| {
@@ -58,25 +58,22 @@ pub(crate) fn run(
     })?;
     session.enter(Phase::StartingVideos);
     session.step(Step::Videos, start_videos)?;
-    let video = session
-        .log
-        .phone(REFERENCE)
+    let video = session.file.phones[REFERENCE]
         .video
         .ok_or(SessionError::NoVideo)?;
-    let clock = session.log.file.clock().ok_or(SessionError::NoClock)?;
+    let clock = session.file.clock().ok_or(SessionError::NoClock)?;
     session.enter(Phase::Aligning);
     let alignment = align(session, &clock, &video)?;
-    place_others(&session.phones, &mut session.log, session.profile)?;
+    place_others(session)?;
     confirm_arrival(session, &alignment)?;
     auxiliary::start(session)?;
     record(session, options, &alignment)
 }
 
-/// Checks both sides as `doctor` does. What is found is reported, and kept in the session
-/// file.
+/// Checks both sides as `doctor` does. The results are reported and kept in the session file.
 fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
     checks.firmware(&session.link.board, Some(session.profile));
-    for phone in &session.log.file.phones {
+    for phone in &session.file.phones {
         let version = phone.version.as_deref();
         checks.phone(version.unwrap_or("of unknown version"), &phone.address);
     }
@@ -88,44 +85,44 @@ fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
         looked?;
         Ok::<_, Stop>((look, session.call(|board| board.call(QueryImu))?))
     })?;
-    // The sensor is known now, also if it was still being looked for before.
+    // The board may have been looking for the sensor until now.
     if let Some(scale) = Scale::of(&setup) {
         session.link.set_scale(scale);
-        session.log.tell(SessionEvent::ScaleChanged { scale });
-        session.log.file.imu = Some(ImuInfo { setup, scale });
+        session.log.publish(SessionEvent::ScaleChanged { scale });
+        session.file.imu = Some(ImuInfo { setup, scale });
     }
     let conversation = session.link.board.conversation();
     checks.link(conversation.counts().lost(), conversation.damaged_frames());
-    session.log.file.preflight.clear();
-    keep(&mut session.log, checks)
+    session.file.preflight.clear();
+    report_checks(session, checks)
 }
 
-/// Checks whether the train that was just started comes out of the wire.
+/// Checks that the train that was just started appears on the wire.
 fn check_readback(session: &mut Session<'_>) -> Result<(), Stop> {
     session.pump_for(TRIGGER_TIME)?;
     let mut checks = Checks::default();
     checks.readback(&session.call(|board| board.call(QueryTrigger(Output::Camera)))?);
-    keep(&mut session.log, checks)
+    report_checks(session, checks)
 }
 
-/// Reports and keeps what was found, and ends with the first of it that is bad.
-fn keep(log: &mut Log<'_>, checks: Checks) -> Result<(), Stop> {
+/// Reports and keeps the results of checks, and fails with the first bad one.
+fn report_checks(session: &mut Session<'_>, checks: Checks) -> Result<(), Stop> {
     for check in &checks.checks {
-        log.report(SessionEvent::Checked {
+        session.log.report(SessionEvent::Checked {
             check: check.clone(),
         })?;
     }
     let result = checks.result();
-    log.file.preflight.extend(checks.checks);
-    log.save()?;
+    session.file.preflight.extend(checks.checks);
+    session.save()?;
     Ok(result?)
 }
 
-/// Starts the train at the best period that is known so far.
+/// Starts the train with the best period that is known so far.
 fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
     let profile = session.profile;
     let nominal = Period::from_ticks(TICK_HZ / profile.depth.fps);
-    let period = match (&profile.phone.learnt, session.log.file.clock()) {
+    let period = match (&profile.phone.learnt, session.file.clock()) {
         (Some(learnt), Some(clock)) => {
             let picos = learnt.frame_period_ns * 1e3 / (1.0 + clock.skew)
                 * f64::from(profile.frame_ratio());
@@ -152,7 +149,7 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
     })
 }
 
-/// Sends the train onto the phone's frames.
+/// Moves the train onto the phone's frames.
 fn align(
     session: &mut Session<'_>,
     clock: &ClockRelation,
@@ -171,10 +168,9 @@ fn align(
     alignment.arrival_pulse = Some(plan.arrival_pulse);
     alignment.arrival = Some(plan.arrival);
     alignment.phase_sigma_us = alignment.stated_sigma_us_at(plan.arrival.into());
-    let twists = &session.log.phone(REFERENCE).twists;
-    alignment.plan.board_temperature_c = twist_temperature(twists);
-    session.log.file.alignment = Some(alignment);
-    session.log.save()?;
+    alignment.plan.board_temperature_c = twist_temperature(&session.file.phones[REFERENCE].twists);
+    session.file.alignment = Some(alignment);
+    session.save()?;
     session.log.report(SessionEvent::Aligning {
         shift_us: plan.shift.as_secs_f64() * 1e6,
         frames: plan.frames,
@@ -183,40 +179,28 @@ fn align(
     Ok(alignment)
 }
 
-/// When a train is to be on its grid.
-#[derive(Clone, Copy, Debug)]
-pub struct PlannedArrival {
-    /// The first pulse on the grid.
-    pub pulse: u64,
-    /// Its time.
-    pub at: Ticks,
-}
-
-impl From<&AlignPlan> for PlannedArrival {
-    fn from(plan: &AlignPlan) -> Self {
-        Self {
-            pulse: plan.arrival_pulse,
-            at: plan.arrival,
-        }
-    }
+/// The planned arrival of a train on its grid.
+struct PlannedArrival {
+    /// Number of the first pulse on the grid.
+    pulse: u64,
+    /// Time of that pulse.
+    at: Ticks,
 }
 
 impl PlannedArrival {
-    /// Tells whether the board should have reported it by now.
-    #[must_use]
-    pub const fn is_overdue(&self, now: Ticks) -> bool {
+    /// Returns true if the board should have reported the arrival by now.
+    const fn is_overdue(&self, now: Ticks) -> bool {
         now.0 > self.at.0.saturating_add(ARRIVAL_MARGIN)
     }
 
-    /// Tells whether the train is on its grid: the report may have been lost on the link, the
-    /// state of the train was not.
-    #[must_use]
-    pub fn has_come(&self, train: &TriggerStatus) -> bool {
+    /// Returns true if the train is on its grid according to its state. The report of the arrival
+    /// may have been lost on the link.
+    fn has_occurred(&self, train: &TriggerStatus) -> bool {
         train.state == TrainState::Running && train.pulses > self.pulse
     }
 }
 
-/// Waits until the board says that the train is on its grid.
+/// Waits until the board reports that the train is on its grid.
 fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(), Stop> {
     let (Some(pulse), Some(at)) = (alignment.arrival_pulse, alignment.arrival) else {
         return Ok(());
@@ -227,17 +211,17 @@ fn confirm_arrival(session: &mut Session<'_>, alignment: &Alignment) -> Result<(
         _ => planned.is_overdue(session.now()).then_some(false),
     })?;
     if is_confirmed {
-        return session.log.save();
+        return Ok(session.save()?);
     }
     let status = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
-    if planned.has_come(&status) {
+    if planned.has_occurred(&status) {
         return session.log.report(SessionEvent::ArrivalUnconfirmed);
     }
     let state = status.state;
     Err(SessionError::NotArrived { pulse, state }.into())
 }
 
-/// Records, until the time is up or somebody stops it.
+/// Records until the time is up or the operator stops it.
 fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
     let grid = alignment.plan.grid();
     let settled = alignment.arrival.map(|arrival| {
@@ -246,10 +230,10 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
     });
     let settled = settled.unwrap_or_default();
     session.pump_until(|session| (session.now() >= settled).then_some(()))?;
-    // What is counted lies in the span.
+    // Counting begins with the span.
     let from = session.now();
     session.begin_recording(grid);
-    session.log.save()?;
+    session.save()?;
     let end = options.duration.map(|ticks| from.0.saturating_add(ticks));
     session.log.report(SessionEvent::RecordingStarted {
         length_s: options.duration.map(|ticks| Ticks(ticks).as_secs_f64()),
@@ -257,7 +241,7 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
     session.operator.forget_typed();
     let now = session.link.board.now();
     if let Some(tracking) = &mut session.tracking {
-        tracking.follow(&mut session.log, now);
+        tracking.follow(&mut session.file, now);
     }
     let mut is_twist_due_reported = false;
     let mut due: Vec<u64> = options.markers.clone();
@@ -267,12 +251,12 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
             && session.now().0 >= from.0.saturating_add(next)
         {
             due.pop();
-            mark(&mut session.log, Ticks(from.0 + next), None)?;
+            mark(session, Ticks(from.0 + next), None)?;
         }
         for place in watch_videos(&mut session.phones, &mut session.log)? {
             let label = format!("{}: video ended", session.phones.name(place));
             let now = session.now();
-            mark(&mut session.log, now, Some(label))?;
+            mark(session, now, Some(label))?;
         }
         steer(session)?;
         // A twist at the end relates the clocks again.
@@ -285,7 +269,7 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
         match session.operator.wish() {
             Some(Wish::Mark(label)) => {
                 let now = session.now();
-                mark(&mut session.log, now, label)?;
+                mark(session, now, label)?;
             }
             Some(Wish::Stop) => return Ok(Some(())),
             None => {}
@@ -297,46 +281,47 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
 }
 
 impl Session<'_> {
-    /// Begins the recorded span, in which pulses are watched against this grid.
+    /// Begins the recorded span, in which pulses are checked against this grid.
     pub fn begin_recording(&mut self, grid: EdgeGrid) {
         let from = self.now();
         self.link.board.start_counting();
         self.monitors.watch = Some(Watch::new(grid, from));
-        self.log.file.recorded = Some(Span { from, to: from });
+        self.file.recorded = Some(Span { from, to: from });
         self.enter(Phase::Recording { since: from });
     }
 }
 
-/// Sets another period, if it is time to and the clocks are known.
+/// Changes the period if it is time to and the clocks are known.
 fn steer(session: &mut Session<'_>) -> Result<(), Stop> {
     let now = session.link.board.now();
     let Some(tracking) = &mut session.tracking else {
         return Ok(());
     };
-    let Some(period) = tracking.due(&mut session.log, now)? else {
+    let Some(period) = tracking.due(&mut session.file, &mut session.log, now)? else {
         return Ok(());
     };
-    // A link that breaks is taken up here: what came meanwhile waits in the board's queue
-    // until it is known on which grid it is.
+    // A broken link is reopened here: messages wait in the board's queue until their grid is
+    // known.
     let output = Output::Camera;
     let answer = session.try_call(|board| board.call(SetPeriod { output, period }))?;
     match &mut session.tracking {
         Some(tracking) => {
-            tracking.stepped(answer, session.monitors.watch.as_mut(), &mut session.log)
+            let watch = session.monitors.watch.as_mut();
+            tracking.stepped(answer, watch, &mut session.file, &mut session.log)
         }
         None => Ok(()),
     }
 }
 
-/// Temperature of the board at the last twist that was accepted.
+/// Returns the temperature of the board at the last accepted twist, °C.
 fn twist_temperature(twists: &[Twist]) -> Option<f64> {
     let last = twists.iter().rfind(|twist| twist.accepted)?;
     last.board_temperature_c
 }
 
-/// Tells whether the phase is known less well by now than a twist must know it.
+/// Returns true if the phase has become less certain than a twist must make it.
 fn is_twist_due(session: &Session<'_>) -> bool {
-    let Some(alignment) = &session.log.file.alignment else {
+    let Some(alignment) = &session.file.alignment else {
         return false;
     };
     let tracked = session.tracking.as_ref().and_then(|t| t.sigma_us());
@@ -350,17 +335,19 @@ fn is_twist_due(session: &Session<'_>) -> bool {
     sigma_us > session.profile.align.max_offset_sigma_us
 }
 
-/// Sets a mark.
-fn mark(log: &mut Log<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
-    let label = label.unwrap_or_else(|| format!("marker {}", log.file.markers.len() + 1));
-    let phone = log.file.clock().map(|clock| clock.ticks_to_phone(at));
-    log.write(|writer, _| writer.marker(at, phone, &label))?;
-    log.file.markers.push(Marker {
+/// Sets a mark; without a label it is numbered.
+fn mark(session: &mut Session<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
+    let label = label.unwrap_or_else(|| format!("marker {}", session.file.markers.len() + 1));
+    let phone = session.file.clock().map(|clock| clock.ticks_to_phone(at));
+    session
+        .log
+        .write(|writer, _| writer.marker(at, phone, &label))?;
+    session.file.markers.push(Marker {
         at,
         label: label.clone(),
     });
-    log.save()?;
-    log.report(SessionEvent::Marked {
+    session.save()?;
+    session.log.report(SessionEvent::Marked {
         marked_at: at,
         label,
     })

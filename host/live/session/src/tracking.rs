@@ -15,7 +15,7 @@ use clock::ClockRelation;
 use clock::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use protocol::{Period, Ticks};
 use recording::messages::{ClockExchange, Header};
-use recording::session_file::TrackInfo;
+use recording::session_file::{SessionFile, TrackInfo};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use crate::devices::{PhoneClock, PhoneClockStarter};
@@ -128,7 +128,7 @@ pub(crate) fn start(
     is_only_phone: bool,
     phone: &str,
     starter: &mut dyn PhoneClockStarter,
-    tell: &mut dyn FnMut(SessionEvent),
+    publish: &mut dyn FnMut(SessionEvent),
 ) -> Result<Option<Tracking>, SessionError> {
     let is_wanted = match track {
         Track::Never => false,
@@ -141,14 +141,14 @@ pub(crate) fn start(
     let phone_clock = match starter.start() {
         Ok(phone_clock) => phone_clock,
         Err(error) if track == Track::IfThere => {
-            tell(SessionEvent::ClockNotFollowed {
+            publish(SessionEvent::ClockNotFollowed {
                 reason: error.to_string(),
             });
             return Ok(None);
         }
         Err(error) => return Err(SessionError::PhoneClock(error)),
     };
-    tell(SessionEvent::ClockFollowed {
+    publish(SessionEvent::ClockFollowed {
         device: phone_clock.device().to_owned(),
     });
     Ok(Some(Tracking {
@@ -174,6 +174,7 @@ impl Tracking {
     pub(crate) fn look(
         &mut self,
         board: &mut BoardLink<'_>,
+        file: &SessionFile,
         log: &mut Log<'_>,
     ) -> Result<(), Stop> {
         for exchange in self.phone_clock.exchanges() {
@@ -188,7 +189,7 @@ impl Tracking {
         if self.asking.is_due(now) {
             self.asking.asked(board.board.ask_time(), now);
         }
-        if let Some(clock) = log.file.clock().filter(|clock| self.known != Some(*clock))
+        if let Some(clock) = file.clock().filter(|clock| self.known != Some(*clock))
             && self.tracker.take_relation(&clock)
         {
             self.known = Some(clock);
@@ -196,7 +197,7 @@ impl Tracking {
         if self.following.is_some() && now.saturating_sub(self.reported) >= REPORT_EVERY {
             self.reported = now;
             self.tracked = self.tracked(now, log.now);
-            log.tell(SessionEvent::Tracked {
+            log.publish(SessionEvent::Tracked {
                 tracked: self.tracked,
             });
         }
@@ -284,18 +285,18 @@ impl Tracking {
     }
 
     /// Lets the period follow from here on: the trigger is on its grid.
-    pub(crate) fn follow(&mut self, log: &mut Log<'_>, now: Duration) {
-        let Some(alignment) = &log.file.alignment else {
+    pub(crate) fn follow(&mut self, file: &mut SessionFile, now: Duration) {
+        let Some(alignment) = &file.alignment else {
             return;
         };
-        let ratio = log.file.profile.frame_ratio();
+        let ratio = file.profile.frame_ratio();
         self.following = Some(Following {
             steering: Steering::new(&alignment.plan, ratio),
             stepped: now,
             is_lost: false,
             unanswered: None,
         });
-        log.file.tracking = Some(TrackInfo {
+        file.tracking = Some(TrackInfo {
             device: self.phone_clock.device().to_owned(),
             steps: 0,
             lost: 0,
@@ -304,7 +305,12 @@ impl Tracking {
 
     /// The period that the board is to be asked for now, if it is another. Reports it if the
     /// phone's clock cannot be read any more, and if it can again.
-    pub(crate) fn due(&mut self, log: &mut Log<'_>, now: Duration) -> Result<Option<Period>, Stop> {
+    pub(crate) fn due(
+        &mut self,
+        file: &mut SessionFile,
+        log: &mut Log<'_>,
+        now: Duration,
+    ) -> Result<Option<Period>, Stop> {
         let relation = self.relation(now);
         let holds = has_lock(&self.tracker, self.link, now.as_secs_f64()) && relation.is_some();
         let Some(following) = &mut self.following else {
@@ -312,7 +318,7 @@ impl Tracking {
         };
         if holds == following.is_lost {
             following.is_lost = !holds;
-            report_lock(log, holds)?;
+            report_lock(file, log, holds)?;
             return Ok(None);
         }
         let relation = relation.filter(|_| holds);
@@ -325,6 +331,7 @@ impl Tracking {
         &mut self,
         answer: board::Result<protocol::TriggerStatus>,
         watch: Option<&mut Watch>,
+        file: &mut SessionFile,
         log: &mut Log<'_>,
     ) -> Result<(), Stop> {
         let Some(following) = &mut self.following else {
@@ -350,7 +357,7 @@ impl Tracking {
         if let Some(watch) = watch {
             watch.follow(grid);
         }
-        if let Some(info) = &mut log.file.tracking {
+        if let Some(info) = &mut file.tracking {
             info.steps += 1;
         }
         log.write(|writer, _| writer.trigger_period(grid, (step.phase_us, step.sigma_us)))
@@ -360,11 +367,11 @@ impl Tracking {
 /// Reports that the phone's clock cannot be read any more, or is followed again. Both stand
 /// in the recording's log with their times; they are no marks, which would divide the data
 /// set.
-fn report_lock(log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
+fn report_lock(file: &mut SessionFile, log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
     if holds {
         return log.report(SessionEvent::TrackBack);
     }
-    if let Some(info) = &mut log.file.tracking {
+    if let Some(info) = &mut file.tracking {
         info.lost += 1;
     }
     log.report(SessionEvent::TrackLost)

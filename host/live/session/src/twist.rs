@@ -18,7 +18,7 @@ use crate::event::{Phase, PhoneName, Prompt, SessionEvent, Step, TwistEstimate};
 use crate::link::monitors::BoardGyro;
 use crate::log::Log;
 use crate::options::Options;
-use crate::phones::{Phones, REFERENCE};
+use crate::phones::REFERENCE;
 use crate::session::Session;
 use clock::rates::Course;
 use clock::twists::{KnownSkew, Twists};
@@ -67,7 +67,7 @@ fn good_twist(
         let clocks = match twist(session, false) {
             Ok(clocks) => clocks.unwrap_or_default(),
             Err(Stop::Failed(error)) if error.is_repeatable() && session.operator.is_present() => {
-                session.log.tell(SessionEvent::StepFailed {
+                session.log.publish(SessionEvent::StepFailed {
                     step: Step::Twist,
                     error: Arc::new(error),
                 });
@@ -94,7 +94,7 @@ fn good_twist(
                 take_over(session, place, &joined)?;
             }
         }
-        session.log.save()?;
+        session.save()?;
         if !session.operator.is_present() {
             // Phones may have got theirs from different twists. The last try is taken as it is.
             if known.iter().all(Option::is_some) && (weak.is_none() || attempt >= TRIES) {
@@ -127,7 +127,7 @@ fn weak_twist(
     clocks: &[Option<ClockRelation>],
 ) -> Option<(usize, PhoneName, f64, f64)> {
     let limit_us = session.profile.align.max_offset_sigma_us * WEAK;
-    let number = session.log.phone(REFERENCE).twists.len();
+    let number = session.file.phones[REFERENCE].twists.len();
     let accepted = clocks.iter().enumerate();
     accepted
         .filter_map(|(place, clock)| {
@@ -177,9 +177,9 @@ fn take_over(session: &mut Session<'_>, place: usize, twists: &Twists) -> Result
         None => twists.course(),
     };
     session.phones.set_change(place, course.change);
-    let source = format!("twist {}", session.log.phone(REFERENCE).twists.len());
+    let source = format!("twist {}", session.file.phones[REFERENCE].twists.len());
     let phone = session.phones.name(place);
-    session.log.set_clock(place, phone, course.clock, &source)
+    session.set_clock(place, phone, course.clock, &source)
 }
 
 /// Takes the skew that was learnt before into what the twists say.
@@ -203,7 +203,7 @@ fn ask_for_twist(
 ) -> Result<Choice, Stop> {
     loop {
         match session.ask(prompt)? {
-            Choice::Skip if !can_skip => session.log.tell(SessionEvent::Prompt {
+            Choice::Skip if !can_skip => session.log.publish(SessionEvent::Prompt {
                 prompt: Prompt::CannotSkip,
             }),
             choice => return Ok(choice),
@@ -218,7 +218,7 @@ fn twist(
     can_skip: bool,
 ) -> Result<Option<Vec<Option<ClockRelation>>>, Stop> {
     let length_s = session.profile.phone.twist_s;
-    let number = session.log.phone(REFERENCE).twists.len() + 1;
+    let number = session.file.phones[REFERENCE].twists.len() + 1;
     session.enter(Phase::Twisting { number });
     session.operator.forget_typed();
     let prompt = Prompt::Twist { length_s, can_skip };
@@ -253,10 +253,9 @@ fn twist(
         gyro: &board,
         temperature_c: session.monitors.temperature,
     };
-    let (phones, log) = (&session.phones, &mut session.log);
     let places = samples.iter().enumerate();
     places
-        .map(|(place, samples)| relate(phones, log, place, &board, samples))
+        .map(|(place, samples)| relate(session, place, &board, samples))
         .collect::<Result<_, _>>()
         .map(Some)
 }
@@ -270,26 +269,28 @@ struct BoardMotion<'a> {
 
 /// Relates the clock of one phone to the board's by a twist.
 fn relate(
-    phones: &Phones<'_>,
-    log: &mut Log<'_>,
+    session: &mut Session<'_>,
     place: usize,
     board: &BoardMotion<'_>,
     samples: &[PhoneSample],
 ) -> Result<Option<ClockRelation>, Stop> {
+    let Session {
+        phones, log, file, ..
+    } = session;
     let number = board.number;
     let (profile, phone) = (phones.profile(place), phones.name(place));
-    let folder = log.file.phone_folder(&profile.name);
+    let folder = file.phone_folder(&profile.name);
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
     let name = name.to_string_lossy().into_owned();
     phone::save_samples(&log.folder.join(&name), samples, true).map_err(SessionError::Samples)?;
     let phone_track = phone_track(samples.iter().map(|sample| (sample.time, sample.xyz)));
-    let imu = log.file.imu.as_ref();
+    let imu = file.imu.as_ref();
     let delay_us = imu.map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = EstimateOptions {
         a_delay_s: f64::from(delay_us) * 1e-6,
         b_delay_s: profile.gyro_delay_us * 1e-6,
-        b_jump_s: seen_jump_s(&log.phone(place).twists),
-        sigma_limit_s: log.file.profile.align.max_offset_sigma_us * 1e-6,
+        b_jump_s: seen_jump_s(&file.phones[place].twists),
+        sigma_limit_s: file.profile.align.max_offset_sigma_us * 1e-6,
         ..EstimateOptions::default()
     };
     let result = estimate_offset(&board.gyro.track, &phone_track, &options);
@@ -308,8 +309,8 @@ fn relate(
         board_temperature_c: board.temperature_c,
         report: Some(report.into()),
     };
-    log.phone_mut(place).twists.push(twist);
-    log.file.files.push(name);
+    file.phones[place].twists.push(twist);
+    file.files.push(name);
     // First what the hands did: that is what a further twist can change.
     let mut remarks: Vec<_> = together(report).into_iter().collect();
     remarks.extend(report.left_out.iter().map(LeftOut::to_string));
@@ -401,9 +402,7 @@ pub(crate) fn second_twist(
             phone: phone.clone(),
             clock,
         })?;
-        session
-            .log
-            .set_clock(place, phone, clock, "twists at begin and end")?;
+        session.set_clock(place, phone, clock, "twists at begin and end")?;
     }
     match is_refused {
         true => Err(SessionError::SecondTwist.into()),

@@ -19,19 +19,19 @@ use crate::outcome::{ExitStatus, Failure};
 const LOADER: &str = "0483:df11";
 /// The loader's first memory: the flash.
 const FLASH: [&str; 2] = ["--alt", "0"];
-/// How long the loader, or the board behind it, may take to appear.
+/// Longest wait for the loader, or for the board after it.
 const APPEARS: Duration = Duration::from_secs(20);
 /// Longest run of `dfu-util`: several times that of a write of the whole flash.
 const WRITING: Duration = Duration::from_secs(300);
 /// Most bytes that it prints, bars of progress included.
 const MAX_OUTPUT: usize = 16 << 20;
-/// How long somebody may take for jumpers and buttons.
+/// Longest wait for the user to set jumpers and press buttons.
 const BY_HAND: Duration = Duration::from_secs(180);
 
 /// Options of `board flash`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board flash")]
-pub(crate) struct Args {
+pub(crate) struct FlashArgs {
     /// Image to put on it, `smartdepthsync-firmware*.dfu`; else the installed one
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
@@ -58,7 +58,11 @@ struct Flashed {
 ///
 /// The board cannot be reached, no image fits it, `dfu-util` is missing or fails, or what runs
 /// afterwards is something else.
-pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &FlashArgs,
+    port: &PortArg,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     let found = port.open();
     let model = match (&found, args.board) {
         (Ok(board), None) => board.hello().board,

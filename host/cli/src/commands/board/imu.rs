@@ -13,15 +13,15 @@ use board::imu::{Scale, Summary, SummaryReport, last_fault};
 use board::{Board, Event, Stream};
 use session::checks::IMU_WIRING;
 
-/// How long, in board time, samples may stay away before it is given up. The
-/// board recovers a sensor within a second.
+/// Longest gap between samples before the command gives up, ticks. The board recovers a sensor
+/// within a second.
 const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
 
 /// Options of `board imu`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board imu --duration 60s")]
-pub(crate) struct Args {
-    /// How long, in board time: 90s, 5m, 1h
+pub(crate) struct BoardImuArgs {
+    /// Length of the look in board time: 90s, 5m, 1h
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_duration)]
     duration: u64,
 }
@@ -44,7 +44,11 @@ struct PrintedImu {
 /// # Errors
 ///
 /// The board cannot be reached, or its IMU gives nothing.
-pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &BoardImuArgs,
+    port: &PortArg,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     let mut board = port.open()?;
     let scale = imu_scale(&board.call(QueryImu)?)?;
     let mut summary = Summary::default();
@@ -69,7 +73,7 @@ pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<Exit
 
 /// Takes samples until the time is up; `None` if somebody stops it.
 fn stream(
-    args: &Args,
+    args: &BoardImuArgs,
     board: &mut Board,
     context: &Context,
     scale: &Scale,

@@ -10,7 +10,7 @@ use board::gnss::{self, parse_baud, utc_at_zero};
 
 /// Options of `board pps`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct PpsArgs {
     #[command(subcommand)]
     action: Action,
 }
@@ -48,7 +48,11 @@ enum Action {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &PpsArgs,
+    port: &PortArg,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     let mut board = port.open()?;
     let report = match args.action {
         Action::Start {

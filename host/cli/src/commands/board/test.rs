@@ -24,7 +24,7 @@ use crate::outcome::{ExitStatus, Failure, write_file};
 /// and reset what you are asked to; Enter leaves it out. Takes five minutes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board test --hands-off")]
-pub(crate) struct Args {
+pub(crate) struct TestArgs {
     /// Measure only this; may be given several times: edges and widths of the trigger, outputs 2
     /// to 4, pulse per second of a lidar, data-ready of the imu, throughput of the link, the
     /// crystal beside the computer's clock and the supply, an unplugged cable and a computer that
@@ -35,7 +35,7 @@ pub(crate) struct Args {
     /// Leave out what needs somebody at the board
     #[arg(long)]
     hands_off: bool,
-    /// How long the crystal is compared with this computer's clock: 60s, 5m
+    /// Time to compare the crystal with this computer's clock: 60s, 5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
     clock_time: Duration,
     /// Then let trigger and IMU run for so many hours, with a computer that sleeps and a board
@@ -70,7 +70,11 @@ const PARTS: [(&str, Part); 9] = [
 ///
 /// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
 /// written.
-pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &TestArgs,
+    port: &PortArg,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     let mut parts = match args.parts.as_slice() {
         [] => Part::ALL.to_vec(),
         some => some.to_vec(),

@@ -14,7 +14,7 @@ use crate::outcome::{ExitStatus, Failure};
 
 /// Options of `board trigger`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct TriggerArgs {
     /// Which trigger output: 1 is the camera's (PA5); 2, 3, 4 are PE11, PE13, PE14
     #[arg(long, value_name = "N", default_value_t = 1, global = true,
           value_parser = clap::value_parser!(u8).range(1..=4))]
@@ -88,7 +88,11 @@ impl PeriodArg {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, port: &PortArg, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &TriggerArgs,
+    port: &PortArg,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     // Wrong options are reported before the port is opened.
     if let Action::Period { period } = &args.action
         && period.given().is_none()

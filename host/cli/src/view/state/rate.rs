@@ -61,7 +61,7 @@ pub(super) struct Connected {
 }
 
 impl Connected {
-    /// Gives its picture, if there is anything to it.
+    /// Returns its shown form, unless it has no name, no pulses and does not run.
     pub(super) fn shown(&self, place: usize, now: Ticks) -> Option<Sensor> {
         let runs = self.state.is_some_and(|state| state != TrainState::Stopped);
         if self.name.is_none() && self.pulse.is_none() && !runs {

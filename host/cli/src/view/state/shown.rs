@@ -1,4 +1,4 @@
-//! What is shown of the state, at a moment.
+//! The shown form of the state at a moment.
 
 use clock::alignment::Placement;
 use clock::{BoardSeconds, ClockRelation};
@@ -146,12 +146,12 @@ pub(crate) struct Twist {
 }
 
 impl Twist {
-    /// Tells whether the motion so far suffices.
+    /// Returns true if the motion so far is sufficient.
     pub(crate) fn is_enough(&self) -> bool {
         self.sigma_us.is_some_and(|sigma| sigma <= self.enough_us)
     }
 
-    /// Advice to the person, in words.
+    /// Returns advice for the operator.
     pub(crate) fn advice(&self) -> &'static str {
         let mut sorted = self.rms;
         sorted.sort_by(f64::total_cmp);
@@ -176,7 +176,7 @@ pub(crate) enum Keys {
 }
 
 impl State {
-    /// Names what is done, in a word or two.
+    /// Returns the current activity in a word or two.
     pub(crate) fn doing(&self) -> String {
         if let Some((since, patience_s)) = self.link_lost {
             let left = patience_s.map(|whole| whole.saturating_sub(since.elapsed().as_secs()));
@@ -281,7 +281,7 @@ impl State {
         })
     }
 
-    /// Gives what the auxiliary outputs and the lidar do.
+    /// Returns the state of the auxiliary outputs and the lidar.
     pub(crate) fn sensors(&self) -> Vec<Sensor> {
         let sensors = (0..).zip(&self.sensors);
         sensors

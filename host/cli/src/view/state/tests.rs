@@ -254,7 +254,8 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
         reason,
         patience_s: Some(600),
     };
-    assert!(lost.to_string().contains("600 s"), "{lost}");
+    let notice = lost.notice().unwrap();
+    assert!(notice.finding.text.contains("600 s"), "{notice:?}");
     state.take(&at(23.0, lost));
     // It counts down; a machine may stall here for a while.
     let doing = state.doing();

@@ -7,7 +7,7 @@
 
 use std::path::{Path, PathBuf};
 
-use board::finding::{Finding, Severity};
+use board::finding::{EventKind, Finding, Severity};
 use clock::PhoneNanos;
 use phone::adb::get_files_command;
 use phone::video_files::{self, VideoFiles};
@@ -34,7 +34,7 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     let severities = parts.iter().map(|part| part.severity);
     let severity = severities.max().unwrap_or(Severity::Good);
     let open = parts.iter().filter(|part| part.severity != Severity::Good);
-    let open: Vec<&str> = open.map(|part| part.kind.as_str()).collect();
+    let open: Vec<String> = open.map(|part| part.kind.to_string()).collect();
     let open = open.join(", ");
     let text = match (severity, parts.as_slice()) {
         (_, [only]) => only.text.clone(),
@@ -72,7 +72,8 @@ pub(crate) fn sentence(words: &str) -> String {
 pub(super) fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> {
     let checks = session.preflight.iter();
     checks.filter(|check| {
-        let is_said = [CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK].contains(&check.kind.as_str());
+        let parts = [CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK];
+        let is_said = parts.iter().any(|part| check.kind == *part);
         check.severity != Severity::Good && !(is_said && session.has_recorded())
     })
 }
@@ -277,7 +278,7 @@ fn depth(folder: &Path, session: &SessionFile) -> Finding {
         }
     };
     let mut problems = session.problems.iter();
-    if let Some(problem) = problems.find(|problem| problem.kind == "depth_recorder_gone") {
+    if let Some(problem) = problems.find(|problem| problem.kind == EventKind::DepthRecorderGone) {
         verdict = Severity::Check;
         found += &format!("; {}", problem.text);
     }

@@ -14,7 +14,7 @@ use protocol::{
     TriggerStart,
 };
 
-use crate::finding::{Finding, Severity};
+use crate::finding::{Finding, FindingKind, Severity};
 
 use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{Extent, MAX_DELAY, PulseGrid, TICK_OF_DOUBT, Trains};
@@ -221,7 +221,7 @@ impl<'a> BoardTest<'a> {
 
     fn check(
         &mut self,
-        name: impl Into<String>,
+        name: impl Into<FindingKind>,
         good: bool,
         measured: String,
         limit: impl Into<String>,
@@ -235,7 +235,7 @@ impl<'a> BoardTest<'a> {
         });
     }
 
-    fn skip(&mut self, name: impl Into<String>, why: &str, reason: &'static str) {
+    fn skip(&mut self, name: impl Into<FindingKind>, why: &str, reason: &'static str) {
         self.checks.push(Check {
             part: self.part,
             finding: Finding::check(name, why).next_step(reason),

@@ -1,4 +1,4 @@
-//! The devices of a session as they are on hardware: a serial port, and `adb` for the
+//! The devices of a session on hardware: a serial port, and `adb` for the
 //! phone's clock. The phone's app is [`PhoneTask`](phone::task::PhoneTask), and the depth
 //! recorder a [process](crate::devices::recorder_process).
 
@@ -11,16 +11,16 @@ use system::Cancel;
 
 use crate::devices::{Connector, PhoneClock, PhoneClockStarter};
 
-/// The board on a serial port, found again under whatever name it comes back.
+/// Connects to the board on a serial port, and finds it again if it returns under another name.
 #[derive(Clone, Debug)]
 pub struct SerialConnector {
-    /// As the user gave it.
+    /// Path of the port, if the user gave one.
     pub port: Option<String>,
 }
 
 impl Connector for SerialConnector {
     fn connect(&mut self, board_id: Option<&str>) -> board::Result<Box<dyn Link>> {
-        // A board that was unplugged may come back under another name.
+        // A board that was unplugged may return under another name.
         let renamed = board_id.and_then(|id| {
             ports::list().ok()?.into_iter().find_map(|port| {
                 let serial = port.usb.as_ref()?.serial_number.as_deref()?;
@@ -35,9 +35,9 @@ impl Connector for SerialConnector {
     }
 }
 
-/// Reads the phone's clock by a program on the phone, through `adb`.
+/// Starts a program on the phone that reads its clock, through `adb`.
 pub struct AdbClockStarter {
-    /// Ends the start of the program, and its answers.
+    /// Cancels the start and the answers of the program.
     pub cancel: Cancel,
 }
 

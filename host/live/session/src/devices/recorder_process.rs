@@ -1,13 +1,13 @@
 //! The depth recorder as a process: any command, started without a shell and watched.
 //!
-//! It runs in a process group of its own, so a Ctrl-C at the terminal reaches
-//! this program only, which then stops the recorder in its turn. Its output goes
-//! into a file in the recording's folder. It is asked to stop with a signal and
-//! killed if it does not end in time.
+//! The recorder runs in a process group of its own, so a Ctrl-C at the terminal reaches only
+//! this program, which then stops the recorder when its turn has come. Its output goes into a
+//! file in the recording's folder. It is asked to stop with a signal, and killed if it does not
+//! end in time.
 //!
-//! If this program is killed, it can do nothing of that any more. So a [guard](Guard)
-//! waits from before the recorder's start: a shell that reads from a pipe of ours, which ends
-//! when we do, and then stops the process group that it and the recorder share.
+//! A [guard](Guard) stops the recorder if this program is killed. It is a shell that is started
+//! before the recorder and reads from a pipe of this program. When the pipe is closed, it stops
+//! the process group that it shares with the recorder.
 
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -21,10 +21,10 @@ use system::Process;
 
 use crate::devices::{DepthRecorder, RecorderEnd, RecorderError};
 
-/// Name of the file that keeps its output.
+/// Name of the file with the recorder's output.
 pub const LOG_FILE: &str = "depth_recorder.log";
 
-/// The depth recorder as a process, once it was started.
+/// The process of a depth recorder, once it was started.
 #[derive(Default)]
 pub struct RecorderProcess {
     running: Option<Running>,
@@ -34,9 +34,9 @@ pub struct RecorderProcess {
 struct Running {
     process: Process,
     program: String,
-    /// What asks it to stop.
+    /// Signal that asks it to stop.
     stop: Signal,
-    /// Leads its process group, and goes with it; without one the recorder leads its own.
+    /// Leader of its process group; `None` if the recorder leads its own.
     _guard: Option<Guard>,
 }
 
@@ -98,17 +98,18 @@ impl DepthRecorder for RecorderProcess {
     }
 }
 
-/// Stops its process group once this program has gone, however it went.
+/// Stops its process group after the end of this program, even if that was killed.
 struct Guard(Process);
 
-/// Prints a line once no signal that asks to stop ends it, and waits for the end of its
-/// input. Then it asks its group to stop with `$0`, and kills the group `$1` seconds later.
+/// Script of the guard: ignores the signals that ask to stop, prints a line when it is ready,
+/// and waits for the end of its input. Then it asks its group to stop with `$0`, and kills the
+/// group `$1` seconds later.
 const GUARD: &str =
     "trap '' INT TERM; echo; read -r _; kill -s \"$0\" 0; sleep \"$1\"; kill -s KILL 0";
 
 impl Guard {
-    /// Starts it in a group of its own, and waits until it is ready. Fails where there is no
-    /// shell.
+    /// Starts the guard in a process group of its own, and waits until it is ready. Fails if
+    /// there is no shell.
     fn start(signal: &str, patience_s: u32) -> io::Result<Self> {
         let mut command = Command::new("sh");
         command
@@ -142,7 +143,7 @@ fn start(
     Process::spawn_in_group(&mut command, leader)
 }
 
-/// Tells whether it ended as a program does that was asked to.
+/// Returns true if this is how a program ends that the signal asked to stop.
 fn is_as_asked(status: ExitStatus, stop: Signal) -> bool {
     let number = stop.as_raw();
     status.success() || status.signal() == Some(number) || status.code() == Some(128 + number)

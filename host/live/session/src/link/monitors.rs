@@ -1,5 +1,5 @@
-//! The monitors of the board's messages, and the one place through which every message
-//! goes: it is watched, put into SI units, reported and written.
+//! The monitors of the board's messages, and the one place that every message passes: it is
+//! watched, converted to SI units, published and written.
 
 use std::time::Duration;
 
@@ -17,38 +17,38 @@ use crate::link::watch::Watch;
 use crate::log::Log;
 use board::finding::Finding;
 
-/// The monitors.
+/// The monitors of the board's messages.
 #[derive(Default)]
 pub struct Monitors {
-    /// Set while recording.
+    /// Watch over the messages, while recording.
     pub watch: Option<Watch>,
-    /// What the watch has found.
+    /// Findings of the watch that were not reported yet.
     pub(crate) findings: Vec<Finding>,
-    /// The IMU's samples, while it is checked.
+    /// Statistics of the IMU's samples, while it is checked.
     pub(crate) look: Option<ImuLook>,
-    /// Gyroscope samples, while a twist is taken.
+    /// Gyroscope samples, during a twist.
     pub(crate) gyro: Option<BoardGyro>,
-    /// The least by which the computer's clock was ahead of a status' time, s.
+    /// Smallest difference of the computer's clock and the time of a status, s.
     least_ahead_s: Option<f64>,
     /// Temperature of the IMU, °C, from its last sample.
     pub(crate) temperature: Option<f64>,
-    /// The last arrival that was reported.
+    /// The last arrival that the board reported.
     pub(crate) arrived: Option<Arrived>,
 }
 
-/// Samples of the board's gyroscope in a twist.
+/// Samples of the board's gyroscope during a twist.
 #[derive(Default)]
 pub(crate) struct BoardGyro {
     pub(crate) track: GyroTrack,
     /// Times of the first and the last sample of the track.
     pub(crate) span: Span,
-    /// Number of samples that the board has marked as late or saturated, which are not in the
-    /// track: their rates are another sample's, or at the end of the range.
+    /// Number of samples that were left out because the board marked them as late (their rates
+    /// may be those of another sample) or as saturated.
     pub(crate) marked: usize,
 }
 
 impl BoardGyro {
-    fn take(&mut self, sample: &Sample) {
+    fn add(&mut self, sample: &Sample) {
         if sample.flags.has(ImuFlags::LATE) || sample.flags.has(ImuFlags::SATURATED) {
             self.marked += 1;
             return;
@@ -62,7 +62,8 @@ impl BoardGyro {
 }
 
 impl Monitors {
-    /// How long a status has waited before it was taken, beyond what the fastest took.
+    /// Returns the delay of a status from the board to its handling at `now`, relative to the
+    /// fastest one so far.
     fn waited(&mut self, now: Duration, at: Ticks) -> Duration {
         let ahead_s = now.as_secs_f64() - at.as_secs_f64();
         let least_s = self.least_ahead_s.map_or(ahead_s, |s| s.min(ahead_s));
@@ -70,7 +71,7 @@ impl Monitors {
         Duration::from_secs_f64(ahead_s - least_s)
     }
 
-    /// Messages of a stream are missing.
+    /// Notes that messages of a stream are missing.
     pub(crate) fn lost(&mut self, stream: Stream, count: u32) {
         if let Some(look) = &mut self.look {
             look.gap();
@@ -80,21 +81,21 @@ impl Monitors {
         }
     }
 
-    /// A message's number does not follow on the one before.
+    /// Notes that the number of a message does not follow that of the previous one.
     pub(crate) fn disordered(&mut self, stream: Stream) {
         if let Some(watch) = &mut self.watch {
             watch.disordered(stream, &mut self.findings);
         }
     }
 
-    /// All that had come by this time was taken.
+    /// Advances board time, after all messages up to `now` were handled.
     pub(crate) fn time(&mut self, now: Ticks) {
         if let Some(watch) = &mut self.watch {
             watch.time(now, &mut self.findings);
         }
     }
 
-    /// The link was lost until now.
+    /// Notes that the link was lost until `now`.
     pub(crate) const fn resume(&mut self, now: Ticks) {
         if let Some(watch) = &mut self.watch {
             watch.resume(now);
@@ -107,7 +108,7 @@ impl Monitors {
             look.add(sample);
         }
         if let Some(gyro) = &mut self.gyro {
-            gyro.take(sample);
+            gyro.add(sample);
         }
         if let Some(watch) = &mut self.watch {
             watch.imu(raw, &mut self.findings);
@@ -130,17 +131,18 @@ impl Monitors {
     }
 }
 
-/// Tells whether the trigger had arrived on the phone's frames. The board says of any grid that a
-/// pulse is on it.
+/// Returns true if the trigger had arrived on the phone's frames by this time. The flag of the
+/// board applies to any grid.
 fn is_on_phone(session: &SessionFile, at: Ticks) -> bool {
     let arrival = session.alignment.and_then(|alignment| alignment.arrival);
     arrival.is_some_and(|arrival| at >= arrival)
 }
 
-/// Takes a message of the board.
-pub(crate) fn take_message(
+/// Handles one message of the board.
+pub(crate) fn handle_message(
     link: &BoardLink<'_>,
     monitors: &mut Monitors,
+    file: &SessionFile,
     log: &mut Log<'_>,
     message: DeviceToHost,
 ) -> Result<(), Stop> {
@@ -148,7 +150,7 @@ pub(crate) fn take_message(
         DeviceToHost::Imu(raw) => Some(link.in_si(raw)),
         _ => None,
     };
-    log.tell(SessionEvent::Board {
+    log.publish(SessionEvent::Board {
         message: message.clone(),
         sample,
     });
@@ -156,7 +158,7 @@ pub(crate) fn take_message(
         return Ok(());
     };
     monitors.message(&message);
-    let profile = &log.file.profile;
+    let profile = &file.profile;
     let at = match message {
         DeviceToHost::Imu(raw) => {
             if let Some(sample) = sample {
@@ -166,7 +168,7 @@ pub(crate) fn take_message(
             raw.at
         }
         DeviceToHost::Pulse(mut pulse) if pulse.output.is_camera() => {
-            pulse.aligned &= is_on_phone(&log.file, pulse.at);
+            pulse.aligned &= is_on_phone(file, pulse.at);
             writer.pulse(&pulse)?;
             pulse.at
         }
@@ -179,16 +181,17 @@ pub(crate) fn take_message(
             capture.at
         }
         DeviceToHost::Status(status) => {
-            // The computer's time of day is that of its arrival.
+            // The computer's time of day is read on arrival.
             let waited = monitors.waited(link.board.now(), status.at);
             writer.status(&status, link.id(), waited)?;
             status.at
         }
         DeviceToHost::Arrived(arrived) => {
             let is_camera = arrived.output.is_camera();
-            let name = match is_camera {
-                true => String::from("the trigger"),
-                false => profile.output_name(arrived.output),
+            let name = if is_camera {
+                String::from("the trigger")
+            } else {
+                profile.output_name(arrived.output)
             };
             let event = SessionEvent::Arrived {
                 name,
@@ -232,7 +235,7 @@ mod tests {
                 flags,
                 ..Sample::default()
             };
-            gyro.take(&sample);
+            gyro.add(&sample);
         }
         let span = Span {
             from: Ticks(0),

@@ -1,89 +1,89 @@
-//! What is watched while recording. Pure: messages in, findings out.
+//! The watch over the board's messages while recording. Pure: messages in, findings out.
 //!
-//! A state that lasts (pulses stay away, the IMU gives nothing) is reported once
-//! when it begins and once when it ends.
+//! A lasting state (no pulses, no samples of the IMU) is reported once when it begins and once
+//! when it ends.
 
 use protocol::{EdgeGrid, ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
 
 use board::Stream;
-use board::finding::Finding;
+use board::finding::{EventKind, Finding};
 use recording::grid::FollowedGrid;
 
-/// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
+/// Longest gap between samples of the IMU, ticks: 0.1 s, 50 samples.
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
-/// What to do about a train that is not as it should be.
+/// Next step for a faulty train.
 const TRAIN: &str = "stop and record again; `smartdepthsync board trigger status` says more";
 
-/// What to do about a trigger wire that shows no pulses.
+/// Next step for a trigger wire without pulses.
 const WIRE: &str = "check the trigger's wire and buffer";
 
-/// What to do about an IMU that misses samples.
+/// Next step for an IMU with missing samples.
 const IMU: &str = "check the IMU's wires; the trigger is not affected";
 
-/// What to do about messages that are missing.
+/// Next step for missing messages.
 const COUNTED: &str = "nothing to do: counted, and times are not affected";
 
-/// A counter of the board that grows only when something goes wrong: a stable word, the
-/// counter, what it counts, and what to do.
-type Counter = (&'static str, fn(&Status) -> u32, &'static str, &'static str);
+/// A counter of the board that grows only when something goes wrong: kind of the finding, the
+/// counter, the counted thing in words, and the next step.
+type Counter = (EventKind, fn(&Status) -> u32, &'static str, &'static str);
 
 const COUNTERS: [Counter; 5] = [
     (
-        "trigger_late",
+        EventKind::TriggerLate,
         |status| status.trigger.late,
         "trigger edges came late",
         TRAIN,
     ),
     (
-        "readback_missing",
+        EventKind::ReadbackMissing,
         |status| status.trigger.readback.missing,
         "pulses were not seen on the trigger wire",
         WIRE,
     ),
     (
-        "imu_late",
+        EventKind::ImuLate,
         |status| status.imu.late,
         "IMU samples were read late",
         IMU,
     ),
     (
-        "captures_lost",
+        EventKind::CapturesLost,
         |status| status.strobe_overcaptures,
         "edges on the strobe input were lost",
         COUNTED,
     ),
     (
-        "imu_recovered",
+        EventKind::ImuRecovered,
         |status| status.imu.recoveries,
         "times the IMU was set up again after a fault",
         IMU,
     ),
 ];
 
-/// What is found where messages of a stream are missing; nothing where they only fill the link.
+/// Returns the finding for missing messages of a stream; `None` for filler messages.
 #[must_use]
 pub fn lost(stream: Stream, count: u32) -> Option<Finding> {
     let kind = match stream {
-        Stream::Pulses => "pulse_messages_lost",
-        Stream::Imu => "imu_gap",
-        Stream::Captures => "captures_lost",
-        Stream::Status => "status_lost",
-        Stream::Outputs => "output_pulses_lost",
-        Stream::Pps => "pps_lost",
+        Stream::Pulses => EventKind::PulseMessagesLost,
+        Stream::Imu => EventKind::ImuGap,
+        Stream::Captures => EventKind::CapturesLost,
+        Stream::Status => EventKind::StatusLost,
+        Stream::Outputs => EventKind::OutputPulsesLost,
+        Stream::Pps => EventKind::PpsLost,
         Stream::Filler => return None,
     };
     let next_step = if stream == Stream::Imu { IMU } else { COUNTED };
     Some(Finding::check(kind, format!("{count} {stream} lost")).next_step(next_step))
 }
 
-/// What is found where the number of a message does not follow on the one before.
+/// Returns the finding for a message whose number does not follow that of the previous one.
 #[must_use]
 pub fn disordered(stream: Stream) -> Finding {
     let text = format!(
         "{stream} came twice, or with numbers that do not follow: how many are missing is not known"
     );
-    Finding::bad("numbers_disordered", text)
+    Finding::bad(EventKind::NumbersDisordered, text)
 }
 
 /// The state of the watch.
@@ -97,12 +97,12 @@ pub struct Watch {
     last_imu: Ticks,
     imu_away: bool,
     last_status: Option<Status>,
-    /// Streams whose numbers were reported not to follow.
+    /// Streams whose numbers were reported as disordered.
     disordered: Vec<Stream>,
 }
 
 impl Watch {
-    /// Begins to watch at a board time, with a train that is on its grid.
+    /// Begins to watch at board time `now`, with a train that is on its grid.
     #[must_use]
     pub const fn new(grid: EdgeGrid, now: Ticks) -> Self {
         Self {
@@ -118,28 +118,28 @@ impl Watch {
         }
     }
 
-    /// The grid.
+    /// Returns the grid.
     #[must_use]
     pub const fn grid(&self) -> EdgeGrid {
         self.grid.last()
     }
 
-    /// From its anchor on the train is on another grid.
+    /// Expects the train on another grid, from the anchor of that grid on.
     pub const fn follow(&mut self, grid: EdgeGrid) {
         self.grid.follow(grid);
     }
 
-    /// A pulse.
+    /// Checks number and grid of a pulse of the camera's train.
     pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
         if self.pulses_away {
             self.pulses_away = false;
-            findings.push(Finding::good("pulses_back", "pulses arrive again"));
+            findings.push(Finding::good(EventKind::PulsesBack, "pulses arrive again"));
         }
         if let Some(expected) = self.next_number
             && pulse.number != expected
         {
             let text = format!("pulse {} came where {expected} was expected", pulse.number);
-            findings.push(Finding::bad("pulses_missing", text).next_step(TRAIN));
+            findings.push(Finding::bad(EventKind::PulsesMissing, text).next_step(TRAIN));
         }
         self.next_number = Some(pulse.number.wrapping_add(1));
         self.last_pulse = pulse.at;
@@ -147,11 +147,11 @@ impl Watch {
         match (off != 0, self.off_grid) {
             (true, false) => {
                 let text = format!("pulse {} is {off} ticks off its grid", pulse.number);
-                findings.push(Finding::bad("phase_off", text).next_step(TRAIN));
+                findings.push(Finding::bad(EventKind::PhaseOff, text).next_step(TRAIN));
             }
             (false, true) => {
                 findings.push(Finding::good(
-                    "phase_back",
+                    EventKind::PhaseBack,
                     "pulses are on their grid again",
                 ));
             }
@@ -160,24 +160,27 @@ impl Watch {
         self.off_grid = off != 0;
     }
 
-    /// An IMU sample.
+    /// Checks the flags of an IMU sample.
     pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
         if self.imu_away {
             self.imu_away = false;
-            findings.push(Finding::good("imu_back", "IMU samples arrive again"));
+            findings.push(Finding::good(
+                EventKind::ImuBack,
+                "IMU samples arrive again",
+            ));
         }
         self.last_imu = sample.at;
         if sample.flags.has(ImuFlags::AFTER_LOSS) {
             let text = "the board missed a data-ready edge of the IMU";
-            findings.push(Finding::check("imu_gap", text).next_step(IMU));
+            findings.push(Finding::check(EventKind::ImuGap, text).next_step(IMU));
         }
         if sample.flags.has(ImuFlags::FIRST) {
             let text = "the IMU was set up again";
-            findings.push(Finding::check("imu_gap", text).next_step(IMU));
+            findings.push(Finding::check(EventKind::ImuGap, text).next_step(IMU));
         }
     }
 
-    /// Messages of a stream are missing.
+    /// Notes that messages of a stream are missing.
     pub fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
         if stream == Stream::Pulses {
             self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
@@ -185,7 +188,8 @@ impl Watch {
         findings.extend(lost(stream, count));
     }
 
-    /// The number of a message does not follow on the one before; reported once a stream.
+    /// Notes that the number of a message does not follow that of the previous one; reported once
+    /// per stream.
     pub fn disordered(&mut self, stream: Stream, findings: &mut Vec<Finding>) {
         if !self.disordered.contains(&stream) {
             self.disordered.push(stream);
@@ -193,7 +197,7 @@ impl Watch {
         }
     }
 
-    /// A status.
+    /// Checks the counters of a status against the previous one.
     pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
         if let Some(before) = self.last_status.replace(status.clone()) {
             for (kind, counter, what, next_step) in COUNTERS {
@@ -210,27 +214,27 @@ impl Watch {
                 Some(fault) => format!("the IMU does not answer ({fault:?})"),
                 None => String::from("the IMU does not answer"),
             };
-            findings.push(Finding::bad("imu_gone", text).next_step(IMU));
+            findings.push(Finding::bad(EventKind::ImuGone, text).next_step(IMU));
         }
     }
 
-    /// Board time goes on. Call it when all messages up to then were taken.
+    /// Checks for silence at board time `now`, after all messages up to then were handled.
     pub fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
         let patience = 3 * u64::from(self.grid.last().period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
             let text = "pulses have stopped";
-            findings.push(Finding::bad("pulses_missing", text).next_step(TRAIN));
+            findings.push(Finding::bad(EventKind::PulsesMissing, text).next_step(TRAIN));
         }
         if !self.imu_away && now.0.saturating_sub(self.last_imu.0) > IMU_PATIENCE {
             self.imu_away = true;
             let text = "IMU samples have stopped";
-            findings.push(Finding::bad("imu_gap", text).next_step(IMU));
+            findings.push(Finding::bad(EventKind::ImuGap, text).next_step(IMU));
         }
     }
 
-    /// The link was lost until now: what was missed then shows by its numbers,
-    /// not as silence.
+    /// Notes that the link was lost until `now`: missed messages show by their numbers, not as
+    /// silence.
     pub const fn resume(&mut self, now: Ticks) {
         self.last_pulse = now;
         self.last_imu = now;
@@ -239,6 +243,8 @@ impl Watch {
 
 #[cfg(test)]
 mod tests {
+    use board::finding::FindingKind;
+
     use super::*;
     use protocol::{EdgeTime, Period};
 
@@ -261,8 +267,11 @@ mod tests {
         }
     }
 
-    fn kinds(findings: &[Finding]) -> Vec<&str> {
-        findings.iter().map(|finding| &*finding.kind).collect()
+    fn kinds(findings: &[Finding]) -> Vec<FindingKind> {
+        findings
+            .iter()
+            .map(|finding| finding.kind.clone())
+            .collect()
     }
 
     #[test]
@@ -278,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_of_the_number_and_a_pulse_off_its_grid_are_told_once() {
+    fn a_jump_of_the_number_and_a_pulse_off_its_grid_are_reported_once() {
         let mut watch = watch();
         let mut findings = Vec::new();
         watch.pulse(&pulse(0), &mut findings);
@@ -291,22 +300,26 @@ mod tests {
         watch.pulse(&pulse(6), &mut findings);
         assert_eq!(
             kinds(&findings),
-            ["pulses_missing", "phase_off", "phase_back"]
+            [
+                EventKind::PulsesMissing,
+                EventKind::PhaseOff,
+                EventKind::PhaseBack
+            ]
         );
     }
 
     #[test]
-    fn messages_lost_on_the_link_are_not_told_as_missing_pulses_too() {
+    fn messages_lost_on_the_link_are_not_reported_as_missing_pulses_too() {
         let mut watch = watch();
         let mut findings = Vec::new();
         watch.pulse(&pulse(0), &mut findings);
         watch.lost(Stream::Pulses, 3, &mut findings);
         watch.pulse(&pulse(4), &mut findings);
-        assert_eq!(kinds(&findings), ["pulse_messages_lost"]);
+        assert_eq!(kinds(&findings), [EventKind::PulseMessagesLost]);
     }
 
     #[test]
-    fn silence_is_told_when_it_begins_and_when_it_ends() {
+    fn silence_is_reported_when_it_begins_and_when_it_ends() {
         let mut watch = watch();
         let mut findings = Vec::new();
         for second in 1..10 {
@@ -315,7 +328,10 @@ mod tests {
                 &mut findings,
             );
         }
-        assert_eq!(kinds(&findings), ["pulses_missing", "imu_gap"]);
+        assert_eq!(
+            kinds(&findings),
+            [EventKind::PulsesMissing, EventKind::ImuGap]
+        );
         findings.clear();
         watch.pulse(&pulse(300), &mut findings);
         let sample = ImuSample {
@@ -324,7 +340,10 @@ mod tests {
             ..ImuSample::default()
         };
         watch.imu(&sample, &mut findings);
-        assert_eq!(kinds(&findings), ["pulses_back", "imu_back", "imu_gap"]);
+        assert_eq!(
+            kinds(&findings),
+            [EventKind::PulsesBack, EventKind::ImuBack, EventKind::ImuGap]
+        );
         findings.clear();
         watch.resume(Ticks(GRID.anchor.ticks.0 + 900 * 48_000_000));
         watch.time(

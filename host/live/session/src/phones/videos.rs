@@ -8,27 +8,27 @@ use phone::{Asked, VideoStart};
 use recording::session_file::Video;
 
 use crate::alignment::placement;
-use crate::error::{Stop, is_of_phone};
+use crate::error::{Stop, is_phone_fault};
 use crate::event::{Device, SessionEvent};
 use crate::log::Log;
 use crate::phones::{Phones, REFERENCE, VideoNews};
 use crate::session::Session;
 
-/// How long after its first failure a phone is asked again to stop its video.
+/// Time for which the request to stop a video is repeated after its first failure.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Pause between two of these tries.
+/// Pause between two of these requests.
 const STOP_PAUSE: Duration = Duration::from_millis(500);
 
 /// Pause between two reports of a download.
 const REPORT_EVERY: Duration = Duration::from_millis(300);
 
-/// Starts the videos of all phones that have not yet begun one. If a phone does not,
-/// the others do all the same.
+/// Starts the videos of all phones that have not begun one. A phone that fails does not keep the
+/// others from starting.
 pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
     let mut without_video = Vec::new();
     for place in session.phones.places() {
-        if session.log.phone(place).video.is_none() {
+        if session.file.phones[place].video.is_none() {
             session.phones.set_video_may_run(place);
             without_video.push(place);
         }
@@ -37,8 +37,8 @@ pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
     let clocks = session
         .phones
         .places()
-        .map(|place| session.log.phone(place).clock);
-    // What reads the clocks is at the reference alone.
+        .map(|place| session.file.phones[place].clock);
+    // Only the clocks of the reference are read.
     let slept_ns = |place| {
         let tracking = session.tracking.as_ref();
         tracking.filter(|_| place == REFERENCE)?.slept_ns()
@@ -73,8 +73,8 @@ pub(crate) fn start_videos(session: &mut Session<'_>) -> Result<(), Stop> {
     failed.map_or(Ok(()), |error| Err(error.into()))
 }
 
-/// Stops what these phones may have begun in a start that failed, so that another start
-/// begins a video: the request only presses a button.
+/// Stops the videos that these phones may have begun although their start failed. Otherwise
+/// another start would end a video instead, since the request only presses a button.
 fn stop_after_failure(session: &mut Session<'_>, places: &[usize]) -> Result<(), Stop> {
     if places.is_empty() {
         return Ok(());
@@ -87,7 +87,7 @@ fn stop_after_failure(session: &mut Session<'_>, places: &[usize]) -> Result<(),
             error: answer.err().map(|error| error.to_string()),
         })?;
     }
-    // A video that does not end in time is reported by the next request.
+    // The next request reports a video that does not end in time.
     session
         .ask_phones(places, |_, phone| phone.await_closed(), |_| {})
         .map(drop)
@@ -100,8 +100,8 @@ fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Re
         exposure_ns: start.exposure_ns,
         boot_minus_frames_ns: start.boot_minus_frames_ns,
     };
-    session.log.phone_mut(place).video = Some(video);
-    session.log.save()?;
+    session.file.phones[place].video = Some(video);
+    session.save()?;
     if video.boot_minus_frames_ns != 0 {
         let remark = format!(
             "{} stamps its frames with CLOCK_MONOTONIC, which is {:.6} s behind its sensors' \
@@ -119,34 +119,30 @@ fn video_began(session: &mut Session<'_>, place: usize, start: VideoStart) -> Re
     })
 }
 
-/// States where the frames of the other phones lie against the trigger's grid.
-pub(crate) fn place_others(
-    phones: &Phones<'_>,
-    log: &mut Log<'_>,
-    profile: &recording::profile::Profile,
-) -> Result<(), Stop> {
-    for place in phones.places().skip(1) {
-        let phone = phones.name(place);
-        let known = (
-            log.file.alignment,
-            log.phone(place).clock,
-            log.phone(place).video,
-        );
+/// Computes the position of the other phones' frames relative to the trigger's grid.
+pub(crate) fn place_others(session: &mut Session<'_>) -> Result<(), Stop> {
+    for place in session.phones.places().skip(1) {
+        let phone = session.phones.name(place);
+        let record = &session.file.phones[place];
+        let known = (session.file.alignment, record.clock, record.video);
         let (Some(alignment), Some(clock), Some(video)) = known else {
-            log.report(SessionEvent::PhoneLeftOut { phone })?;
+            session.log.report(SessionEvent::PhoneLeftOut { phone })?;
             continue;
         };
-        let course = phones.course(place, clock);
-        let placement = placement(profile, phones.profile(place), &course, &video, &alignment);
-        log.phone_mut(place).placement = Some(placement);
-        log.save()?;
-        log.report(SessionEvent::Placed { phone, placement })?;
+        let course = session.phones.course(place, clock);
+        let profile = session.phones.profile(place);
+        let placement = placement(session.profile, profile, &course, &video, &alignment);
+        session.file.phones[place].placement = Some(placement);
+        session.save()?;
+        session
+            .log
+            .report(SessionEvent::Placed { phone, placement })?;
     }
     Ok(())
 }
 
-/// Looks whether the phones' videos run. Gives the places of those that have ended; a phone
-/// that cannot be reached is reported, since it may come back.
+/// Checks that the phones' videos run. Returns the indices of those that have ended; a phone that
+/// cannot be reached is only reported, since it may return.
 pub(crate) fn watch_videos(phones: &mut Phones<'_>, log: &mut Log<'_>) -> Result<Vec<usize>, Stop> {
     let mut ended = Vec::new();
     for place in phones.places() {
@@ -169,8 +165,8 @@ pub(crate) fn watch_videos(phones: &mut Phones<'_>, log: &mut Log<'_>) -> Result
     Ok(ended)
 }
 
-/// Stops the videos that run. A phone that cannot be reached just then, as when Wi-Fi
-/// stalls, is asked again: to stop twice does no harm, and nobody else will do it.
+/// Stops the videos that run. The request is repeated if a phone cannot be reached for a moment,
+/// as when Wi-Fi stalls: stopping twice is harmless.
 pub(crate) fn stop_videos(session: &mut Session<'_>) {
     let mut running = session.phones.take_running_videos();
     let mut failing_since = None;
@@ -193,10 +189,10 @@ pub(crate) fn stop_videos(session: &mut Session<'_>) {
         for (place, answer) in answers {
             let Err(error) = answer else { continue };
             let phone = session.phones.name(place);
-            if is_of_phone(&error) && now.saturating_sub(since) < STOP_PATIENCE {
+            if is_phone_fault(&error) && now.saturating_sub(since) < STOP_PATIENCE {
                 running.push(place);
                 if is_first {
-                    session.log.tell(SessionEvent::StopRetried {
+                    session.log.publish(SessionEvent::StopRetried {
                         phone,
                         error: error.to_string(),
                         patience_s: STOP_PATIENCE.as_secs(),
@@ -215,10 +211,9 @@ pub(crate) fn stop_videos(session: &mut Session<'_>) {
     }
 }
 
-/// Downloads the last video of the phone at a place.
+/// Downloads the last video of a phone.
 pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(), Stop> {
     let own = session
-        .log
         .file
         .phone_folder(&session.phones.profile(place).name);
     let folder = session.log.folder.join(&own);
@@ -231,7 +226,7 @@ pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(),
             if now.saturating_sub(reported) > REPORT_EVERY {
                 reported = now;
                 let (done, whole) = session.phones.device(place).progress();
-                session.log.tell(SessionEvent::Downloading {
+                session.log.publish(SessionEvent::Downloading {
                     phone: session.phones.name(place),
                     done,
                     whole,
@@ -245,7 +240,7 @@ pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(),
     let video = answer.map_err(|error| session.phones.failure(place, error))?;
     if let Some(name) = video.path.file_name() {
         let name = own.join(name).to_string_lossy().into_owned();
-        session.log.file.files.push(name);
+        session.file.files.push(name);
     }
     session.log.report(SessionEvent::VideoFetched {
         path: video.path,
@@ -253,14 +248,14 @@ pub(crate) fn fetch_video(session: &mut Session<'_>, place: usize) -> Result<(),
     })
 }
 
-/// Copies what the app does not send, the frames' timestamps and the sensors; where that
-/// does not work, gives the commands that do.
+/// Copies the files that the app does not send: the frames' timestamps and the sensors. If that
+/// fails, reports commands that copy them.
 pub(crate) fn fetch_files(session: &mut Session<'_>, place: usize) -> Result<(), Stop> {
-    let Some(video) = session.log.phone(place).video else {
+    let Some(video) = session.file.phones[place].video else {
         return Ok(());
     };
     let own = &session.phones.profile(place).name;
-    let own = session.log.file.phone_folder(own);
+    let own = session.file.phone_folder(own);
     let folder = session.log.folder.join(&own);
     let answer = session
         .ask_phones(
@@ -274,7 +269,7 @@ pub(crate) fn fetch_files(session: &mut Session<'_>, place: usize) -> Result<(),
         Some((_, Ok(files))) => {
             for name in files.iter().filter_map(|path| path.file_name()) {
                 let name = own.join(name).to_string_lossy().into_owned();
-                session.log.file.files.push(name);
+                session.file.files.push(name);
             }
             SessionEvent::FilesFetched {
                 phone,

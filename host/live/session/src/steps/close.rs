@@ -1,4 +1,4 @@
-//! The end of a session, however it went.
+//! The end of a session, whatever its result.
 
 use std::time::Duration;
 
@@ -13,11 +13,11 @@ use crate::phones::videos::{fetch_files, fetch_video, stop_videos};
 use crate::session::Session;
 use crate::twist::second_twist;
 
-/// How long the board is listened to at a time.
+/// Longest pump while the board's last messages are awaited.
 const LISTEN: Duration = Duration::from_millis(20);
 
-/// Ends a session, however it went. Gives the result on, or the first failure of
-/// the closing itself if there was none before.
+/// Closes a session with this result. Returns the same result, or the first failure of closing
+/// if there was none before.
 ///
 /// # Errors
 ///
@@ -30,7 +30,7 @@ pub fn close(
     session.closing = true;
     if let Err(Stop::Failed(error)) = &result {
         if error.is_storage() {
-            // Nothing more can be written; what was written can be read.
+            // Nothing more can be written; the file can be read up to here.
             session.log.writer = None;
         }
         session.log.report_at_end(SessionEvent::Failed {
@@ -48,38 +48,38 @@ pub fn close(
     finish(session, result)
 }
 
-/// Takes down what was recorded. Before the devices are stopped: what they do
-/// then is not part of it.
+/// Ends the recorded span and notes its counts. The devices are stopped after that, so that
+/// their last messages are not part of it.
 fn end_of_recording(session: &mut Session<'_>) {
     if session.monitors.watch.take().is_none() {
         return;
     }
     let now = session.now();
-    if let Some(span) = &mut session.log.file.recorded {
+    if let Some(span) = &mut session.file.recorded {
         span.to = span.from.max(now);
     }
     let conversation = session.link.board.conversation();
-    session.log.file.counts = session
+    session.file.counts = session
         .counts_at_reset
         .unwrap_or_else(|| conversation.counts());
-    session.log.file.damaged_frames = conversation.damaged_frames();
+    session.file.damaged_frames = conversation.damaged_frames();
 }
 
-/// Stops phone, depth recorder and trigger; what cannot be stopped is reported.
+/// Stops phone, depth recorder and trigger, and reports those that cannot be stopped.
 fn stop_devices(session: &mut Session<'_>) {
     stop_videos(session);
     stop_recorder(session);
     if session.trigger_started {
         session.trigger_started = false;
         if let Err(Stop::Failed(error)) = auxiliary::stop(session) {
-            not_stopped(&mut session.log, Device::Output, &error);
+            report_not_stopped(&mut session.log, Device::Output, &error);
         }
         let stopped = session.call(|board| board.call(StopTrigger(Output::Camera)));
         if let Err(Stop::Failed(error)) = stopped {
-            not_stopped(&mut session.log, Device::Trigger, &error);
+            report_not_stopped(&mut session.log, Device::Trigger, &error);
         }
     }
-    // Its last messages.
+    // The board's last messages.
     for _ in 0..5 {
         if session.pump(LISTEN).is_err() {
             break;
@@ -87,14 +87,14 @@ fn stop_devices(session: &mut Session<'_>) {
     }
 }
 
-fn not_stopped(log: &mut Log<'_>, what: Device, error: &SessionError) {
+fn report_not_stopped(log: &mut Log<'_>, what: Device, error: &SessionError) {
     log.report_at_end(SessionEvent::NotStopped {
         what,
         error: error.to_string(),
     });
 }
 
-/// Asks the depth recorder to stop, waits, and kills it if it does not.
+/// Asks the depth recorder to stop, and kills it if it does not stop in time.
 fn stop_recorder(session: &mut Session<'_>) {
     if !std::mem::take(&mut session.housekeeping.recorder_runs) {
         return;
@@ -125,8 +125,7 @@ fn stop_recorder(session: &mut Session<'_>) {
 }
 
 impl Session<'_> {
-    /// Listens to the board for so long; its failures are reported by the next step of
-    /// closing.
+    /// Pumps for a time of the computer's clock. Failures are left to the next step of closing.
     pub(crate) fn listen_for(&mut self, time: Duration) {
         let begun = self.clock.now();
         while self.clock.now().saturating_sub(begun) < time {
@@ -137,33 +136,35 @@ impl Session<'_> {
     }
 }
 
-/// Does what follows a recording that was not broken off.
+/// Runs the steps after a completed recording.
 fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), Stop> {
-    session.log.save()?;
-    // From here on Ctrl-C leaves the rest out.
+    session.save()?;
+    // From here on Ctrl-C skips the rest.
     session.closing = false;
     if options.second_twist && !session.was_reset {
         let places = session.phones.places();
-        let first: Vec<_> = places.map(|place| session.log.phone(place).clock).collect();
+        let first: Vec<_> = places
+            .map(|place| session.file.phones[place].clock)
+            .collect();
         let twisted = session.step(Step::SecondTwist, |session| second_twist(session, &first));
-        pass_over(session, twisted, |error| SessionEvent::SecondTwistFailed {
+        report_failure(session, twisted, |error| SessionEvent::SecondTwistFailed {
             error,
         })?;
     } else if options.second_twist {
-        // The board's clock is another since its reset.
+        // The reset has restarted the board's clock.
         session.log.report(SessionEvent::SecondTwistLeftOut)?;
     }
     session.enter(Phase::Fetching);
     if options.fetch_video {
         for place in session.phones.places() {
             // The app ends when it is asked for a video and has made none.
-            if session.log.phone(place).video.is_none() {
+            if session.file.phones[place].video.is_none() {
                 let phone = session.phones.name(place);
                 session.log.report(SessionEvent::NoVideoToFetch { phone })?;
                 continue;
             }
             let fetched = session.step(Step::Download, |session| fetch_video(session, place));
-            pass_over(session, fetched, |error| SessionEvent::VideoNotFetched {
+            report_failure(session, fetched, |error| SessionEvent::VideoNotFetched {
                 error,
             })?;
         }
@@ -176,9 +177,8 @@ fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), S
     Ok(())
 }
 
-/// Makes a problem of a failure after the recording: the recording is there, so it is not the
-/// end.
-fn pass_over(
+/// Turns a failure after the recording into a problem, since the recording itself is complete.
+fn report_failure(
     session: &mut Session<'_>,
     result: Result<(), Stop>,
     event: impl FnOnce(String) -> SessionEvent,
@@ -195,7 +195,7 @@ fn pass_over(
 fn finish(session: &mut Session<'_>, result: Result<(), Stop>) -> Result<(), Stop> {
     session.closing = true;
     let writer = session.log.writer.take();
-    session.log.file.outcome = Some(session.log.outcome_of(&result));
+    session.file.outcome = Some(session.outcome_of(&result));
     let finished = writer.map_or(Ok(()), recording::writer::Writer::finish);
     result.and(finished.map_err(Stop::from))
 }

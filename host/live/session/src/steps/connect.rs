@@ -1,4 +1,4 @@
-//! The beginning of a session: both sides are reached, and its folder is made.
+//! The beginning of a session: connects to both sides, and creates its folder.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,17 +15,19 @@ use recording::writer::Writer;
 use crate::devices::{Choice, Clock, Connector, DepthRecorder, Operator, PhoneClockStarter};
 use crate::error::{SessionError, Stop};
 use crate::event::{Phase, Prompt, SessionEvent, Stamped, Step};
+use crate::housekeeping::Housekeeping;
 use crate::link::BoardLink;
+use crate::link::monitors::Monitors;
 use crate::log::{Listener, Log};
 use crate::options::Options;
 use crate::phones::Phones;
 use crate::session::Session;
 use crate::tracking;
 
-/// Pause between two looks for an answer, while no board can be listened to.
+/// Pause between two looks for an answer while there is no board.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// The devices that a session keeps.
+/// The devices of a session that begins.
 pub(crate) struct Parts<'a> {
     pub(crate) connector: &'a mut dyn Connector,
     pub(crate) phones: Phones<'a>,
@@ -44,20 +46,20 @@ struct Sides {
     apps: Vec<String>,
 }
 
-/// Connects to board and phones, and makes the recording's folder once both are
-/// there. With somebody there it is tried as often as they want.
+/// Connects to board and phones, and then creates the recording's folder. A present operator can
+/// repeat a connect that fails.
 pub(crate) fn connect<'a>(
     options: &Options,
     profile: &'a Profile,
     parts: Parts<'a>,
 ) -> Result<Session<'a>, Stop> {
-    let mut tell = |event| {
+    let mut publish = |event| {
         (parts.events)(&Stamped {
             at: Ticks::ZERO,
             event,
         });
     };
-    tell(SessionEvent::Phase {
+    publish(SessionEvent::Phase {
         phase: Phase::Connecting,
     });
     let sides = loop {
@@ -76,13 +78,13 @@ pub(crate) fn connect<'a>(
             Err(stop) => return Err(stop),
         };
         let step = Step::Connect;
-        tell(SessionEvent::StepFailed {
+        publish(SessionEvent::StepFailed {
             step,
             error: Arc::clone(&error),
         });
         let can_skip = false;
         let prompt = Prompt::Repeat { step, can_skip };
-        tell(SessionEvent::Prompt { prompt });
+        publish(SessionEvent::Prompt { prompt });
         let choice = loop {
             if operator.interrupted() {
                 return Err(Stop::Interrupted);
@@ -96,29 +98,38 @@ pub(crate) fn connect<'a>(
             return Err(Arc::into_inner(error).map_or(Stop::Interrupted, Stop::Failed));
         }
     };
-    // What the board sends meanwhile waits in the link's queue.
+    // Meanwhile the board's messages wait in the link's queue.
     let tracking = tracking::start(
         options.track,
         profile.phones.is_empty(),
         &profile.phone.name,
         parts.phone_clock,
-        &mut tell,
+        &mut publish,
     )?;
-    let log = new_log(&sides, parts.events, parts.clock, options, profile)?;
+    let (mut log, file) = create_files(&sides, parts.events, parts.clock, options, profile)?;
+    log.now = sides.board.hello().now;
     let scale = sides.imu.scale;
     let mut link = BoardLink::new(sides.board, scale, parts.connector, options.link_patience);
     link.keep_frames(options.raw_link);
-    let mut session = Session::new(
+    let mut session = Session {
         profile,
-        parts.clock,
-        parts.operator,
+        clock: parts.clock,
+        operator: parts.operator,
         link,
-        parts.phones,
+        phones: parts.phones,
         log,
-        parts.recorder,
-    );
-    session.tracking = tracking;
-    session.log.save()?;
+        file,
+        monitors: Monitors::default(),
+        housekeeping: Housekeeping::new(parts.recorder, parts.clock.now()),
+        tracking,
+        trigger_started: false,
+        phase: Phase::Connecting,
+        closing: false,
+        counts_at_reset: None,
+        was_reset: false,
+        frame: None,
+    };
+    session.save()?;
     let folder = session.log.folder.clone();
     let board = session.link.id().to_owned();
     session.log.report(SessionEvent::Connected {
@@ -129,7 +140,7 @@ pub(crate) fn connect<'a>(
     Ok(session)
 }
 
-/// Reaches board and phones, both ready.
+/// Connects to board and phones, and sets the IMU up.
 fn reach(
     options: &Options,
     profile: &Profile,
@@ -157,11 +168,11 @@ fn reach(
     })
 }
 
-/// Tells whether the profile says where its phones are.
+/// Checks that the profile has the addresses of all its phones.
 ///
 /// # Errors
 ///
-/// It does not, of this one.
+/// An address is missing.
 pub fn has_addresses(profile: &Profile) -> Result<(), SessionError> {
     let mut phones = profile.all_phones();
     match phones.find(|phone| phone.address.trim().is_empty()) {
@@ -172,14 +183,15 @@ pub fn has_addresses(profile: &Profile) -> Result<(), SessionError> {
     }
 }
 
-/// Makes the recording's folder, and its session file with what is known of both sides.
-fn new_log<'a>(
+/// Creates the recording's folder and its log, and the content of its session file as far as it
+/// is known.
+fn create_files<'a>(
     sides: &Sides,
     events: Listener<'a>,
     clock: &dyn Clock,
     options: &Options,
     profile: &Profile,
-) -> Result<Log<'a>, Stop> {
+) -> Result<(Log<'a>, SessionFile), Stop> {
     let now = clock.wall_clock();
     let name = options
         .name
@@ -198,5 +210,5 @@ fn new_log<'a>(
     for (phone, version) in file.phones.iter_mut().zip(&sides.apps) {
         phone.version = Some(version.clone());
     }
-    Ok(Log::new(events, writer, folder, file))
+    Ok((Log::new(events, writer, folder), file))
 }
