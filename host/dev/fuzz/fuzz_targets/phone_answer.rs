@@ -1,4 +1,4 @@
-//! See the crate `fuzz_bodies`.
+//! Fuzz target for `fuzz_bodies::phone_answer`.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,6 +1,6 @@
-//! The body of each fuzz target: one function that takes the bytes. One place for the targets of
-//! `cargo fuzz` (in `host/dev/fuzz/fuzz_targets/`) and for the short run over corpus and
-//! mutations that is part of the tests (`host/cli/tests/it/fuzz_smoke.rs`).
+//! Bodies of the fuzz targets: a function of the input bytes for each. They are shared by the
+//! targets of `cargo fuzz` (in `host/dev/fuzz/fuzz_targets/`) and the short run over corpus and
+//! mutations in the tests (`host/cli/tests/it/fuzz_smoke.rs`).
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -24,7 +24,7 @@ use recording::reader::Reader;
 use recording::verify::verify;
 use system::ReadMonitor;
 
-/// Any bytes as a depth recording: no panic, no unbounded memory.
+/// Reads any bytes as a depth recording: no panic, no unbounded memory.
 pub fn depth_recording(data: &[u8]) {
     for content in [Content::Times, Content::Pixels] {
         let Ok(mut recording) = Recording::new(Cursor::new(data)) else {
@@ -42,7 +42,7 @@ pub fn depth_recording(data: &[u8]) {
     }
 }
 
-/// Any bytes as the phone's CSV files: no panic, times in order.
+/// Reads any bytes as the phone's CSV files: no panic, times in order.
 pub fn phone_csv(data: &[u8]) {
     let mut rows = Rows::new(data);
     let mut last = None;
@@ -61,7 +61,7 @@ pub fn phone_csv(data: &[u8]) {
     while !matches!(rows.next_timestamp(), Ok(None) | Err(RowError::Io(_))) {}
 }
 
-/// The end and the body of the answer in `bytes`, given in pieces of `step` bytes.
+/// Reads the answer in `bytes`, passed in pieces of `step` bytes. Returns its end and its body.
 fn read_answer(bytes: &[u8], step: usize) -> (Option<Answer>, Vec<String>) {
     let mut imu = ImuBody::default();
     let mut body = Vec::new();
@@ -76,13 +76,13 @@ fn read_answer(bytes: &[u8], step: usize) -> (Option<Answer>, Vec<String>) {
             piece = pieces.next().ok_or(())?;
         }
     };
-    let take = |_, line: &str| {
+    let receive = |_, line: &str| {
         let _ = imu.line(1, line);
         body.push(line.to_owned());
         assert!(safe_file_name(line).len() <= 101);
         Ok(())
     };
-    let answer = answer::read(next, take, drop).ok();
+    let answer = answer::read(next, receive, drop).ok();
     let _ = (
         imu.finish(),
         VideoStart::parse(&body),
@@ -91,8 +91,8 @@ fn read_answer(bytes: &[u8], step: usize) -> (Option<Answer>, Vec<String>) {
     (answer, body)
 }
 
-/// The phone's answers: any bytes in any split, read as the answer to each of the
-/// requests. Nothing may panic, and the split must not change the outcome.
+/// Reads any bytes, in any split, as the phone's answer to each of the
+/// requests: no panic, and the same outcome for every split.
 pub fn phone_answer(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
@@ -102,8 +102,8 @@ pub fn phone_answer(data: &[u8]) {
     assert_eq!(whole, split);
 }
 
-/// Any bytes off the board's link, in any split: no panic, the same events, and no
-/// more of them than bytes.
+/// Reads any bytes, in any split, from the board's link: no panic, the same events for every
+/// split, and at most three per byte.
 pub fn link(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
@@ -125,7 +125,7 @@ pub fn link(data: &[u8]) {
     assert_eq!(whole, events(usize::from(step)));
 }
 
-/// Any bytes as a recording: read and checked.
+/// Reads and verifies any bytes as a recording: no panic.
 pub fn recording(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("recording.mcap");
@@ -142,14 +142,14 @@ pub fn recording(data: &[u8]) {
     }
 }
 
-/// Any text as a rig profile.
+/// Parses any text as a rig profile: no panic.
 pub fn profile(data: &[u8]) {
     if let Ok(text) = std::str::from_utf8(data) {
         let _ = Profile::parse(text, None);
     }
 }
 
-/// Any text as what Kalibr found: no panic, and a profile that takes it over is one.
+/// Imports any text as a result of Kalibr: no panic, and the resulting profile is valid.
 pub fn camchain(data: &[u8]) {
     let path = std::path::Path::new("rig.toml");
     if let Ok(chain) = std::str::from_utf8(data)
@@ -160,22 +160,22 @@ pub fn camchain(data: &[u8]) {
     }
 }
 
-/// Any bytes as a depth camera's calibration: no panic.
+/// Reads any bytes as a depth camera's calibration: no panic.
 pub fn calibration(data: &[u8]) {
     for color in [None, Some((1280, 720)), Some((2048, 1536))] {
         let _ = extract::geometry::check_calibration(data, "NFOV_UNBINNED", color);
     }
 }
 
-/// Any text as a session file.
+/// Loads any bytes as a session file: no panic.
 pub fn session_file(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.json"), data).unwrap();
     let _ = recording::session_file::SessionFile::load(folder.path());
 }
 
-/// Any bytes as what comes from the host, in any split, as the firmware decodes it:
-/// the same commands, and no more of them than bytes.
+/// Decodes any bytes, in any split, as commands from the host, like the firmware: the same
+/// commands for every split, and at most one per byte.
 pub fn commands(data: &[u8]) {
     let Some((&step, bytes)) = data.split_first() else {
         return;
@@ -196,8 +196,8 @@ pub fn commands(data: &[u8]) {
     assert_eq!(whole, decoded(usize::from(step)));
 }
 
-/// Any bytes as what is known of a video: the answers of `ffprobe`, and the phone's
-/// file of frame times.
+/// Reads any bytes as metadata of a video, from `ffprobe` and from the phone's file of frame
+/// times: no panic, and plausible values.
 pub fn video_metadata(data: &[u8]) {
     if let Ok(info) = parse_probe(data) {
         assert!(info.width > 0 && info.height > 0);
