@@ -1,9 +1,9 @@
-"""The fleet's speed-up from one to two workers, and what it does around an extraction.
+"""Benchmark of the fleet: speed-up from one to two workers, and overhead of an extraction.
 
 usage: bench_fleet.py RECORDING PROGRAM [COUNT]
 
-With the packages of xtask/readers/fleet.txt, on two cores that are idle otherwise. Ray and its
-workers are started before the measured part.
+It needs the packages of xtask/readers/fleet.txt and two idle cores. Ray and its
+workers are started before the measurement.
 """
 
 import os
@@ -25,7 +25,8 @@ from smartdepthsync_data.fleet import fleet
 
 
 def seconds(source, folder, program, workers):
-    """Of the whole fleet, and what each recording took around and in its extraction."""
+    """Returns the time of the whole fleet, s, and each recording's overhead relative to its
+    extraction."""
     ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
 
     def warm():
@@ -44,7 +45,7 @@ def seconds(source, folder, program, workers):
 
 
 def main(recording, program, count=12):
-    # Beside the recording, so that its files can be linked.
+    # On the recording's file system, so that its files can be linked.
     with tempfile.TemporaryDirectory(dir=Path(recording).resolve().parent) as folder:
         source = Path(folder) / "recordings"
         for number in range(int(count)):

@@ -1,4 +1,4 @@
-"""The files of a data set: a folder, or the tar file that the fleet makes of one."""
+"""Files of a data set: in a folder, or in the tar file that the fleet makes of it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 
 
 class Files:
-    """Reads files by their path in a data set. Can be pickled, for workers of a loader."""
+    """Reads files by their path in a data set. Can be pickled for the workers of a loader."""
 
     def __init__(self, path: Path):
         self.path = path
         self._places: dict[str, tuple[int, int]] | None = None
         if not path.is_dir():
-            # Uncompressed: each file is read from its place.
+            # Uncompressed, so each file can be read from its offset.
             with tarfile.open(path, "r:") as tar:
                 members = [member for member in tar if member.isfile()]
             self._places = {m.name: (m.offset_data, m.size) for m in members}
@@ -22,7 +22,7 @@ class Files:
         return (self.path / name).is_file() if self._places is None else name in self._places
 
     def read(self, name: str) -> bytes:
-        """The content of a file; raises FileNotFoundError."""
+        """Returns the content of a file. Raises FileNotFoundError if there is none."""
         if self._places is None:
             return (self.path / name).read_bytes()
         if name not in self._places:

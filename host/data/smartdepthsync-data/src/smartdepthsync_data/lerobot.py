@@ -1,21 +1,21 @@
-"""LeRobot datasets, written by LeRobot's own library.
+"""Conversion to LeRobot datasets, by LeRobot's own library.
 
-A rig in a hand has no robot, so nothing in a recording is a command. The columns are:
+A hand-held rig has no robot, so a recording has no commands. The columns are:
 
 ===========================  =====================================================
 ``observation.images.phone`` the phone's images, a video
-``observation.images.depth`` depth in whole millimetres, an image of 16 bits, as
-                             LeRobot has depth maps (``is_depth_map``)
+``observation.images.depth`` depth in whole millimetres, an image of 16 bits, marked as
+                             a depth map (``is_depth_map``)
 ``observation.state``        rates and accelerations of the board's IMU at the
                              phone's image: rad/s and m/s²
 ``action``                   by default the integral of the rates up to the next
-                             image, rad; give ``actions`` what your policy is to learn
+                             image, rad; ``actions`` replaces it by what a policy learns
 ``phone_time_ns``,           board time of both images
 ``depth_time_ns``
 ===========================  =====================================================
 
-LeRobot has no place for what is one number, or one matrix, a recording: ``meta/recordings.json``
-has an object an episode with its recording, the 1-sigma of a pair's times, and the cameras.
+LeRobot has no place for constants of a recording: ``meta/recordings.json``
+has an object per episode with its recording, the 1-sigma of a pair's times, and the cameras.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from .dataset import Dataset, DatasetError
 
 PHONE, DEPTH = "observation.images.phone", "observation.images.depth"
 STATE, ACTION = "observation.state", "action"
-#: The task of recordings whose profile names none.
+#: Task of recordings whose profile names none.
 NO_TASK = "recording"
 
-#: Threads that write images as files before the video is encoded.
+#: Number of threads that write image files before the video is encoded.
 IMAGE_WRITERS = 4
 
-#: What the policy is to do at each pair: names of the numbers, and a row a pair.
+#: Function that returns the actions a policy learns: names of the columns, and a row per pair.
 Actions = Callable[[Dataset], tuple[list[str], np.ndarray]]
 
 
 def rotation(dataset: Dataset) -> tuple[list[str], np.ndarray]:
-    """The integral of the board's angular rates from each image to the next one, rad."""
+    """Returns the integral of the board's angular rates from each image to the next one, rad."""
     imu, times = dataset.board_imu, dataset.times_ns
     since = (imu.time_ns - imu.time_ns[0]) / 1e9
     steps = np.diff(since)[:, None] * (imu.gyro[1:] + imu.gyro[:-1]) / 2
     angles = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
     at = (times - imu.time_ns[0]) / 1e9
     turned = np.stack([np.interp(at, since, column) for column in angles.T], axis=1)
-    # After the last image nothing is known: as if the rig rested.
+    # After the last image the rig is assumed to rest.
     turned = np.diff(turned, axis=0, append=turned[-1:])
     return [f"rotation_{axis}_rad" for axis in "xyz"], turned
 
@@ -66,11 +66,11 @@ def to_lerobot(
     actions: Actions | None = rotation,
     robot_type: str | None = None,
 ) -> Any:
-    """Writes a LeRobot dataset of which each data set is an episode, and returns it opened.
+    """Writes a LeRobot dataset with an episode per data set, and returns it opened.
 
-    ``task`` is for data sets whose profile has none. ``actions=None`` leaves the column out.
-    All data sets need the same image sizes and frame rate, two pairs, and an IMU. ``out`` is there
-    whole or not at all.
+    ``task`` applies to data sets whose profile names none. ``actions=None`` omits the column.
+    All data sets need the same image sizes and frame rate, at least two pairs, and an IMU. ``out``
+    appears only when it is complete.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -80,11 +80,11 @@ def to_lerobot(
     if not datasets:
         raise DatasetError("there are no data sets to write")
     form = [_form(dataset, actions) for dataset in datasets]
-    for dataset, its in zip(datasets, form, strict=True):
-        if its != form[0]:
+    for dataset, own in zip(datasets, form, strict=True):
+        if own != form[0]:
             raise DatasetError(
                 f"{dataset.name} does not go with {datasets[0].name}: frame rate, sizes or actions "
-                f"are {its} and {form[0]}; write two LeRobot datasets"
+                f"are {own} and {form[0]}; write two LeRobot datasets"
             )
     rate, phone, depth, names = form[0]
     partial = out.with_name(f"{out.name}.partial")
@@ -108,7 +108,7 @@ def to_lerobot(
         about = json.dumps([_about(dataset) for dataset in datasets], indent=2)
         (partial / "meta/recordings.json").write_text(about)
     except BaseException:
-        # Without this the library would write its rest when the object goes.
+        # Otherwise the library would write the rest when the object is deleted.
         with suppress(Exception):
             writer.finalize()
         shutil.rmtree(partial, ignore_errors=True)
@@ -118,7 +118,7 @@ def to_lerobot(
 
 
 def _form(dataset: Dataset, actions: Actions | None) -> tuple[int, Any, Any, list[str]]:
-    """Frames a second, sizes of the images, and names of the actions."""
+    """Returns the frame rate in Hz, sizes of the images, and names of the actions."""
     if len(dataset) < 2 or not len(dataset.board_imu):
         raise DatasetError(f"{dataset.name} has {len(dataset)} pairs and {len(dataset.board_imu)} "
                            "samples of the board's IMU; an episode takes two pairs and the IMU")
@@ -183,23 +183,24 @@ def _frames(
 
 @contextmanager
 def _statistics_of_depth() -> Iterator[None]:
-    """Statistics of depth in millimetres, where the library takes all images for 8 bits: it
-    knows depth maps from 0.6 on."""
+    """Replaces the library's statistics of depth by those in millimetres. Before version 0.6 the
+    library does not know depth maps, and assumes 8 bits for all images."""
     from lerobot.datasets import compute_stats, lerobot_dataset
 
-    its = getattr(lerobot_dataset, "compute_episode_stats", None)
-    if its is None:
+    original = getattr(lerobot_dataset, "compute_episode_stats", None)
+    if original is None:
         yield
         return
 
     def ours(data: dict[str, Any], features: dict[str, Any], *more: Any) -> dict[str, Any]:
         paths = data[DEPTH]
-        stats = its({key: value for key, value in data.items() if key != DEPTH}, features, *more)
+        others = {key: value for key, value in data.items() if key != DEPTH}
+        stats = original(others, features, *more)
         sampled = [paths[i] for i in compute_stats.sample_indices(len(paths))]
-        # In floats: it squares what it gets.
+        # In floats, as the library squares the values.
         images = np.stack([np.array(Image.open(path), np.float64) for path in sampled])
         found = compute_stats.get_feature_stats(images[:, None], axis=(0, 2, 3), keepdims=True)
-        # It wants them for three colours.
+        # The library expects three colours.
         stats[DEPTH] = {
             key: value if key == "count" else np.broadcast_to(value[0], (3, 1, 1))
             for key, value in found.items()
@@ -210,4 +211,4 @@ def _statistics_of_depth() -> Iterator[None]:
     try:
         yield
     finally:
-        lerobot_dataset.compute_episode_stats = its
+        lerobot_dataset.compute_episode_stats = original

@@ -1,24 +1,25 @@
-"""A data set as PyTorch's loaders take it."""
+"""View of a data set for PyTorch's loaders."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch.utils.data import Dataset as _TorchBase
 
-from .dataset import Dataset
+from .samples import Pair
 
 
 class TorchDataset(_TorchBase):
     """Pairs as tensors.
 
-    ``image`` (3, height, width) from 0 to 1; ``depth`` (1, height, width) in metres, 0 where
-    there is none; ``time_ns`` and ``depth_time_ns`` as integers; ``sigma_ns``, NaN if it is
-    not known.
+    Each item has ``image`` (3, height, width) from 0 to 1; ``depth`` (1, height, width) in metres,
+    0 where there is none; ``time_ns`` and ``depth_time_ns`` as integers; ``sigma_ns``, NaN if
+    unknown.
     """
 
-    def __init__(self, dataset: Dataset):
+    def __init__(self, dataset: Sequence[Pair]):
         self.dataset = dataset
 
     def __len__(self) -> int:

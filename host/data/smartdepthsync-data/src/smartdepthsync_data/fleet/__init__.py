@@ -1,4 +1,4 @@
-"""Every recording of a store extracted, on Ray: see :func:`fleet`."""
+"""Extraction of every recording of a store, on Ray: see :func:`fleet`."""
 
 from .run import fleet
 

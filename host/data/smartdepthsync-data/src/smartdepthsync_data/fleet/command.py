@@ -1,4 +1,4 @@
-"""``smartdepthsync-fleet``: every recording of a store extracted."""
+"""``smartdepthsync-fleet``: extracts every recording of a store."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from .run import fleet
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit code 0: all is there; 4: something is missing, as the index says; 1: an error."""
+    """Runs the command. Returns 0 if everything was extracted, 4 if the index lists something
+    missing, 1 on an error."""
     parser = argparse.ArgumentParser(
         prog="smartdepthsync-fleet",
         description="Extract every recording below SOURCE into OUT (both URLs of fsspec), on Ray.",

@@ -1,4 +1,4 @@
-"""The recordings of a store, and their extraction on a cluster."""
+"""Recordings of a store, and their extraction on a cluster."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fsspec.implementations.local import LocalFileSystem
 from . import table, work
 from .work import FAILED, PART, Job
 
-#: The file that makes a folder a recording.
+#: File that makes a folder a recording.
 RECORDING = "recording.mcap"
-#: Seconds between two lines of progress while nothing is finished.
+#: Time between two lines of progress while nothing is finished, s.
 QUIET = 30.0
-#: Tasks that the cluster has at a time; the rest waits here.
+#: Largest number of tasks submitted to the cluster at a time.
 AT_A_TIME = 1000
 
 
@@ -37,20 +37,20 @@ def fleet(
     storage: dict[str, Any] | None = None,
     say: Callable[[str], None] = lambda line: print(line, file=sys.stderr),
 ) -> list[dict[str, Any]]:
-    """Extracts every recording below ``source`` into ``out``; both are fsspec's URLs.
+    """Extracts every recording below ``source`` into ``out``; both are URLs of fsspec.
 
-    Returns a row a recording (:data:`table.SCHEMA`), which it also writes: ``index.parquet``
-    and ``index.html`` in ``out``, the worst first. A recording whose row is there, of the same
-    files, version and options, is left as it is; one that failed is tried again.
+    Returns a row per recording (:data:`table.SCHEMA`), the worst first, and writes the rows to
+    ``index.parquet`` and ``index.html`` in ``out``. A recording that has a row for the same
+    files, version and options is skipped; one that failed is tried again.
 
-    ``address`` is a Ray cluster's (none: this computer), on whose nodes ``program`` and this
-    package are installed. ``options`` go to ``smartdepthsync extract``, ``storage`` to fsspec.
-    A recording takes ``threads`` processors, is tried again ``retries`` times when its node is
-    lost or its extraction is killed, and lies in ``scratch`` meanwhile.
+    ``address`` is that of a Ray cluster (None: this computer), on whose nodes ``program`` and this
+    package are installed. ``options`` are passed to ``smartdepthsync extract``, ``storage`` to
+    fsspec. Each recording uses ``threads`` processors and the folder ``scratch``, and is tried
+    again up to ``retries`` times when its node is lost or its extraction is killed.
     """
     import ray
 
-    # Nodes have other working directories.
+    # The nodes' working directories differ from this one.
     source, out = (_whole(url, storage or {}) for url in (source, out))
     store, root = url_to_fs(out, **(storage or {}))
     more = {
@@ -78,7 +78,7 @@ def fleet(
     finally:
         if own:
             ray.shutdown()
-    # Of attempts whose node was lost: nobody writes any more.
+    # Left by attempts whose node was lost.
     for left in [path for path in store.find(root) if path.endswith(PART)]:
         store.rm(left)
     rows.sort(key=table.worst_first)
@@ -95,7 +95,7 @@ def _whole(url: str, storage: dict[str, Any]) -> str:
 
 
 def find(source: str, out: str, **more: Any) -> list[Job]:
-    """The recordings below a place, the largest first."""
+    """Returns the recordings below ``source``, the largest first."""
     store, root = url_to_fs(source, **more.get("storage", {}))
     found = store.find(root, detail=True)
     folders = {str(PurePosixPath(path).parent) for path in found if path.endswith(f"/{RECORDING}")}
@@ -103,20 +103,20 @@ def find(source: str, out: str, **more: Any) -> list[Job]:
         raise ValueError(f"{source} is a recording itself; give the folder that it is in")
     files: dict[str, list[tuple[str, int, str]]] = {folder: [] for folder in folders}
     for path, info in found.items():
-        # A file belongs to the innermost recording that it is in.
+        # A file belongs to the innermost recording around it.
         parents = (str(parent) for parent in PurePosixPath(path).parents)
         if folder := next((parent for parent in parents if parent in folders), None):
             known = info.get("ETag") or info.get("mtime") or info.get("last_modified")
             files[folder].append((path[len(folder) + 1 :], info["size"], str(known)))
     jobs = [
-        Job(folder[len(root) + 1 :], tuple(sorted(its)), source, out, **more)
-        for folder, its in files.items()
+        Job(folder[len(root) + 1 :], tuple(sorted(listed)), source, out, **more)
+        for folder, listed in files.items()
     ]
     return sorted(jobs, key=lambda job: (-job.size, job.name))
 
 
 def _rows(store: fsspec.AbstractFileSystem, paths: list[str]) -> dict[str, Any]:
-    """The rows that are there, read many at a time."""
+    """Returns the existing rows, read many at a time."""
     store.invalidate_cache()
     there = store.cat(paths, on_error="omit", recursive=False)
     return {path: work.parsed_row(text) for path, text in there.items()}
@@ -127,7 +127,7 @@ def _run(
 ) -> list[dict[str, Any]]:
     import ray
 
-    # Tried again after a lost node or worker; another error is an answer.
+    # Repeated after a lost node or worker; any other error is a result.
     task = ray.remote(num_cpus=threads, max_retries=retries, retry_exceptions=[work.Stopped])
     task = task(work.extract)
     todo, running, rows = list(reversed(jobs)), {}, []
@@ -158,7 +158,7 @@ def _run(
 
 
 def _failed(job: Job, error: Exception) -> dict[str, Any]:
-    """The row of a recording of which nothing came back: the store, or every node, was gone."""
+    """Returns the row of a recording without a result: the store or every node was unreachable."""
     reason = str(getattr(error, "cause", None) or error).strip().splitlines()
     return {
         "name": job.name,

@@ -1,4 +1,4 @@
-"""The table of all recordings: as Parquet, and as a page."""
+"""Table of all recordings, as Parquet and as an HTML page."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import pyarrow.parquet as pq
 from .work import FAILED, VERDICTS
 
 _TEXT, _COUNT, _REAL = pa.string(), pa.int64(), pa.float64()
-#: The columns. Offsets and sigmas are in µs: of the trigger's phase on the phone's frames, of a
-#: pair's difference in time (the constant included), of the phone's clock at its worst.
+#: Columns. ``phase_offset_us`` is the offset of the phone's frames from the trigger's grid,
+#: ``phase_sigma_us`` 1-sigma of a pair's difference in time (errors of the constants included),
+#: ``clock_sigma_us`` the largest 1-sigma of the phone's clock.
 SCHEMA = pa.schema(
     [
         ("name", _TEXT), ("verdict", _TEXT), ("pairs", _COUNT), ("phase_offset_us", _REAL),
@@ -25,7 +26,7 @@ SCHEMA = pa.schema(
         ("finished", _TEXT),
     ]
 )  # fmt: skip
-#: Columns that the page leaves to the table.
+#: Columns that the page omits.
 _HIDDEN = {"digest", "state", "options"}
 _RANK = {FAILED: 0, "loss": 1, "good": 2}
 assert _RANK.keys() == {FAILED, *VERDICTS.values()}
@@ -41,19 +42,20 @@ const order=(a,b)=>isNaN(a-b)||a===''||b===''?a.localeCompare(b):a-b;
 
 
 def worst_first(row: dict[str, Any]) -> Any:
-    """Failed ones, then those with most losses, then those that are known least well."""
+    """Returns a sort key: failed recordings first, then those with most losses, then those with
+    unknown or large sigma."""
     sigma = row.get("phase_sigma_us")
     unknown = sigma is None
     return _RANK[row["verdict"]], -(row.get("losses") or 0), not unknown, -(sigma or 0), row["name"]
 
 
 def parquet(rows: list[dict[str, Any]], path: Path) -> None:
-    """Writes the table."""
+    """Writes the rows as Parquet."""
     pq.write_table(pa.Table.from_pylist(rows, SCHEMA), path)
 
 
 def html(rows: list[dict[str, Any]], path: Path) -> None:
-    """Writes the page, in the order of the rows. A click on a heading sorts."""
+    """Writes the rows as an HTML page, in their order. A click on a heading sorts."""
     names = [name for name in SCHEMA.names if name not in _HIDDEN]
     heads = "".join(f"<th>{escape(name)}</th>" for name in names)
     lines = "\n".join(

@@ -1,8 +1,8 @@
-"""What is done with one recording, on whichever node. Nothing here needs Ray.
+"""Extraction of one recording on a node. It does not need Ray.
 
-In the store, beside each other: ``NAME.tar`` (the data set, not compressed), ``NAME.log`` (what
-the extraction said), ``NAME.json`` (the row of the table). The row is written last: with it a
-recording is finished. Each object is there whole or not at all.
+The store gets ``NAME.tar`` (the data set, not compressed), ``NAME.log`` (the messages of
+the extraction) and ``NAME.json`` (the row of the table). The row is written last: it marks the
+recording as finished. Each object appears only when it is complete.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ import fsspec
 from fsspec.core import url_to_fs
 from fsspec.implementations.local import LocalFileSystem
 
-#: Ends of the names of objects that are being written, where a store shows those.
+#: End of the name of an object that is being written, in stores that show it.
 PART = ".part"
-#: Exit codes of ``smartdepthsync extract`` with a data set.
+#: Verdicts by the exit codes of ``smartdepthsync extract`` that mean a data set.
 VERDICTS = {0: "good", 4: "loss"}
 FAILED = "failed"
-#: Its exit code after a signal that it heard.
+#: Exit code after a handled signal.
 INTERRUPTED = 130
 BLOCK = 1 << 20
 
@@ -43,11 +43,11 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class Job:
-    """One recording, and what to do with it."""
+    """Extraction of one recording."""
 
-    #: Its folder below the source, which is also its name below ``out``.
+    #: Folder below ``source``, and name below ``out``.
     name: str
-    #: Its files: path below its folder, size in bytes, and what the store knows of its version.
+    #: Files: path below the folder, size in bytes, and the store's mark of the version.
     files: tuple[tuple[str, int, str], ...]
     source: str
     out: str
@@ -59,16 +59,17 @@ class Job:
 
     @property
     def size(self) -> int:
-        """Bytes of all files."""
+        """Size of all files, bytes."""
         return sum(size for _, size, _ in self.files)
 
     @property
     def state(self) -> str:
-        """A digest of what the store lists, which changes when a file does: no file is read."""
+        """Digest of the store's listing, which changes when a file does. No file is read."""
         return hashlib.sha256(json.dumps(self.files).encode()).hexdigest()
 
     def is_finished_by(self, row: dict[str, Any] | None, version: str, **same: str) -> bool:
-        """Whether an earlier row is of this recording in the state or of the digest given."""
+        """Returns True if an earlier row is a result of this job with the same ``state`` or
+        ``digest``."""
         return (
             row is not None
             and row.get("verdict") in VERDICTS.values()
@@ -79,15 +80,15 @@ class Job:
 
 
 def version_of(program: str) -> str:
-    """What the program says of its version."""
-    told = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
-    return told.stdout.strip()
+    """Returns the version that the program prints."""
+    printed = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
+    return printed.stdout.strip()
 
 
 def extract(job: Job) -> dict[str, Any]:
     """Extracts a recording, puts result and log into the store, and returns the row.
 
-    A recording that cannot be extracted gives a row too. Raises what the store raises, and
+    There is a row also if the extraction fails. Raises the errors of the store, and
     :class:`Stopped`.
     """
     begin = monotonic()
@@ -98,7 +99,7 @@ def extract(job: Job) -> dict[str, Any]:
         earlier = parsed_row(store.cat_file(f"{target}.json"))
     version = version_of(job.program)
     if job.is_finished_by(earlier, version, state=job.state):
-        # By an attempt whose node was lost after all was written.
+        # Finished by an attempt whose node was lost after writing everything.
         return earlier
     with (
         tempfile.TemporaryDirectory(prefix="smartdepthsync-", dir=job.scratch) as folder,
@@ -107,7 +108,7 @@ def extract(job: Job) -> dict[str, Any]:
         scratch = Path(folder)
         recording = _fetched(job, scratch)
         fetched = monotonic()
-        # While it is extracted: both read the same bytes, from the disk once.
+        # Beside the extraction, so that both read the same bytes from the disk once.
         digest = beside.submit(_digest, recording, job)
         row: dict[str, Any] = {
             "name": job.name, "state": job.state, "version": version,
@@ -125,8 +126,8 @@ def extract(job: Job) -> dict[str, Any]:
                 with suppress(FileNotFoundError):
                     store.rm(f"{target}.tar")
             else:
-                # Python's own takes four times as long for thousands of small images. In blocks
-                # of 1 MiB.
+                # Python's tarfile takes four times as long for thousands of small images.
+                # Blocks are 1 MiB.
                 pack = ["tar", "-b", "2048", "-C", str(scratch / "data"), "-cf", str(tar)]
                 subprocess.run([*pack, *os.listdir(scratch / "data")], check=True)
                 row["bytes_out"] = tar.stat().st_size
@@ -142,7 +143,7 @@ def extract(job: Job) -> dict[str, Any]:
 
 
 def parsed_row(text: bytes) -> dict[str, Any] | None:
-    """A row out of its file; None if it is not one."""
+    """Parses a row; returns None if the text is not one."""
     with suppress(ValueError):
         found = json.loads(text)
         return found if isinstance(found, dict) else None
@@ -150,24 +151,25 @@ def parsed_row(text: bytes) -> dict[str, Any] | None:
 
 
 def put(store: fsspec.AbstractFileSystem, file: Path, target: str) -> None:
-    """Moves a file into a store, whole or not at all."""
+    """Moves a file into a store, where it appears only when it is complete."""
     store.makedirs(store._parent(target), exist_ok=True)
     if isinstance(store, LocalFileSystem):
         part = f"{target}.{uuid.uuid4().hex}{PART}"
         shutil.move(file, part)
         os.replace(part, target)
     else:
-        # An object appears when all of it has come.
+        # Such stores show an object only when it is complete.
         store.put_file(str(file), target)
 
 
 def _fetched(job: Job, scratch: Path) -> Path:
-    """The recording's folder on this node: a local one as it is, for it is only read."""
+    """Returns the recording's folder on this node. A local one is used in place, as it is only
+    read."""
     store, root = url_to_fs(job.source, **job.storage)
     folder = f"{root}/{job.name}"
     if isinstance(store, LocalFileSystem):
         return Path(folder)
-    # The name of the folder is the recording's name in its report.
+    # The report names the recording by its folder.
     local = scratch / Path(job.name).name
     paths = [path for path, _, _ in job.files]
     store.get([f"{folder}/{path}" for path in paths], [str(local / path) for path in paths])
@@ -175,7 +177,7 @@ def _fetched(job: Job, scratch: Path) -> Path:
 
 
 def _digest(recording: Path, job: Job) -> str:
-    """SHA-256 of the names and the content of all files."""
+    """Returns the SHA-256 of names and contents of all files."""
     whole = hashlib.sha256()
     for path, _, _ in sorted(job.files):
         one = hashlib.sha256()
@@ -187,7 +189,7 @@ def _digest(recording: Path, job: Job) -> str:
 
 
 def _run(job: Job, recording: Path, out: Path, log: Path) -> dict[str, Any]:
-    """Runs the extraction; the part of the row that it decides."""
+    """Runs the extraction, and returns its part of the row."""
     command = [job.program, "extract", str(recording), "--json", "--out", str(out), *job.options]
     environment = {**os.environ, "RAYON_NUM_THREADS": str(job.threads)}
     with open(log, "wb") as messages:
@@ -221,7 +223,7 @@ def _run(job: Job, recording: Path, out: Path, log: Path) -> dict[str, Any]:
 
 
 def _recorder(recording: Path) -> dict[str, Any]:
-    """Versions of program and firmware that recorded it."""
+    """Returns the versions of program and firmware that made the recording."""
     session: dict[str, Any] = {}
     with suppress(OSError, json.JSONDecodeError):
         session = json.loads((recording / "session.json").read_text())
