@@ -284,7 +284,12 @@ impl<'a> Page<'a> {
             let name = name.map_or(number.to_string(), ToString::to_string);
             let name = serde(&field.attrs, "rename").unwrap_or(name);
             let name = name.trim_start_matches("r#");
-            let mut kind = self.type_text(&field.ty, &it.file);
+            // A function of its own writes words.
+            let mut kind = if is_set("serialize_with") {
+                "text".to_owned()
+            } else {
+                self.type_text(&field.ty, &it.file)
+            };
             if !self.is_wire && is_set("skip_serializing_if") {
                 kind += ", may be missing";
             }

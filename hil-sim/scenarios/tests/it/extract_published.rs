@@ -10,7 +10,7 @@ use crate::support::run_python;
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::report::ExtractReport;
+use extract::report::{ClockSource, ExtractReport, LossPart};
 use extract::run::{Job, run};
 use recording::profile::Profile;
 use system::{Cancel, ReadMonitor};
@@ -83,13 +83,18 @@ fn the_bag_extracts_to_the_same_numbers() {
     assert_eq!(printed.trim(), "ok");
 
     // What is missing is said: there is no video, and the camera dropped frames.
-    let parts: Vec<&str> = report.losses.iter().map(|loss| loss.part).collect();
-    assert_eq!(parts, ["phone", "depth"], "{:#?}", report.losses);
+    let parts: Vec<LossPart> = report.losses.iter().map(|loss| loss.part).collect();
+    assert_eq!(
+        parts,
+        [LossPart::Phone, LossPart::Depth],
+        "{:#?}",
+        report.losses
+    );
     assert_eq!(topics_report.board.imu.samples, 4883);
 
     // The clocks by the gyroscopes, against the sync math on the whole files.
     let clock = report.clock.unwrap();
-    assert_eq!(clock.source, "gyroscopes");
+    assert_eq!(clock.source, ClockSource::Gyroscopes);
     let expected = whole_twist();
     assert!(
         (clock.offset_s - expected).abs() < 30e-6,

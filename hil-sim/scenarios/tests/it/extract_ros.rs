@@ -7,6 +7,7 @@ use crate::support::run_python;
 use crate::synthetic::Synthetic;
 use extract::layout::Format;
 use extract::options::Options;
+use extract::report::LossPart;
 use test_support::python;
 
 /// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives. One of
@@ -40,7 +41,10 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
                 Err(error) => error.to_string(),
                 Ok(report) => {
                     let mut losses = report.losses.into_iter();
-                    losses.find(|loss| loss.part == "depth").unwrap().what
+                    losses
+                        .find(|loss| loss.part == LossPart::Depth)
+                        .unwrap()
+                        .what
                 }
             };
             python::run_conversion(&refusal);

@@ -8,7 +8,7 @@ use crate::extract_vendor::Case;
 use crate::synthetic::{DepthTruth, Synthetic, Truth};
 use extract::layout::Format;
 use extract::options::Options;
-use extract::report::ExtractReport;
+use extract::report::{ClockSource, Decision, ExtractReport, HintSource, LossPart, MatchError};
 use test_support::browser;
 
 /// Largest error and root mean square, µs.
@@ -153,7 +153,7 @@ fn pairs_are_of_frames_that_were_aligned_to_each_other() {
 fn the_reported_clock_is_within_its_own_errors() {
     let TenMinutes { truth, report, .. } = ten_minutes();
     let clock = report.clock.as_ref().unwrap();
-    assert_eq!(clock.source, "gyroscopes");
+    assert_eq!(clock.source, ClockSource::Gyroscopes);
     assert!(clock.used > 40, "{} of {}", clock.used, clock.windows);
     let skew_error_ppm = clock.skew_ppm - truth.skew_ppm;
     assert!(skew_error_ppm.abs() < 0.5, "{skew_error_ppm}");
@@ -189,6 +189,14 @@ fn the_page_shows_pairs_losses_and_the_clock() {
     );
 }
 
+/// Origin of the hint that decided which pulse made which frame.
+fn hint_source(report: &ExtractReport) -> Option<HintSource> {
+    match report.depth.as_ref()?.decided_by? {
+        Decision::Hint { source, .. } => Some(source),
+        Decision::Pattern { .. } => None,
+    }
+}
+
 #[test]
 fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_is_ambiguous() {
     let config = Synthetic {
@@ -202,8 +210,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_is_ambiguous() {
     let report = case.extract(None, "out", Options::default());
     let (largest, _) = check_depth(&case, &truth);
     assert!(largest <= 6.0, "{largest}");
-    let decided = report.depth.unwrap().decided_by;
-    assert!(decided.starts_with("the camera's gyroscope"), "{decided}");
+    assert_eq!(hint_source(&report), Some(HintSource::CameraGyroscope));
 
     // The same without the camera's IMU: not guessed.
     let (case, truth) = Case::new(&Synthetic {
@@ -212,17 +219,18 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_is_ambiguous() {
     });
     let report = case.extract(None, "out", Options::default());
     let depth = report.depth.unwrap();
-    let why = depth.not_matched.unwrap();
+    let reason = depth.not_matched.unwrap();
     assert!(
-        why.contains("ambiguous") && why.contains("camera's IMU on"),
-        "{why}"
+        matches!(&reason, MatchError::Ambiguous(left) if !left.has_imu),
+        "{reason}"
     );
+    assert!(reason.to_string().contains("camera's IMU on"), "{reason}");
     assert_eq!(depth.images, 0);
     assert!(!case.path("out/mav0/depth0").exists());
     let loss = report
         .losses
         .iter()
-        .find(|loss| loss.part == "depth")
+        .find(|loss| loss.part == LossPart::Depth)
         .unwrap();
     assert!(loss.what.contains("--first-pulse"), "{}", loss.what);
 
@@ -242,7 +250,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_is_ambiguous() {
             ..Options::default()
         },
     );
-    assert!(report.depth.unwrap().decided_by.starts_with("the user"));
+    assert_eq!(hint_source(&report), Some(HintSource::User));
     check_depth(&case, &truth);
 }
 
@@ -257,16 +265,16 @@ fn damaged_and_missing_parts_leave_the_rest() {
     });
     let recording = case.path("recording");
     let whole = case.extract(None, "out", Options::default());
-    let said = |report: &ExtractReport, part: &str, what: &str| {
+    let said = |report: &ExtractReport, part: LossPart, what: &str| {
         let found = report
             .losses
             .iter()
             .any(|loss| loss.part == part && loss.what.contains(what));
-        assert!(found, "{part}: {what}\n{:#?}", report.losses);
+        assert!(found, "{part:?}: {what}\n{:#?}", report.losses);
     };
     // A depth recorder that was killed, a phone without its video.
-    said(&whole, "depth", "did not close the file");
-    said(&whole, "phone", "video");
+    said(&whole, LossPart::Depth, "did not close the file");
+    said(&whole, LossPart::Phone, "video");
     assert!(whole.depth.as_ref().unwrap().images > 1000);
     check_depth(&case, &truth);
     let folders: Vec<&str> = whole
@@ -287,9 +295,9 @@ fn damaged_and_missing_parts_leave_the_rest() {
     std::fs::remove_file(recording.join("depth.mkv")).unwrap();
     std::fs::remove_dir_all(case.path("out")).unwrap();
     let part = case.extract(None, "out", Options::default());
-    said(&part, "board", "was not closed");
-    said(&part, "board", "the chunk at byte");
-    said(&part, "depth", "there is no depth recording");
+    said(&part, LossPart::Board, "was not closed");
+    said(&part, LossPart::Board, "the chunk at byte");
+    said(&part, LossPart::Depth, "there is no depth recording");
     let (all, left) = (whole.board.imu.samples, part.board.imu.samples);
     assert!(left > all / 2 && left < all * 2 / 3, "{left} of {all}");
     assert!(case.path("out/seq_1/mav0/imu1/data.csv").exists());
@@ -299,8 +307,9 @@ fn damaged_and_missing_parts_leave_the_rest() {
     std::fs::remove_file(gyro).unwrap();
     std::fs::remove_dir_all(case.path("out")).unwrap();
     let session = case.extract(None, "out", Options::default());
-    assert_eq!(session.clock.as_ref().unwrap().source, "session");
-    said(&session, "phone", "gyroscope");
+    let clock = session.clock.as_ref().unwrap();
+    assert_eq!(clock.source, ClockSource::Session);
+    said(&session, LossPart::Phone, "gyroscope");
     let color = case.table("out/phone_frames.csv", &[2]);
     let worst = errors(
         color

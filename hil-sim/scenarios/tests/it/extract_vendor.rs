@@ -12,7 +12,7 @@ use crate::whole_chain::programs;
 use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
-use extract::report::ExtractReport;
+use extract::report::{ExtractReport, MatchError};
 use extract::run::{Job, run};
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
@@ -279,9 +279,8 @@ fn the_files_own_tags_decide_the_times() {
     // No pulse made the frames of a camera on its own.
     let alone = case.vendor("alone", &device, json!({ "sync": STANDALONE }));
     let report = case.extract(Some(&alone), "alone", Options::default());
-    let why = report.depth.unwrap().not_matched.unwrap();
-    assert!(
-        why.contains("STANDALONE") && why.contains("--external-sync sub"),
-        "{why}"
-    );
+    let reason = report.depth.as_ref().unwrap().not_matched.clone().unwrap();
+    let sync = String::from("STANDALONE");
+    assert_eq!(reason, MatchError::OtherSync { sync });
+    said(&report, "--external-sync sub");
 }

@@ -1,6 +1,7 @@
-//! The constants of a rig that go into times, resolved once: those of the profile that the user
-//! gives, or else what the session was aligned by, or else its profile. The exposure that was used
-//! or reported goes before any profile's; the delay of the board's IMU is what the board set.
+//! Constants of a rig that go into times, resolved once: from the profile that the user
+//! gives, otherwise from the session's alignment, otherwise from the session's profile. The exposure
+//! that was used or reported takes precedence over any profile's; the delay of the board's IMU is
+//! that of the board's settings.
 
 use protocol::ImuSensor;
 use recording::error_budget::ErrorPart;
@@ -9,9 +10,7 @@ use recording::session_file::{PhoneRecord, SessionFile};
 use serde::Serialize;
 use twist_sync::Prior;
 
-use crate::clocks::gyro_clock::prior;
-
-/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
+/// Low-pass delay of the published system's setting (184/188 Hz), ns.
 pub(crate) const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
 /// Constants that go into the times of a phone, the board and the depth camera.
@@ -20,37 +19,37 @@ pub struct Constants {
     /// Low-pass delay subtracted from the board's IMU times (not in the topics
     /// layout), ns.
     pub board_imu_delay_ns: i64,
-    /// The same of the phone, ns.
+    /// Low-pass delay subtracted from the phone's IMU times, ns.
     pub phone_imu_delay_ns: i64,
-    /// From the phone's frame timestamp (start of exposure of the first row) to the middle of
-    /// exposure of the middle row, ns. Parts that are not known count as 0.
+    /// Time from the phone's frame timestamp (start of exposure of the first row) to the middle of
+    /// exposure of the middle row, ns. Unknown contributions count as 0.
     pub color_middle_ns: i64,
-    /// From the trigger pulse to the depth timestamp, ns.
+    /// Time from the trigger pulse to the depth timestamp (centre of exposure), ns.
     pub depth_center_ns: i64,
-    /// Exposure and readout of the phone are both known.
+    /// True if exposure and readout of the phone are both known.
     #[serde(skip)]
     pub(crate) is_middle_known: bool,
-    /// The time from pulse to depth timestamp is known, for the mode of the profile.
+    /// True if the time from pulse to depth timestamp is known, for the mode of the profile.
     #[serde(skip)]
     pub(crate) is_center_known: bool,
     /// 1-sigma of the constant between depth and phone, µs.
     #[serde(skip)]
     pub(crate) constant_sigma_us: Option<f64>,
-    /// The largest part of that.
+    /// Largest contribution to it.
     #[serde(skip)]
     pub(crate) constant_part: ErrorPart,
-    /// The board's IMU.
+    /// Model of the board's IMU.
     #[serde(skip)]
     pub(crate) board_sensor: ImuSensor,
-    /// The relation of the clocks that the session knows.
+    /// Relation of the clocks that the session found.
     #[serde(skip)]
     pub(crate) prior: Option<Prior>,
 }
 
 impl Constants {
-    /// Those of the phone that the trigger was aligned to, by the profile that is given in place
-    /// of the session's, if there is one. Values out of reason are left out.
-    pub(crate) fn of(session: Option<&SessionFile>, given: Option<&Profile>) -> Self {
+    /// Returns the constants of the phone that the trigger was aligned to. A `given` profile
+    /// replaces the session's. Absurd values count as unknown.
+    pub(crate) fn for_reference(session: Option<&SessionFile>, given: Option<&Profile>) -> Self {
         let Some(profile) = given.or(session.map(|session| &session.profile)) else {
             return Self::default();
         };
@@ -59,8 +58,8 @@ impl Constants {
         let reported = reference.and_then(|phone| phone.video?.exposure_us());
         let used = alignment.map(|alignment| alignment.exposure_us);
         let exposure_us = used.or(reported).unwrap_or(profile.phone.exposure_us);
-        // A measured bias says that the depth image is exposed later than its nominal centre,
-        // against the phone's middle row.
+        // A measured bias means that the depth image is exposed later than its nominal centre,
+        // relative to the phone's middle row.
         let own = (
             profile.phone.middle_row_us(),
             profile.depth.center_offset_us + profile.frame_sync.bias_us,
@@ -80,35 +79,36 @@ impl Constants {
             constant_sigma_us: Some(profile.constant_sigma_us(exposure_us)),
             constant_part: profile.constant_part(exposure_us),
             board_sensor: imu.map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
-            prior: session.and_then(SessionFile::clock).map(prior),
+            prior: session.and_then(SessionFile::clock).map(Prior::Relation),
             ..Self::default()
         };
         constants.with_middle(nanos(exposure_us), nanos(row_us))
     }
 
-    /// Those of another phone, of which the session says `said`; what is the rig's stays.
-    pub(crate) fn of_other(
+    /// Returns the constants of another phone with its session `record`; those of the rig stay.
+    pub(crate) fn for_other(
         self,
         phone: &Phone,
-        said: Option<&PhoneRecord>,
+        record: Option<&PhoneRecord>,
         profile: &Profile,
     ) -> Self {
-        let reported = said.and_then(|said| said.video?.exposure_us());
+        let reported = record.and_then(|record| record.video?.exposure_us());
         let exposure_us = reported.unwrap_or(phone.exposure_us);
         let constants = Self {
             phone_imu_delay_ns: nanos(phone.gyro_delay_us).unwrap_or(0),
-            prior: said.and_then(|said| said.clock).map(prior),
+            prior: record.and_then(|record| record.clock).map(Prior::Relation),
             constant_sigma_us: Some(profile.other_constant_sigma_us(phone, exposure_us)),
             ..self
         };
         constants.with_middle(nanos(exposure_us), nanos(phone.middle_row_us()))
     }
 
-    /// Puts the depth timestamp later.
+    /// Makes depth timestamps later by `by_ns`.
     pub(crate) const fn delay_depth(&mut self, by_ns: i64) {
         self.depth_center_ns = self.depth_center_ns.saturating_add(by_ns);
     }
 
+    /// Sets the time to the middle of exposure, from exposure and middle row in ns.
     fn with_middle(self, exposure: Option<i64>, middle_row: Option<i64>) -> Self {
         let half_exposure = exposure.unwrap_or(0) / 2;
         Self {
@@ -119,7 +119,7 @@ impl Constants {
     }
 }
 
-/// Microseconds in whole nanoseconds, within ±1 s.
+/// Converts microseconds to whole nanoseconds; `None` beyond ±1 s.
 pub(crate) fn nanos(us: f64) -> Option<i64> {
     let within = us.is_finite() && us.abs() <= 1e6;
     within.then(|| (us * 1000.0).round() as i64)
@@ -130,17 +130,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_row_is_the_profile_s_where_nothing_was_aligned() {
+    fn the_middle_row_is_the_profiles_without_an_alignment() {
         let profile = |text: &str| Profile::parse(text, None).unwrap();
         let middle = |text: &str, given: Option<&Profile>| {
             let session = SessionFile::new(String::from("walk"), profile(text));
-            Constants::of(Some(&session), given).color_middle_ns
+            Constants::for_reference(Some(&session), given).color_middle_ns
         };
         let phone = "[phone]\nexposure_us = 8000\nreadout_us = 10000\nrows = 1001\n";
         assert_eq!(middle(phone, None), 4_000_000 + 5_000_000);
         let row = format!("{phone}middle_row = 250\n");
         assert_eq!(middle(&row, None), 4_000_000 + 2_500_000);
-        // The user's word goes before.
+        // The user's profile takes precedence.
         let given = profile("[phone]\nexposure_us = 6000\nreadout_us = 12000\n");
         assert_eq!(middle(&row, Some(&given)), 3_000_000 + 6_000_000);
     }

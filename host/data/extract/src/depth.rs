@@ -1,9 +1,9 @@
 //! Depth recordings: the camera's own files (MKV), and bags of the camera's ROS 2 driver.
 //!
-//! A recording is gone over twice: once for the times of its frames
-//! ([`DepthInput::index`], no pixels are read), and once for the images
-//! ([`DepthInput::images`]). Both give the frames in the same order, so that a
-//! frame's number is its identity.
+//! A recording is read twice: for the times of its frames
+//! ([`DepthInput::index`], without pixels), and for the images
+//! ([`DepthInput::images`]). Both return the frames in the same order, so that the index of a
+//! frame identifies it.
 
 pub(crate) mod depth_clock;
 pub mod k4a;
@@ -21,10 +21,10 @@ use recording::bag::mcap_in;
 use system::{Input, ReadMonitor};
 use twist_sync::GyroSample;
 
-/// How many faults are kept with their text.
+/// Largest number of faults that are described.
 const MAX_FAULTS: usize = 50;
 
-/// Where depth comes from.
+/// Depth recording to read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum DepthInput {
     /// A file of the camera's recorder.
@@ -33,41 +33,41 @@ pub(crate) enum DepthInput {
     Ros2(Ros2Bag),
 }
 
-/// Why depth cannot be read.
+/// Reason why a depth recording cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum DepthError {
-    /// The recorder's file.
+    /// The recorder's file cannot be read.
     #[error("{path}: {error}")]
     Mkv {
-        /// Which.
+        /// The file.
         path: PathBuf,
         /// Why.
         #[source]
         error: K4aError,
     },
-    /// The bag of the camera's driver.
+    /// The bag of the camera's driver cannot be read.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
 }
 
-/// A frame's time and size.
+/// Time of a depth frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DepthStamp {
     /// Device time.
     pub(crate) at: DeviceNanos,
-    /// Whether it has the bytes of a whole image (unknown for bags before pixels
-    /// are read: true).
+    /// False if bytes of the image are missing (for bags, whose pixels are not read yet, if its
+    /// size differs from that of the first).
     pub(crate) whole: bool,
 }
 
-/// What a depth recording holds.
+/// Contents of a depth recording, without pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct DepthIndex {
     /// Frames in the order of the file.
     pub(crate) frames: Vec<DepthStamp>,
-    /// Width and height.
+    /// Width and height of the images.
     pub(crate) size: (u32, u32),
-    /// The camera's calibration.
+    /// The camera's `calibration.json`.
     pub(crate) calibration: Option<Vec<u8>>,
     /// `K4A_DEPTH_MODE`.
     pub(crate) mode: Option<String>,
@@ -75,55 +75,56 @@ pub(crate) struct DepthIndex {
     pub(crate) serial: Option<String>,
     /// `K4A_WIRED_SYNC_MODE`.
     pub(crate) sync: Option<String>,
-    /// `K4A_SUBORDINATE_DELAY_NS`: from the trigger's edge to the exposure of colour (of
+    /// `K4A_SUBORDINATE_DELAY_NS`: time from the trigger's edge to the exposure of colour (of
     /// depth, without colour).
     pub(crate) subordinate_delay: i64,
-    /// `K4A_DEPTH_DELAY_NS`: from the exposure of colour to that of depth.
+    /// `K4A_DEPTH_DELAY_NS`: time from the exposure of colour to that of depth.
     pub(crate) depth_delay: i64,
-    /// The colour track.
+    /// Colour track, if there is one.
     pub(crate) color: Option<ColorTrack>,
     /// Device times of the colour images.
     pub(crate) color_frames: Vec<DeviceNanos>,
-    /// Who rewrote the file with coarser times, in words.
+    /// Message about the program that rewrote the file with coarser times, if one did.
     pub(crate) rewritten: Option<String>,
-    /// Whether there are samples of the camera's IMU.
+    /// True if there are samples of the camera's IMU.
     pub(crate) has_imu: bool,
-    /// What is damaged, in words.
+    /// Descriptions of damage.
     pub(crate) faults: Vec<String>,
 }
 
-/// An image of the recording.
+/// Image of a depth recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CameraImage {
-    /// Depth, perhaps with infrared.
+    /// Depth image, with infrared if there is any.
     Depth(DepthImage),
-    /// Colour, by its number in the recording: the bytes of a JPEG file.
+    /// Colour image: its index in the recording, and the bytes of a JPEG file.
     Color(usize, Vec<u8>),
 }
 
-/// A frame with its pixels.
+/// Depth frame with its pixels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct DepthImage {
-    /// Its number in the recording.
+    /// Index in the recording.
     pub(crate) index: usize,
-    /// Big-endian millimetres; a whole image or nothing.
+    /// Big-endian 16-bit millimetres of the whole image; empty if bytes are missing.
     pub(crate) depth: Vec<u8>,
-    /// Big-endian infrared of the same time, if there is any.
+    /// Big-endian 16-bit infrared of the same time, if there is any.
     pub(crate) infrared: Option<Vec<u8>>,
-    /// The checksum of its part of the file is wrong.
+    /// True if the checksum of its part of the file is wrong.
     pub(crate) damaged: bool,
 }
 
 impl DepthInput {
-    /// The files that are read.
+    /// Returns the files that are read.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         match self {
             Self::Mkv(path) => vec![path.clone()],
-            // A folder that cannot be read is met again when it is opened.
+            // An unreadable folder is reported when it is opened.
             Self::Ros2(bag) => Vec::from_iter(mcap_in(&bag.path).ok()),
         }
     }
 
+    /// Opens a file of the camera's recorder.
     fn recording(
         path: &Path,
         monitor: &ReadMonitor,
@@ -131,11 +132,11 @@ impl DepthInput {
         Recording::open(path, monitor).map_err(in_file(path))
     }
 
-    /// Reads times and what stands beside the images.
+    /// Reads everything except pixels.
     ///
     /// # Errors
     ///
-    /// It is no depth recording, or reading fails.
+    /// Fails if it is no depth recording, or cannot be read.
     pub(crate) fn index(&self, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
         match self {
             Self::Mkv(path) => index_mkv(path, monitor),
@@ -143,11 +144,11 @@ impl DepthInput {
         }
     }
 
-    /// The images.
+    /// Opens the images.
     ///
     /// # Errors
     ///
-    /// It cannot be opened.
+    /// Fails if it cannot be opened.
     pub(crate) fn images(&self, monitor: &ReadMonitor) -> Result<CameraImages, DepthError> {
         Ok(match self {
             Self::Mkv(path) => {
@@ -168,11 +169,11 @@ impl DepthInput {
         })
     }
 
-    /// The camera's gyroscope, in order of time; of a bag there is none.
+    /// Opens the camera's gyroscope, in order of time; a bag has no samples.
     ///
     /// # Errors
     ///
-    /// It cannot be opened.
+    /// Fails if the recording cannot be opened.
     pub(crate) fn gyro(
         &self,
         monitor: &ReadMonitor,
@@ -203,7 +204,7 @@ impl DepthInput {
     }
 }
 
-/// What a file holds, cluster by cluster, up to the first that cannot be read.
+/// Returns the contents of a file, cluster by cluster, up to the first that cannot be read.
 fn batches(
     mut opened: Option<(Recording<BufReader<Input>>, PathBuf)>,
     content: Content,
@@ -218,6 +219,7 @@ fn batches(
     })
 }
 
+/// Adds the file to an error.
 fn in_file(path: &Path) -> impl Fn(K4aError) -> DepthError + '_ {
     |error| DepthError::Mkv {
         path: path.to_owned(),
@@ -225,6 +227,7 @@ fn in_file(path: &Path) -> impl Fn(K4aError) -> DepthError + '_ {
     }
 }
 
+/// Reads the index of a recorder's file.
 fn index_mkv(path: &Path, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
     let mut recording = DepthInput::recording(path, monitor)?;
     let size = recording.image_bytes();
@@ -287,6 +290,7 @@ fn index_mkv(path: &Path, monitor: &ReadMonitor) -> Result<DepthIndex, DepthErro
     Ok(index)
 }
 
+/// Reads the index of a bag.
 fn index_ros2(bag: &Ros2Bag, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
     let mut images = bag.open(false, monitor)?;
     let mut index = DepthIndex::default();
@@ -298,7 +302,7 @@ fn index_ros2(bag: &Ros2Bag, monitor: &ReadMonitor) -> Result<DepthIndex, DepthE
 }
 
 impl DepthIndex {
-    /// A frame of a bag; the first says how large they are.
+    /// Adds a frame of a bag; the first one sets the size.
     fn add(&mut self, image: &DriverImage) {
         if self.frames.is_empty() {
             self.size = (image.width, image.height);
@@ -310,10 +314,10 @@ impl DepthIndex {
     }
 }
 
-/// Images one after the other.
+/// Images in the order of the recording.
 type CameraImages = Box<dyn Iterator<Item = Result<CameraImage, DepthError>> + Send>;
 
-/// The images of a bag.
+/// Numbers the images of a bag.
 fn numbered(
     images: impl Iterator<Item = Result<DriverImage, DepthError>>,
 ) -> impl Iterator<Item = Result<CameraImage, DepthError>> {
@@ -327,7 +331,8 @@ fn numbered(
     })
 }
 
-/// The images of a cluster; `size` is that of a whole one in bytes.
+/// Returns the images of a cluster, numbered from `next` and `next_color` on; `size` is the
+/// number of bytes of a whole depth image.
 fn images_of(
     batch: Batch,
     size: usize,

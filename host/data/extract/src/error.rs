@@ -1,4 +1,4 @@
-//! Why an extraction, or a step of it, gives nothing.
+//! Errors of an extraction.
 
 use std::io;
 use std::path::PathBuf;
@@ -7,43 +7,43 @@ use crate::depth::DepthError;
 use crate::inputs::InputsError;
 use crate::output::folder::OutputDirError;
 
-/// Why there is no data set, or a part of it is missing.
+/// Reason why there is no data set, or why a part of it is missing.
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractError {
     /// There is nothing to extract from.
     #[error(transparent)]
     Inputs(#[from] InputsError),
-    /// The output folder.
+    /// The output folder cannot be used.
     #[error(transparent)]
     OutputDir(#[from] OutputDirError),
-    /// The board's recording.
+    /// The board's recording cannot be read.
     #[error(transparent)]
     Board(#[from] recording::RecordingError),
     /// A file cannot be written.
     #[error("writing {path}: {error}")]
     Write {
-        /// Which, or the output folder.
+        /// The file, or the output folder.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         #[source]
         error: io::Error,
     },
-    /// The depth recording.
+    /// The depth recording cannot be read.
     #[error(transparent)]
     Depth(#[from] DepthError),
-    /// The phone's video.
+    /// The phone's video cannot be decoded.
     #[error(transparent)]
     Video(#[from] phone::video::VideoError),
-    /// One part is missing, in words.
+    /// A part is missing, for the given reason.
     #[error("{0}")]
     Missing(String),
-    /// Stopped; the next run continues.
+    /// The extraction was stopped; the next run continues.
     #[error("stopped; run it again to continue")]
     Cancelled,
 }
 
 impl ExtractError {
-    /// Whether it ends the extraction. Without a part that is missing, the rest is extracted.
+    /// Returns true if the error ends the extraction, false if only one part is missing.
     #[must_use]
     pub const fn is_fatal(&self) -> bool {
         !matches!(self, Self::Missing(_))

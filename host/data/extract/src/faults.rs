@@ -1,6 +1,6 @@
-//! What cannot be read of a file: the first of it in words, all of it counted.
+//! Unreadable parts of a file: all are counted, the first of them described.
 
-/// A list of limited length.
+/// List of faults of limited length.
 #[derive(Clone, Debug)]
 pub(crate) struct Faults {
     first: Vec<String>,
@@ -9,7 +9,7 @@ pub(crate) struct Faults {
 }
 
 impl Faults {
-    /// An empty list that keeps the words of at most `limit`.
+    /// Creates an empty list that keeps the descriptions of at most `limit` faults.
     pub(crate) fn new(limit: usize) -> Self {
         Self {
             first: Vec::new(),
@@ -18,26 +18,26 @@ impl Faults {
         }
     }
 
-    /// One more.
-    pub(crate) fn add(&mut self, what: String) {
+    /// Adds a fault.
+    pub(crate) fn add(&mut self, fault: String) {
         self.count += 1;
         if self.first.len() < self.limit {
-            self.first.push(what);
+            self.first.push(fault);
         }
     }
 
-    /// How many there are.
+    /// Returns the number of faults.
     pub(crate) fn count(&self) -> u64 {
         self.count
     }
 
-    /// The words of the first.
+    /// Returns the descriptions of the first faults.
     pub(crate) fn first(&self) -> &[String] {
         &self.first
     }
 
-    /// The words of the first, and how many there are beyond them, of a `kind`.
-    pub(crate) fn words(&self, kind: &str) -> Vec<String> {
+    /// Returns the descriptions of the first faults, and the number of further ones of a `kind`.
+    pub(crate) fn summary(&self, kind: &str) -> Vec<String> {
         let more = self.count - self.first.len() as u64;
         let more = (more > 0).then(|| format!("and {more} more {kind}"));
         self.first.iter().cloned().chain(more).collect()

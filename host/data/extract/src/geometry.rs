@@ -1,5 +1,5 @@
-//! How the cameras see and where they are: lenses, the depth camera's own calibration,
-//! and depth images as another camera would see them.
+//! Lenses and poses of the cameras, the depth camera's own calibration, and registration of
+//! depth images into another camera's view.
 
 pub(crate) mod calibration;
 pub(crate) mod lens;
@@ -7,46 +7,60 @@ pub(crate) mod register;
 
 use recording::profile::{Direction, Intrinsics, Pose};
 
-/// Whether a depth camera's `calibration.json` can be used, for a depth mode as its recorder
-/// names it and the size of the colour images, if there are any.
+use self::register::Registration;
+
+/// Checks that a depth camera's `calibration.json` can be used for a depth mode, as its recorder
+/// names it, and for colour images of a size, if there are any.
 ///
 /// # Errors
 ///
-/// What was found and what was expected.
+/// Returns what was found and what was expected.
 pub fn check_calibration(json: &[u8], mode: &str, color: Option<(u32, u32)>) -> Result<(), String> {
     calibration::read(json, Some(mode), color).map(drop)
 }
 
-/// Which camera's view depth images are given in.
+/// Camera into whose view depth images are registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum View {
-    /// The phone's.
+    /// The phone's camera.
     Phone,
-    /// That of the depth camera's colour camera.
+    /// The depth camera's colour camera.
     Color,
 }
 
-/// What is known of one camera.
+/// Known properties of a camera.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub(crate) struct CameraFacts {
-    /// How it sees.
+    /// Lens and image size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) intrinsics: Option<Intrinsics>,
-    /// From the frame of the board's IMU to its own.
+    /// Pose: from the frame of the board's IMU to the camera's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) from_imu: Option<Pose>,
-    /// Time from one row (or column) to the next, ns, and where the readout goes.
+    /// Rolling shutter: time from one row (or column) to the next, ns, and direction of the
+    /// readout.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) shutter: Option<(i64, Direction)>,
 }
 
-/// The cameras of a recording, as `cameras.json` has them.
+/// Cameras of a recording: the content of `cameras.json`.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub(crate) struct Cameras {
+    /// The phone's camera.
     pub(crate) phone: CameraFacts,
-    /// Colour of the depth camera.
+    /// The depth camera's colour camera.
     pub(crate) color: CameraFacts,
-    /// Depth images as they are written, and infrared as the camera has it.
+    /// The camera of the depth images as they are written (after registration).
     pub(crate) depth: CameraFacts,
+}
+
+/// View that depth images are written in.
+pub(crate) enum DepthView {
+    /// The depth camera's own.
+    Own,
+    /// Another camera's.
+    Registered(Box<Registration>),
+    /// Another camera's, into which they cannot be registered.
+    Unavailable,
 }

@@ -1,4 +1,4 @@
-//! What there is to extract from, and what the session says about it.
+//! Inputs of an extraction: finds the files of a recording, and reads its session file.
 
 pub(crate) mod board_data;
 pub(crate) mod phone_rows;
@@ -21,37 +21,37 @@ use recording::folder::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 
-/// A phone and its files.
+/// Phone and its files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PhoneInput {
-    /// Its name in the rig profile, if there is a session.
+    /// Name in the rig profile, if there is a session.
     pub(crate) name: Option<String>,
-    /// Its files.
+    /// The phone's files.
     pub(crate) files: Option<VideoFiles>,
-    /// What goes into its times.
+    /// Constants that go into its times.
     pub(crate) constants: Constants,
-    /// What the profile says about it.
+    /// The phone in the rig profile.
     pub(crate) profile: Option<Phone>,
-    /// The clock of its sensors minus that of its frames, ns.
+    /// Clock of its sensors minus clock of its frames, ns.
     pub(crate) boot_minus_frames_ns: i64,
-    /// Its folder below the output; the output itself for the phone that the trigger
-    /// was aligned to.
+    /// Folder below the output; empty, for the output itself, if the trigger was aligned to
+    /// this phone.
     pub(crate) folder: PathBuf,
 }
 
 impl PhoneInput {
-    /// Whether it is one beside the phone that the trigger was aligned to.
+    /// Returns true unless the trigger was aligned to this phone.
     pub(crate) fn is_other(&self) -> bool {
         !self.folder.as_os_str().is_empty()
     }
 
-    /// Its name, if it is such a one.
+    /// Returns the phone's name, unless the trigger was aligned to it.
     pub(crate) fn other_name(&self) -> Option<&str> {
         let name = self.name.as_deref().unwrap_or_default();
         self.is_other().then_some(name)
     }
 
-    /// A text about it, with its name where that is needed.
+    /// Returns a text about the phone, after its name unless the trigger was aligned to it.
     pub(crate) fn about(&self, text: &str) -> String {
         match self.other_name() {
             Some(name) => format!("{name}: {text}"),
@@ -59,15 +59,15 @@ impl PhoneInput {
         }
     }
 
-    /// What is known of its camera for images of this size.
+    /// Returns the known properties of the camera for images of a size.
     pub(crate) fn camera(&self, size: Option<(u32, u32)>) -> CameraFacts {
         let Some(phone) = &self.profile else {
             return CameraFacts::default();
         };
-        let own = |camera: &&Intrinsics| Some(camera.size()) == size;
+        let has_size = |camera: &&Intrinsics| Some(camera.size()) == size;
         let last = i64::from(phone.rows.saturating_sub(1));
         CameraFacts {
-            intrinsics: phone.cameras.iter().find(own).cloned(),
+            intrinsics: phone.cameras.iter().find(has_size).cloned(),
             from_imu: phone.from_imu,
             shutter: nanos(phone.readout_us)
                 .filter(|_| last > 0)
@@ -76,78 +76,78 @@ impl PhoneInput {
     }
 }
 
-/// Everything that is read.
+/// Files of a recording, and facts from its session.
 #[derive(Clone, Debug)]
 pub(crate) struct Inputs {
-    /// Name of the recording.
+    /// Name of the recording's folder.
     pub(crate) name: String,
-    /// The board's recording, an MCAP file.
+    /// Board's recording, an MCAP file.
     pub(crate) board: PathBuf,
-    /// The phone; of several the one that the trigger was aligned to.
+    /// Phone that the trigger was aligned to.
     pub(crate) phone: PhoneInput,
-    /// The other phones.
+    /// Other phones.
     pub(crate) others: Vec<PhoneInput>,
-    /// The depth recording.
+    /// Depth recording.
     pub(crate) depth: Option<DepthInput>,
-    /// The board's unique ID.
+    /// Unique ID of the board.
     pub(crate) board_id: Option<String>,
-    /// What the lidar is called, if there is a profile.
+    /// Name of the lidar, if there is a profile.
     pub(crate) lidar: Option<String>,
-    /// What is done in the recording, if the rig profile says it.
+    /// Task that the recording shows, if the rig profile names one.
     pub(crate) task: Option<String>,
-    /// Model of the depth camera; the published rig's where no profile names it.
+    /// Model of the depth camera; the published rig's if no profile names one.
     pub(crate) camera: Option<&'static Model>,
-    /// The depth camera's mode in the rig profile, if there is one.
+    /// Mode of the depth camera in the rig profile, if there is one.
     pub(crate) depth_mode: Option<String>,
-    /// Exposure of the depth camera's colour images, ns, where the profile has it.
+    /// Exposure of the depth camera's colour images, ns, if the profile has it.
     pub(crate) color_exposure_ns: Option<i64>,
-    /// Where the profile has the depth camera's colour camera.
+    /// Pose in the profile: from the board's IMU to the depth camera's colour camera.
     pub(crate) color_from_imu: Option<Pose>,
-    /// Board time of the recorded span, in which the trigger was on its grid, ns.
+    /// Begin and end of the recorded span in board time, ns; the trigger was on its grid in it.
     pub(crate) recorded: Option<(i64, i64)>,
-    /// Worth knowing.
+    /// Remarks for the report.
     pub(crate) remarks: Vec<String>,
 }
 
-/// Why there is nothing to extract from.
+/// Reason why there is nothing to extract from.
 #[derive(Debug, thiserror::Error)]
 pub enum InputsError {
-    /// It cannot be read.
+    /// A file cannot be read.
     #[error("reading {path}: {error}")]
     Io {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: io::Error,
     },
-    /// It is no recording, or a bag that is not read.
+    /// The path is no recording, or a bag of an unsupported form.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The phone's files.
+    /// The phone's files cannot be found.
     #[error(transparent)]
     Phone(#[from] FilesError),
-    /// A phone that the session does not know.
+    /// The session does not know a phone.
     #[error("the recording has no phone called {name:?}; expected {}", known.join(", "))]
     UnknownPhone {
-        /// As given.
+        /// The name that the user gave.
         name: String,
-        /// The session's phones.
+        /// Names of the session's phones.
         known: Vec<String>,
     },
-    /// Several depth recordings.
+    /// There are several depth recordings.
     #[error("{path} holds several depth recordings ({}); name one with --depth", names.join(", "))]
     SeveralDepth {
-        /// Where.
+        /// The folder.
         path: PathBuf,
         /// Their names.
         names: Vec<String>,
     },
-    /// The file given as depth recording is of another kind.
+    /// The given depth recording is of another kind.
     #[error(
         "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or its file .mcap)"
     )]
     NotDepth {
-        /// Which.
+        /// The file.
         path: PathBuf,
     },
 }
@@ -159,12 +159,12 @@ fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {
     }
 }
 
-/// Finds everything: in the recording, or where the user says that it lies. `phone` is the
-/// place of the phone that the trigger was aligned to.
+/// Finds the inputs, in the recording or where the user says. `phone` is the
+/// folder of the phone that the trigger was aligned to.
 ///
 /// # Errors
 ///
-/// There is no recording, or it is not clear what belongs to it.
+/// Fails if there is no recording, or if it is not clear which files belong to it.
 pub(crate) fn find(
     recording: &Path,
     phone: Option<&Path>,
@@ -184,7 +184,7 @@ pub(crate) fn find(
         }
     };
     let given = options.profile.as_ref();
-    let constants = Constants::of(session.as_ref(), given);
+    let constants = Constants::for_reference(session.as_ref(), given);
     let topic = options.depth_topic.as_deref();
     let own = folder.then_some(recording);
     let (mut phone, others) = match &session {
@@ -193,7 +193,7 @@ pub(crate) fn find(
             find_phones(session, profile, own, constants, phone, &options.phones)?
         }
         None => {
-            known_names(&options.phones, &[])?;
+            check_names(&options.phones, &[])?;
             let files = find_phone(own, phone)?;
             let phone = PhoneInput {
                 files,
@@ -251,7 +251,8 @@ pub(crate) fn find(
     })
 }
 
-fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), InputsError> {
+/// Checks that the session knows each phone that the user names.
+fn check_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), InputsError> {
     match given.iter().find(|(name, _)| !known.contains(name)) {
         None => Ok(()),
         Some((name, _)) => Err(InputsError::UnknownPhone {
@@ -261,7 +262,8 @@ fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), Inpu
     }
 }
 
-/// The phones of a session, each with its files; `profile` has the constants of the rig.
+/// Finds the phones of a session: the one that the trigger was aligned to, and the others.
+/// `profile` has the constants of the rig, `phone` and `places` are the folders that the user gives.
 fn find_phones(
     session: &SessionFile,
     profile: &Profile,
@@ -275,18 +277,18 @@ fn find_phones(
         .all_phones()
         .map(|phone| phone.name.clone())
         .collect();
-    known_names(places, &names)?;
+    check_names(places, &names)?;
     let several = names.len() > 1;
     let files_of = |name: &str, place: Option<&Path>| {
         let named = places.iter().find(|(given, _)| given == name);
         let place = named.map(|(_, place)| place.as_path()).or(place);
         let own = recording.map(|folder| folder.join(session.phone_folder(name)));
-        // Of several, a phone whose files were never brought has no folder.
+        // With several phones, one whose files were never fetched has no folder.
         let own = own.filter(|own| !several || own.is_dir());
         find_phone(own.as_deref(), place)
     };
-    let behind_ns = |said: Option<&PhoneRecord>| {
-        let video = said.and_then(|said| said.video);
+    let boot_minus_frames_ns = |record: Option<&PhoneRecord>| {
+        let video = record.and_then(|record| record.video);
         video.map_or(0, |video| video.boot_minus_frames_ns)
     };
     let reference = PhoneInput {
@@ -294,26 +296,26 @@ fn find_phones(
         files: files_of(&session.profile.phone.name, phone)?,
         constants,
         profile: Some(session.profile.phone.clone()),
-        boot_minus_frames_ns: behind_ns(session.reference()),
+        boot_minus_frames_ns: boot_minus_frames_ns(session.reference()),
         folder: PathBuf::new(),
     };
     let mut others = Vec::new();
     for phone in &session.profile.phones {
-        let said = session.phone(&phone.name);
+        let record = session.phone(&phone.name);
         others.push(PhoneInput {
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
-            constants: constants.of_other(phone, said, profile),
+            constants: constants.for_other(phone, record, profile),
             profile: Some(phone.clone()),
-            boot_minus_frames_ns: behind_ns(said),
+            boot_minus_frames_ns: boot_minus_frames_ns(record),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }
     Ok((reference, others))
 }
 
-/// The phone's files in the place that the user names, with the video that the
-/// session has fetched into the recording's folder; else all of them there.
+/// Finds a phone's files in the folder that the user names, with the video that the
+/// session fetched into the recording's folder; without such a folder, all of them there.
 fn find_phone(
     recording: Option<&Path>,
     place: Option<&Path>,
@@ -334,6 +336,7 @@ fn find_phone(
     }))
 }
 
+/// Returns the names of files.
 fn names(paths: &[PathBuf]) -> Vec<String> {
     let names = paths.iter().filter_map(|path| path.file_name());
     names
@@ -341,6 +344,7 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
         .collect()
 }
 
+/// Recognises the kind of a depth recording.
 fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsError> {
     fs::metadata(path).map_err(unreadable(path))?;
     if is_mkv(path) {
@@ -358,7 +362,7 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
     }
 }
 
-/// The depth recording in a recording's folder.
+/// Finds the depth recording in a recording's folder.
 fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, InputsError> {
     let found = depth_recordings(folder).map_err(unreadable(folder))?;
     match found.as_slice() {

@@ -1,7 +1,7 @@
-//! The formats that people load: where each file goes and what is in it.
+//! Data set formats: paths and contents of their files.
 //!
-//! A [`Layout`] knows names, headers and rows; it opens no input and decides
-//! nothing about time. Paths are relative to a sequence's folder. Index files
+//! A [`Layout`] defines names, headers and rows; it opens no input and makes no
+//! decisions about time. Paths are relative to a sequence's folder. Index files
 //! list only images that were written.
 
 mod auxiliary;
@@ -25,7 +25,7 @@ use crate::geometry::{Cameras, View};
 use crate::inputs::board_data::{ImuRow, Reference, TimePair};
 use crate::time::{BoardNanos, in_name};
 
-/// Which format.
+/// Format of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
@@ -33,16 +33,16 @@ pub enum Format {
     Euroc,
     /// TUM RGB-D: `rgb`, `depth`, `associations.txt`.
     Tum,
-    /// One folder a topic, as the published extractor has it.
+    /// One folder per topic, like the published extractor.
     Topics,
-    /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
+    /// Input of Kalibr's bag creator: `kalibr/cam0`, `kalibr/imu0.csv`.
     Kalibr,
     /// A ROS 2 bag (MCAP) of images and samples.
     Ros2,
 }
 
 impl Format {
-    /// Its name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Euroc => "euroc",
@@ -53,7 +53,7 @@ impl Format {
         }
     }
 
-    /// Its layout.
+    /// Returns the layout; `view` is the camera into whose view depth images are registered.
     pub(crate) fn layout(self, view: Option<View>) -> &'static dyn Layout {
         match self {
             Self::Euroc => &euroc::Euroc,
@@ -66,21 +66,21 @@ impl Format {
     }
 }
 
-/// A stream of samples as a CSV file.
+/// CSV file of an IMU's samples.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ImuTable {
-    /// Where, relative to a sequence's folder.
+    /// Path relative to a sequence's folder.
     pub(crate) path: &'static str,
-    /// First line with its line end; may be empty.
+    /// First lines with their line ends; may be empty.
     pub(crate) header: &'static str,
-    /// Whether the low-pass delay is subtracted from the times.
+    /// True to subtract the low-pass delay from the times.
     pub(crate) subtract_delay: bool,
-    /// Appends a row.
+    /// Function that appends a row.
     pub(crate) row: fn(&mut String, &ImuRow),
 }
 
 impl ImuTable {
-    /// Times less the low-pass delay, rates and accelerations.
+    /// Returns a table of times (less the low-pass delay), rates and accelerations.
     const fn plain(path: &'static str, header: &'static str) -> Self {
         Self {
             path,
@@ -91,74 +91,75 @@ impl ImuTable {
     }
 }
 
-/// Images that formats have places for.
+/// Kind of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ImageKind {
-    /// The phone's.
+    /// Image of the phone.
     Color,
-    /// Depth.
+    /// Depth image.
     Depth,
-    /// Infrared of the depth camera.
+    /// Infrared image of the depth camera.
     Infrared,
-    /// Colour of the depth camera, as its JPEG files.
+    /// Colour image of the depth camera, one of its JPEG files.
     Camera,
 }
 
-/// A written image.
+/// Written image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ImageRow {
     /// Board time.
     pub(crate) at: BoardNanos,
-    /// The stamp that it had in its own clock, ns.
+    /// Stamp on its camera's own clock, ns.
     pub(crate) own: i64,
-    /// Its file, relative to the sequence's folder.
+    /// File relative to the sequence's folder.
     pub(crate) path: PathBuf,
 }
 
-/// What is known about the data, for the files beside it.
+/// Facts about a data set, for the files that describe it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct DataSetInfo {
-    /// Phone frames a second.
+    /// Rate of the phone's frames, Hz.
     pub(crate) color_rate: Option<f64>,
-    /// Depth frames a second.
+    /// Rate of the depth frames, Hz.
     pub(crate) depth_rate: Option<f64>,
-    /// Samples a second of the board's IMU.
+    /// Rate of the board's IMU, Hz.
     pub(crate) board_imu_rate: Option<f64>,
-    /// Samples a second of the phone's gyroscope.
+    /// Rate of the phone's gyroscope, Hz.
     pub(crate) phone_imu_rate: Option<f64>,
     /// Width and height of the phone's images.
     pub(crate) color_size: Option<(u32, u32)>,
-    /// Width and height of depth as it is written.
+    /// Width and height of the depth images as written.
     pub(crate) depth_size: Option<(u32, u32)>,
-    /// Width and height of infrared.
+    /// Width and height of the infrared images.
     pub(crate) infrared_size: Option<(u32, u32)>,
-    /// Whether depth is reprojected into the images that it is paired with.
+    /// True if depth is registered to the images that it is paired with.
     pub(crate) registered: bool,
-    /// How the cameras see and where they are.
+    /// Lenses and poses of the cameras.
     pub(crate) cameras: Cameras,
-    /// The depth camera's colour images a second.
+    /// Rate of the depth camera's colour images, Hz.
     pub(crate) camera_rate: Option<f64>,
-    /// Width and height of them.
+    /// Width and height of the depth camera's colour images.
     pub(crate) camera_size: Option<(u32, u32)>,
-    /// What went into its times.
+    /// Constants that went into the times.
     pub(crate) constants: Constants,
 }
 
 impl DataSetInfo {
-    /// The IMUs of board and phone, as most formats call them: samples a second, and noise.
+    /// Returns name, rate (Hz) and noise of the IMUs of board and phone, with the names of most
+    /// formats.
     fn imus(&self) -> [(&'static str, Option<f64>, Noise); 2] {
         [
             (
                 "imu0",
                 self.board_imu_rate,
-                Noise::of(&self.constants.board_sensor),
+                Noise::of_sensor(&self.constants.board_sensor),
             ),
             ("imu1", self.phone_imu_rate, noise::PHONE),
         ]
     }
 }
 
-/// What a sequence's index files are made of.
+/// Contents of a sequence's index files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SequenceTables<'a> {
     /// The phone's images in order of time.
@@ -169,28 +170,28 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) infrared: Vec<ImageRow>,
     /// Colour images of the depth camera in order of time.
     pub(crate) camera: Vec<ImageRow>,
-    /// Pairs as indices into `color` and `depth`.
+    /// Pairs, as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
-    /// Pairs of times.
+    /// Pairs of times in order of the recording.
     pub(crate) times: Vec<&'a TimePair>,
-    /// Names for the files of those that have one of their own.
+    /// Names of the files for pairs of times, for kinds that have a file.
     pub(crate) names: BTreeMap<&'a Reference, String>,
-    /// Whether the next run writes images that this one could not.
+    /// True if the next run may write images that this one could not.
     pub(crate) unfinished: bool,
 }
 
-/// A format.
+/// Names and contents of the files of a format.
 pub(crate) trait Layout: Sync {
-    /// The folder of images, with forward slashes; `None` if the format has no place for
+    /// Returns the folder of images, with forward slashes; `None` if the format has no place for
     /// them.
     fn folder(&self, kind: ImageKind) -> Option<&'static str>;
 
-    /// What the file of an image is called, without its ending.
+    /// Returns the name of an image's file without its extension.
     fn image_name(&self, at: BoardNanos) -> String {
         in_name(at)
     }
 
-    /// The file of an image; `None` if the format has no place for it.
+    /// Returns the file of an image; `None` if the format has no place for it.
     fn image_path(&self, kind: ImageKind, at: BoardNanos) -> Option<PathBuf> {
         let (folder, name) = (self.folder(kind)?, self.image_name(at));
         let ending = match kind {
@@ -200,29 +201,29 @@ pub(crate) trait Layout: Sync {
         Some(PathBuf::from(format!("{folder}/{name}.{ending}")))
     }
 
-    /// Depth in the format's unit from big-endian millimetres, and how many pixels
-    /// did not fit.
+    /// Converts big-endian 16-bit millimetres to the format's unit. Also returns the number of
+    /// pixels that did not fit.
     fn depth_pixels<'a>(&self, millimetres: &'a [u8]) -> (Cow<'a, [u8]>, u64) {
         (Cow::Borrowed(millimetres), 0)
     }
 
-    /// The board's IMU.
+    /// Returns the table of the board's IMU.
     fn board_imu(&self) -> ImuTable;
 
-    /// The phone's IMU; `None` if the format has no place for it.
+    /// Returns the table of the phone's IMU; `None` if the format has no place for it.
     fn phone_imu(&self) -> Option<ImuTable>;
 
-    /// What the file or folder of pairs of times is called after; `None` if the format has no
-    /// place for them. `lidar` is what the lidar is called, if that is known.
-    fn called_after(&self, of: &Reference, lidar: Option<&str>) -> Option<String> {
+    /// Returns the name for a file or folder of pairs of times, not yet safe as a file name;
+    /// `None` if the format has no place for them. `lidar` is the name of the lidar, if known.
+    fn times_name(&self, of: &Reference, lidar: Option<&str>) -> Option<String> {
         of.sensor(lidar).map(str::to_owned)
     }
 
-    /// Writes what stands beside the data of a sequence.
+    /// Writes the index and description files of a sequence.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Fails if a file cannot be written.
     fn finish(
         &self,
         folder: &Path,
@@ -231,7 +232,7 @@ pub(crate) trait Layout: Sync {
     ) -> io::Result<()>;
 }
 
-/// The camera's calibration goes beside the depth images.
+/// Returns the path of the camera's calibration, which is beside the depth images.
 pub(crate) fn calibration_path(format: Format) -> &'static str {
     match format {
         Format::Euroc => "mav0/depth0/calibration.json",
@@ -242,24 +243,25 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
     }
 }
 
-/// A sample's time, rates and accelerations, with commas.
+/// Appends a sample's time, rates and accelerations, separated by commas.
 fn push_sample(row: &mut String, sample: &ImuRow) {
     use std::fmt::Write;
     // Writing into a String cannot fail.
     let _ = write!(row, "{}", sample.at.0);
     for number in sample.gyro.iter().chain(&sample.accel) {
-        // Each in its shortest form that reads back to the same number.
+        // In the shortest form that parses to the same number.
         let _ = write!(row, ",{number}");
     }
 }
 
+/// Appends a sample's time, rates and accelerations as a line.
 fn imu_row(row: &mut String, sample: &ImuRow) {
     push_sample(row, sample);
     row.push('\n');
 }
 
-/// A name for the file of each of these pairs of times: harmless, and no two the same. Also
-/// the names that had to be made longer for that, with what they became.
+/// Returns a unique, safe file name for each kind of pairs of times. Also returns the original
+/// names that had to be made longer for that, with the results.
 pub(crate) fn file_names<'a>(
     layout: &dyn Layout,
     references: &BTreeSet<&'a Reference>,
@@ -268,29 +270,29 @@ pub(crate) fn file_names<'a>(
     let mut taken = BTreeSet::new();
     let (mut names, mut longer) = (BTreeMap::new(), Vec::new());
     for &of in references {
-        let Some(after) = layout.called_after(of, lidar) else {
+        let Some(original) = layout.times_name(of, lidar) else {
             continue;
         };
-        let plain = harmless(&after);
+        let plain = safe_name(&original);
         let mut name = plain.clone();
         while !taken.insert(name.clone()) {
             name.push('_');
         }
         if name != plain {
-            longer.push((after, name.clone()));
+            longer.push((original, name.clone()));
         }
         names.insert(of, name);
     }
     (names, longer)
 }
 
-/// A name that comes out of a file: only what is harmless in a file name stays.
-fn harmless(name: &str) -> String {
-    let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-    name.chars().take(120).map(harmless).collect()
+/// Replaces everything but ASCII letters and digits in a name that comes from a file.
+fn safe_name(name: &str) -> String {
+    let safe = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    name.chars().take(120).map(safe).collect()
 }
 
-/// A number with at most so many digits after the point, and no trailing zeros.
+/// Formats a number with at most `digits` digits after the point and no trailing zeros.
 pub(crate) fn number(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

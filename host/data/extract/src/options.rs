@@ -1,4 +1,4 @@
-//! What the user of an extraction gives.
+//! Choices of the user for an extraction.
 
 use std::path::PathBuf;
 
@@ -6,23 +6,22 @@ use recording::profile::Profile;
 
 use crate::geometry::View;
 
-/// What the user gives.
+/// Choices of the user.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// In place of the recording's own, but for its other phones.
+    /// Rig profile in place of the recording's own, except for its other phones.
     pub profile: Option<Profile>,
-    /// Index of the first depth frame's pulse.
+    /// Index of the pulse that made the first depth frame.
     pub first_pulse: Option<usize>,
-    /// The topic of depth in a bag of the camera's driver, if there are several.
+    /// Topic of depth in a bag of the camera's driver, if there are several.
     pub depth_topic: Option<String>,
-    /// Whether pairs from outside the aligned span, and those further apart than
-    /// 10 ms, are taken too.
+    /// True to keep pairs from outside the aligned span, and those farther apart than 10 ms.
     pub all_pairs: bool,
-    /// Whether infrared images are written too.
+    /// True to write infrared images.
     pub infrared: bool,
-    /// The camera from whose place depth images are given.
+    /// Camera into whose view depth images are registered.
     pub view: Option<View>,
-    /// Where the files of phones lie, by their names in the rig profile.
+    /// Folders of phones' files, by their names in the rig profile.
     #[serde(skip)]
     pub phones: Vec<(String, PathBuf)>,
 }

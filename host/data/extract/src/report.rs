@@ -1,83 +1,117 @@
-//! The report of an extraction, in `report.json`.
+//! Report of an extraction: the content of `report.json`.
 //!
-//! Nothing in it depends on when or how often the extraction ran, so that
-//! repeating it gives the same files.
+//! It does not depend on when or how often the extraction ran, so that
+//! a repeated one writes the same file.
 
 use recording::error_budget::ErrorPart;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 pub use crate::clocks::gyro_clock::WindowResult;
 pub use crate::constants::Constants;
-use crate::frames::pairs::{Histogram, Spread};
-pub use crate::frames::trigger_offset::GridReport;
+pub use crate::depth::depth_clock::{Ambiguity, Decision, HintSource, MatchError};
+use crate::frames::pairs::{DifferenceHistogram, DifferenceSpread};
+pub use crate::frames::trigger_offset::TriggerOffset;
 use crate::inputs::survey::ImuSpan;
 use crate::layout::Format;
 pub use crate::output::sample_pairs::FILE as SAMPLES_FILE;
 
-/// Something that is missing or damaged.
+/// Part of a recording that a loss concerns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LossPart {
+    /// The board's recording.
+    Board,
+    /// The phone's timestamps and samples.
+    Phone,
+    /// The phone's video.
+    Video,
+    /// The depth recording.
+    Depth,
+    /// The relation of the phone's clock to the board's.
+    Clock,
+    /// Pairs of frames.
+    Pairs,
+}
+
+impl LossPart {
+    /// Returns the word in `report.json`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Board => "board",
+            Self::Phone => "phone",
+            Self::Video => "video",
+            Self::Depth => "depth",
+            Self::Clock => "clock",
+            Self::Pairs => "pairs",
+        }
+    }
+}
+
+/// Missing or damaged data.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Loss {
-    /// Which part: `board`, `phone`, `video`, `depth`, `clock`, `pairs`.
-    pub part: &'static str,
-    /// What is missing, and what that means.
+    /// Part of the recording.
+    pub part: LossPart,
+    /// Description of the loss and its consequence.
     pub what: String,
 }
 
-/// Everything there is to say.
+/// Report of an extraction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExtractReport {
-    /// Version of this form.
+    /// Version of the report's format.
     pub version: u32,
     /// Name of the recording.
     pub recording: String,
-    /// The format.
+    /// Format of the data set.
     pub format: Format,
-    /// What is done in it, if the rig profile says it.
+    /// Task that the recording shows, if the rig profile names one.
     pub task: Option<String>,
-    /// The board.
+    /// The board's part.
     pub board: BoardReport,
-    /// Name in the rig profile of the phone that the trigger was aligned to.
+    /// Name of the phone that the trigger was aligned to, from the rig profile.
     pub reference: Option<String>,
-    /// The phone, if its files are there; of several the reference.
+    /// The phone's part, if its files are there; with several phones, the reference's.
     pub phone: Option<PhoneReport>,
-    /// How phone time became board time.
+    /// Relation of the phone's clock to the board's.
     pub clock: Option<ClockReport>,
-    /// The depth camera, if its recording is there.
+    /// The depth camera's part, if its recording is there.
     pub depth: Option<DepthReport>,
-    /// Pairs of frames.
+    /// Pairs of a phone frame and a depth frame.
     pub pairs: Option<PairsReport>,
-    /// The phone's frames against the trigger's grid.
-    pub grid: Option<GridReport>,
+    /// Offset of the phone's frames from the trigger's grid.
+    pub grid: Option<TriggerOffset>,
     /// The other phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
     /// Sensors on auxiliary outputs, and a lidar.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<SensorReport>,
-    /// The parts that marks divide the recording into.
+    /// Parts into which marks divide the recording.
     pub sequences: Vec<SequenceReport>,
-    /// Constants that went into the times, ns.
+    /// Constants used for the times, ns.
     pub constants: Constants,
-    /// What is missing or damaged. Empty: all is there.
+    /// Missing and damaged data; empty if everything is there.
     pub losses: Vec<Loss>,
-    /// Worth knowing, but no loss.
+    /// Observations that are no loss.
     pub remarks: Vec<String>,
 }
 
 /// The board's part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BoardReport {
-    /// The board's unique ID, if the session knows it.
+    /// Unique ID of the board, if the session knows it.
     pub id: Option<String>,
-    /// Pulses.
+    /// Number of trigger pulses.
     pub pulses: usize,
     /// Median distance of pulses, ns.
     pub pulse_period_ns: Option<i64>,
-    /// Pulses missing in the recording: train, first number, how many.
+    /// Gaps in the recorded pulses: train, first missing number, count.
     pub missing_pulses: Vec<(u32, u64, u64)>,
-    /// Samples of the IMU.
+    /// Samples of the board's IMU.
     pub imu: ImuSpan,
-    /// Marks, ns.
+    /// Board times of the marks, ns.
     pub marks_ns: Vec<i64>,
 }
 
@@ -86,46 +120,58 @@ pub struct BoardReport {
 pub struct PhoneReport {
     /// Name of the video.
     pub name: String,
-    /// Frame timestamps.
+    /// Number of frame timestamps.
     pub timestamps: usize,
-    /// Frames of the video as decoded.
+    /// Number of frames decoded from the video.
     pub video_frames: Option<u64>,
-    /// Images written.
+    /// Number of images written.
     pub images: u64,
-    /// Samples of the gyroscope.
+    /// Number of gyroscope samples.
     pub gyro_samples: u64,
-    /// Rows of the IMU table.
+    /// Number of rows in the IMU table.
     pub imu_rows: u64,
 }
 
-/// A phone beside the one that the trigger was aligned to; its files are in
+/// A phone other than the one that the trigger was aligned to; its files are in
 /// `phones/NAME` of the output.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OtherReport {
-    /// Its name in the rig profile.
+    /// Name in the rig profile.
     pub name: String,
-    /// What there was of it.
+    /// Timestamps, images and samples, if its files are there.
     pub phone: Option<PhoneReport>,
-    /// How its time became board time.
+    /// Relation of its clock to the board's.
     pub clock: Option<ClockReport>,
     /// Pairs of its frames with depth frames.
     pub pairs: Option<PairsReport>,
-    /// Its frames against the trigger's grid, which does not follow it.
-    pub grid: Option<GridReport>,
-    /// Constants that went into its times, ns.
+    /// Offset of its frames from the trigger's grid, which does not follow them.
+    pub grid: Option<TriggerOffset>,
+    /// Constants used for its times, ns.
     pub constants: Constants,
 }
 
-/// How phone time became board time.
+/// Origin of the relation of a phone's clock to the board's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClockSource {
+    /// Both gyroscopes, over the whole recording.
+    Gyroscopes,
+    /// The model that the session found by its twists.
+    Session,
+    /// The one offset in a bag of the published system.
+    Bag,
+}
+
+/// Relation of a phone's clock to the board's.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockReport {
-    /// `gyroscopes`, `session` (the twist's model) or `bag` (the recorded offset).
-    pub source: &'static str,
-    /// Windows with data.
+    /// Origin of the relation.
+    pub source: ClockSource,
+    /// Number of windows with data.
     pub windows: usize,
-    /// Windows that were used.
+    /// Number of windows that were used.
     pub used: usize,
-    /// Windows that contradict the rest.
+    /// Number of windows that contradict the others.
     pub contradicting: usize,
     /// Phone − board at the middle of the recording, s.
     pub offset_s: f64,
@@ -133,103 +179,118 @@ pub struct ClockReport {
     pub skew_ppm: f64,
     /// 1-sigma of the rate, ppm.
     pub skew_sigma_ppm: f64,
-    /// Smallest and largest 1-sigma of the offset over the frames, µs; nothing where it is
-    /// not known, or without frames.
+    /// Smallest and largest 1-sigma of the offset over the frames, µs; `null` if unknown, or
+    /// without frames.
     pub sigma_us: Option<[f64; 2]>,
-    /// Root mean square of the windows against the course, µs; nothing without windows.
+    /// Root mean square of windows minus smoothed course, µs; `null` without windows.
     pub residual_us: Option<f64>,
-    /// Distance of frames in the phone's own time, ns, with 1-sigma.
+    /// Frame period on the phone's clock and its 1-sigma, ns.
     pub frame_period_ns: Option<(f64, f64)>,
-    /// 1-sigma of the timestamps of single frames, ns.
+    /// 1-sigma of single frame timestamps, ns.
     pub frame_jitter_ns: Option<f64>,
-    /// The windows.
+    /// Windows against the smoothed course.
     pub course: Vec<WindowResult>,
-    /// Exchanges with the clocks of phone and board, if it was followed while it recorded.
+    /// Number of exchanges with the clocks of phone and board, if they were read during the
+    /// recording.
     pub exchanges: Option<usize>,
 }
 
 /// The depth camera's part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DepthReport {
-    /// Frames in the file.
+    /// Number of frames in the file.
     pub frames: usize,
-    /// Frames with a pulse of their own.
+    /// Number of frames with a pulse of their own.
     pub matched: usize,
-    /// What decided which pulse is whose; empty if the frames were not matched.
-    pub decided_by: String,
-    /// Why they were not matched.
-    pub not_matched: Option<String>,
-    /// Rate of the camera's clock against the board's, ppm, with 1-sigma.
+    /// Evidence that decided which pulse made which frame; empty if they were not matched.
+    #[serde(serialize_with = "text_or_empty")]
+    pub decided_by: Option<Decision>,
+    /// Reason why frames and pulses were not matched; `null` if they were.
+    #[serde(serialize_with = "text_or_null")]
+    pub not_matched: Option<MatchError>,
+    /// Rate of the camera's clock relative to the board's and its 1-sigma, ppm.
     pub rate_ppm: Option<(f64, f64)>,
-    /// Robust scatter of frame time against pulse, µs.
+    /// Robust scatter of frame time minus pulse time, µs.
     pub residual_us: Option<f64>,
-    /// Pulses without a frame (numbers), between the first and the last frame.
+    /// Numbers of the pulses without a frame, between the first and the last frame.
     pub missing: Vec<u64>,
-    /// Doubled frames.
+    /// Indices of doubled frames: another frame is nearer to the same pulse.
     pub doubled: Vec<usize>,
-    /// Frames off any recorded pulse.
+    /// Indices of frames away from any recorded pulse.
     pub off_pulse: Vec<usize>,
-    /// Frames before the first pulse.
+    /// Number of frames before the first pulse.
     pub before_first_pulse: usize,
-    /// Frames after the last pulse.
+    /// Number of frames after the last pulse.
     pub after_last_pulse: usize,
-    /// Frames without a whole image.
+    /// Indices of frames without a whole image.
     pub broken: Vec<usize>,
-    /// Frames whose part of the file has a wrong checksum.
+    /// Indices of frames whose part of the file has a wrong checksum.
     pub damaged: Vec<usize>,
-    /// Frames without any depth.
+    /// Indices of frames without any depth.
     pub empty: Vec<usize>,
-    /// Pixels beyond the format's range.
+    /// Number of pixels beyond the format's range.
     pub out_of_range: u64,
-    /// Images written.
+    /// Number of depth images written.
     pub images: u64,
-    /// Infrared images written.
+    /// Number of infrared images written.
     pub infrared: u64,
-    /// Colour images of the camera written.
+    /// Number of the camera's colour images written.
     pub color: u64,
-    /// How the camera was told to be synchronised (`K4A_WIRED_SYNC_MODE`).
+    /// Synchronisation mode of the camera (`K4A_WIRED_SYNC_MODE`).
     pub sync: Option<String>,
-    /// Mode of the camera.
+    /// Depth mode of the camera (`K4A_DEPTH_MODE`).
     pub mode: Option<String>,
     /// Serial number of the camera.
     pub serial: Option<String>,
 }
 
-/// Pairs of frames.
+/// Pairs of a phone frame and a depth frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairsReport {
-    /// Depth − phone.
-    pub spread: Spread,
-    /// 1-sigma of depth − phone, µs: of the clocks, at most, and of the constant between the
-    /// exposures; nothing where one of them is not known.
+    /// Distribution of depth − phone.
+    pub spread: DifferenceSpread,
+    /// Largest 1-sigma of depth − phone, µs, from the clocks and from the constant between the
+    /// exposures; `null` if one of them is unknown.
     pub sigma_us: Option<f64>,
-    /// The largest part of that.
+    /// Largest contribution to it.
     pub largest: Option<ErrorPart>,
-    /// Depth − phone of those near to the median (within ten times the distance of the quartiles).
-    pub central: Histogram,
-    /// Depth − phone over time: board time of the phone's frame and the difference, ns, of
-    /// the pairs near to the median; of many, evenly picked ones.
+    /// Histogram of depth − phone near the median (within ten times the distance of the
+    /// quartiles).
+    pub central: DifferenceHistogram,
+    /// Board time of the phone's frame and depth − phone, ns, for an even selection of the pairs
+    /// near the median.
     pub course: Vec<(i64, i64)>,
 }
 
-/// A sensor on an auxiliary output, or a lidar.
+/// Sensor on an auxiliary output, or a lidar.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SensorReport {
-    /// Its name.
+    /// Name of the sensor.
     pub name: String,
-    /// Its pulses; of a lidar, one a second.
+    /// Number of its pulses; a lidar gets one a second.
     pub pulses: usize,
 }
 
-/// One part of the recording.
+/// Part of a recording between marks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SequenceReport {
-    /// Its folder; `.` if there are no marks.
+    /// Folder in the output; `.` if there are no marks.
     pub folder: String,
-    /// Phone images.
+    /// Number of phone images.
     pub color: usize,
-    /// Depth images.
+    /// Number of depth images.
     pub depth: usize,
-    /// Pairs.
+    /// Number of pairs.
     pub pairs: usize,
+}
+
+fn text_or_empty<S: Serializer>(decision: &Option<Decision>, to: S) -> Result<S::Ok, S::Error> {
+    match decision {
+        Some(decision) => to.collect_str(decision),
+        None => to.serialize_str(""),
+    }
+}
+
+fn text_or_null<S: Serializer>(error: &Option<MatchError>, to: S) -> Result<S::Ok, S::Error> {
+    error.as_ref().map(ToString::to_string).serialize(to)
 }

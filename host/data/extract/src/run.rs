@@ -1,18 +1,19 @@
-//! The extraction itself: from a recording to a data set, step by step.
+//! The extraction: from a recording to a data set, step by step.
 //!
-//! 1. `survey`: pulses, marks, what the board recorded.
+//! 1. `survey`: pulses, marks and all else that the board recorded, except its samples.
 //! 2. The phone's clock (`phone_clock`): over the whole recording from both
-//!    gyroscopes, else from what the session knows.
-//! 3. The depth camera's clock (`depth_match`): which frame has which pulse.
+//!    gyroscopes, otherwise from the session.
+//! 3. Depth frames and their pulses (`depth::matching`).
 //! 4. Tables of frames in board time, pairs, sequences.
-//! 5. Images and samples, in parallel; what is there already is kept.
-//! 6. Index files of the format, CSV tables, the report.
+//! 5. Images and samples, in parallel; images that exist already are kept.
+//! 6. Index files of the format, the report.
 //!
-//! A part that is missing or damaged is a [`Loss`]: everything else is still
+//! A missing or damaged part is a [`Loss`]: everything else is still
 //! extracted. Only a board recording that cannot be read at all, or an output
 //! folder that cannot be written, is an error.
 
 mod depth_part;
+mod depth_wording;
 mod geometry_part;
 mod index_files;
 mod other_phones;
@@ -30,47 +31,50 @@ use crate::constants::{self, Constants};
 use crate::depth::DepthInput;
 use crate::error::ExtractError;
 use crate::frames::pairs::{self, Pair};
-use crate::frames::trigger_offset::{self, GridReport};
+use crate::frames::trigger_offset::{self, TriggerOffset};
+use crate::frames::{ColorFrame, DepthFrame};
 use crate::inputs::board_data::BoardEvent;
 use crate::inputs::survey::{ImuSpan, Survey, survey};
 use crate::inputs::{Inputs, PhoneInput};
 use crate::layout::{DataSetInfo, Format, Layout};
 use crate::options::Options;
 use crate::output::folder::{FileMark, OutputDir, check_outside};
-use crate::output::image::write_whole;
 use crate::output::imu_tables::TableWriter;
 use crate::output::sequences::Sequences;
-use crate::output::tables::{self, ColorFrame, DepthFrame, PairSigma, Shutter};
-use crate::report::{BoardReport, ClockReport, ExtractReport, Loss, PairsReport, SensorReport};
+use crate::output::tables::{self, PhoneTables};
+use crate::output::whole_file::write_whole;
+use crate::report::{
+    BoardReport, ClockReport, ExtractReport, Loss, LossPart, PairsReport, SensorReport,
+};
 use crate::time::BoardNanos;
 use recording::error_budget::ErrorPart;
 use system::ReadMonitor;
 
-/// The most gaps between pulses that are listed one by one.
+/// Largest number of gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
 
-/// The most pairs whose difference is drawn over time.
+/// Largest number of pairs whose difference is drawn over time.
 const DRAWN_PAIRS: usize = 1_000;
 
-/// Version of the report's form.
+/// Version of the report's format.
 const REPORT_VERSION: u32 = 4;
 
-/// What is to be done.
+/// Task of an extraction.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// The recording: a folder, or an MCAP file.
+    /// Recording: a folder or an MCAP file.
     pub recording: PathBuf,
-    /// The phone's files, if they lie elsewhere.
+    /// Folder of the phone's files, if it is not in the recording.
     pub phone: Option<PathBuf>,
-    /// The depth recording, if it lies elsewhere.
+    /// Depth recording, if it is not in the recording.
     pub depth: Option<PathBuf>,
-    /// The format.
+    /// Format of the data set.
     pub format: Format,
-    /// The output folder.
+    /// Output folder.
     pub out: PathBuf,
-    /// Values that the user gives.
+    /// Further choices of the user.
     pub options: Options,
-    /// Replace an extraction of other inputs or with other options in `out`.
+    /// True to replace an extraction of other inputs or with other options in `out`.
     pub overwrite: bool,
     /// Follows and cancels the reading of the inputs.
     pub monitor: ReadMonitor,
@@ -83,16 +87,16 @@ struct Extraction<'a> {
     output: OutputDir,
     losses: Vec<Loss>,
     remarks: Vec<String>,
-    /// Images are missing that the next run may write.
+    /// True if images are missing that the next run may write.
     unfinished: bool,
 }
 
-/// Extracts.
+/// Extracts a data set, and returns its report.
 ///
 /// # Errors
 ///
-/// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
-/// report.
+/// Returns an [`ExtractError`] if there is no data set. Missing and damaged parts are no errors
+/// but losses in the report.
 pub fn run(job: &Job) -> Result<ExtractReport, ExtractError> {
     steps(job).map_err(|error| {
         if system::is_cancelled(&error) {
@@ -118,9 +122,8 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
     let pairs = run.aligned_pairs(find_pairs(color, depth_frames, &survey), color, &input);
-    let sigma = run.sigma_of_pairs(phone.as_ref(), &input);
-    let shutter = input.camera(None).shutter;
-    run.write_tables(&survey, (color, shutter), depth_frames, (&pairs, &sigma))?;
+    let tables = phone_tables(phone.as_ref(), &input, depth_frames, &pairs);
+    run.write_tables(&survey, &tables)?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
     let size = video.as_ref().and_then(|video| video.size);
@@ -151,12 +154,12 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
         video: video.as_ref(),
         images: images.as_ref(),
     };
-    run.miss_pairs(&pairs);
+    run.report_missing_associations(&pairs);
     let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
     }
-    let grid = run.against_grid(color, &survey, &constants);
+    let grid = run.trigger_offset(color, &survey, &constants);
     let clock = phone.as_ref().and_then(Phone::clock_report);
     let mut phones = Vec::new();
     for other in run.inputs.others.clone() {
@@ -174,7 +177,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
         phone: phone
             .as_ref()
             .map(|phone| phone.report(video.as_ref(), &phone_imu)),
-        pairs: run.pairs_report(&pairs, color, (&input, clock.as_ref())),
+        pairs: run.pairs_report(&pairs, color, &input, clock.as_ref()),
         clock,
         depth: depth
             .as_ref()
@@ -192,6 +195,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
     Ok(report)
 }
 
+/// Returns marks of all input files, by which a later run recognises them.
 fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
     let depth = inputs.depth.as_ref().map(DepthInput::files);
     let mut paths: Vec<&Path> = vec![&inputs.board];
@@ -201,10 +205,10 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
         paths.extend(files.into_iter().flatten().map(PathBuf::as_path));
     }
     paths.extend(depth.iter().flatten().map(PathBuf::as_path));
-    // A file that has gone since is met again when it is read.
+    // A file that has vanished meanwhile is reported when it is read.
     paths
         .into_iter()
-        .filter_map(|path| FileMark::of(path).ok())
+        .filter_map(|path| FileMark::read(path).ok())
         .collect()
 }
 
@@ -232,7 +236,8 @@ impl<'a> Extraction<'a> {
 }
 
 impl Extraction<'_> {
-    fn lose(&mut self, part: &'static str, what: impl Into<String>) {
+    /// Reports a loss.
+    fn lose(&mut self, part: LossPart, what: impl Into<String>) {
         self.losses.push(Loss {
             part,
             what: what.into(),
@@ -278,12 +283,12 @@ impl Extraction<'_> {
         }
     }
 
-    /// Says what a format wants of pairs and does not get.
-    fn miss_pairs(&mut self, pairs: &[Pair]) {
+    /// Reports that the TUM format has no list of pairs without registered depth.
+    fn report_missing_associations(&mut self, pairs: &[Pair]) {
         let is_wanted = self.job.format == Format::Tum && self.job.options.view.is_none();
         if is_wanted && !pairs.is_empty() {
             self.lose(
-                "pairs",
+                LossPart::Pairs,
                 "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
                  the same place, and depth is not registered; give --register phone or --register color \
                  (the pairs are in pairs.csv)",
@@ -291,7 +296,7 @@ impl Extraction<'_> {
         }
     }
 
-    /// Takes what is known of the published system's settings, if the recording is its bag.
+    /// Assumes the published system's settings if the recording is its bag.
     fn note_published(&mut self, survey: &Survey) {
         if survey.published {
             self.inputs.phone.constants.board_imu_delay_ns = constants::PUBLISHED_DELAY_NS;
@@ -303,9 +308,10 @@ impl Extraction<'_> {
         }
     }
 
+    /// Reports losses of the board's recording.
     fn judge_board(&mut self, survey: &Survey) {
         for damage in &survey.damage {
-            self.lose("board", damage.clone());
+            self.lose(LossPart::Board, damage.clone());
         }
         // Numbers come from the file.
         let counts = survey.missing_pulses().map(|(_, _, count)| count);
@@ -314,18 +320,18 @@ impl Extraction<'_> {
             let what = format!(
                 "{missing} pulses are not in the recording; report.json names the first {LISTED_GAPS} gaps"
             );
-            self.lose("board", what);
+            self.lose(LossPart::Board, what);
         }
         if survey.pulses.is_empty() {
-            self.lose("board", "there are no trigger pulses");
+            self.lose(LossPart::Board, "there are no trigger pulses");
         }
         if survey.imu.samples == 0 {
-            self.lose("board", "there are no IMU samples");
+            self.lose(LossPart::Board, "there are no IMU samples");
         }
         if survey.imu.disordered > 0 {
             let count = survey.imu.disordered;
             self.lose(
-                "board",
+                LossPart::Board,
                 format!("{count} IMU samples are not later than the sample before them"),
             );
         }
@@ -338,13 +344,13 @@ impl Extraction<'_> {
         }
     }
 
-    /// Measures a phone's frames against the trigger's grid, over the recorded span.
-    fn against_grid(
+    /// Measures the offset of a phone's frames from the trigger's grid, over the recorded span.
+    fn trigger_offset(
         &self,
         frames: &[ColorFrame],
         survey: &Survey,
         constants: &Constants,
-    ) -> Option<GridReport> {
+    ) -> Option<TriggerOffset> {
         let (from, to) = self.inputs.recorded.unwrap_or((i64::MIN, i64::MAX));
         let middles: Vec<BoardNanos> = frames.iter().map(|frame| frame.at).collect();
         let pulses = survey.pulses.iter();
@@ -355,12 +361,13 @@ impl Extraction<'_> {
         trigger_offset::measure(&middles, &centres)
     }
 
-    /// The pairs with the frames of a phone, whose clock is known so well.
+    /// Reports the pairs with the frames of a phone.
     fn pairs_report(
         &self,
         pairs: &[Pair],
         color: &[ColorFrame],
-        (phone, clock): (&PhoneInput, Option<&ClockReport>),
+        phone: &PhoneInput,
+        clock: Option<&ClockReport>,
     ) -> Option<PairsReport> {
         let spread = pairs::spread(pairs)?;
         let central = pairs::central(pairs, &spread);
@@ -371,33 +378,32 @@ impl Extraction<'_> {
         Some(PairsReport {
             spread,
             sigma_us: parts.map(|([_, most], constant)| most.hypot(constant)),
-            largest: parts.map(|([_, most], constant)| match most < constant {
-                true => phone.constants.constant_part,
-                false => ErrorPart::Clocks,
+            largest: parts.map(|([_, most], constant)| {
+                if most < constant {
+                    phone.constants.constant_part
+                } else {
+                    ErrorPart::Clocks
+                }
             }),
             central: pairs::histogram(&central)?,
             course: central.iter().step_by(step).filter_map(place).collect(),
         })
     }
 
-    fn write_tables(
-        &self,
-        survey: &Survey,
-        (color, shutter): (&[ColorFrame], Option<Shutter>),
-        depth: &[DepthFrame],
-        pairs: (&[Pair], &PairSigma<'_>),
-    ) -> Result<(), ExtractError> {
-        let out = &self.output.out;
+    /// Writes the tables of pulses, frames and pairs.
+    fn write_tables(&self, survey: &Survey, phone: &PhoneTables<'_>) -> Result<(), ExtractError> {
+        let (out, depth) = (&self.output.out, phone.depth);
         let write = || -> io::Result<()> {
             tables::write_pulses(&out.join("pulses.csv"), &survey.pulses, depth)?;
             if !depth.is_empty() {
                 tables::write_depth(&out.join("depth_frames.csv"), depth, &survey.pulses)?;
             }
-            tables::write_phone(out, (color, shutter), pairs, depth)
+            phone.write(out)
         };
         write().map_err(|error| self.failed(error))
     }
 
+    /// Writes the board's samples, `delay` (ns) earlier if the format wants it.
     fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
         let table = self.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.output.out, sequences, delay);
@@ -412,8 +418,8 @@ impl Extraction<'_> {
 }
 
 impl Extraction<'_> {
-    /// Leaves out pairs from before the trigger was aligned and from after the recording, and
-    /// with the phone that it was aligned to those that are far apart; says how many.
+    /// Removes pairs from before the trigger was aligned and from after the recording, and, with
+    /// the phone that it was aligned to, pairs that are far apart. Reports their numbers.
     fn aligned_pairs(
         &mut self,
         mut pairs: Vec<Pair>,
@@ -430,9 +436,10 @@ impl Extraction<'_> {
         };
         pairs.retain(is_within);
         let aligned = pairs.len();
-        let limit = match input.is_other() {
-            true => i64::MAX,
-            false => pairs::LIMIT_NS,
+        let limit = if input.is_other() {
+            i64::MAX
+        } else {
+            pairs::LIMIT_NS
         };
         pairs.retain(|pair| pair.difference.saturating_abs() <= limit);
         let (outside, far) = (found - aligned, aligned - pairs.len());
@@ -445,19 +452,31 @@ impl Extraction<'_> {
         }
         pairs
     }
+}
 
-    /// 1-sigma of depth − phone of a pair with a phone's frame at a time, ns.
-    fn sigma_of_pairs<'a>(&self, phone: Option<&'a Phone>, input: &PhoneInput) -> PairSigma<'a> {
-        let constant_us = input.constants.constant_sigma_us;
-        let clock = phone.and_then(|phone| phone.clock.as_ref());
-        Box::new(move |at| {
+/// Returns the tables of a phone's frames and their pairs with depth frames.
+fn phone_tables<'a>(
+    phone: Option<&'a Phone>,
+    input: &PhoneInput,
+    depth: &'a [DepthFrame],
+    pairs: &'a [Pair],
+) -> PhoneTables<'a> {
+    let constant_us = input.constants.constant_sigma_us;
+    let clock = phone.and_then(|phone| phone.clock.as_ref());
+    PhoneTables {
+        color: phone.map_or(&[], |phone| &phone.frames),
+        shutter: input.camera(None).shutter,
+        depth,
+        pairs,
+        sigma: Box::new(move |at| {
             let model = clock?.model_at(at)?;
             let clock_us = model.covariance[0][0].max(0.0).sqrt() * 1e6;
             constants::nanos(clock_us.hypot(constant_us?))
-        })
+        }),
     }
 }
 
+/// Pairs the frames of a phone with the depth frames that have a place in the data set.
 fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Vec<Pair> {
     let Some(period) = survey.pulse_period() else {
         return Vec::new();
@@ -478,7 +497,7 @@ fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Ve
     pairs::find(&phone, &centres, period / 2)
 }
 
-/// What was on the auxiliary outputs, and the lidar, with their pulses.
+/// Returns the sensors on auxiliary outputs and the lidar, with their pulses.
 fn sensors(survey: &Survey, lidar: Option<&str>) -> Vec<SensorReport> {
     let mut pulses = BTreeMap::<&str, usize>::new();
     for pair in &survey.times {
@@ -493,7 +512,7 @@ fn sensors(survey: &Survey, lidar: Option<&str>) -> Vec<SensorReport> {
     pulses.into_iter().map(sensor).collect()
 }
 
-/// Events a second over the whole span.
+/// Returns the mean rate of events, Hz; `None` for fewer than two.
 fn rate_of(times: impl Iterator<Item = BoardNanos>) -> Option<f64> {
     let mut span = ImuSpan::default();
     for at in times {

@@ -14,7 +14,7 @@ use board::imu::Sample;
 use clock::{BoardToPhone, ClockRelation, PhoneNanos, Wander};
 use extract::layout::Format;
 use extract::options::Options;
-use extract::report::ExtractReport;
+use extract::report::{ExtractReport, LossPart};
 use extract::run::{Job, run};
 use protocol::{Output, Pps, Pulse, TICK_HZ, Ticks};
 use recording::messages::camera::Image;
@@ -218,7 +218,12 @@ fn times_are_those_of_the_edges() {
     assert_eq!((depth.frames, depth.matched), (114, 114), "{depth:?}");
     assert_eq!(depth.missing, [20, 21, 75]);
     let parts: Vec<_> = report.losses.iter().map(|loss| loss.part).collect();
-    assert_eq!(parts, ["phone", "depth"], "{:#?}", report.losses);
+    assert_eq!(
+        parts,
+        [LossPart::Phone, LossPart::Depth],
+        "{:#?}",
+        report.losses
+    );
 
     // Depth: edge and centre, to the nanosecond, each picture its own.
     let centres: Vec<i64> = depth_frames()

@@ -6,8 +6,8 @@ use std::io;
 use std::path::Path;
 
 use extract::report::{
-    ClockReport, DepthReport, ExtractReport, GridReport, OtherReport, PairsReport, SAMPLES_FILE,
-    WindowResult,
+    ClockReport, ClockSource, DepthReport, ExtractReport, OtherReport, PairsReport, SAMPLES_FILE,
+    TriggerOffset, WindowResult,
 };
 use serde_json::json;
 
@@ -132,7 +132,7 @@ fn course_svg(course: &[WindowResult]) -> String {
 #[must_use]
 pub fn summary(report: &ExtractReport) -> Summary {
     let losses = report.losses.iter();
-    let losses = losses.map(|loss| Finding::check(loss.part, loss.what.as_str()));
+    let losses = losses.map(|loss| Finding::check(loss.part.name(), loss.what.as_str()));
     let remarks = report.remarks.iter();
     let remarks = remarks.map(|remark| Finding::good("note", remark.as_str()));
     let (severity, text) = verdict(report);
@@ -176,12 +176,13 @@ fn facts(report: &ExtractReport) -> Facts {
         if depth.color > 0 {
             facts.push(("depth camera's colour", depth.color.to_string()));
         }
-        if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
+        if let (Some((rate, sigma)), Some(residual), Some(decision)) =
+            (depth.rate_ppm, depth.residual_us, depth.decided_by)
+        {
             facts.push((
                 "depth clock",
                 format!(
-                    "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {}",
-                    depth.decided_by
+                    "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {decision}"
                 ),
             ));
         }
@@ -250,13 +251,13 @@ fn known(pairs: &PairsReport) -> Option<String> {
 
 fn clock_line(clock: &ClockReport) -> String {
     let from = match clock.source {
-        "session" => "the session's twists alone",
-        "bag" => "the one offset in the bag",
-        other => other,
+        ClockSource::Gyroscopes => "gyroscopes",
+        ClockSource::Session => "the session's twists alone",
+        ClockSource::Bag => "the one offset in the bag",
     };
     let mut line = format!("from {from}");
     // An offset alone has no rate.
-    if clock.source != "bag" {
+    if clock.source != ClockSource::Bag {
         let _ = write!(
             line,
             ": {:.3} ppm ± {:.3}",
@@ -331,7 +332,7 @@ fn unassigned(depth: &DepthReport) -> usize {
     depth.frames.saturating_sub(known)
 }
 
-fn grid_line(grid: &GridReport) -> String {
+fn grid_line(grid: &TriggerOffset) -> String {
     format!(
         "depth − phone {:+.1} µs, drifting by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
         grid.offset_us, grid.drift_us_per_min, grid.residual_us, grid.pulses

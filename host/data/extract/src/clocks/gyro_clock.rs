@@ -1,27 +1,20 @@
-//! The relation of another device's clock (the phone's, the depth camera's) to the
-//! board's over a whole recording, as the data sets need it: in integers, and as
-//! the report tells it. It is found by [`twist_sync::estimate_course`], with the
-//! board as clock a.
+//! Conversion of the relation that [`twist_sync::estimate_course`] finds between another
+//! device's clock (the phone's, the depth camera's) and the board's (clock a) over a whole
+//! recording: to integers for the data sets, and to figures for the report.
 //!
-//! Limits: what gyroscopes cannot see, the constant difference of the two low-pass
-//! delays, goes in as configuration and stays in the result.
+//! Limits: gyroscopes cannot measure the constant difference of the two low-pass
+//! delays; it is configured, and its error stays in the result.
 
 use crate::time::{BoardNanos, ClockNanos, SECOND};
-use clock::ClockRelation;
-use twist_sync::{ClockCourse, Prior, RecordingClock};
+use twist_sync::{ClockCourse, RecordingClock};
 
-/// Most knots of a relation laid out: a month.
+/// Largest number of knots of a relation: one a second for a month.
 const MOST_KNOTS: i64 = 31 * 86_400;
 
-/// The session's clock model as what is known beforehand.
-pub(crate) fn prior(model: ClockRelation) -> Prior {
-    Prior::Relation(model)
-}
-
-/// One window's estimate against the smoothed course.
+/// Estimate of one window against the smoothed course.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct WindowResult {
-    /// Board time of the estimate, s.
+    /// Board time, s.
     pub board_s: f64,
     /// Other − board at that time, s.
     pub offset_s: f64,
@@ -33,7 +26,7 @@ pub struct WindowResult {
     pub course_sigma_s: f64,
 }
 
-/// The estimates of a recording against its course.
+/// Returns the estimates of a recording against its smoothed course.
 pub(crate) fn window_results(clock: &RecordingClock) -> Vec<WindowResult> {
     clock
         .estimates
@@ -51,14 +44,14 @@ pub(crate) fn window_results(clock: &RecordingClock) -> Vec<WindowResult> {
         .collect()
 }
 
-/// Root mean square of the windows' residuals, s; 0 with none.
+/// Returns the root mean square of the windows' residuals, s; 0 without windows.
 pub(crate) fn residual_rms(results: &[WindowResult]) -> f64 {
     let squares: f64 = results.iter().map(|w| w.residual_s * w.residual_s).sum();
     (squares / results.len().max(1) as f64).sqrt()
 }
 
-/// A course in integers: pairs of times, one each second of board time from `from`,
-/// the last one at `to`.
+/// Converts a course to pairs of times in integers, one each second of board time from `from`,
+/// and the last one at `to`.
 pub(crate) fn knots<T: ClockNanos>(
     course: &ClockCourse,
     from: BoardNanos,
@@ -79,7 +72,8 @@ pub(crate) fn knots<T: ClockNanos>(
         .collect()
 }
 
-/// Nanoseconds in seconds; the whole and the rest apart, so that it is rounded once.
+/// Converts nanoseconds to seconds. Whole seconds and rest are converted separately, so that
+/// the result is rounded once.
 fn to_seconds(nanos: i64) -> f64 {
     nanos.div_euclid(SECOND) as f64 + nanos.rem_euclid(SECOND) as f64 * 1e-9
 }

@@ -1,17 +1,17 @@
-//! The phone's clock in board time: from both gyroscopes over the whole
-//! recording; else from what the session found; else from the recorded offset of
-//! the published system.
+//! Relation of the phone's clock to the board's: from both gyroscopes over the whole
+//! recording, otherwise from the session, otherwise from the offset that
+//! the published system recorded.
 
 use std::path::Path;
 
 use crate::clocks::gyro_clock::{self, residual_rms, window_results};
 use crate::clocks::streams::{self, OtherGyro, Span, related};
 use crate::error::ExtractError;
+use crate::frames::ColorFrame;
 use crate::inputs::PhoneInput;
 use crate::inputs::board_data::Reference;
 use crate::inputs::survey::Survey;
-use crate::output::tables::ColorFrame;
-use crate::report::ClockReport;
+use crate::report::{ClockReport, ClockSource};
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockRelation;
 use clock::train::frame_period;
@@ -19,46 +19,48 @@ use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
-/// How far a recorded offset may be off, s.
+/// Largest error of a recorded offset, s.
 const RECORDED_MARGIN: f64 = 0.5;
-/// How far the relation is laid out beyond the recording, s.
+/// Span of the relation beyond either end of the recording, s.
 const BEYOND: i64 = 60;
 
-/// A relation of phone and board.
+/// Relation of a phone's clock to the board's.
 #[derive(Clone, Debug)]
 pub(crate) struct PhoneClock {
-    /// Phone time to board time.
+    /// Map from phone time to board time.
     pub(crate) map: PiecewiseMap<PhoneNanos, BoardNanos>,
-    /// What the report says about it.
+    /// Remarks for the report.
     pub(crate) remarks: Vec<String>,
-    source: &'static str,
+    source: ClockSource,
     gyros: Option<RecordingClock>,
-    /// `None` where one offset is all that is known.
+    /// Offset over time; `None` if only one offset is known.
     course: Option<ClockCourse>,
-    /// How many exchanges with both clocks have joined it.
+    /// Number of exchanges with both clocks that went into the relation.
     exchanges: Option<usize>,
     middle: BoardNanos,
 }
 
-/// What is known of a phone's clock before the gyroscopes are compared.
+/// Returns the knowledge about a phone's clock before the gyroscopes are compared.
 ///
-/// Of another phone it is what the recording says of that phone alone: pairs of times
-/// are of the one that the trigger was aligned to.
+/// For another phone, only what the recording says about that phone counts: pairs of times
+/// belong to the phone that the trigger was aligned to.
 fn prior(input: &PhoneInput, survey: &Survey) -> Option<Prior> {
     let name = input.other_name().map(str::to_owned);
     let recorded = survey.clocks.get(&name).copied();
-    let known = input.constants.prior.or(recorded.map(gyro_clock::prior));
-    match input.is_other() {
-        true => known,
-        false => known.or_else(|| recorded_offset(survey)),
+    let known = input.constants.prior.or(recorded.map(Prior::Relation));
+    if input.is_other() {
+        known
+    } else {
+        known.or_else(|| recorded_offset(survey))
     }
 }
 
-/// Finds the relation.
+/// Finds the relation of a phone's clock to the board's.
 ///
 /// # Errors
 ///
-/// There is none, it was stopped, or the board's recording cannot be read.
+/// Fails if there is no relation, if reading was stopped, or if the board's recording cannot be
+/// read.
 pub(crate) fn find(
     board: &Path,
     input: &PhoneInput,
@@ -92,13 +94,13 @@ pub(crate) fn find(
         Ok(gyros) => PhoneClock {
             course: Some(gyros.course.clone()),
             gyros: Some(gyros),
-            ..PhoneClock::new("gyroscopes")
+            ..PhoneClock::new(ClockSource::Gyroscopes)
         },
         Err(error) if error.is_fatal() => return Err(error),
-        Err(why) => PhoneClock::from_prior(prior, &why)?,
+        Err(error) => PhoneClock::from_prior(prior, &error)?,
     };
     clock.middle = BoardNanos(first.midpoint(last));
-    // Of another phone, no clock is followed.
+    // Another phone's clock is not read during a recording.
     if !input.is_other() {
         clock.follow(&survey.exchanges, prior);
     }
@@ -118,7 +120,7 @@ fn missing<T>(what: &str) -> Result<T, ExtractError> {
     Err(ExtractError::Missing(what.to_owned()))
 }
 
-/// The published system's `/mcu_s10_ts`: the last pair of times.
+/// Returns the offset of the last pair of times of the published system's `/mcu_s10_ts`.
 fn recorded_offset(survey: &Survey) -> Option<Prior> {
     let mut pairs = survey.times.iter().rev();
     let pair = pairs.find(|pair| pair.of == Reference::Phone)?;
@@ -127,7 +129,7 @@ fn recorded_offset(survey: &Survey) -> Option<Prior> {
 }
 
 impl PhoneClock {
-    fn new(source: &'static str) -> Self {
+    fn new(source: ClockSource) -> Self {
         Self {
             map: PiecewiseMap::from_knots([]),
             remarks: Vec::new(),
@@ -139,11 +141,11 @@ impl PhoneClock {
         }
     }
 
-    /// The relation without the gyroscopes, which give none for the reason `why`.
-    fn from_prior(prior: Option<Prior>, why: &ExtractError) -> Result<Self, ExtractError> {
+    /// Returns the relation without the gyroscopes, which failed with `reason`.
+    fn from_prior(prior: Option<Prior>, reason: &ExtractError) -> Result<Self, ExtractError> {
         match prior {
             None => missing(&format!(
-                "phone time cannot be related to board time: {why}"
+                "phone time cannot be related to board time: {reason}"
             )),
             Some(Prior::Relation(model)) => {
                 let Some(course) = ClockCourse::from_estimates(&[model], model.wander) else {
@@ -153,23 +155,23 @@ impl PhoneClock {
                     course: Some(course),
                     remarks: vec![format!(
                         "the clock relation is the session's, from the twist alone, and not from \
-                         the whole recording: {why}"
+                         the whole recording: {reason}"
                     )],
-                    ..Self::new("session")
+                    ..Self::new(ClockSource::Session)
                 })
             }
             Some(Prior::Offset(..)) => Ok(Self {
                 remarks: vec![format!(
                     "the clock relation is the one offset that was recorded, without the drift of \
-                     the clocks: {why}"
+                     the clocks: {reason}"
                 )],
-                ..Self::new("bag")
+                ..Self::new(ClockSource::Bag)
             }),
         }
     }
 
-    /// Joins what is known of the clocks, from windows of motion or else from the session,
-    /// by exchanges with them.
+    /// Refines the relation by exchanges with both clocks, between windows of motion or from the
+    /// session's relation on.
     fn follow(&mut self, exchanges: &[(Asked, Exchange)], prior: Option<Prior>) {
         let known = match (&self.gyros, prior) {
             (Some(gyros), _) => gyros.estimates.clone(),
@@ -183,12 +185,13 @@ impl PhoneClock {
         }
     }
 
-    /// The relation at a board time, with its uncertainty.
+    /// Returns the relation at a board time, with its uncertainty; `None` if only one offset is
+    /// known.
     pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockRelation> {
         Some(self.course.as_ref()?.at(at.0 as f64 * 1e-9))
     }
 
-    /// Reports the relation over these frames.
+    /// Reports the relation over the phone's frames.
     pub(crate) fn report(&self, frames: &[ColorFrame]) -> ClockReport {
         let middle = self.model_at(self.middle);
         let some = frames.iter().step_by(30);
@@ -203,7 +206,7 @@ impl PhoneClock {
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
         let frame_period = frame_period(&phone).ok();
         let gyros = self.gyros.as_ref();
-        let count = |of: fn(&RecordingClock) -> usize| gyros.map_or(0, of);
+        let count = |field: fn(&RecordingClock) -> usize| gyros.map_or(0, field);
         let course = gyros.map_or_else(Vec::new, window_results);
         ClockReport {
             source: self.source,
@@ -245,7 +248,7 @@ mod tests {
     }
 
     fn known(offset: f64) -> Option<Prior> {
-        Some(gyro_clock::prior(model(offset)))
+        Some(Prior::Relation(model(offset)))
     }
 
     fn input(name: &str, folder: &str, prior: Option<Prior>) -> PhoneInput {
@@ -262,7 +265,7 @@ mod tests {
 
     #[test]
     fn a_wrong_timestamp_does_not_move_the_frame_period_and_few_have_none() {
-        let clock = PhoneClock::new("session");
+        let clock = PhoneClock::new(ClockSource::Session);
         let mut frames: Vec<ColorFrame> = (0..1_000)
             .map(|k| ColorFrame {
                 phone: PhoneNanos(k * 33_330_652),
@@ -282,12 +285,12 @@ mod tests {
 
     /// A phone that warms up by 2 ppm and was followed for ten minutes after its one twist.
     #[test]
-    fn exchanges_with_the_clocks_carry_the_twists_relation_on() {
+    fn exchanges_with_the_clocks_extend_the_relation_of_a_twist() {
         let offset = |at: f64| 102.0 + 1e-6 * (at - 10.0) + 2e-9 * (at - 10.0).powi(2);
         let mut exchanges = Vec::new();
         for place in 0..30_000 {
             let sent = 0.02 * f64::from(place);
-            // In no step with the windows; the way there is longer by 200 µs, always.
+            // Not in step with the windows; the way there always takes 200 µs longer.
             let scatter = f64::from(place * 7_919 % 1_000) * 1e-7;
             let stamp = sent + 5e-4 + scatter;
             exchanges.push((Asked::A, stamp, stamp));
@@ -339,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn another_phone_never_takes_the_clock_of_the_reference() {
+    fn another_phone_never_gets_the_clock_of_the_reference() {
         let right = Some(String::from("right"));
         let mut survey = Survey {
             times: vec![TimePair {
@@ -351,15 +354,15 @@ mod tests {
             clocks: PhoneClocks::from([(None, model(102.0)), (right, model(202.0))]),
             ..Survey::default()
         };
-        let first = |said| input("left", "", said);
-        let other = |said| input("right", "phones/right", said);
-        // The session's own word goes before what was recorded on the way.
+        let first = |known| input("left", "", known);
+        let other = |known| input("right", "phones/right", known);
+        // The session's final relation takes precedence over the recorded one.
         assert_eq!(prior(&first(known(103.0)), &survey), known(103.0));
         assert_eq!(prior(&first(None), &survey), known(102.0));
         assert_eq!(prior(&other(None), &survey), known(202.0));
         survey.clocks.pop_last();
         assert_eq!(prior(&other(None), &survey), None);
-        // The first takes what there is.
+        // The reference falls back to the pair of times.
         survey.clocks.clear();
         let pair = Some(Prior::Offset(7.0, RECORDED_MARGIN));
         assert_eq!(prior(&first(None), &survey), pair);

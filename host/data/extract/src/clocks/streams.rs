@@ -1,4 +1,4 @@
-//! Gyroscopes of all devices as streams that can be opened again.
+//! Gyroscopes of all devices as streams that can be opened more than once.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -15,44 +15,44 @@ use twist_sync::{
     estimate_course,
 };
 
-/// Why a stream ended early.
+/// Reason why a stream ended early.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StreamError {
-    /// The board's recording.
+    /// The board's recording cannot be read.
     #[error(transparent)]
     Board(#[from] recording::RecordingError),
-    /// The depth recording.
+    /// The depth recording cannot be read.
     #[error(transparent)]
     Depth(#[from] DepthError),
-    /// A file of the phone.
+    /// A file of the phone cannot be read.
     #[error("reading {path}: {error}")]
     Phone {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: io::Error,
     },
 }
 
-/// A part of the recording, in board time.
+/// Part of a recording, in board time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     pub(crate) from: BoardNanos,
     pub(crate) to: BoardNanos,
 }
 
-/// Another gyroscope, whose clock is related to the board's.
+/// Gyroscope whose clock is to be related to the board's.
 pub(crate) struct OtherGyro<'a> {
     pub(crate) open: GyroOpener<'a, StreamError>,
     pub(crate) options: Options,
     pub(crate) prior: Option<Prior>,
 }
 
-/// Goes over all that the board recorded, and returns what could not be read.
+/// Calls `each` for everything that the board recorded. Returns descriptions of unreadable parts.
 ///
 /// # Errors
 ///
-/// The recording cannot be read, or those of `each`.
+/// Fails if the recording cannot be read, or with the error of `each`.
 pub(crate) fn each_event(
     board: &Path,
     monitor: &ReadMonitor,
@@ -65,12 +65,12 @@ pub(crate) fn each_event(
     Ok(stream.damage())
 }
 
-/// The board's gyroscope within a span, without samples that it has marked: the rates of a late one
-/// are another's.
+/// Opens the board's gyroscope within a span, without the samples that the board marked: the rates
+/// of a late sample belong to another time.
 ///
 /// # Errors
 ///
-/// The recording cannot be opened.
+/// Fails if the recording cannot be opened.
 fn board<'a>(
     board: &Path,
     span: Span,
@@ -105,7 +105,7 @@ fn board<'a>(
 ///
 /// # Errors
 ///
-/// There is no relation, or the board's recording cannot be read.
+/// Fails if there is no relation, or if the board's recording cannot be read.
 pub(crate) fn related<'a>(
     board: &'a Path,
     span: Span,
@@ -121,11 +121,11 @@ pub(crate) fn related<'a>(
     })
 }
 
-/// The phone's gyroscope.
+/// Opens the phone's gyroscope.
 ///
 /// # Errors
 ///
-/// The file cannot be opened.
+/// Fails if the file cannot be opened.
 pub(crate) fn phone<'a>(
     path: &Path,
     monitor: &ReadMonitor,
@@ -151,11 +151,11 @@ pub(crate) fn phone<'a>(
     })))
 }
 
-/// The depth camera's gyroscope.
+/// Opens the depth camera's gyroscope.
 ///
 /// # Errors
 ///
-/// The file cannot be opened.
+/// Fails if the file cannot be opened.
 pub(crate) fn camera<'a>(
     input: &DepthInput,
     monitor: &ReadMonitor,
@@ -171,7 +171,7 @@ mod tests {
     use protocol::{ImuFlags, Ticks};
 
     #[test]
-    fn samples_that_the_board_has_marked_relate_no_clocks() {
+    fn samples_marked_by_the_board_are_not_used_for_clock_relations() {
         let folder = tempfile::tempdir().unwrap();
         let mut writer = recording::writer::Writer::create(folder.path()).unwrap();
         let flags = [

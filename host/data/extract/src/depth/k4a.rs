@@ -1,15 +1,15 @@
-//! An Azure Kinect recording: depth, infrared and IMU in the camera's own time.
+//! Azure Kinect recordings: depth, infrared, colour and IMU in the camera's own time.
 //!
 //! Device time = block time + the tag `K4A_START_OFFSET_NS`. A recorder that
 //! crashed has written neither this tag nor the segment information. The time
-//! unit is then taken as 1,000 ns (what this recorder always uses), and the
-//! offset is found again from the IMU track, whose records carry absolute device
-//! times of their own. Without an IMU track the device times are relative
-//! ([`StartOffset::Lost`]): enough to match them to pulses by their pattern.
+//! unit is then assumed to be 1,000 ns (which this recorder always uses), and the
+//! offset is recovered from the IMU track, whose records contain absolute device
+//! times. Without an IMU track the device times are relative
+//! ([`StartOffset::Lost`]), which is enough to match them to pulses by their pattern.
 //!
 //! Depth and infrared are `b16g`: 16 bits a pixel, big-endian; depth in
-//! millimetres, 0 = none. Colour is given as it lies in the file, if it is `MJPG`: each
-//! frame a JPEG file.
+//! millimetres, 0 = none. Colour in the format `MJPG`, a JPEG file per frame, is returned
+//! unchanged.
 
 use std::io::BufReader;
 use std::path::Path;
@@ -22,25 +22,25 @@ use crate::depth::mkv::{Cluster, Frame, Header, Mkv, Track};
 
 /// The recorder's unit of time.
 const RECORDER_SCALE: u64 = 1_000;
-/// Largest image side that is accepted.
+/// Largest accepted width or height of an image.
 const MAX_SIDE: u64 = 8192;
-/// How many clusters are searched for a first IMU record.
+/// Largest number of clusters that are searched for a first IMU record.
 const IMU_SEARCH: usize = 200;
 
-/// An instant of the depth camera's own clock, in nanoseconds.
+/// Instant of the depth camera's own clock, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub struct DeviceNanos(pub i64);
 
-/// Why a file is no depth recording.
+/// Reason why a file cannot be read as a depth recording.
 #[derive(Debug, thiserror::Error)]
 pub enum K4aError {
-    /// It cannot be opened.
+    /// The file cannot be opened.
     #[error("opening it: {0}")]
     Open(#[source] std::io::Error),
-    /// Reading failed on the way.
+    /// Reading failed after opening.
     #[error("reading it: {0}")]
     Read(#[source] std::io::Error),
-    /// It is no readable Matroska file.
+    /// The file is no readable Matroska file.
     #[error(transparent)]
     Mkv(#[from] MkvError),
     /// There is no depth track.
@@ -49,30 +49,30 @@ pub enum K4aError {
          found {found}; record with a depth mode other than OFF and PASSIVE_IR"
     )]
     NoDepth {
-        /// The tracks that there are.
+        /// Names and codecs of the existing tracks.
         found: String,
     },
-    /// The depth track is not as the camera writes it.
+    /// The depth track differs from what the camera writes.
     #[error("the depth track {what}")]
     BadTrack {
-        /// What is wrong.
+        /// The difference.
         what: String,
     },
 }
 
-/// Where the zero of the block times lies in device time.
+/// Device time of the zero of the block times, and its origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartOffset {
-    /// From the tag.
+    /// Nanoseconds from the tag.
     Tag(i64),
-    /// The tag is lost; from the device times in the IMU track.
+    /// Nanoseconds from the device times in the IMU track, as the tag is lost.
     Imu(i64),
-    /// Lost: device times count from the first block.
+    /// Unknown: device times count from the first block.
     Lost,
 }
 
 impl StartOffset {
-    /// In nanoseconds.
+    /// Returns the offset in nanoseconds; 0 if it is unknown.
     #[must_use]
     pub fn nanos(self) -> i64 {
         match self {
@@ -82,58 +82,58 @@ impl StartOffset {
     }
 }
 
-/// One sample of the camera's own IMU.
+/// Sample of the camera's own IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraImu {
     /// Device time of the acceleration.
     pub accel_at: DeviceNanos,
-    /// m/s².
+    /// Acceleration, m/s².
     pub accel: [f32; 3],
     /// Device time of the angular rate.
     pub gyro_at: DeviceNanos,
-    /// rad/s.
+    /// Angular rate, rad/s.
     pub gyro: [f32; 3],
 }
 
-/// An image, as it lies in the file.
+/// Image with its bytes as they are in the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawImage {
-    /// Device time: the centre of exposure.
+    /// Device time of the centre of exposure.
     pub at: DeviceNanos,
     /// Size in bytes.
     pub size: usize,
-    /// Big-endian pixels, row by row; empty when only times were asked for.
+    /// Big-endian pixels row by row, or a JPEG file; empty if only times were requested.
     pub bytes: Vec<u8>,
 }
 
-/// What one cluster holds.
+/// Contents of one cluster.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
     /// Depth images.
     pub depth: Vec<RawImage>,
     /// Infrared images.
     pub ir: Vec<RawImage>,
-    /// Colour images: JPEG files.
+    /// Colour images; JPEG files if the track's format is `MJPG`.
     pub color: Vec<RawImage>,
     /// IMU samples.
     pub imu: Vec<CameraImu>,
-    /// False if the cluster's checksum is wrong: at least one of its frames is damaged.
+    /// False if the cluster's checksum is wrong, so that at least one of its frames is damaged.
     pub intact: bool,
 }
 
-/// What to read.
+/// Extent of reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// Times and IMU samples, no pixels.
+    /// Times and IMU samples, without pixels.
     Times,
     /// Times, IMU samples and pixels.
     Pixels,
 }
 
-/// The colour track.
+/// Colour track of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColorTrack {
-    /// Its format: `MJPG`, `NV12`, `YUY2`, `BGRA`.
+    /// Format of the images: `MJPG`, `NV12`, `YUY2`, `BGRA`.
     pub format: String,
     /// Width and height in pixels.
     pub size: (u32, u32),
@@ -141,14 +141,14 @@ pub struct ColorTrack {
 }
 
 impl ColorTrack {
-    /// Whether its frames are JPEG files.
+    /// Returns true if the frames are JPEG files.
     #[must_use]
     pub fn is_jpeg(&self) -> bool {
         self.format == "MJPG"
     }
 }
 
-/// An open depth recording.
+/// Depth recording that is open for reading.
 pub struct Recording<R> {
     mkv: Mkv<R>,
     depth: u64,
@@ -165,12 +165,12 @@ impl Recording<BufReader<Input>> {
     ///
     /// # Errors
     ///
-    /// It cannot be read or is no depth recording.
+    /// Fails if the file cannot be read or is no depth recording.
     pub fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, K4aError> {
         let file = system::open(path, monitor).map_err(K4aError::Open)?;
         let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
         if recording.offset == StartOffset::Lost && recording.imu.is_some() {
-            // The tag is lost: look for an IMU record, in a reader of its own.
+            // The tag is lost: search for an IMU record, with a second reader.
             let file = system::open(path, monitor).map_err(K4aError::Open)?;
             let mut search = Self::new(BufReader::new(file))?;
             let found = search.search_offset().map_err(K4aError::Open)?;
@@ -184,11 +184,12 @@ impl Recording<BufReader<Input>> {
 }
 
 impl<R: Sparse> Recording<R> {
-    /// Takes a reader at its beginning. The start offset comes from the tag only.
+    /// Reads the header from a reader at its beginning. The start offset is taken from the tag
+    /// only.
     ///
     /// # Errors
     ///
-    /// It is no depth recording.
+    /// Fails if the content is no depth recording.
     pub fn new(reader: R) -> Result<Self, K4aError> {
         let mkv = Mkv::open(reader)?;
         let header = mkv.header();
@@ -232,33 +233,33 @@ impl<R: Sparse> Recording<R> {
         })
     }
 
-    /// Width and height of the images in pixels.
+    /// Returns width and height of the depth images in pixels.
     #[must_use]
     pub fn size(&self) -> (u32, u32) {
         self.size
     }
 
-    /// Bytes of a whole image.
+    /// Returns the number of bytes of a whole depth image.
     #[must_use]
     pub fn image_bytes(&self) -> usize {
         self.size.0 as usize * self.size.1 as usize * 2
     }
 
-    /// Where device time begins.
+    /// Returns the device time of the zero of the block times.
     #[must_use]
     pub fn start_offset(&self) -> StartOffset {
         self.offset
     }
 
-    /// Whether the recorder closed the file: it has its information and its size.
+    /// Returns true if the recorder closed the file, so that it has its information and size.
     #[must_use]
     pub fn was_closed(&self) -> bool {
         let header = self.mkv.header();
         header.scale.is_some() && header.has_size
     }
 
-    /// The program that wrote the file in another unit of time than the recorder's, and
-    /// that unit in nanoseconds: the times of the frames are rounded to it.
+    /// Returns the program that wrote the file in another unit of time than the recorder's, and
+    /// that unit in nanoseconds, to which the times of the frames are rounded.
     #[must_use]
     pub fn rewritten(&self) -> Option<(&str, u64)> {
         let header = self.mkv.header();
@@ -266,19 +267,19 @@ impl<R: Sparse> Recording<R> {
         Some((header.written_by.as_deref().unwrap_or_default(), scale))
     }
 
-    /// The colour track, if there is one.
+    /// Returns the colour track, if there is one.
     #[must_use]
     pub fn color(&self) -> Option<&ColorTrack> {
         self.color.as_ref()
     }
 
-    /// The value of a tag (`K4A_DEPTH_MODE`, `K4A_DEVICE_SERIAL_NUMBER`, ...).
+    /// Returns the value of a tag (`K4A_DEPTH_MODE`, `K4A_DEVICE_SERIAL_NUMBER`, ...).
     #[must_use]
     pub fn tag(&self, name: &str) -> Option<&str> {
         self.mkv.header().tag(name)
     }
 
-    /// The camera's calibration, as the camera gave it.
+    /// Returns the camera's calibration, the attachment `calibration.json`.
     #[must_use]
     pub fn calibration(&self) -> Option<&[u8]> {
         let attachments = &self.mkv.header().attachments;
@@ -288,28 +289,29 @@ impl<R: Sparse> Recording<R> {
         Some(&found.1)
     }
 
-    /// What could not be read so far, in words.
+    /// Returns descriptions of what could not be read so far.
     #[must_use]
     pub fn damage(&self) -> &[String] {
         self.mkv.damage()
     }
 
-    /// What the next cluster holds; `None` at the end.
+    /// Reads the next cluster; `None` at the end.
     ///
     /// # Errors
     ///
-    /// Reading fails.
+    /// Fails if the file cannot be read.
     pub fn next_batch(&mut self, content: Content) -> Result<Option<Batch>, K4aError> {
         let imu = self.imu;
         let wanted = |track| match content {
             Content::Times => Some(track) == imu,
-            // All of it, whatever the track: the checksum is over the whole cluster.
+            // Of every track, because the checksum covers the whole cluster.
             Content::Pixels => true,
         };
         let cluster = self.mkv.next_cluster(&wanted).map_err(K4aError::Read)?;
         Ok(cluster.map(|cluster| self.sort_out(cluster)))
     }
 
+    /// Sorts the frames of a cluster by track.
     fn sort_out(&self, cluster: Cluster) -> Batch {
         let mut batch = Batch {
             intact: cluster.crc_ok != Some(false),
@@ -338,7 +340,7 @@ impl<R: Sparse> Recording<R> {
         }
     }
 
-    /// Device time minus block time from the first IMU record: a block's time is
+    /// Returns device time minus block time, ns, from the first IMU record: a block's time is
     /// that of its first record's acceleration.
     fn search_offset(&mut self) -> std::io::Result<Option<i64>> {
         let imu = self.imu;
@@ -361,6 +363,7 @@ impl<R: Sparse> Recording<R> {
     }
 }
 
+/// Finds a track by the tag that names its UID, otherwise by its name.
 fn find_track<'a>(header: &'a Header, name: &str, tag: &str) -> Option<&'a Track> {
     let uid = header
         .tag(tag)
@@ -372,7 +375,7 @@ fn find_track<'a>(header: &'a Header, name: &str, tag: &str) -> Option<&'a Track
         .or_else(|| tracks.iter().find(|track| track.name == name))
 }
 
-/// Format of the BITMAPINFOHEADER that is the codec's set-up data.
+/// Returns the format in the BITMAPINFOHEADER, which is the codec's set-up data.
 fn fourcc(track: &Track) -> Option<[u8; 4]> {
     track.codec_private.get(16..20)?.try_into().ok()
 }
@@ -411,7 +414,7 @@ fn describe(tracks: &[Track]) -> String {
     names.join(", ")
 }
 
-/// {u64 acceleration time, 3 × f32, u64 angular rate time, 3 × f32}, little-endian.
+/// Reads {u64 acceleration time, 3 × f32, u64 angular rate time, 3 × f32}, little-endian.
 fn imu_record(data: &[u8]) -> Option<CameraImu> {
     let sensor = |bytes: &[u8]| {
         let (time, axes) = bytes.split_first_chunk::<8>()?;

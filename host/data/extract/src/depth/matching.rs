@@ -1,10 +1,9 @@
-//! Which depth frame has which pulse: the pattern first, and where it does not
-//! decide, what else there is.
+//! Matches depth frames to pulses with all the evidence that a recording has.
 //!
 //! In this order: the pulse that the user gives; the pattern of the pulses; the
-//! camera's own gyroscope against the board's (its recorder writes an IMU track
-//! unless told not to), which gives the offset of the clocks far better than half
-//! a period; the recorded offset of the published system.
+//! camera's own gyroscope against the board's (the camera's recorder writes an IMU track by
+//! default), which gives the offset of the clocks to far less than half
+//! a period; the offset that the published system recorded.
 
 use std::path::Path;
 
@@ -12,7 +11,8 @@ use crate::clocks::gyro_clock;
 use crate::clocks::streams::{self, OtherGyro, Span, related};
 use crate::constants::Constants;
 use crate::depth::depth_clock::{
-    Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
+    Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, HintSource, MatchError,
+    match_frames,
 };
 use crate::depth::{DepthIndex, DepthInput};
 use crate::error::ExtractError;
@@ -22,50 +22,14 @@ use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
 use system::ReadMonitor;
 use twist_sync::Options;
 
-/// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
-/// is not documented and is a few milliseconds at most.
+/// 1-sigma of a clock relation from the camera's gyroscope, ns: the sensor's low-pass delay
+/// is undocumented and a few milliseconds at most.
 const CAMERA_SIGMA: f64 = 2.5e6;
 /// 1-sigma of the published system's recorded offset, ns: set by hand to a few
 /// milliseconds.
 const RECORDED_SIGMA: f64 = 3e6;
 
-/// Frames with their pulses.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Matched {
-    /// The frames.
-    pub(crate) found: DepthMatch,
-    /// Worth knowing.
-    pub(crate) remarks: Vec<String>,
-    by: &'static str,
-}
-
-impl Matched {
-    fn new(found: DepthMatch) -> Self {
-        Self {
-            found,
-            remarks: Vec::new(),
-            by: "the pattern",
-        }
-    }
-
-    fn by(self, by: &'static str) -> Self {
-        Self { by, ..self }
-    }
-
-    /// What decided, in words.
-    pub(crate) fn decided_by(&self) -> String {
-        match self.found.decision {
-            Decision::Pattern { margin } if margin.is_finite() => {
-                format!("the pattern of the pulses (χ² margin {margin:.0})")
-            }
-            Decision::Pattern { .. } => "the pattern of the pulses".into(),
-            Decision::Hint { left: 0 } => self.by.to_owned(),
-            Decision::Hint { left } => format!("{} (of {left} possible shifts)", self.by),
-        }
-    }
-}
-
-/// What frames and pulses are matched by.
+/// Inputs of the matching of frames and pulses.
 pub(crate) struct Matching<'a> {
     pub(crate) board: &'a Path,
     pub(crate) input: &'a DepthInput,
@@ -75,28 +39,48 @@ pub(crate) struct Matching<'a> {
     pub(crate) monitor: &'a ReadMonitor,
 }
 
+/// Depth frames that have a time.
+pub(crate) struct Matched {
+    /// The frames with their pulses.
+    pub(crate) found: DepthMatch,
+    /// Reason why no pulses were matched, if all frames have the one recorded offset instead.
+    pub(crate) offset_alone: Option<MatchError>,
+}
+
+impl From<DepthMatch> for Matched {
+    fn from(found: DepthMatch) -> Self {
+        Self {
+            found,
+            offset_alone: None,
+        }
+    }
+}
+
 impl Matching<'_> {
-    /// Matches depth frames to pulses.
+    /// Matches depth frames to pulses, or returns the reason why they do not match.
     ///
     /// # Errors
     ///
-    /// Frames and pulses do not match, it was stopped, or the board's recording cannot be
-    /// read.
-    pub(crate) fn find(&self, first_pulse: Option<usize>) -> Result<Matched, ExtractError> {
+    /// Fails if the board's recording cannot be read, or if reading was stopped.
+    pub(crate) fn find(
+        &self,
+        first_pulse: Option<usize>,
+    ) -> Result<Result<Matched, MatchError>, ExtractError> {
         let frames: Vec<DeviceNanos> = self.index.frames.iter().map(|frame| frame.at).collect();
-        let look = |hint| match_frames(&frames, &self.survey.pulses, hint).map(Matched::new);
+        let look = |hint| match_frames(&frames, &self.survey.pulses, hint).map(Matched::from);
         let found = look(first_pulse.map(Hint::FirstPulse));
         if first_pulse.is_some() {
-            return Ok(found.map_err(not_matched)?.by("the user"));
+            return Ok(found);
         }
         let error = match found {
-            Ok(found) => return Ok(found),
+            Ok(found) => return Ok(Ok(found)),
             Err(MatchError::Ambiguous(left)) => MatchError::Ambiguous(Ambiguity {
                 has_imu: self.index.has_imu,
                 ..left
             }),
             Err(error) => error,
         };
+        let offset = recorded_offset(self.survey);
         if let MatchError::Ambiguous(_) = error {
             let hint = if self.index.has_imu {
                 self.camera_hint()?
@@ -104,37 +88,30 @@ impl Matching<'_> {
                 None
             };
             if let Some(hint) = hint {
-                let found = look(Some(hint)).map_err(not_matched)?;
-                return Ok(found.by("the camera's gyroscope"));
+                return Ok(look(Some(hint)));
             }
-            if let Some(delta) = recorded_offset(self.survey) {
-                let hint = Hint::Clock {
-                    map: offset_map(&frames, delta),
-                    around: DeviceNanos(0),
-                    sigma: RECORDED_SIGMA,
-                    center: 0,
-                };
-                if let Ok(found) = look(Some(hint)) {
-                    return Ok(found.by("the recorded offset"));
-                }
+            let hint = offset.map(|delta| Hint::Clock {
+                source: HintSource::RecordedOffset,
+                map: offset_map(&frames, delta),
+                around: DeviceNanos(0),
+                sigma: RECORDED_SIGMA,
+                center: 0,
+            });
+            if let Some(Ok(found)) = hint.map(|hint| look(Some(hint))) {
+                return Ok(Ok(found));
             }
         }
         // The published system's own way: one recorded offset for all frames.
-        if let Some(delta) = recorded_offset(self.survey) {
-            let remark = format!(
-                "depth frames have the one offset that was recorded, without pulses: {error}"
-            );
-            let found = by_offset(&frames, delta, self.constants.depth_center_ns);
-            let found = Matched {
-                remarks: vec![remark],
-                ..Matched::new(found)
-            };
-            return Ok(found.by("the recorded offset"));
-        }
-        Err(not_matched(error))
+        Ok(match offset {
+            Some(delta) => Ok(Matched {
+                found: by_offset(&frames, delta, self.constants.depth_center_ns),
+                offset_alone: Some(error),
+            }),
+            None => Err(error),
+        })
     }
 
-    /// The relation of the camera's clock to the board's by their gyroscopes.
+    /// Relates the camera's clock to the board's by their gyroscopes; `None` if they do not.
     fn camera_hint(&self) -> Result<Option<Hint>, ExtractError> {
         let span = Span {
             from: BoardNanos(self.survey.imu.first_ns),
@@ -157,6 +134,7 @@ impl Matching<'_> {
         let middle = 0.5 * (from + to);
         let device = middle + course.at(middle).offset;
         Ok(Some(Hint::Clock {
+            source: HintSource::CameraGyroscope,
             map: PiecewiseMap::from_knots(gyro_clock::knots(&course, span.from, span.to)),
             around: DeviceNanos((device * 1e9).round() as i64),
             sigma: CAMERA_SIGMA,
@@ -165,19 +143,15 @@ impl Matching<'_> {
     }
 }
 
-fn not_matched(error: MatchError) -> ExtractError {
-    ExtractError::Missing(error.to_string())
-}
-
-/// Board − depth stamp by the published system's `/depth_to_mcu_offset`.
+/// Returns board time minus depth stamp, ns, by the published system's `/depth_to_mcu_offset`.
 fn recorded_offset(survey: &Survey) -> Option<i64> {
     let mut pairs = survey.times.iter();
     let pair = pairs.find(|pair| pair.of == Reference::DepthOffset)?;
     pair.stamp.0.checked_sub(pair.other)
 }
 
-/// All frames by one offset. The edge-to-centre time is in the offset already, so
-/// that it is taken off here and put on again with the tables.
+/// Gives all frames the same offset. The offset includes the edge-to-centre time, which is
+/// subtracted here because it is added again with the frames' times.
 fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
     let frame = Assignment {
         state: FrameState::OffPulse,
@@ -187,7 +161,10 @@ fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
     DepthMatch {
         frames: vec![frame; frames.len()],
         missing: Vec::new(),
-        decision: Decision::Hint { left: 0 },
+        decision: Decision::Hint {
+            source: HintSource::RecordedOffset,
+            left: 0,
+        },
         rate_error: 0.0,
         rate_sigma: 0.0,
         residual: 0.0,
@@ -195,7 +172,7 @@ fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
     }
 }
 
-/// The map that adds `delta` to device times.
+/// Returns the map that adds `delta` (ns) to device times.
 fn offset_map(frames: &[DeviceNanos], delta: i64) -> PiecewiseMap<DeviceNanos, BoardNanos> {
     let first = frames.iter().copied().min().unwrap_or_default();
     let knot = |at: i64| (DeviceNanos(at), BoardNanos(at.saturating_add(delta)));

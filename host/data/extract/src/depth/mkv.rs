@@ -1,14 +1,15 @@
 //! Matroska files as the Azure Kinect recorder writes them.
 //!
-//! An own reader, and a small one, because what a crash of the recorder leaves
-//! must be read: the segment's size unknown, *no* segment information (the
-//! recorder writes it at the end, into a void that it reserved), tags without
-//! the start offset, no cues, and a last cluster that stops anywhere. The
-//! demuxers that were looked at refuse such files at opening (they follow the
-//! seek head, or want every size within the file) and give no attachments.
+//! This is a small reader of its own because it must read what a crashed recorder
+//! leaves: an unknown segment size, *no* segment information (the
+//! recorder writes it at the end, into a reserved void), tags without
+//! the start offset, no cues, and a last cluster that stops anywhere. Existing
+//! demuxers refuse to open such files (they follow the
+//! seek head, or require every size to be within the file) and do not return attachments.
 //!
 //! - `ebml`: elements, sizes, values.
 //! - `header`: tracks, tags, attachments.
+//! - `block`: frames of a block, checksums.
 //! - `reader`: the segment and its clusters.
 //!
 //! Limits: one segment a file (what follows is ignored), no encryption, no

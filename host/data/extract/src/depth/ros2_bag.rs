@@ -1,8 +1,8 @@
-//! Depth images of a ROS 2 bag, as the drivers of cameras publish them:
+//! Depth images of a ROS 2 bag, as camera drivers publish them:
 //! `sensor_msgs/msg/Image` on a topic with "depth" in its name.
 //!
-//! Times are those in the messages' headers, which must be the camera's own. When a message
-//! arrived at the computer says nothing about that and is not looked at.
+//! Times are those in the messages' headers, which must be the camera's own. The time of a
+//! message's arrival at the computer is ignored.
 //!
 //! Limits: the bag is one MCAP file ([`recording::bag`]); images are not compressed.
 
@@ -19,60 +19,60 @@ use crate::faults::Faults;
 
 const KIND: &str = Image::TYPE;
 
-/// How many faults are kept with their text.
+/// Largest number of faults that are described.
 const MAX_FAULTS: usize = 50;
 
-/// Why such a bag cannot be read.
+/// Reason why a bag has no readable depth images.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
-    /// It cannot be read.
+    /// The bag cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// No image of depth is in it.
+    /// The bag has no depth images.
     #[error(
         "{path} has no depth images: expected {KIND} on a topic with \"depth\" in its name, or the one that \
          --depth-topic names{}",
         .damage.iter().map(|damage| format!("; damaged: {damage}")).collect::<String>()
     )]
     NoImages {
-        /// Which.
+        /// The bag.
         path: PathBuf,
-        /// What could not be read of it.
+        /// Descriptions of its unreadable parts.
         damage: Vec<String>,
     },
-    /// Several topics hold depth.
+    /// Several topics have depth images.
     #[error("{path} has depth on {}; choose one with --depth-topic", .topics.join(" and "))]
     SeveralTopics {
-        /// Which.
+        /// The bag.
         path: PathBuf,
-        /// Their names.
+        /// Names of the topics.
         topics: Vec<String>,
     },
 }
 
-/// A depth image of a bag.
+/// Depth image of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct DriverImage {
-    /// Its stamp: the depth camera's clock, as the driver gives it.
+    /// Stamp in the header, ns: the depth camera's clock, as the driver reports it.
     pub(crate) stamp: i64,
-    /// Pixels in a row.
+    /// Number of columns.
     pub(crate) width: u32,
-    /// Rows.
+    /// Number of rows.
     pub(crate) height: u32,
-    /// Big-endian 16-bit pixels in mm; empty if they are not wanted or not of a known form.
+    /// Big-endian 16-bit millimetres; empty if not requested or of an unknown encoding.
     pub(crate) pixels: Vec<u8>,
 }
 
-/// A bag, as a folder or as a single file.
+/// Bag, as a folder or as a single file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Ros2Bag {
     pub(crate) path: PathBuf,
-    /// The topic that is asked for.
+    /// Requested topic.
     pub(crate) topic: Option<String>,
 }
 
 impl Ros2Bag {
-    /// Its images from the first on, with their pixels or with their stamps alone.
+    /// Opens the images at the first one, with or without their pixels.
     pub(crate) fn open(
         &self,
         pixels: bool,
@@ -82,8 +82,8 @@ impl Ros2Bag {
             path: self.path.clone(),
             walk: Walk::open(&self.path, monitor)?,
             ended: false,
-            taken: Taken {
-                asked: self.topic.clone(),
+            collector: ImageCollector {
+                requested: self.topic.clone(),
                 topics: Vec::new(),
                 waiting: VecDeque::new(),
                 pixels,
@@ -93,47 +93,47 @@ impl Ros2Bag {
     }
 }
 
-/// Images one after the other.
+/// Reader of a bag's depth images.
 pub(crate) struct Ros2Images {
     path: PathBuf,
     walk: Walk,
     ended: bool,
-    taken: Taken,
+    collector: ImageCollector,
 }
 
-/// What was taken of the messages.
-struct Taken {
-    /// The topic that is asked for.
-    asked: Option<String>,
-    /// Topics with depth. The images are of the first.
+/// Collects depth images from messages.
+struct ImageCollector {
+    /// Requested topic.
+    requested: Option<String>,
+    /// Topics with depth images; those of the first are collected.
     topics: Vec<String>,
     waiting: VecDeque<DriverImage>,
-    /// Pixels are wanted.
+    /// True if pixels are requested.
     pixels: bool,
     faults: Faults,
 }
 
 impl Ros2Images {
-    /// The next image; `None` after the last.
+    /// Reads the next image; `None` after the last.
     pub(crate) fn next_image(&mut self) -> Result<Option<DriverImage>, Ros2Error> {
         loop {
-            if let Some(image) = self.taken.waiting.pop_front() {
+            if let Some(image) = self.collector.waiting.pop_front() {
                 return Ok(Some(image));
             }
             if self.ended {
                 return Ok(None);
             }
-            let taken = &mut self.taken;
+            let collector = &mut self.collector;
             let more = self.walk.next_part(&mut |event| match event {
-                Event::Message(message) => taken.take(&message),
+                Event::Message(message) => collector.add(&message),
                 Event::Damage(damage) if damage.is_loss() => {
-                    taken.faults.add(damage.to_string());
+                    collector.faults.add(damage.to_string());
                 }
                 _ => {}
             })?;
             self.ended = !more;
             let path = || self.path.clone();
-            match self.taken.topics.as_slice() {
+            match self.collector.topics.as_slice() {
                 [] if self.ended => {
                     return Err(Ros2Error::NoImages {
                         path: path(),
@@ -143,7 +143,7 @@ impl Ros2Images {
                 [_, _, ..] => {
                     return Err(Ros2Error::SeveralTopics {
                         path: path(),
-                        topics: self.taken.topics.clone(),
+                        topics: self.collector.topics.clone(),
                     });
                 }
                 _ => {}
@@ -151,21 +151,22 @@ impl Ros2Images {
         }
     }
 
-    /// What could not be read so far, in words.
+    /// Returns descriptions of what could not be read so far.
     pub(crate) fn damage(&self) -> Vec<String> {
-        self.taken.faults.words("faults of the bag")
+        self.collector.faults.summary("faults of the bag")
     }
 }
 
-impl Taken {
-    fn take(&mut self, message: &Message<'_>) {
+impl ImageCollector {
+    /// Adds a message if it is a depth image.
+    fn add(&mut self, message: &Message<'_>) {
         let described = &message.channel.described;
         let topic = &described.topic;
-        let is_asked = match &self.asked {
-            Some(asked) => asked == topic,
+        let is_wanted = match &self.requested {
+            Some(requested) => requested == topic,
             None => may_be_depth(topic),
         };
-        if !is_asked || message.channel.kind != KIND || described.message_encoding != "cdr" {
+        if !is_wanted || message.channel.kind != KIND || described.message_encoding != "cdr" {
             return;
         }
         if !self.topics.contains(topic) {
@@ -183,14 +184,15 @@ impl Taken {
                 .add(String::from("a message is no image: it is left out"));
         };
         let stamp = image.header.stamp.nanos();
-        let pixels = match self.pixels {
-            true => millimetres(&image).unwrap_or_else(|what| {
+        let pixels = if self.pixels {
+            millimetres(&image).unwrap_or_else(|fault| {
                 // It still counts as a frame: frames are numbered.
                 self.faults
-                    .add(format!("a depth image at {stamp} ns {what}"));
+                    .add(format!("a depth image at {stamp} ns {fault}"));
                 Vec::new()
-            }),
-            false => Vec::new(),
+            })
+        } else {
+            Vec::new()
         };
         self.waiting.push_back(DriverImage {
             stamp,
@@ -201,7 +203,7 @@ impl Taken {
     }
 }
 
-/// An image's pixels as big-endian millimetres.
+/// Converts an image's pixels to big-endian 16-bit millimetres.
 fn millimetres(image: &Image) -> Result<Vec<u8>, &'static str> {
     let is_big = image.is_bigendian != 0;
     let bytes = match image.encoding.as_str() {
@@ -224,11 +226,12 @@ fn millimetres(image: &Image) -> Result<Vec<u8>, &'static str> {
                 [a, b] => u16::from_le_bytes([a, b]),
                 _ => {
                     let value: [u8; 4] = value.try_into().map_err(|_| "has odd pixels")?;
-                    let metres = match is_big {
-                        true => f32::from_be_bytes(value),
-                        false => f32::from_le_bytes(value),
+                    let metres = if is_big {
+                        f32::from_be_bytes(value)
+                    } else {
+                        f32::from_le_bytes(value)
                     };
-                    // Saturates; not-a-number, "no depth", becomes 0.
+                    // Saturates; not-a-number ("no depth") becomes 0.
                     (f64::from(metres) * 1000.0).round() as u16
                 }
             };
@@ -238,8 +241,8 @@ fn millimetres(image: &Image) -> Result<Vec<u8>, &'static str> {
     Ok(pixels)
 }
 
-/// Whether images of a topic are the depth camera's own, by its name: not those that a
-/// driver has laid over colour, and not compressed ones.
+/// Returns true if a topic's name is that of the depth camera's own images: neither those that a
+/// driver registered to colour, nor compressed ones.
 fn may_be_depth(topic: &str) -> bool {
     topic.contains("depth")
         && !topic.contains("aligned_depth")
@@ -255,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn depth_of_both_encodings_is_millimetres() {
+    fn both_encodings_become_millimetres() {
         let floats: Vec<u8> = [1.234_f32, f32::NAN, 0.0, 70.0]
             .iter()
             .flat_map(|v| v.to_le_bytes())
@@ -294,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn topics_of_the_makers_drivers() {
+    fn depth_topics_of_drivers_are_recognised() {
         // Names by the drivers' documentation, with their default settings.
         for topic in [
             "/camera/depth/image_raw",

@@ -1,16 +1,16 @@
-//! Pairs of a phone frame and a depth frame, and their time difference.
+//! Pairs of a phone frame and a depth frame, and their differences in time.
 //!
-//! A pair is two frames that are nearest to each other, the phone's middle of
-//! exposure of the middle row against the depth camera's centre of exposure, no
-//! further apart than half a frame period. Every frame is in at most one pair.
+//! A pair is two frames that are nearest to each other, comparing the phone's middle of
+//! exposure of the middle row with the depth camera's centre of exposure, and no
+//! farther apart than half a frame period. Every frame is in at most one pair.
 
 use crate::time::BoardNanos;
 
-/// Pairs of an aligned recording that are further apart are left out unless asked for, ns: twice
-/// what the constants of a rig are that nobody has measured.
+/// Largest difference of a pair in an aligned recording unless all pairs are asked for, ns: twice
+/// the unmeasured constants of a rig.
 pub(crate) const LIMIT_NS: i64 = 10_000_000;
 
-/// Two frames that belong together.
+/// A phone frame and a depth frame of the same instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Pair {
     /// Index of the phone frame in its table.
@@ -21,8 +21,8 @@ pub(crate) struct Pair {
     pub(crate) difference: i64,
 }
 
-/// Finds the pairs. Both lists are (table index, time), sorted by time; `limit` is
-/// half a frame period in ns.
+/// Finds the pairs no farther apart than `limit` (ns). Both lists are (table index, time), sorted
+/// by time.
 pub(crate) fn find(
     color: &[(usize, BoardNanos)],
     depth: &[(usize, BoardNanos)],
@@ -47,29 +47,31 @@ pub(crate) fn find(
     pairs
 }
 
-/// Place of the entry nearest to a time, ns; the earlier of two that are as near.
+/// Returns the position of the entry nearest to a time (ns), of two equally near ones the
+/// earlier.
 pub(crate) fn nearest<T>(sorted: &[T], at: i64, time: impl Fn(&T) -> i64) -> Option<usize> {
     let after = sorted.partition_point(|entry| time(entry) < at);
     let candidates = after.saturating_sub(1)..sorted.len().min(after + 1);
     candidates.min_by_key(|&place| time(&sorted[place]).abs_diff(at))
 }
 
-/// Counts of differences in bins.
+/// Histogram of the differences of pairs.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Histogram {
+pub struct DifferenceHistogram {
     /// Width of a bin, ns.
     pub bin_ns: i64,
     /// Lower edge of the first bin, ns.
     pub first_ns: i64,
-    /// Differences in each bin.
+    /// Number of differences in each bin.
     pub counts: Vec<u64>,
 }
 
-/// At most this many bins.
+/// Largest number of bins, save for extreme ranges.
 const BINS: i64 = 60;
 
-/// A histogram over all differences, with bins of 1, 2 or 5 · 10ⁿ ns. `None` without pairs.
-pub(crate) fn histogram(pairs: &[Pair]) -> Option<Histogram> {
+/// Returns the histogram of all differences, with bins of 1, 2 or 5 · 10ⁿ ns; `None` without
+/// pairs.
+pub(crate) fn histogram(pairs: &[Pair]) -> Option<DifferenceHistogram> {
     let smallest = pairs.iter().map(|pair| pair.difference).min()?;
     let largest = pairs.iter().map(|pair| pair.difference).max()?;
     let range = largest.saturating_sub(smallest).saturating_add(1);
@@ -96,17 +98,17 @@ pub(crate) fn histogram(pairs: &[Pair]) -> Option<Histogram> {
             *count += 1;
         }
     }
-    Some(Histogram {
+    Some(DifferenceHistogram {
         bin_ns,
         first_ns,
         counts,
     })
 }
 
-/// The pairs near to the median: within ten times the distance of the quartiles of
-/// them. What is further away (pairs before the trigger has arrived on the phone's
-/// frames) would hide the shape of all others in a histogram.
-pub(crate) fn central(pairs: &[Pair], spread: &Spread) -> Vec<Pair> {
+/// Returns the pairs near the median: no farther from the quartiles than ten times the distance
+/// of the quartiles. Others (from before the trigger has arrived on the phone's
+/// frames) would hide the shape of the histogram.
+pub(crate) fn central(pairs: &[Pair], spread: &DifferenceSpread) -> Vec<Pair> {
     let [low, high] = spread.quartiles_ns;
     let reach = high.saturating_sub(low).max(1_000).saturating_mul(10);
     let range = low.saturating_sub(reach)..=high.saturating_add(reach);
@@ -114,10 +116,10 @@ pub(crate) fn central(pairs: &[Pair], spread: &Spread) -> Vec<Pair> {
     pairs.iter().filter(near).copied().collect()
 }
 
-/// Median and spread of the differences.
+/// Distribution of the differences of pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Spread {
-    /// Pairs.
+pub struct DifferenceSpread {
+    /// Number of pairs.
     pub count: usize,
     /// Median, ns.
     pub median_ns: i64,
@@ -127,8 +129,8 @@ pub struct Spread {
     pub range_ns: [i64; 2],
 }
 
-/// The spread of the differences; `None` without pairs.
-pub(crate) fn spread(pairs: &[Pair]) -> Option<Spread> {
+/// Returns the distribution of the differences; `None` without pairs.
+pub(crate) fn spread(pairs: &[Pair]) -> Option<DifferenceSpread> {
     let mut sorted: Vec<i64> = pairs.iter().map(|pair| pair.difference).collect();
     sorted.sort_unstable();
     let at = |numerator: usize| {
@@ -136,7 +138,7 @@ pub(crate) fn spread(pairs: &[Pair]) -> Option<Spread> {
             .get((sorted.len().saturating_sub(1)) * numerator / 4)
             .copied()
     };
-    Some(Spread {
+    Some(DifferenceSpread {
         count: sorted.len(),
         median_ns: at(2)?,
         quartiles_ns: [at(1)?, at(3)?],

@@ -1,35 +1,36 @@
-//! Where a phone's frames lie against the grid of the trigger.
+//! Offset of a phone's frames from the grid of the trigger.
 //!
-//! The trigger follows one phone. The frames of that one should lie on the grid, and
-//! those of another at a distance that is constant as far as the two phones' frame
-//! periods are the same. Both are measured here, depth minus phone, from the extracted
-//! times: a straight line through the distance of each centre of a depth exposure
-//! (pulse and constant) to the nearest frame, followed over the places where another
+//! The trigger follows one phone, whose frames should lie on the grid.
+//! Another phone's frames are at a distance that is constant as far as the two phones' frame
+//! periods are the same. Both are measured here as depth minus phone, from the extracted
+//! times: a straight line is fitted to the distance of each centre of a depth exposure
+//! (pulse and constant) from the nearest frame, unwrapped where another
 //! frame becomes the nearest.
 
 use crate::depth::depth_clock::fit::straight;
 use crate::frames::pairs::nearest;
 use crate::time::{BoardNanos, median_step};
 
-/// Pulses that a line is fitted through, at least.
+/// Fewest pulses for the fit of a line.
 const MIN_PULSES: usize = 10;
 
-/// The frames of a phone against the trigger's grid.
+/// Offset of a phone's frames from the trigger's grid.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct GridReport {
-    /// Pulses with a frame near them.
+pub struct TriggerOffset {
+    /// Number of pulses with a frame near them.
     pub pulses: usize,
-    /// Depth minus phone: the centre of exposure that the pulse makes minus the middle of
-    /// exposure of the phone's middle row, at the first pulse, from the line, µs.
+    /// Depth minus phone at the first pulse, by the fitted line, µs: the centre of the exposure
+    /// that the pulse triggers minus the middle of exposure of the phone's middle row.
     pub offset_us: f64,
-    /// How it changes, µs/min; positive: the depth camera falls behind.
+    /// Change of the offset, µs/min; positive if the depth camera gets later.
     pub drift_us_per_min: f64,
-    /// Root mean square about the line, µs.
+    /// Root mean square of the distances from the line, µs.
     pub residual_us: f64,
 }
 
-/// Measures it: frames and centres in board time, in order. `None` for too few.
-pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
+/// Measures the offset. Frames and centres of exposure are in board time and in order. Returns
+/// `None` if there are too few.
+pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<TriggerOffset> {
     let period = median_step(frames.iter().map(|frame| frame.0))?;
     if period <= 0 {
         return None;
@@ -39,7 +40,7 @@ pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<G
     for centre in centres {
         let near = nearest(frames, centre.0, |frame| frame.0);
         let distance = near.map(|place| centre.0.saturating_sub(frames[place].0));
-        // Before the first frame, after the last, or where frames are missing.
+        // No frame is near before the first one, after the last one, or where frames are missing.
         let Some(distance) = distance.filter(|distance| distance.abs() <= period / 2 + period / 8)
         else {
             continue;
@@ -59,7 +60,7 @@ pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<G
         .iter()
         .map(|(x, y)| (y - offset - slope * x).powi(2))
         .sum();
-    Some(GridReport {
+    Some(TriggerOffset {
         pulses: points.len(),
         offset_us: offset * 1e-3,
         drift_us_per_min: slope * 60e-3,
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn offset_and_drift_are_found_over_the_turn_of_a_frame() {
+    fn offset_and_drift_are_measured_across_a_change_of_the_nearest_frame() {
         // 14 ms late and 3 µs a frame slower: after 900 frames another is nearest.
         let centres = train(5_000_000_000, 33_330_000.0, 1_800);
         let frames = train(5_014_000_000 - 66_660_000, 33_333_000.0, 1_900);
@@ -98,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn too_little_is_nothing() {
+    fn too_few_frames_or_centres_have_no_offset() {
         let frames = train(0, 33e6, 50);
         assert_eq!(measure(&frames, &[]), None);
         assert_eq!(measure(&frames[..1], &frames), None);

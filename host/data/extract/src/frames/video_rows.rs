@@ -1,31 +1,31 @@
-//! The phone's frames: which timestamp belongs to which image.
+//! Matches the images of a phone's video to the rows of its timestamps.
 //!
-//! The app writes one timestamp a frame, and the encoder one image a frame. Where
-//! the counts agree, they belong together in order; a row that is left out (a frame that
-//! the app got twice has one timestamp twice) takes its image along. Where they do not, rows and
-//! images are matched by time: the images' presentation times in the video
-//! repeat the distances of the timestamps (both come from the sensor). If the
-//! video is too regular to tell which end is missing, that is said, and both are
-//! taken to begin together.
+//! The app writes one timestamp per frame, and the encoder one image per frame. Where
+//! the counts agree, they are matched in order; a row that is left out (for a frame that
+//! the app received twice, a repeated timestamp) still has its image. Otherwise rows and
+//! images are matched by time: the images' presentation times in the video have
+//! the same distances as the timestamps (both come from the sensor). If the
+//! video is too regular to show which end is missing, the two are assumed to begin together,
+//! with a remark.
 
 use crate::time::{PhoneNanos, median_step};
 
-/// How many rows or images may be missing at the beginning.
+/// Largest number of rows or images that may be missing at the beginning.
 const MAX_SHIFT: usize = 600;
-/// Distances that agree to this are the same frame at two shifts, ns.
+/// Largest difference in scatter at which two shifts fit equally well, ns.
 const ALIKE: f64 = 200e3;
 
-/// Which row of the timestamps each image has.
+/// Row of the timestamps for each image of a video.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Alignment {
-    /// For each image, its row.
+pub(crate) struct VideoRows {
+    /// Row of each image.
     pub(crate) rows: Vec<Option<usize>>,
-    /// What is worth saying.
+    /// Description of what did not match.
     pub(crate) remark: Option<String>,
 }
 
-impl Alignment {
-    /// Images and rows in order: what is left when there are no presentation times.
+impl VideoRows {
+    /// Matches images and rows in order, for want of presentation times.
     pub(crate) fn in_order(images: usize, rows: usize) -> Self {
         Self {
             rows: (0..images)
@@ -35,8 +35,8 @@ impl Alignment {
         }
     }
 
-    /// An image for each row of the timestamps' file, also for one that was left out.
-    pub(crate) fn of_rows(rows: &[Option<PhoneNanos>]) -> Self {
+    /// Assumes an image for each row of the timestamps' file, also for one that was left out.
+    pub(crate) fn image_per_row(rows: &[Option<PhoneNanos>]) -> Self {
         let mut kept = 0..;
         let place = |row: &Option<PhoneNanos>| row.and_then(|_| kept.next());
         Self {
@@ -46,10 +46,10 @@ impl Alignment {
     }
 }
 
-/// Aligns images (presentation times in ns from the first) with timestamps.
-pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
+/// Matches images (presentation times in ns from the first) to timestamps.
+pub(crate) fn match_by_time(images: &[i64], stamps: &[PhoneNanos]) -> VideoRows {
     if images.len() == stamps.len() {
-        return Alignment::in_order(images.len(), stamps.len());
+        return VideoRows::in_order(images.len(), stamps.len());
     }
     let remark = format!(
         "the video has {} frames and there are {} timestamps",
@@ -76,11 +76,11 @@ pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
     };
     tries.sort_by(better);
     let Some(best) = tries.first() else {
-        return Alignment {
+        return VideoRows {
             remark: Some(format!(
                 "{remark}, and no presentation times to match them by"
             )),
-            ..Alignment::in_order(images.len(), stamps.len())
+            ..VideoRows::in_order(images.len(), stamps.len())
         };
     };
     let ambiguous = tries.iter().skip(1).any(|other| {
@@ -89,15 +89,15 @@ pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
             && (other.scatter - best.scatter).abs() < ALIKE
     });
     if ambiguous {
-        return Alignment {
+        return VideoRows {
             remark: Some(format!(
                 "{remark}; the video is too regular to tell which frames are missing: both are taken \
                  to begin with the same frame"
             )),
-            ..Alignment::in_order(images.len(), stamps.len())
+            ..VideoRows::in_order(images.len(), stamps.len())
         };
     }
-    Alignment {
+    VideoRows {
         remark: Some(format!(
             "{remark}; matched by time, {} timestamps have no image and {} images no timestamp",
             stamps.len() - best.matched,
@@ -164,15 +164,15 @@ mod tests {
     #[test]
     fn equal_counts_belong_together() {
         let rows = stamps(100);
-        let found = align(&presentation(&rows), &rows);
-        assert_eq!(found, Alignment::in_order(100, 100));
+        let found = match_by_time(&presentation(&rows), &rows);
+        assert_eq!(found, VideoRows::in_order(100, 100));
     }
 
     #[test]
     fn a_row_that_was_left_out_has_its_image() {
         let mut rows: Vec<Option<PhoneNanos>> = stamps(4).into_iter().map(Some).collect();
         rows[1] = None;
-        let found = Alignment::of_rows(&rows);
+        let found = VideoRows::image_per_row(&rows);
         assert_eq!(found.rows, [Some(0), None, Some(1), Some(2)]);
     }
 
@@ -182,7 +182,7 @@ mod tests {
         let mut kept = rows.clone();
         kept.drain(100..103);
         kept.remove(200);
-        let found = align(&presentation(&kept), &rows);
+        let found = match_by_time(&presentation(&kept), &rows);
         for (image, row) in found.rows.iter().enumerate() {
             assert_eq!(row.map(|row| rows[row]), Some(kept[image]));
         }
@@ -194,16 +194,16 @@ mod tests {
     #[test]
     fn a_regular_video_short_of_a_frame_is_ambiguous() {
         let rows = stamps(300);
-        let found = align(&presentation(&rows[..299]), &rows);
+        let found = match_by_time(&presentation(&rows[..299]), &rows);
         assert!(found.remark.unwrap().contains("too regular"));
-        assert_eq!(found.rows, Alignment::in_order(299, 300).rows);
+        assert_eq!(found.rows, VideoRows::in_order(299, 300).rows);
     }
 
     /// Images without a timestamp between two that belong together.
     #[test]
     fn each_timestamp_has_one_image_at_most() {
         let stamps = [0, 33_300_000].map(PhoneNanos);
-        let found = align(&[0, 1, 2, 3, 4, 33_300_000], &stamps);
+        let found = match_by_time(&[0, 1, 2, 3, 4, 33_300_000], &stamps);
         let matched = found.rows.iter().flatten();
         assert_eq!(matched.collect::<Vec<_>>(), [&0, &1], "{found:?}");
         let remark = found.remark.unwrap();
@@ -213,9 +213,12 @@ mod tests {
 
     #[test]
     fn nothing_to_match_does_not_panic() {
-        assert_eq!(align(&[], &stamps(3)).rows, Vec::<Option<usize>>::new());
-        assert_eq!(align(&[0, 5], &[]).rows, [None, None]);
-        let _ = align(
+        assert_eq!(
+            match_by_time(&[], &stamps(3)).rows,
+            Vec::<Option<usize>>::new()
+        );
+        assert_eq!(match_by_time(&[0, 5], &[]).rows, [None, None]);
+        let _ = match_by_time(
             &[i64::MIN, i64::MAX, 0],
             &[PhoneNanos(i64::MAX), PhoneNanos(i64::MIN)],
         );

@@ -1,6 +1,6 @@
 //! The depth camera's own calibration, `calibration.json` of its recording.
 //!
-//! Intrinsics are those of the whole sensor, in parts of its size with (0, 0) at the
+//! Intrinsics are relative to the whole sensor, as fractions of its size with (0, 0) at the
 //! corner; each mode bins and crops it (`src/transformation/mode_specific_calibration.c`
 //! of the maker's SDK). Parameters are cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1
 //! (`k4atypes.h`). Translations are in metres, from depth to the camera.
@@ -8,14 +8,22 @@
 use recording::profile::{DistortionModel, Intrinsics, Pose};
 use serde::Deserialize;
 
-use super::lens::{Lens, Model};
+use super::lens::{Lens, LensModel};
+use super::register::ImageGeometry;
 
-/// Tangent up to which a calibration holds that does not say it
+/// Largest tangent covered by a calibration that does not state it
 /// (`src/calibration/calibration.c`).
 const DEFAULT_RADIUS: f64 = 1.7;
 
-/// Size of the binned sensor, what is cut off before the image, and the image's size.
-type Crop = ([f64; 2], [f64; 2], (u32, u32));
+/// Part of the sensor that a mode's images show, in pixels of the mode.
+struct Crop {
+    /// Width and height of the whole, binned sensor.
+    sensor: [f64; 2],
+    /// Columns and rows of it before the image.
+    origin: [f64; 2],
+    /// Width and height of the image.
+    size: (u32, u32),
+}
 
 #[derive(Deserialize)]
 #[serde(rename_all = "PascalCase")]
@@ -55,29 +63,43 @@ struct RawPose {
     translation: [f64; 3],
 }
 
-/// One of its cameras in the mode of a recording.
+/// One of the device's cameras, in the mode of a recording.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Camera {
+pub(crate) struct CalibratedCamera {
     pub(crate) lens: Lens,
+    /// Width and height of the images in pixels.
     pub(crate) size: (u32, u32),
-    /// As other programs take them; not for the maker's older model.
+    /// Intrinsics in the form of other programs, which do not know the maker's older model.
     pub(crate) intrinsics: Option<Intrinsics>,
-    /// From the device's origin, which is the depth camera.
+    /// Pose: from the device's origin, which is the depth camera, to this camera.
     pose: Pose,
 }
 
-/// Both cameras.
+impl CalibratedCamera {
+    /// Returns lens and size of the images.
+    pub(crate) fn image(&self) -> ImageGeometry<'_> {
+        ImageGeometry {
+            lens: &self.lens,
+            size: self.size,
+        }
+    }
+}
+
+/// Calibration of depth and colour camera.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Calibration {
-    pub(crate) depth: Camera,
-    /// If colour was recorded.
-    pub(crate) color: Option<Camera>,
-    /// The pose of colour, whether it was recorded or not.
+    pub(crate) depth: CalibratedCamera,
+    /// The colour camera, if colour was recorded.
+    pub(crate) color: Option<CalibratedCamera>,
+    /// Pose of the colour camera, also without recorded colour.
     pub(crate) color_from_depth: Pose,
 }
 
-/// Reads it for the mode and the size of depth, and the size of colour. The error says
-/// what was found and what was expected.
+/// Reads a calibration for the depth mode `mode` and for colour images of the size `color`.
+///
+/// # Errors
+///
+/// Returns what was found and what was expected.
 pub(crate) fn read(
     json: &[u8],
     mode: Option<&str>,
@@ -123,18 +145,25 @@ pub(crate) fn read(
     })
 }
 
+/// Returns the part of the sensor that a depth mode shows; `None` for an unknown mode.
 fn depth_crop(mode: &str) -> Option<Crop> {
-    match mode {
-        "NFOV_UNBINNED" => Some(([1024.0; 2], [192.0, 180.0], (640, 576))),
-        "NFOV_2X2BINNED" => Some(([512.0; 2], [96.0, 90.0], (320, 288))),
-        "WFOV_UNBINNED" | "PASSIVE_IR" => Some(([1024.0; 2], [0.0; 2], (1024, 1024))),
-        "WFOV_2X2BINNED" => Some(([512.0; 2], [0.0; 2], (512, 512))),
-        _ => None,
-    }
+    let (sensor, origin, size) = match mode {
+        "NFOV_UNBINNED" => (1024.0, [192.0, 180.0], (640, 576)),
+        "NFOV_2X2BINNED" => (512.0, [96.0, 90.0], (320, 288)),
+        "WFOV_UNBINNED" | "PASSIVE_IR" => (1024.0, [0.0; 2], (1024, 1024)),
+        "WFOV_2X2BINNED" => (512.0, [0.0; 2], (512, 512)),
+        _ => return None,
+    };
+    Some(Crop {
+        sensor: [sensor; 2],
+        origin,
+        size,
+    })
 }
 
-/// The sensor has 4:3; images of 16:9 are cut out of its middle. Calibrations of the
-/// first cameras are of such images.
+/// Returns the part of the sensor that colour images of a size show; `None` for an unknown size
+/// or calibration. The sensor is 4:3, images of 16:9 are its middle. The first cameras have
+/// calibrations of 16:9 images.
 fn color_crop(raw: &Raw, (width, height): (u32, u32)) -> Option<Crop> {
     let known = [
         (1280, 720),
@@ -149,17 +178,27 @@ fn color_crop(raw: &Raw, (width, height): (u32, u32)) -> Option<Crop> {
     }
     let whole = [f64::from(width), f64::from(width) * 0.75];
     let cut = [0.0, 0.5 * (whole[1] - f64::from(height))];
+    let size = (width, height);
     // A calibration of 16:9 has the same width, and its rows begin an eighth later.
     let wide = (raw.sensor_width * 9.0 - raw.sensor_height * 16.0).abs() < 1e-6;
     let four_to_three = (raw.sensor_width * 3.0 - raw.sensor_height * 4.0).abs() < 1e-6;
     if wide {
         let own = [whole[0], whole[0] * 9.0 / 16.0];
         let before = 0.5 * (whole[1] - own[1]);
-        return Some((own, [0.0, cut[1] - before], (width, height)));
+        return Some(Crop {
+            sensor: own,
+            origin: [0.0, cut[1] - before],
+            size,
+        });
     }
-    four_to_three.then_some((whole, cut, (width, height)))
+    four_to_three.then_some(Crop {
+        sensor: whole,
+        origin: cut,
+        size,
+    })
 }
 
+/// Reads a pose, unless it has absurd values.
 fn pose(raw: &RawPose) -> Result<Pose, String> {
     let row = |row: usize| [0, 1, 2].map(|column| raw.rotation[3 * row + column]);
     let rotation = [row(0), row(1), row(2)];
@@ -173,7 +212,13 @@ fn pose(raw: &RawPose) -> Result<Pose, String> {
     }
 }
 
-fn camera(raw: &Raw, (binned, crop, size): Crop) -> Result<Camera, String> {
+/// Reads a camera for the part of its sensor that the images show.
+fn camera(raw: &Raw, crop: Crop) -> Result<CalibratedCamera, String> {
+    let Crop {
+        sensor,
+        origin,
+        size,
+    } = crop;
     let Some(&[cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1]) =
         raw.intrinsics.model_parameters.first_chunk::<14>()
     else {
@@ -194,17 +239,17 @@ fn camera(raw: &Raw, (binned, crop, size): Crop) -> Result<Camera, String> {
         }
     };
     // Pixels count from the centre of the first.
-    let focal = [fx * binned[0], fy * binned[1]];
+    let focal = [fx * sensor[0], fy * sensor[1]];
     let center = [
-        cx * binned[0] - crop[0] - 0.5,
-        cy * binned[1] - crop[1] - 0.5,
+        cx * sensor[0] - origin[0] - 0.5,
+        cy * sensor[1] - origin[1] - 0.5,
     ];
     if !(focal.iter().all(|&side| side > 0.0 && side < 1e6)) {
         return Err(format!(
             "the camera's calibration.json has focal lengths of {focal:?} pixels"
         ));
     }
-    let model = Model::Brown {
+    let model = LensModel::Brown {
         radial: [k1, k2, k3, k4, k5, k6],
         tangential: [p1, p2],
         center: if brown { [0.0; 2] } else { [codx, cody] },
@@ -221,7 +266,7 @@ fn camera(raw: &Raw, (binned, crop, size): Crop) -> Result<Camera, String> {
         distortion: DistortionModel::Rational,
         coefficients: vec![k1, k2, p1, p2, k3, k4, k5, k6],
     });
-    Ok(Camera {
+    Ok(CalibratedCamera {
         lens: Lens::new(focal, center, model, Some(radius)),
         size,
         intrinsics,
@@ -241,14 +286,14 @@ mod tests {
     }
 
     #[test]
-    fn a_mode_is_a_part_of_the_sensor() {
+    fn each_mode_shows_its_part_of_the_sensor() {
         let near = |found: [f64; 2], expected: [f64; 2]| {
             let is_near = |axis: usize| (found[axis] - expected[axis]).abs() < 1e-9;
             assert!(is_near(0) && is_near(1), "{found:?} and {expected:?}");
         };
         let found = read(file().as_bytes(), Some("NFOV_UNBINNED"), Some((1920, 1080))).unwrap();
         let depth = found.depth.intrinsics.unwrap();
-        // Less the 192 columns and 180 rows that are cut off, from the first pixel's centre.
+        // Without the 192 columns and 180 rows before it, from the first pixel's centre.
         near(
             depth.center,
             [0.502 * 1024.0 - 192.5, 0.498 * 1024.0 - 180.5],
@@ -266,9 +311,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_and_nothing_panics() {
+    fn faults_are_named_and_random_damage_does_not_panic() {
         let good = file();
-        for (from, to, told) in [
+        for (from, to, message) in [
             (
                 "LocationD0",
                 "LocationX",
@@ -284,7 +329,7 @@ mod tests {
                 Some("NFOV_UNBINNED"),
                 None,
             );
-            assert!(error.unwrap_err().contains(told), "{from}");
+            assert!(error.unwrap_err().contains(message), "{from}");
         }
         assert!(
             read(good.as_bytes(), Some("OFF"), None)
@@ -293,12 +338,11 @@ mod tests {
         );
         assert!(read(good.as_bytes(), Some("NFOV_UNBINNED"), Some((7, 7))).is_err());
         let mut random = Pcg64::seed_from_u64(1);
-        let mut below = |end: usize| random.random_range(0..end);
         for _ in 0..3_000 {
             let mut bad = good.clone().into_bytes();
-            for _ in 0..=below(4) {
-                let at = below(bad.len());
-                bad[at] = b"0123456789e-.,[]{}\"x"[below(20)];
+            for _ in 0..random.random_range(1..=4) {
+                let at = random.random_range(0..bad.len());
+                bad[at] = b"0123456789e-.,[]{}\"x"[random.random_range(0..20)];
             }
             if let Ok(found) = read(&bad, Some("NFOV_UNBINNED"), Some((1280, 720))) {
                 for pixel in [[0.0, 0.0], [639.0, 575.0]] {

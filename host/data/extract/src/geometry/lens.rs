@@ -1,4 +1,4 @@
-//! From rays to pixels and back.
+//! Projection of rays to pixels and back.
 //!
 //! The models are those of OpenCV and Kalibr (radial-tangential, rational, equidistant)
 //! and the older one of the depth camera's maker, which differs in the factor of the
@@ -6,25 +6,25 @@
 
 use recording::profile::{DistortionModel, Intrinsics};
 
-/// Largest distance from the axis, as a tangent, at which a lens is looked at.
+/// Largest distance from the axis that is considered, as a tangent.
 const WIDEST: f64 = 4.0;
-/// Steps of the search for the widest view.
+/// Number of steps of the search for the turning point.
 const STEPS: u32 = 400;
-/// Rounds of Newton's method.
+/// Largest number of rounds of Newton's method.
 const ROUNDS: u32 = 30;
-/// Pixels; a ray must come back this near.
+/// Largest error of a ray that is accepted, pixels.
 const CLOSE: f64 = 1e-3;
 
-/// How a lens bends.
+/// Distortion model of a lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Model {
-    /// Polynomials of the radius, and the tangential part.
+pub(crate) enum LensModel {
+    /// A ratio of polynomials of the radius, and a tangential part.
     Brown {
-        /// k1 to k6; the last three are of the denominator.
+        /// k1 to k6; the last three belong to the denominator.
         radial: [f64; 6],
         /// p1 and p2.
         tangential: [f64; 2],
-        /// The centre of distortion on the plane at distance 1.
+        /// Centre of distortion on the plane at distance 1.
         center: [f64; 2],
         /// Factor of the mixed term: 2, or 1 in the maker's older model.
         mixed: f64,
@@ -33,22 +33,23 @@ pub(crate) enum Model {
     Equidistant([f64; 4]),
 }
 
-/// A camera without its place.
+/// Projection of a camera, without its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lens {
     focal: [f64; 2],
     center: [f64; 2],
-    model: Model,
-    /// Rays with a larger tangent are outside of the model.
+    model: LensModel,
+    /// Largest tangent of a ray that the model covers.
     radius: f64,
 }
 
 impl Lens {
-    /// `radius` is the largest tangent that the calibration covers, if it says so.
+    /// Creates a lens. `radius` is the largest tangent that the calibration covers, if it is
+    /// stated.
     pub(crate) fn new(
         focal: [f64; 2],
         center: [f64; 2],
-        model: Model,
+        model: LensModel,
         radius: Option<f64>,
     ) -> Self {
         let mut lens = Self {
@@ -61,13 +62,14 @@ impl Lens {
         lens
     }
 
-    pub(crate) fn of(intrinsics: &Intrinsics) -> Self {
+    /// Creates the lens of these intrinsics.
+    pub(crate) fn from_intrinsics(intrinsics: &Intrinsics) -> Self {
         let k = |index: usize| intrinsics.coefficients.get(index).copied().unwrap_or(0.0);
         let model = match intrinsics.distortion {
-            DistortionModel::Equidistant => Model::Equidistant([k(0), k(1), k(2), k(3)]),
-            // The others are the rational one with zeros.
+            DistortionModel::Equidistant => LensModel::Equidistant([k(0), k(1), k(2), k(3)]),
+            // The others are the rational model with zeros.
             DistortionModel::None | DistortionModel::Radtan | DistortionModel::Rational => {
-                Model::Brown {
+                LensModel::Brown {
                     radial: [k(0), k(1), k(4), k(5), k(6), k(7)],
                     tangential: [k(2), k(3)],
                     center: [0.0; 2],
@@ -78,7 +80,7 @@ impl Lens {
         Self::new(intrinsics.focal, intrinsics.center, model, None)
     }
 
-    /// Behind this radius a polynomial turns back, and a pixel has two rays.
+    /// Returns the radius beyond which a polynomial decreases, so that a pixel has two rays.
     fn turning_point(&self) -> f64 {
         let step = WIDEST / f64::from(STEPS);
         let at = |index: u32| {
@@ -93,13 +95,13 @@ impl Lens {
     /// By how much the radial part moves a point outwards.
     fn stretch(&self, square: f64) -> f64 {
         match self.model {
-            Model::Brown { radial, .. } => {
+            LensModel::Brown { radial, .. } => {
                 let [k1, k2, k3, k4, k5, k6] = radial;
                 let above = 1.0 + square * (k1 + square * (k2 + square * k3));
                 let below = 1.0 + square * (k4 + square * (k5 + square * k6));
                 above / below
             }
-            Model::Equidistant([k1, k2, k3, k4]) => {
+            LensModel::Equidistant([k1, k2, k3, k4]) => {
                 let radius = square.sqrt();
                 if radius < 1e-9 {
                     return 1.0;
@@ -111,16 +113,16 @@ impl Lens {
         }
     }
 
-    /// The pixel of a point at (x, y, 1); `None` outside of the model.
+    /// Projects the point (x, y, 1) to a pixel; `None` outside of the model.
     pub(crate) fn project(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
         let ([p1, p2], [cx, cy], mixed) = match self.model {
-            Model::Brown {
+            LensModel::Brown {
                 tangential,
                 center,
                 mixed,
                 ..
             } => (tangential, center, mixed),
-            Model::Equidistant(_) => ([0.0; 2], [0.0; 2], 0.0),
+            LensModel::Equidistant(_) => ([0.0; 2], [0.0; 2], 0.0),
         };
         let (x, y) = (x - cx, y - cy);
         let square = x * x + y * y;
@@ -139,7 +141,7 @@ impl Lens {
         pixel.iter().all(|side| side.is_finite()).then_some(pixel)
     }
 
-    /// The point at distance 1 that a pixel sees; `None` if there is none.
+    /// Returns (x, y) of the point (x, y, 1) that a pixel shows; `None` if there is none.
     pub(crate) fn unproject(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
         const STEP: f64 = 1e-6;
         let mut at = [
@@ -199,7 +201,7 @@ mod tests {
 
     #[test]
     fn every_pixel_comes_back_from_its_ray() {
-        // Of the size that the maker's calibrations have.
+        // As large as in the maker's calibrations.
         let rational = [0.65, 0.04, 1e-4, -8e-5, -4e-3, 0.99, 0.15, -0.02];
         for intrinsics in [
             intrinsics(DistortionModel::None, &[]),
@@ -207,7 +209,7 @@ mod tests {
             intrinsics(DistortionModel::Rational, &rational),
             intrinsics(DistortionModel::Equidistant, &[-0.01, 0.005, 1e-3, -1e-4]),
         ] {
-            let lens = Lens::of(&intrinsics);
+            let lens = Lens::from_intrinsics(&intrinsics);
             for (x, y) in [(0.0, 0.0), (320.5, 331.0), (639.0, 575.0), (12.0, 500.0)] {
                 let ray = lens.unproject([x, y]).unwrap();
                 let back = lens.project(ray).unwrap();
@@ -221,7 +223,8 @@ mod tests {
 
     #[test]
     fn beyond_the_turning_point_there_is_nothing() {
-        let lens = Lens::of(&intrinsics(DistortionModel::Radtan, &[-0.3, 0.0, 0.0, 0.0]));
+        let lens =
+            Lens::from_intrinsics(&intrinsics(DistortionModel::Radtan, &[-0.3, 0.0, 0.0, 0.0]));
         // r − 0.3 r³ turns at r = 1.054.
         assert!(lens.project([1.0, 0.0]).is_some());
         assert_eq!(lens.project([1.1, 0.0]), None);

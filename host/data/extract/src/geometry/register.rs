@@ -1,45 +1,51 @@
-//! Depth images as another camera would see them.
+//! Registration: depth images as another camera would see them.
 //!
-//! Each pixel of depth is a point in space; the points are seen from the other camera's
-//! place through its lens. Between neighbours on one surface depth is interpolated over
-//! the pixels of the other image; where several points fall on a pixel the nearest one
-//! counts. What the depth camera did not see stays 0.
+//! Each pixel of depth is a point in space, which the other camera's pose and lens project to
+//! its image. Between neighbours on one surface, depth is interpolated over
+//! the pixels of the other image; of several points on a pixel, the nearest
+//! counts. Pixels that the depth camera did not see are 0.
 
 use rayon::prelude::*;
 use recording::profile::Pose;
 
 use super::lens::Lens;
 
-/// Neighbours whose depths differ by more than this part are not one surface.
+/// Largest relative difference in depth between neighbours on one surface.
 const JUMP: f32 = 0.05;
-/// Sides of a triangle above this many pixels are not filled: no two neighbours of a
-/// depth image lie so far apart.
+/// Longest side of a triangle that is filled, pixels: no two neighbours of a
+/// depth image are farther apart.
 const LARGEST: f32 = 64.0;
 
-/// From one camera to another.
+/// Lens and image size of a camera.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ImageGeometry<'a> {
+    pub(crate) lens: &'a Lens,
+    /// Width and height of the images in pixels.
+    pub(crate) size: (u32, u32),
+}
+
+/// Registration of depth images from one camera into the view of another.
 #[derive(Clone, Debug)]
 pub(crate) struct Registration {
     size: (u32, u32),
     rays: Vec<Option<[f32; 2]>>,
     pose: Pose,
     lens: Lens,
-    /// Width and height of the images that come out.
+    /// Width and height of the registered images.
     pub(crate) out: (u32, u32),
 }
 
-/// A point in the other image: column, row, and depth in mm.
+/// A point in the registered image: column, row, and depth in mm.
 type Seen = Option<[f32; 3]>;
 
 impl Registration {
-    /// From a camera of `size` to one of size `out`, which is reached by `pose`.
-    pub(crate) fn new(
-        (from, size): (&Lens, (u32, u32)),
-        pose: Pose,
-        (to, out): (&Lens, (u32, u32)),
-    ) -> Self {
+    /// Creates the registration from one camera to another; `pose` leads from the frame of the
+    /// first to that of the second.
+    pub(crate) fn new(from: ImageGeometry<'_>, pose: Pose, to: ImageGeometry<'_>) -> Self {
+        let size = from.size;
         let ray = |index: u32| {
             let pixel = [f64::from(index % size.0), f64::from(index / size.0)];
-            let [x, y] = from.unproject(pixel)?;
+            let [x, y] = from.lens.unproject(pixel)?;
             Some([x as f32, y as f32])
         };
         let rays = (0..size.0 * size.1).into_par_iter().map(ray).collect();
@@ -47,12 +53,12 @@ impl Registration {
             size,
             rays,
             pose,
-            lens: *to,
-            out,
+            lens: *to.lens,
+            out: to.size,
         }
     }
 
-    /// An image of big-endian millimetres as the other camera sees it, in the same form.
+    /// Registers an image of big-endian 16-bit millimetres; returns one in the same form.
     pub(crate) fn apply(&self, millimetres: &[u8]) -> Vec<u8> {
         let (rotation, way) = (self.pose.rotation(), self.pose.translation());
         let see = |(bytes, ray): (&[u8], &Option<[f32; 2]>)| -> Seen {
@@ -98,6 +104,7 @@ impl Registration {
             .collect()
     }
 
+    /// Sets a pixel unless a nearer point is on it.
     fn put(&self, nearest: &mut [f32], column: f32, row: f32, depth: f32) {
         let (width, height) = self.out;
         if column >= 0.0 && row >= 0.0 && column < width as f32 && row < height as f32 {
@@ -108,7 +115,7 @@ impl Registration {
         }
     }
 
-    /// The pixels inside of three neighbours on one surface.
+    /// Fills the pixels between three neighbours on one surface.
     fn fill(&self, nearest: &mut [f32], corners: [Seen; 3]) {
         let [Some(a), Some(b), Some(c)] = corners else {
             return;
@@ -151,7 +158,7 @@ mod tests {
     use super::*;
 
     fn pinhole(width: u32, height: u32, focal: f64) -> Lens {
-        Lens::of(&Intrinsics {
+        Lens::from_intrinsics(&Intrinsics {
             width,
             height,
             focal: [focal; 2],
@@ -171,13 +178,19 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_is_moved_by_the_baseline_and_hides_what_is_behind() {
+    fn a_box_moves_by_the_baseline_and_hides_the_wall_behind_it() {
         let (small, large) = (pinhole(64, 48, 60.0), pinhole(160, 120, 150.0));
         // The other camera sits 100 mm to the left: all moves right by 150 · 100 / z.
         let registration = Registration::new(
-            (&small, (64, 48)),
+            ImageGeometry {
+                lens: &small,
+                size: (64, 48),
+            },
             identity([0.1, 0.0, 0.05]),
-            (&large, (160, 120)),
+            ImageGeometry {
+                lens: &large,
+                size: (160, 120),
+            },
         );
         let mut image = vec![0; 64 * 48 * 2];
         for (index, bytes) in image.chunks_exact_mut(2).enumerate() {

@@ -149,7 +149,7 @@ impl BoardStream {
     ///
     /// # Errors
     ///
-    /// It cannot be opened.
+    /// Fails if it cannot be opened.
     pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         Ok(Self {
             walk: Walk::open(path, monitor)?,
@@ -193,7 +193,7 @@ impl BoardStream {
 
     /// What could not be read so far, in words.
     pub(crate) fn damage(&self) -> Vec<String> {
-        self.sorter.faults.words("damaged parts")
+        self.sorter.faults.summary("damaged parts")
     }
 }
 

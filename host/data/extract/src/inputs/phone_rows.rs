@@ -1,4 +1,4 @@
-//! The rows of the phone's files as streams; damaged rows are left out and named.
+//! Rows of the phone's CSV files as streams; damaged rows are left out and listed.
 
 use std::io::{self, BufReader};
 use std::path::Path;
@@ -10,17 +10,19 @@ use system::{Input, ReadMonitor};
 use crate::faults::Faults;
 use crate::time::PhoneNanos;
 
-/// How many damaged rows are kept with their text.
+/// Largest number of damaged rows that are described.
 const MAX_FAULTS: usize = 20;
 
 type FileRows = Rows<BufReader<Input>>;
 
+/// Rows of one of the phone's files.
 pub(crate) struct PhoneRows {
     rows: FileRows,
     faults: Faults,
 }
 
 impl PhoneRows {
+    /// Opens a file at its first row.
     pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> io::Result<Self> {
         let file = system::open(path, monitor)?.skipping_holes();
         let file = BufReader::with_capacity(256 * 1024, file);
@@ -30,7 +32,7 @@ impl PhoneRows {
         })
     }
 
-    /// The next sample of a gyroscope or accelerometer; `None` at the end.
+    /// Reads the next sample of a gyroscope or accelerometer; `None` at the end.
     pub(crate) fn next_sample(&mut self) -> io::Result<Option<PhoneSample>> {
         loop {
             if let Some(sample) = self.next(Rows::next_sample)? {
@@ -39,7 +41,7 @@ impl PhoneRows {
         }
     }
 
-    /// The timestamps of all frames, in the order of the rows; nothing for a damaged row.
+    /// Reads the timestamps of all frames, in the order of the rows; `None` for a damaged row.
     pub(crate) fn timestamps(&mut self) -> io::Result<Vec<Option<PhoneNanos>>> {
         let mut stamps = Vec::new();
         loop {
@@ -51,11 +53,12 @@ impl PhoneRows {
         }
     }
 
+    /// Returns the damaged rows so far.
     pub(crate) fn faults(&self) -> &Faults {
         &self.faults
     }
 
-    /// What `next` gives; nothing for a damaged row, which is kept among the faults.
+    /// Reads a row by `next`; `None` for a damaged row, which is added to the faults.
     fn next<T>(&mut self, next: fn(&mut FileRows) -> Result<T, RowError>) -> io::Result<Option<T>> {
         match next(&mut self.rows) {
             Ok(row) => Ok(Some(row)),

@@ -1,4 +1,4 @@
-//! The first pass over the board's recording: everything but the samples.
+//! First pass over the board's recording: everything except the samples.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,59 +13,60 @@ use clock::ClockRelation;
 use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange};
 
-/// Pulses, pairs of times and exchanges that are kept of any recording; 12 hours of a
-/// camera's pulses are 1.3 million.
+/// Number of pulses, pairs of times and exchanges that are kept of any recording; 12 hours of
+/// pulses at 30 Hz are 1.3 million.
 const EVENTS: u64 = 3_000_000;
-/// Bytes of a longer recording to one more.
+/// Bytes of a longer recording for each additional one.
 const BYTES_AN_EVENT: u64 = 64;
-/// The most marks and names of sensors or phones that are read, and the longest name in
-/// bytes.
+/// Largest number of marks.
 const MARKS: usize = 1_000;
+/// Largest number of names of sensors, and of phones.
 const NAMES: usize = 100;
+/// Longest name, bytes.
 const NAME_LENGTH: usize = 400;
 
 /// Relations of phones' clocks to the board's, by the names of the phones.
 pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockRelation>;
 
-/// What the board recorded, in short.
+/// Everything that the board recorded, with a summary of its samples.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Survey {
     /// Pulses in order of time, each once.
     pub(crate) pulses: Vec<PulseTime>,
-    /// Marks.
+    /// Times of the marks.
     pub(crate) marks: Vec<BoardNanos>,
     /// Pairs of times.
     pub(crate) times: Vec<TimePair>,
-    /// The last relation that was recorded of each phone; without a name, of the one
+    /// Last recorded relation of each phone's clock; without a name, that of the phone
     /// that the trigger was aligned to.
     pub(crate) clocks: PhoneClocks,
-    /// The IMU's samples.
+    /// Summary of the IMU's samples.
     pub(crate) imu: ImuSpan,
-    /// Exchanges with the clocks of the board and of the phone that was followed.
+    /// Exchanges with the clocks of the board and of the phone that the trigger follows.
     pub(crate) exchanges: Vec<(Asked, Exchange)>,
-    /// The recording is a bag of the published system.
+    /// True if the recording is a bag of the published system.
     pub(crate) published: bool,
-    /// What could not be read, in words.
+    /// Descriptions of unreadable parts.
     pub(crate) damage: Vec<String>,
 }
 
-/// The samples of an IMU in short.
+/// Summary of an IMU's samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct ImuSpan {
-    /// How many.
+    /// Number of samples.
     pub samples: u64,
     /// Time of the first, ns.
     pub first_ns: i64,
     /// Time of the last, ns.
     pub last_ns: i64,
-    /// Samples whose time is not after the one before.
+    /// Number of samples that are not later than the one before.
     pub disordered: u64,
-    /// Samples that the board has marked as late or at the end of their range.
+    /// Number of samples that the board marked as late or at the end of their range.
     pub marked: u64,
 }
 
 impl ImuSpan {
-    /// Takes a sample's time.
+    /// Adds a sample by its time, ns.
     pub(crate) fn add(&mut self, at: i64) {
         if self.samples == 0 {
             self.first_ns = at;
@@ -78,7 +79,7 @@ impl ImuSpan {
         self.samples += 1;
     }
 
-    /// Samples a second; `None` with fewer than two.
+    /// Returns the mean rate, Hz; `None` for fewer than two samples.
     pub(crate) fn rate(&self) -> Option<f64> {
         let span = self.last_ns.saturating_sub(self.first_ns);
         (self.samples > 1 && span > 0)
@@ -87,12 +88,12 @@ impl ImuSpan {
 }
 
 impl Survey {
-    /// Median distance of pulses, ns.
+    /// Returns the median distance of pulses, ns.
     pub(crate) fn pulse_period(&self) -> Option<i64> {
         median_step(self.pulses.iter().map(|pulse| pulse.at.0))
     }
 
-    /// Pulses that are missing within a train: (train, first number, how many).
+    /// Returns the gaps within trains: (train, first missing number, count).
     pub(crate) fn missing_pulses(&self) -> impl Iterator<Item = (u32, u64, u64)> {
         let step = |pair: &[PulseTime]| {
             let same = pair[0].train == pair[1].train;
@@ -103,18 +104,18 @@ impl Survey {
     }
 }
 
-/// What is kept of a recording of a given length, so that no file costs more memory than
-/// a multiple of its own length.
-struct Keeper {
+/// Collects a survey within limits, so that no file takes more memory than
+/// a multiple of its length.
+struct Collector {
     out: Survey,
-    /// Pulses and pairs that are still taken.
+    /// Number of pulses, pairs and exchanges that may still be added.
     room: u64,
     /// Names of the sensors on auxiliary outputs.
     outputs: BTreeSet<Arc<str>>,
     left_out: BTreeMap<&'static str, u64>,
 }
 
-impl Keeper {
+impl Collector {
     fn new(length: u64) -> Self {
         Self {
             out: Survey::default(),
@@ -124,7 +125,8 @@ impl Keeper {
         }
     }
 
-    fn take(&mut self, event: BoardEvent) {
+    /// Adds an event.
+    fn add(&mut self, event: BoardEvent) {
         let out = &mut self.out;
         match event {
             BoardEvent::Imu(row) => out.imu.add(row.at.0),
@@ -145,7 +147,7 @@ impl Keeper {
                 self.room -= 1;
                 out.pulses.push(pulse);
             }
-            BoardEvent::Times(pair) => match self.known(&pair.of) {
+            BoardEvent::Times(pair) => match self.shared(&pair.of) {
                 Some(of) => {
                     self.room -= 1;
                     self.out.times.push(TimePair { of, ..pair });
@@ -166,8 +168,9 @@ impl Keeper {
         }
     }
 
-    /// The same, with the one copy of an output's name that all its pairs share.
-    fn known(&mut self, of: &Reference) -> Option<Reference> {
+    /// Returns the same reference with a name that all pairs of an output share; `None` beyond
+    /// the limits.
+    fn shared(&mut self, of: &Reference) -> Option<Reference> {
         let Reference::Output(name) = of else {
             return Some(of.clone());
         };
@@ -181,26 +184,27 @@ impl Keeper {
         })
     }
 
+    /// Counts an event that is left out.
     fn leave_out(&mut self, what: &'static str) {
         *self.left_out.entry(what).or_default() += 1;
     }
 }
 
-/// Reads the recording once.
+/// Surveys a recording.
 ///
 /// # Errors
 ///
-/// The recording cannot be read.
+/// Fails if the recording cannot be read.
 pub(crate) fn survey(board: &Path, monitor: &ReadMonitor) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
-    let mut keeper = Keeper::new(length);
+    let mut collector = Collector::new(length);
     let mut damage = each_event(board, monitor, |event| {
-        keeper.take(event);
+        collector.add(event);
         Ok(())
     })?;
-    let left_out = keeper.left_out.iter();
+    let left_out = collector.left_out.iter();
     damage.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));
-    let mut out = keeper.out;
+    let mut out = collector.out;
     out.damage = damage;
     out.pulses.sort_by_key(|pulse| (pulse.at, pulse.number));
     out.pulses.dedup_by_key(|pulse| (pulse.train, pulse.number));

@@ -1,8 +1,8 @@
 //! Pulses of the auxiliary outputs and of the pulse per second, for the layouts that
 //! have no folders of topics.
 //!
-//! `outputs/NAME.csv` with the board time of each pulse; a lidar's also has the UTC that
-//! it was told for the same instant, and is `outputs/gnss.csv` if its name is not known.
+//! `outputs/NAME.csv` has the board time of each pulse. A lidar's file also has the UTC that
+//! the lidar received for the same instant, and is `outputs/gnss.csv` if its name is unknown.
 
 use std::io;
 use std::path::Path;
@@ -11,7 +11,7 @@ use super::SequenceTables;
 use crate::inputs::board_data::Reference;
 use crate::output::tables::write_rows;
 
-/// Writes them below `folder`; nothing if there are none.
+/// Writes the files below `folder`; none if there are no pulses.
 pub(super) fn write(folder: &Path, tables: &SequenceTables<'_>) -> io::Result<()> {
     for (of, name) in &tables.names {
         let path = folder.join("outputs").join(format!("{name}.csv"));

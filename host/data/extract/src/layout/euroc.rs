@@ -1,7 +1,7 @@
 //! EuRoC / ASL: folders below `mav0`, images named by nanoseconds (19 digits), `data.csv`
 //! and `sensor.yaml` beside them, and `times.txt` for ORB-SLAM3.
 //!
-//! | folder | what |
+//! | folder | content |
 //! |---|---|
 //! | `cam0` | the phone's camera |
 //! | `cam1` | the depth camera's colour images, as the camera's JPEG files |
@@ -19,10 +19,11 @@ use recording::profile::{DistortionModel, Pose};
 use super::noise::Noise;
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
-use crate::output::image::write_whole;
 use crate::output::tables::write_rows;
+use crate::output::whole_file::write_whole;
 use crate::time::in_name;
 
+/// The EuRoC layout.
 pub(super) struct Euroc;
 
 const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
@@ -68,28 +69,32 @@ impl Layout for Euroc {
             &tables.color,
             &middle,
             facts.color_rate,
-            (facts.color_size, &facts.cameras.phone),
+            facts.color_size,
+            &facts.cameras.phone,
         )?;
         images(
             &base.join("cam1"),
             &tables.camera,
             "colour of the depth camera; times are the centre of exposure as the camera stamps it",
             facts.camera_rate,
-            (facts.camera_size, &facts.cameras.color),
+            facts.camera_size,
+            &facts.cameras.color,
         )?;
         images(
             &base.join("depth0"),
             &tables.depth,
             &center,
             facts.depth_rate,
-            (facts.depth_size, &facts.cameras.depth),
+            facts.depth_size,
+            &facts.cameras.depth,
         )?;
         images(
             &base.join("ir0"),
             &tables.infrared,
             "infrared of the depth camera; times as in depth0",
             facts.depth_rate,
-            (facts.infrared_size, &CameraFacts::default()),
+            facts.infrared_size,
+            &CameraFacts::default(),
         )?;
         let board = format!(
             "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
@@ -113,12 +118,14 @@ impl Layout for Euroc {
     }
 }
 
+/// Writes the index and the description of a camera's images, if there are any.
 fn images(
     folder: &Path,
     rows: &[ImageRow],
     comment: &str,
     rate: Option<f64>,
-    (size, camera): (Option<(u32, u32)>, &CameraFacts),
+    size: Option<(u32, u32)>,
+    camera: &CameraFacts,
 ) -> io::Result<()> {
     if rows.is_empty() {
         return Ok(());
@@ -132,7 +139,7 @@ fn images(
         "#timestamp [ns],filename\n",
         named,
     )?;
-    // One stamp a line and nothing else, as ORB-SLAM3 wants it.
+    // One stamp per line and nothing else, as ORB-SLAM3 expects.
     let times = rows.iter().map(|row| (in_name(row.at),));
     write_rows(&folder.join("times.txt"), "", times)?;
     let (width, height) = size.unwrap_or((0, 0));
@@ -140,12 +147,12 @@ fn images(
         "sensor_type: camera\ncomment: {comment}\n{}rate_hz: {}\nresolution: [{width}, {height}]\n{}",
         pose(camera.from_imu),
         number(rate.unwrap_or(0.0), 6),
-        seeing(camera)
+        optics(camera)
     );
     write_whole(&folder.join("sensor.yaml"), yaml.as_bytes())
 }
 
-/// The pose of a camera in the frame of the board's IMU.
+/// Formats the pose of a camera in the frame of the board's IMU.
 fn pose(from_imu: Option<Pose>) -> String {
     let Some(pose) = from_imu else {
         return format!("# where it is is not known\n{IDENTITY}");
@@ -160,9 +167,9 @@ fn pose(from_imu: Option<Pose>) -> String {
     )
 }
 
-/// Intrinsics, in the order of the format: fu, fv, cu, cv; and the rolling shutter, which
-/// is an extension.
-fn seeing(camera: &CameraFacts) -> String {
+/// Formats the intrinsics in the order of the format (fu, fv, cu, cv), and the rolling shutter,
+/// which is an extension.
+fn optics(camera: &CameraFacts) -> String {
     let mut text = String::new();
     if let Some(known) = &camera.intrinsics {
         let ([fu, fv], [cu, cv]) = (known.focal, known.center);
@@ -194,10 +201,11 @@ fn seeing(camera: &CameraFacts) -> String {
     text
 }
 
-/// The body frame itself, and what is not known.
+/// Pose of the body frame itself, and placeholder for an unknown pose.
 const IDENTITY: &str = "T_BS:\n  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         \
     0.0, 1.0, 0.0, 0.0,\n         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n";
 
+/// Describes an IMU with its rate (Hz) and noise.
 fn imu_yaml(comment: &str, rate: f64, noise: &Noise) -> String {
     format!(
         "sensor_type: imu\ncomment: {comment}\n{IDENTITY}rate_hz: {}\n\

@@ -1,17 +1,17 @@
-//! What `kalibr_bagcreater --folder` takes: images in `cam0`, `cam1` and the samples in
-//! `imu0.csv`, `imu1.csv` beside them, all named and stamped by nanoseconds.
+//! Input of `kalibr_bagcreater --folder`: images in `cam0`, `cam1`, and samples in
+//! `imu0.csv`, `imu1.csv` beside them, all named and stamped in nanoseconds.
 //!
-//! | in `kalibr/` | what |
+//! | in `kalibr/` | content |
 //! |---|---|
 //! | `cam0` | the phone's camera |
 //! | `cam1` | the depth camera's colour images, as the camera's JPEG files |
 //! | `imu0.csv`, `imu1.csv` | the IMUs of board and phone: `timestamp,omega_x,…,alpha_z` |
-//! | `imu0.yaml`, `imu1.yaml` | noise, topic and rate, as `--imu` takes them |
-//! | `depth0`, `ir0` | depth (mm) and infrared, which Kalibr leaves alone |
-//! | `times.yaml` | what was added to board time |
+//! | `imu0.yaml`, `imu1.yaml` | noise, topic and rate, for `--imu` |
+//! | `depth0`, `ir0` | depth (mm) and infrared, which Kalibr ignores |
+//! | `times.yaml` | the offset from board time |
 //!
-//! The bag creator splits a stamp's text in seconds and its last nine digits: every time
-//! has the offset of [`super::offset`].
+//! The bag creator splits the text of a stamp before its last nine digits, so every time
+//! has the offset of [`super::offset`], which makes it long enough.
 
 use std::fmt::Write;
 use std::io;
@@ -21,13 +21,15 @@ use super::noise::Noise;
 use super::offset::{moved, write_offset};
 use super::{DataSetInfo, ImageKind, ImuTable, Layout, SequenceTables, number};
 use crate::inputs::board_data::ImuRow;
-use crate::output::image::write_whole;
+use crate::output::whole_file::write_whole;
 use crate::time::{BoardNanos, in_name};
 
+/// The layout for Kalibr.
 pub(super) struct Kalibr;
 
 const IMU_HEADER: &str = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n";
 
+/// Appends a sample as a line, with the offset of times.
 fn moved_row(row: &mut String, sample: &ImuRow) {
     let sample = ImuRow {
         at: moved(sample.at),
@@ -36,6 +38,7 @@ fn moved_row(row: &mut String, sample: &ImuRow) {
     super::imu_row(row, &sample);
 }
 
+/// Returns the table of an IMU.
 const fn imu(path: &'static str) -> ImuTable {
     ImuTable {
         row: moved_row,
@@ -83,6 +86,7 @@ impl Layout for Kalibr {
     }
 }
 
+/// Describes an IMU with its topic, rate (Hz) and noise.
 fn imu_yaml(topic: &str, rate: f64, noise: &Noise) -> String {
     let mut text = noise.yaml();
     // Writing into a String cannot fail.

@@ -1,8 +1,8 @@
-//! Images that are files only until a larger file holds them.
+//! Images that are files only until they are part of a larger file.
 //!
-//! They lie below `.parts`, so that an extraction that was stopped goes on. When the larger
-//! file is whole they are removed, unless the next run can add to them. One whose images are
-//! gone is finished.
+//! They are below `.parts`, so that a stopped extraction can continue. When the larger
+//! file is complete they are removed, unless the next run can add to them. A larger file whose
+//! images are gone is finished.
 
 use std::fs;
 use std::io;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 use super::SequenceTables;
 
-/// Makes `whole` of the images by `make`, if they are there, and removes them.
+/// Makes the file `whole` from the images by `make`, if they are there, and removes them.
 pub(super) fn join(
     folder: &Path,
     whole: &Path,

@@ -1,16 +1,16 @@
-//! A ROS 2 bag of images and samples: `ros2/data.mcap` with `metadata.yaml`. All messages
-//! stand in order of time.
+//! ROS 2 bag of images and samples: `ros2/data.mcap` with `metadata.yaml`. All messages
+//! are in order of time.
 //!
-//! | topic | what |
+//! | topic | content |
 //! |---|---|
 //! | `/cam0/image_raw` | the phone's camera, `rgb8` |
 //! | `/cam1/image_raw/compressed` | the depth camera's colour images, as the camera's JPEG files |
 //! | `/depth0/image_raw` | depth in mm, `16UC1` |
 //! | `/ir0/image_raw` | infrared, `mono16` |
-//! | `/cam0/camera_info`, … | with each image, where the intrinsics are known |
+//! | `/cam0/camera_info`, … | with each image, if the intrinsics are known |
 //! | `/imu0`, `/imu1` | the IMUs of board and phone |
 //!
-//! Images are files first ([`parts`]).
+//! The images are files at first ([`parts`]).
 
 use std::fs;
 use std::io;
@@ -26,17 +26,19 @@ use recording::rosbag2::{Bag, METADATA_FILE};
 use super::offset::{moved, write_offset};
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::inputs::board_data::ImuRow;
-use crate::output::image::{Decoded, WholeFile, read_png, write_whole};
+use crate::output::png_file::{Decoded, read_png};
+use crate::output::whole_file::{WholeFile, write_whole};
 use crate::time::BoardNanos;
 
 const BOARD_IMU: &str = ".parts/imu0.csv";
 const PHONE_IMU: &str = ".parts/imu1.csv";
 const MCAP_FILE: &str = "data.mcap";
-/// Images that are unpacked at a time.
+/// Largest number of images that are decoded at a time.
 const IMAGES_AT_A_TIME: usize = 4;
-/// Messages that are made at a time.
+/// Largest number of messages that are encoded at a time.
 const MESSAGES_AT_A_TIME: usize = 512;
 
+/// The layout of a ROS 2 bag.
 pub(super) struct Ros2;
 
 impl Layout for Ros2 {
@@ -72,6 +74,7 @@ impl Layout for Ros2 {
     }
 }
 
+/// Writes the bag and its metadata.
 fn write_bag(
     path: &Path,
     folder: &Path,
@@ -86,26 +89,26 @@ fn write_bag(
     write_whole(&path.with_file_name(METADATA_FILE), metadata.as_bytes())
 }
 
-/// A camera of the bag.
-struct Camera<'a> {
+/// Camera of the bag.
+struct BagCamera<'a> {
     name: &'static str,
     form: Form,
     rows: &'a [ImageRow],
     intrinsics: Option<&'a Intrinsics>,
-    /// Number of its first topic; the one after it has its `CameraInfo`, if that is known.
+    /// Number of the topic of its images; the next one has its `CameraInfo`, if that is known.
     topic: usize,
 }
 
-/// What images are.
+/// Form of a camera's images.
 #[derive(Clone, Copy)]
 enum Form {
-    /// PNG files: 16-bit ones have this encoding.
+    /// PNG files; those of 16 bits have this encoding.
     Png(&'static str),
-    /// JPEG files, whose size nobody reads; it is this one.
+    /// JPEG files of this width and height.
     Jpeg(Option<(u32, u32)>),
 }
 
-/// An IMU of the bag.
+/// IMU of the bag.
 struct Samples {
     name: &'static str,
     path: PathBuf,
@@ -113,8 +116,9 @@ struct Samples {
     topic: usize,
 }
 
+/// Image or sample to be written as messages.
 enum Event<'a> {
-    Image(&'a Camera<'a>, &'a ImageRow),
+    Image(&'a BagCamera<'a>, &'a ImageRow),
     Sample(&'a Samples, ImuRow),
 }
 
@@ -129,7 +133,7 @@ impl Event<'_> {
 
 type Events<'a> = Box<dyn Iterator<Item = io::Result<Event<'a>>> + 'a>;
 
-/// Adds all topics and messages.
+/// Adds all topics and messages to the bag.
 fn fill(
     bag: &mut Bag<'_>,
     folder: &Path,
@@ -189,7 +193,7 @@ fn add_cameras<'a>(
     topics: &mut usize,
     tables: &'a SequenceTables<'_>,
     facts: &'a DataSetInfo,
-) -> io::Result<Vec<Camera<'a>>> {
+) -> io::Result<Vec<BagCamera<'a>>> {
     let (gray, depth) = (Form::Png("mono16"), Form::Png("16UC1"));
     let jpeg = Form::Jpeg(facts.camera_size);
     let known = &facts.cameras;
@@ -203,7 +207,7 @@ fn add_cameras<'a>(
         if rows.is_empty() {
             continue;
         }
-        cameras.push(Camera {
+        cameras.push(BagCamera {
             name,
             form,
             rows,
@@ -225,6 +229,7 @@ fn add_cameras<'a>(
     Ok(cameras)
 }
 
+/// Adds a topic to the bag.
 fn add_topic<M: RosMessage>(bag: &mut Bag<'_>, name: &str) -> io::Result<()> {
     bag.add_topic::<M>(name).map_err(io::Error::other)
 }
@@ -258,12 +263,12 @@ fn add_imus(
     Ok(imus)
 }
 
-/// The next events of all streams in order of time.
+/// Returns the next events of all streams in order of time; none at the end.
 fn next_batch<'a>(streams: &mut [Peekable<Events<'a>>]) -> io::Result<Vec<Event<'a>>> {
     let (mut batch, mut images) = (Vec::new(), 0);
     while batch.len() < MESSAGES_AT_A_TIME && images < IMAGES_AT_A_TIME {
         let first = streams.iter_mut().filter_map(|stream| {
-            // An error comes at once.
+            // An error is returned at once.
             let at = match stream.peek()? {
                 Ok(event) => event.at().0,
                 Err(_) => i64::MIN,
@@ -282,6 +287,7 @@ fn next_batch<'a>(streams: &mut [Peekable<Events<'a>>]) -> io::Result<Vec<Event<
     Ok(batch)
 }
 
+/// Returns the header of a message.
 fn header(at: BoardNanos, name: &str) -> Header {
     Header {
         stamp: Time::from_nanos(moved(at).0.max(0)),
@@ -289,11 +295,11 @@ fn header(at: BoardNanos, name: &str) -> Header {
     }
 }
 
-/// The messages of an event with their topics.
+/// Returns the messages of an event with the numbers of their topics.
 fn messages(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, Vec<u8>)>> {
     let (camera, row) = match event {
         Event::Image(camera, row) => (camera, row),
-        Event::Sample(imu, row) => return Ok(vec![(imu.topic, encode(&imu_of(imu, row))?)]),
+        Event::Sample(imu, row) => return Ok(vec![(imu.topic, encode(&imu_message(imu, row))?)]),
     };
     let path = folder.join(&row.path);
     let header = header(row.at, camera.name);
@@ -332,7 +338,8 @@ fn messages(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, Vec<u8>)
     Ok(messages)
 }
 
-fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
+/// Returns the message of a sample.
+fn imu_message(imu: &Samples, row: &ImuRow) -> Imu {
     let covariance =
         |variance| std::array::from_fn(|place| if place % 4 == 0 { variance } else { 0.0 });
     let [rate, force] = imu.variances;
@@ -349,6 +356,7 @@ fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
     }
 }
 
+/// Returns the message of known intrinsics for images of a size.
 fn camera_info(header: Header, (width, height): (u32, u32), known: &Intrinsics) -> CameraInfo {
     let mut info = CameraInfo {
         header,

@@ -1,4 +1,4 @@
-//! The published extractor's layout: one folder a topic, `/` replaced by `_`.
+//! Layout of the published extractor: one folder per topic, with `/` replaced by `_`.
 //!
 //! | folder | content |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | `smartphone_video_frames` | PNG, named by ns |
 //! | `_smartphone_imu/imu.csv` | as `_mcu_imu`, without the temperature (an addition) |
 //!
-//! As there, image folders have a `transformation_metainf.csv` with the stamp
-//! that each image had in its own clock, and the IMU's stamps are the data-ready
+//! As with that extractor, image folders have a `transformation_metainf.csv` with the stamp
+//! of each image on its camera's own clock, and the IMU's stamps are the data-ready
 //! edges with no delay subtracted. Unlike there, depth is PNG and not NumPy.
 
 use std::fmt::Write;
@@ -21,8 +21,10 @@ use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, 
 use crate::inputs::board_data::{ImuRow, Reference};
 use crate::output::tables::write_rows;
 
+/// The layout of the published extractor.
 pub(super) struct Topics;
 
+/// Appends a sample of the board with its temperature.
 fn board_row(row: &mut String, sample: &ImuRow) {
     push_sample(row, sample);
     row.push(',');
@@ -58,7 +60,7 @@ impl Layout for Topics {
         })
     }
 
-    fn called_after(&self, of: &Reference, _lidar: Option<&str>) -> Option<String> {
+    fn times_name(&self, of: &Reference, _lidar: Option<&str>) -> Option<String> {
         Some(match of {
             Reference::Cameras => String::from("/mcu_cameras_ts"),
             Reference::DepthOffset => String::from("/depth_to_mcu_offset"),
@@ -88,7 +90,7 @@ impl Layout for Topics {
     }
 }
 
-/// Writes the stamps of images beside them.
+/// Writes the stamps of images into their folder.
 fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
     let Some(first) = rows.first() else {
         return Ok(());
@@ -101,11 +103,11 @@ fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::harmless;
+    use super::super::safe_name;
 
     #[test]
-    fn topics_are_folders_and_nothing_else() {
-        assert_eq!(harmless("/mcu_cameras_ts"), "_mcu_cameras_ts");
-        assert_eq!(harmless("/../../etc/passwd"), "_______etc_passwd");
+    fn topic_names_are_safe_folder_names() {
+        assert_eq!(safe_name("/mcu_cameras_ts"), "_mcu_cameras_ts");
+        assert_eq!(safe_name("/../../etc/passwd"), "_______etc_passwd");
     }
 }

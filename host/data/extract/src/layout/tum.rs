@@ -1,6 +1,6 @@
-//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds (ten digits and six),
+//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds (ten digits and six decimals),
 //! `rgb.txt`, `depth.txt`, `accelerometer.txt`, `associations.txt`; depth in 16
-//! bits with 5,000 a metre, 0 for none.
+//! bits with 5,000 per metre, 0 for none.
 //!
 //! The format rounds times to microseconds; `pairs.csv` in the output folder has
 //! nanoseconds. `associations.txt` is written for registered depth only. The format has no
@@ -14,20 +14,23 @@ use std::path::Path;
 use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
 use crate::frames::pairs;
 use crate::inputs::board_data::ImuRow;
-use crate::output::image::{depth_to_tum, write_whole};
+use crate::output::png_file::depth_to_tum;
+use crate::output::whole_file::write_whole;
 use crate::time::{BoardNanos, SECOND, decimal_seconds, seconds_in_name};
 
-/// Colour and depth of one capture lie nearer than this: half a period at 30 fps.
+/// Largest distance in time of colour and depth of one capture, ns: half a period at 30 Hz.
 const NEAR: i64 = SECOND / 60;
 
-/// With the phone's images as `rgb`, or with those of the depth camera's colour camera.
+/// The TUM layout.
 pub(super) struct Tum {
+    /// True if `rgb` has the depth camera's colour images, false if it has the phone's.
     of_camera: bool,
 }
 
 pub(super) static OF_PHONE: Tum = Tum { of_camera: false };
 pub(super) static OF_CAMERA: Tum = Tum { of_camera: true };
 
+/// Appends time and acceleration of a sample as a line.
 fn accel_row(row: &mut String, sample: &ImuRow) {
     let [x, y, z] = sample.accel;
     // Writing into a String cannot fail.
@@ -81,7 +84,7 @@ impl Layout for Tum {
         };
         list(&folder.join("rgb.txt"), "color images", color)?;
         list(&folder.join("depth.txt"), "depth maps", &tables.depth)?;
-        // Whoever reads pairs lays the two images over one another.
+        // Readers of pairs assume that the pixels of both images coincide.
         if size.is_none() || size != facts.depth_size || !facts.registered {
             return Ok(());
         }
@@ -100,7 +103,7 @@ impl Layout for Tum {
     }
 }
 
-/// A colour image of the depth camera for each of depth, next to it in time.
+/// Pairs each depth image with the nearest colour image of the depth camera.
 fn camera_pairs(tables: &SequenceTables<'_>) -> Vec<(usize, usize)> {
     let times = |rows: &[ImageRow]| -> Vec<(usize, BoardNanos)> {
         rows.iter().map(|row| row.at).enumerate().collect()
@@ -111,10 +114,12 @@ fn camera_pairs(tables: &SequenceTables<'_>) -> Vec<(usize, usize)> {
         .collect()
 }
 
+/// Formats time and path of an image.
 fn line(row: &ImageRow) -> String {
     format!("{} {}", decimal_seconds(row.at.0, 6), row.path.display())
 }
 
+/// Writes a list of images, if there are any.
 fn list(path: &Path, what: &str, rows: &[ImageRow]) -> io::Result<()> {
     if rows.is_empty() {
         return Ok(());

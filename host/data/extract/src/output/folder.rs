@@ -1,9 +1,9 @@
-//! The output folder: whose it is, and what was already done in it.
+//! The output folder: which extraction it belongs to, and which steps are finished.
 //!
-//! A hidden folder `.extraction` holds the inputs and options that the output was
-//! made from (names, sizes, times of change, no paths), and the outcome of the
-//! long steps. A second run on the same inputs goes on where the first stopped; a
-//! run on others is refused rather than mixed in.
+//! A hidden folder `.extraction` has the inputs and options of the extraction
+//! (names, sizes, modification times, no paths), and the outcomes of the
+//! long steps. A second run with the same inputs continues where the first stopped; a
+//! run with others is refused so that the two do not mix.
 
 use std::fs;
 use std::io;
@@ -13,48 +13,48 @@ use std::time::UNIX_EPOCH;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::output::image::write_whole;
+use super::whole_file::write_whole;
 
-/// Version of what is in the output folder: a new one cannot go on in an old one's.
+/// Version of the output folder's contents; an extraction does not continue in another version's.
 const VERSION: u32 = 2;
 const FOLDER: &str = ".extraction";
 
-/// Why the output folder cannot be used.
+/// Reason why the output folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputDirError {
-    /// It cannot be read or written.
+    /// The folder cannot be read or written.
     #[error("using the output folder {path}: {error}")]
     Io {
-        /// Which.
+        /// The folder.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: io::Error,
     },
-    /// It holds something else.
+    /// The folder has other contents.
     #[error(
         "the output folder {path} is not empty and holds no extraction; give another with --out"
     )]
     NotEmpty {
-        /// Which.
+        /// The folder.
         path: PathBuf,
     },
-    /// It holds another extraction.
+    /// The folder has another extraction.
     #[error("the output folder {path} holds an extraction of other inputs or with other options")]
     Other {
-        /// Which.
+        /// The folder.
         path: PathBuf,
     },
-    /// The inputs would be written to.
+    /// The folder is within the recording.
     #[error(
         "the output folder {path} lies in the recording, which is never written to; give another with --out"
     )]
     InInputs {
-        /// Which.
+        /// The folder.
         path: PathBuf,
     },
 }
 
-/// A file as it was read.
+/// Identity of an input file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct FileMark {
     name: String,
@@ -63,12 +63,12 @@ pub(crate) struct FileMark {
 }
 
 impl FileMark {
-    /// Of a file.
+    /// Reads the mark of a file.
     ///
     /// # Errors
     ///
-    /// It is not there.
-    pub(crate) fn of(path: &Path) -> io::Result<Self> {
+    /// Fails if the file cannot be examined.
+    pub(crate) fn read(path: &Path) -> io::Result<Self> {
         let meta = fs::metadata(path)?;
         let changed = meta.modified()?.duration_since(UNIX_EPOCH);
         Ok(Self {
@@ -83,27 +83,28 @@ impl FileMark {
     }
 }
 
-/// An output folder in use.
+/// Output folder of an extraction.
 #[derive(Debug)]
 pub(crate) struct OutputDir {
-    /// The folder.
+    /// Path of the folder.
     pub(crate) out: PathBuf,
 }
 
+/// Content of `job.json`, which identifies an extraction.
 #[derive(Serialize)]
-struct Job<'a, T> {
+struct Identity<'a, T> {
     version: u32,
     files: &'a [FileMark],
     options: T,
 }
 
 impl OutputDir {
-    /// Takes the folder for an extraction of these files with these options. With
-    /// `overwrite`, an extraction of others in it is removed first; nothing else ever is.
+    /// Opens the folder for an extraction of these files with these options. With
+    /// `overwrite`, another extraction in it is removed first, but never anything else.
     ///
     /// # Errors
     ///
-    /// See [`OutputDirError`].
+    /// Returns an [`OutputDirError`] if the folder cannot be used.
     pub(crate) fn open<T: Serialize>(
         out: &Path,
         files: &[FileMark],
@@ -114,7 +115,7 @@ impl OutputDir {
             path: out.to_owned(),
             error,
         };
-        let job = serde_json::to_vec_pretty(&Job {
+        let job = serde_json::to_vec_pretty(&Identity {
             version: VERSION,
             files,
             options,
@@ -125,19 +126,20 @@ impl OutputDir {
         match fs::read(&mark) {
             Ok(old) if old == job => {}
             Ok(_) if overwrite => {
-                // What is in it goes, and the folder stays: it may be a link's target.
+                // Only the contents are removed: the folder may be the target of a link.
                 for entry in fs::read_dir(out).map_err(fail)? {
                     let path = entry.map_err(fail)?.path();
                     let is_folder = path.symlink_metadata().map_err(fail)?.is_dir();
-                    // The mark goes last: a stop on the way leaves an extraction to be replaced.
+                    // The mark is removed last, so that an interrupted removal can be repeated.
                     if path.file_name().is_some_and(|name| name == FOLDER) {
                         continue;
                     }
-                    match is_folder {
-                        true => fs::remove_dir_all(&path),
-                        false => fs::remove_file(&path),
-                    }
-                    .map_err(fail)?;
+                    let removed = if is_folder {
+                        fs::remove_dir_all(&path)
+                    } else {
+                        fs::remove_file(&path)
+                    };
+                    removed.map_err(fail)?;
                 }
                 fs::remove_dir_all(out.join(FOLDER)).map_err(fail)?;
                 write_whole(&mark, &job).map_err(fail)?;
@@ -162,18 +164,18 @@ impl OutputDir {
         })
     }
 
-    /// The outcome of a step that an earlier run finished.
-    pub(crate) fn done<T: DeserializeOwned>(&self, step: &str) -> Option<T> {
+    /// Returns the outcome of a step that an earlier run finished.
+    pub(crate) fn outcome<T: DeserializeOwned>(&self, step: &str) -> Option<T> {
         let text = fs::read(self.step_path(step)).ok()?;
         serde_json::from_slice(&text).ok()
     }
 
-    /// Keeps the outcome of a finished step.
+    /// Stores the outcome of a finished step.
     ///
     /// # Errors
     ///
-    /// Writing fails.
-    pub(crate) fn keep<T: Serialize>(&self, step: &str, outcome: &T) -> io::Result<()> {
+    /// Fails if the outcome cannot be written.
+    pub(crate) fn store<T: Serialize>(&self, step: &str, outcome: &T) -> io::Result<()> {
         write_whole(&self.step_path(step), &serde_json::to_vec(outcome)?)
     }
 
@@ -182,16 +184,16 @@ impl OutputDir {
     }
 }
 
-/// Makes sure that `out` does not lie within the recording's folder.
+/// Checks that `out` is not within the recording's folder.
 ///
 /// # Errors
 ///
-/// It does.
+/// Fails if it is.
 pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), OutputDirError> {
     let Ok(recording) = recording.canonicalize() else {
         return Ok(());
     };
-    // The folder itself may not be there yet: its first ancestor that is.
+    // The folder may not exist yet: the first ancestor that exists stands for it.
     let existing = out.ancestors().find_map(|path| {
         let path = if path.as_os_str().is_empty() {
             Path::new(".")
@@ -213,19 +215,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_goes_on_with_its_own_job_only() {
+    fn only_the_same_extraction_continues_in_a_folder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
         let input = folder.path().join("input");
         fs::write(&input, "x").unwrap();
-        let files = [FileMark::of(&input).unwrap()];
+        let files = [FileMark::read(&input).unwrap()];
         let output = OutputDir::open(&out, &files, 1, false).unwrap();
-        assert_eq!(output.done::<u32>("depth"), None);
-        output.keep("depth", &7).unwrap();
+        assert_eq!(output.outcome::<u32>("depth"), None);
+        output.store("depth", &7).unwrap();
         assert_eq!(
             OutputDir::open(&out, &files, 1, true)
                 .unwrap()
-                .done::<u32>("depth"),
+                .outcome::<u32>("depth"),
             Some(7)
         );
         assert!(matches!(
@@ -236,13 +238,13 @@ mod tests {
             OutputDir::open(&out, &[], 1, false),
             Err(OutputDirError::Other { .. })
         ));
-        // Only a former extraction is replaced, and all of it.
+        // Only an earlier extraction is replaced, and all of it.
         let taken = OutputDir::open(folder.path(), &files, 1, true);
         assert!(matches!(taken, Err(OutputDirError::NotEmpty { .. })));
         fs::create_dir(out.join("mav0")).unwrap();
         fs::write(out.join("mav0/data.csv"), "old").unwrap();
         let output = OutputDir::open(&out, &files, 2, true).unwrap();
-        assert_eq!(output.done::<u32>("depth"), None);
+        assert_eq!(output.outcome::<u32>("depth"), None);
         assert!(!out.join("mav0").exists());
         assert!(OutputDir::open(&out, &files, 2, false).is_ok());
     }

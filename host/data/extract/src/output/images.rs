@@ -1,8 +1,8 @@
 //! Writes images in parallel: one thread reads the source, the others encode.
 //!
-//! An image that is there already is not written again (files appear whole or not
-//! at all), so that an extraction that was stopped goes on. Memory is a few
-//! batches of limited size.
+//! An existing image is not written again (files appear only when they are complete),
+//! so that a stopped extraction continues. Memory is limited to a few
+//! batches.
 
 use std::borrow::Cow;
 use std::io;
@@ -12,63 +12,64 @@ use std::sync::mpsc::sync_channel;
 use phone::video::Video;
 use rayon::prelude::*;
 
+use super::png_file::{PngPixels, encode_png};
+use super::whole_file::write_whole;
 use crate::depth::{CameraImage, DepthImage, DepthInput};
 use crate::error::ExtractError;
 use crate::geometry::register::Registration;
 use crate::layout::Layout;
-use crate::output::image::{Pixels, encode_png, write_whole};
 use system::ReadMonitor;
 
-/// Bytes in a batch.
+/// Size of a batch, bytes.
 const BATCH_BYTES: usize = 16 << 20;
-/// Images in a batch at most.
+/// Largest number of images in a batch.
 const BATCH_IMAGES: usize = 64;
 
 /// Files of one depth frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct DepthPaths {
-    /// Depth; `None` if the frame has no place in the data set.
+    /// File of the depth image; `None` if the frame has no place in the data set.
     pub(crate) depth: Option<PathBuf>,
-    /// Infrared.
+    /// File of the infrared image, if it is wanted.
     pub(crate) infrared: Option<PathBuf>,
 }
 
-/// Files of the images of the depth camera: one entry a frame.
+/// Files of all images of the depth camera, one entry per frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CameraPaths {
-    /// Depth and infrared.
+    /// Files of depth and infrared.
     pub(crate) depth: Vec<DepthPaths>,
-    /// Colour, as JPEG files.
+    /// Files of colour, in JPEG.
     pub(crate) color: Vec<Option<PathBuf>>,
 }
 
-/// How depth images are written.
+/// View in which depth images are written.
 #[derive(Clone, Copy)]
 pub(crate) struct DepthImageView<'a> {
     /// Width and height of the depth camera's own images.
     pub(crate) size: (u32, u32),
-    /// Into the view of another camera.
+    /// Registration into the view of another camera, if there is one.
     pub(crate) registration: Option<&'a Registration>,
 }
 
-/// What the depth images were like.
+/// Outcome of writing the depth camera's images.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct DepthOutcome {
-    /// Images with a place that are there.
+    /// Number of depth images that exist.
     pub(crate) written: u64,
-    /// Infrared images that are there, by frame.
+    /// Indices of frames whose infrared image exists.
     pub(crate) infrared: Vec<usize>,
-    /// Frames without a whole image.
+    /// Indices of frames without a whole image.
     pub(crate) broken: Vec<usize>,
-    /// Frames in a part of the file whose checksum is wrong.
+    /// Indices of frames in a part of the file whose checksum is wrong.
     pub(crate) damaged: Vec<usize>,
-    /// Frames without any depth in them.
+    /// Indices of frames without any depth.
     pub(crate) empty: Vec<usize>,
-    /// Pixels too far away for the format.
+    /// Number of pixels beyond the format's range.
     pub(crate) out_of_range: u64,
-    /// Colour images of the camera that are there, by frame.
+    /// Indices of colour images that exist.
     pub(crate) color: Vec<usize>,
-    /// Colour images with a place that are no JPEG files.
+    /// Indices of colour images that are no complete JPEG files.
     pub(crate) color_broken: Vec<usize>,
 }
 
@@ -76,7 +77,7 @@ pub(crate) struct DepthOutcome {
 ///
 /// # Errors
 ///
-/// Reading or writing fails.
+/// Fails if an image cannot be read or written.
 pub(crate) fn write_depth(
     input: &DepthInput,
     paths: &CameraPaths,
@@ -107,14 +108,14 @@ pub(crate) fn write_depth(
             })
             .collect();
         for one in written? {
-            outcome.take(one);
+            outcome.add(one);
         }
         Ok(())
     })?;
     Ok(outcome)
 }
 
-/// Writes a JPEG file as it came, unless it is none.
+/// Writes a JPEG file unchanged, if it is complete.
 fn write_jpeg(
     index: usize,
     place: Option<&Path>,
@@ -124,7 +125,7 @@ fn write_jpeg(
     let Some(path) = place else {
         return Ok(one);
     };
-    // Start of image, and the end of it further on: the camera fills up its frames.
+    // Markers of start and end; padding may follow the end.
     let begins = jpeg.starts_with(&[0xFF, 0xD8]);
     if !begins || !jpeg.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
         one.color_broken.push(index);
@@ -136,8 +137,8 @@ fn write_jpeg(
 }
 
 impl DepthOutcome {
-    /// Takes that of other images.
-    fn take(&mut self, other: Self) {
+    /// Adds the outcome of other images.
+    fn add(&mut self, other: Self) {
         self.written += other.written;
         self.out_of_range += other.out_of_range;
         for (list, others) in [
@@ -153,18 +154,19 @@ impl DepthOutcome {
     }
 }
 
+/// Writes the depth and infrared image of a frame.
 fn write_one(
     image: &DepthImage,
     place: Option<&DepthPaths>,
     view: DepthImageView<'_>,
     layout: &dyn Layout,
 ) -> Result<DepthOutcome, ExtractError> {
-    let its = |is_so: bool| Vec::from_iter(is_so.then_some(image.index));
+    let index_if = |condition: bool| Vec::from_iter(condition.then_some(image.index));
     let is_broken = image.depth.is_empty();
     let mut one = DepthOutcome {
-        broken: its(is_broken),
-        damaged: its(image.damaged),
-        empty: its(!is_broken && image.depth.iter().all(|&byte| byte == 0)),
+        broken: index_if(is_broken),
+        damaged: index_if(image.damaged),
+        empty: index_if(!is_broken && image.depth.iter().all(|&byte| byte == 0)),
         ..DepthOutcome::default()
     };
     let Some(place) = place else {
@@ -176,21 +178,22 @@ fn write_one(
         let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
         let size = registration.map_or(view.size, |registration| registration.out);
-        write_png(path, size, Pixels::Gray16(&pixels))?;
+        write_png(path, size, PngPixels::Gray16(&pixels))?;
         one.written = 1;
     }
     if let (Some(path), Some(pixels)) = (&place.infrared, &image.infrared) {
-        write_png(path, view.size, Pixels::Gray16(pixels))?;
+        write_png(path, view.size, PngPixels::Gray16(pixels))?;
         one.infrared.push(image.index);
     }
     Ok(one)
 }
 
-fn write_png(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ExtractError> {
+/// Writes a PNG image unless it exists.
+fn write_png(path: &Path, size: (u32, u32), pixels: PngPixels<'_>) -> Result<(), ExtractError> {
     write_missing(path, || Ok(encode_png(size.0, size.1, pixels)?.into()))
 }
 
-/// Writes an image unless it is there.
+/// Writes an image unless it exists.
 fn write_missing<'a>(
     path: &Path,
     image: impl FnOnce() -> io::Result<Cow<'a, [u8]>>,
@@ -206,25 +209,25 @@ fn write_missing<'a>(
         })
 }
 
-/// What the video was like.
+/// Outcome of writing the phone's images.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct VideoOutcome {
-    /// Frames that were decoded.
+    /// Number of decoded frames.
     pub(crate) decoded: u64,
-    /// Images that are there.
+    /// Number of images that exist.
     pub(crate) written: u64,
     /// Width and height.
     pub(crate) size: Option<(u32, u32)>,
-    /// Why decoding did not come to its end.
+    /// Reason why decoding ended early.
     pub(crate) error: Option<String>,
 }
 
-/// Writes the phone's images. `places` has one entry a frame of the video; frames
-/// beyond are counted only.
+/// Writes the phone's images. `places` has one entry per frame of the video; further frames
+/// are only counted.
 ///
 /// # Errors
 ///
-/// Writing fails. What ffmpeg says is in the outcome.
+/// Fails if an image cannot be written. Errors of ffmpeg are part of the outcome.
 pub(crate) fn write_video(
     video: Video,
     places: &[Option<PathBuf>],
@@ -233,8 +236,10 @@ pub(crate) fn write_video(
     let size = (video.info().width, video.info().height);
     let frames = std::iter::from_fn(move || {
         let mut frame = Vec::new();
-        let there = video.next_frame(&mut frame);
-        there.map(|there| there.then_some(frame)).transpose()
+        let has_frame = video.next_frame(&mut frame);
+        has_frame
+            .map(|has_frame| has_frame.then_some(frame))
+            .transpose()
     });
     let frames = frames.enumerate().map(|(index, frame)| Ok((index, frame?)));
     let mut outcome = VideoOutcome::default();
@@ -245,7 +250,7 @@ pub(crate) fn write_video(
         let written: Result<Vec<bool>, ExtractError> = batch
             .par_iter()
             .map(|(index, frame)| match places.get(*index) {
-                Some(Some(path)) => write_png(path, size, Pixels::Rgb8(frame)).map(|()| true),
+                Some(Some(path)) => write_png(path, size, PngPixels::Rgb8(frame)).map(|()| true),
                 _ => Ok(false),
             })
             .collect();
@@ -259,8 +264,8 @@ pub(crate) fn write_video(
     Ok(outcome)
 }
 
-/// Reads in a thread of its own, and gives what it reads to `each` in batches, whose
-/// size is that of `bytes`. What was read before an error is given too.
+/// Reads `source` in a thread of its own, and passes batches to `each`, also of what was read
+/// before an error. `bytes` returns the size of an item.
 fn in_batches<T: Send>(
     mut source: impl Iterator<Item = Result<T, ExtractError>> + Send,
     bytes: impl Fn(&T) -> usize + Send,
@@ -284,14 +289,14 @@ fn in_batches<T: Send>(
                 }
                 let batch = (!batch.is_empty()).then_some(Ok(batch));
                 for message in batch.into_iter().chain(failure.map(Err)) {
-                    // Nobody listens any more: the writing side has ended.
+                    // The writing side has ended.
                     if sender.send(message).is_err() {
                         return;
                     }
                 }
             }
         });
-        // The receiver is dropped on leaving, so that a reader that still sends stops.
+        // Leaving drops the receiver, which stops a reader that still sends.
         for batch in receiver {
             each(batch?)?;
         }

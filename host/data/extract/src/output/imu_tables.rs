@@ -1,6 +1,6 @@
-//! Writes the samples of both IMUs as tables, streaming.
+//! Writes tables of IMU samples in a stream.
 //!
-//! Rows are made in parallel a block at a time and written in order, one file a
+//! Rows are formatted in parallel, a block at a time, and written in order, one file per
 //! sequence.
 
 use std::io::{self, Write};
@@ -8,21 +8,21 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::sequences::Sequences;
+use super::whole_file::WholeFile;
 use crate::inputs::board_data::ImuRow;
 use crate::layout::ImuTable;
-use crate::output::image::WholeFile;
-use crate::output::sequences::Sequences;
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap};
 use phone::samples::PhoneSample;
 
-/// Rows that are made at a time.
+/// Number of rows that are formatted at a time.
 const BLOCK: usize = 32_768;
-/// Rows of one piece of work.
+/// Number of rows in one piece of work.
 const PIECE: usize = 2_048;
-/// Accelerations further apart than this are not interpolated between, ns.
+/// Largest distance of accelerations for interpolation, ns.
 const MAX_GAP: i64 = 50_000_000;
 
-/// A table that is being written.
+/// Table under construction.
 pub(crate) struct TableWriter<'a> {
     table: ImuTable,
     out: &'a Path,
@@ -34,7 +34,8 @@ pub(crate) struct TableWriter<'a> {
 }
 
 impl<'a> TableWriter<'a> {
-    /// A table below `out`. `delay` (ns) is subtracted if the format wants it so.
+    /// Begins a table below `out`. `delay` (ns) is subtracted from the times if the format wants
+    /// it.
     pub(crate) fn new(
         table: ImuTable,
         out: &'a Path,
@@ -56,7 +57,7 @@ impl<'a> TableWriter<'a> {
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Fails if a file cannot be written.
     pub(crate) fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
         row.at = BoardNanos(row.at.0.saturating_sub(self.delay));
         self.rows.push(row);
@@ -66,6 +67,7 @@ impl<'a> TableWriter<'a> {
         Ok(())
     }
 
+    /// Formats and writes the pending rows.
     fn flush_rows(&mut self) -> io::Result<()> {
         let make = self.table.row;
         let sequences = self.sequences;
@@ -94,6 +96,7 @@ impl<'a> TableWriter<'a> {
         Ok(())
     }
 
+    /// Returns the file of a sequence; creates it at its first row.
     fn file(&mut self, sequence: usize) -> io::Result<&mut WholeFile> {
         let slot = &mut self.files[sequence];
         if slot.is_none() {
@@ -105,11 +108,11 @@ impl<'a> TableWriter<'a> {
         slot.as_mut().ok_or_else(|| io::Error::other("no file"))
     }
 
-    /// Finishes the files. Returns how many rows there are.
+    /// Finishes the files, and returns the number of rows.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Fails if a file cannot be written.
     pub(crate) fn finish(mut self) -> io::Result<u64> {
         self.flush_rows()?;
         for file in self.files.into_iter().flatten() {
@@ -119,23 +122,21 @@ impl<'a> TableWriter<'a> {
     }
 }
 
-/// Joins a phone's gyroscope with its accelerometer: a row for each sample of the
-/// gyroscope, with the acceleration interpolated to its time.
+/// Interpolates accelerations to the times of a phone's gyroscope.
 ///
-/// Times in between are compared as integers; only the accelerations themselves
-/// are numbers with a fraction.
+/// Times are compared as integers; only the accelerations are floats.
 #[derive(Debug)]
-pub(crate) struct Joiner<A> {
+pub(crate) struct AccelInterpolator<A> {
     accel: A,
     before: Option<PhoneSample>,
     after: Option<PhoneSample>,
     ended: bool,
-    /// Gyroscope samples without an acceleration around them.
+    /// Number of times without accelerations around them.
     pub(crate) without_accel: u64,
 }
 
-impl<A: FnMut() -> io::Result<Option<PhoneSample>>> Joiner<A> {
-    /// Takes the accelerometer's samples in order of time.
+impl<A: FnMut() -> io::Result<Option<PhoneSample>>> AccelInterpolator<A> {
+    /// Creates an interpolator of samples that `accel` returns in order of time.
     pub(crate) fn new(accel: A) -> Self {
         Self {
             accel,
@@ -146,11 +147,12 @@ impl<A: FnMut() -> io::Result<Option<PhoneSample>>> Joiner<A> {
         }
     }
 
-    /// The acceleration at a time; times come in order. `None` where there is none.
+    /// Returns the acceleration at a time, or `None` without accelerations around it. Times must
+    /// not decrease.
     ///
     /// # Errors
     ///
-    /// Reading fails.
+    /// Fails if a sample cannot be read.
     pub(crate) fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
         while !self.ended && self.after.is_none_or(|after| after.time < time) {
             match (self.accel)()? {
@@ -173,13 +175,14 @@ impl<A: FnMut() -> io::Result<Option<PhoneSample>>> Joiner<A> {
     }
 }
 
+/// Interpolates linearly between two samples; `None` outside of them or in a gap.
 fn between(before: &PhoneSample, after: &PhoneSample, time: PhoneNanos) -> Option<[f64; 3]> {
     let run = after.time.0.checked_sub(before.time.0)?;
-    let way = time.0.checked_sub(before.time.0)?;
-    if !(0..=run).contains(&way) || run > MAX_GAP || run == 0 {
+    let since = time.0.checked_sub(before.time.0)?;
+    if !(0..=run).contains(&since) || run > MAX_GAP || run == 0 {
         return None;
     }
-    let share = way as f64 / run as f64;
+    let share = since as f64 / run as f64;
     let mut value = [0.0; 3];
     for (axis, slot) in value.iter_mut().enumerate() {
         *slot = before.xyz[axis] + (after.xyz[axis] - before.xyz[axis]) * share;
@@ -187,7 +190,7 @@ fn between(before: &PhoneSample, after: &PhoneSample, time: PhoneNanos) -> Optio
     Some(value)
 }
 
-/// A phone sample in board time.
+/// Converts a phone's sample to board time; `None` without a relation of the clocks.
 pub(crate) fn in_board_time(
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
     gyro: &PhoneSample,
@@ -213,15 +216,20 @@ mod tests {
     }
 
     #[test]
-    fn accelerations_are_interpolated_and_not_beyond() {
+    fn accelerations_are_interpolated_but_not_extrapolated() {
         let mut samples = [
             sample(10_000_000, 1.0),
             sample(20_000_000, 2.0),
             sample(200_000_000, 3.0),
         ]
         .into_iter();
-        let mut joiner = Joiner::new(|| Ok(samples.next()));
-        let mut x = |ms: i64| joiner.at(PhoneNanos(ms * 1_000_000)).unwrap().map(|v| v[0]);
+        let mut interpolator = AccelInterpolator::new(|| Ok(samples.next()));
+        let mut x = |ms: i64| {
+            interpolator
+                .at(PhoneNanos(ms * 1_000_000))
+                .unwrap()
+                .map(|v| v[0])
+        };
         assert_eq!(x(5), None);
         assert_eq!(x(10), Some(1.0));
         assert_eq!(x(15), Some(1.5));
@@ -229,6 +237,6 @@ mod tests {
         assert_eq!(x(100), None);
         assert_eq!(x(200), Some(3.0));
         assert_eq!(x(201), None);
-        assert_eq!(joiner.without_accel, 3);
+        assert_eq!(interpolator.without_accel, 3);
     }
 }

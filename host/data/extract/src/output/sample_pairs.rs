@@ -1,4 +1,4 @@
-//! A strip of sample pairs for the report: the phone's image above, the depth image of the
+//! Strip of sample pairs for the report: the phone's image above, the depth image of the
 //! same instant below it.
 
 use std::fmt::Write as _;
@@ -12,20 +12,21 @@ use image::{GrayImage, ImageFormat, ImageResult, Luma};
 
 use crate::layout::SequenceTables;
 
-/// The strip's file in the output folder.
+/// File of the strip in the output folder.
 pub const FILE: &str = "sample_pairs.svg";
 
-/// Pairs in the strip.
+/// Number of pairs in the strip.
 const SHOWN: usize = 6;
-/// From one shown pair to the next: what moves is at another place.
+/// Distance of shown pairs, so that a motion is visible from one to the next.
 const STEP: usize = 4;
-/// Width of a picture, pixels.
+/// Width of an image in the strip, pixels.
 const WIDTH: u32 = 160;
-/// A picture is at most so high.
+/// Largest height of an image in the strip, pixels.
 const MOST_HEIGHT: u32 = 320;
+/// Distance of images in the strip, pixels.
 const GAP: u32 = 6;
 
-/// Images of pairs from the middle of a sequence in `folder`: phone and depth.
+/// Returns the image files (phone, depth) of pairs from the middle of a sequence in `folder`.
 pub(crate) fn samples(folder: &Path, tables: &SequenceTables<'_>) -> Vec<(PathBuf, PathBuf)> {
     let pairs = &tables.pairs;
     let from = (pairs.len() / 2).saturating_sub(SHOWN * STEP / 2);
@@ -39,18 +40,17 @@ pub(crate) fn samples(folder: &Path, tables: &SequenceTables<'_>) -> Vec<(PathBu
         .collect()
 }
 
-/// Draws them as SVG. What is nearest is white, what is farthest dark, and what has no depth
-/// black.
+/// Draws pairs as SVG. The nearest depth is white, the farthest dark, and none black.
 ///
 /// # Errors
 ///
-/// An image cannot be read.
+/// Fails if an image cannot be read.
 pub(crate) fn draw(pairs: &[(PathBuf, PathBuf)]) -> ImageResult<String> {
     let mut phone = Vec::new();
     let mut depth = Vec::new();
-    for (color, deep) in pairs {
+    for (color, depth_image) in pairs {
         phone.push(small(&image::open(color)?.to_luma8()));
-        depth.push(image::open(deep)?.to_luma16());
+        depth.push(image::open(depth_image)?.to_luma16());
     }
     let mut known: Vec<u16> = depth
         .iter()
@@ -58,15 +58,15 @@ pub(crate) fn draw(pairs: &[(PathBuf, PathBuf)]) -> ImageResult<String> {
         .filter(|&depth| depth > 0)
         .collect();
     known.sort_unstable();
-    // What is small in the picture counts, and single wrong pixels do not.
+    // Small objects count, single wrong pixels do not.
     let at = |share: usize| known.get(known.len() * share / 1000).copied();
     let (near, far) = (at(2).unwrap_or(0), at(998).unwrap_or(1));
     let range = f64::from(far.saturating_sub(near).max(1));
     let shade = |depth: u16| match depth {
         0 => 0,
         depth => {
-            let behind = (f64::from(depth) - f64::from(near)) / range;
-            (255.0 - 215.0 * behind.clamp(0.0, 1.0)) as u8
+            let share = (f64::from(depth) - f64::from(near)) / range;
+            (255.0 - 215.0 * share.clamp(0.0, 1.0)) as u8
         }
     };
     let depth: Vec<GrayImage> = depth
@@ -106,6 +106,7 @@ pub(crate) fn draw(pairs: &[(PathBuf, PathBuf)]) -> ImageResult<String> {
     Ok(svg)
 }
 
+/// Scales an image for the strip.
 fn small(image: &GrayImage) -> GrayImage {
     let height = u64::from(image.height()) * u64::from(WIDTH) / u64::from(image.width().max(1));
     let height = height.clamp(1, MOST_HEIGHT.into()) as u32;
@@ -148,7 +149,7 @@ mod tests {
         assert_eq!(images[0].get_pixel(80, 60).0, [100]);
         let shades = [10, 80, 150].map(|x| images[1].get_pixel(x, 40).0[0]);
         assert_eq!(shades, [255, 40, 0]);
-        // A small near thing before a wall is not the wall.
+        // A small near object is distinguished from the wall beyond it.
         let wall = ImageBuffer::from_fn(160, 90, |x, y| {
             Luma([if x < 15 && y < 12 { 900_u16 } else { 2_400 }])
         });

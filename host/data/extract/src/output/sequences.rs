@@ -1,43 +1,43 @@
-//! Sequences: parts of a recording that marks divide it into.
+//! Sequences: the parts into which marks divide a recording.
 //!
 //! Without marks the whole recording is one data set in the output folder itself.
-//! With marks, what lies before the first is in `seq_0`, what lies at or after
-//! the n-th in `seq_n`, as the published system's splitter has it.
+//! With marks, the part before the first is in `seq_0`, and the part from the n-th on
+//! in `seq_n`, as in the published system's splitter.
 
 use std::path::PathBuf;
 
 use crate::time::BoardNanos;
 
-/// The marks of a recording.
+/// Division of a recording by its marks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Sequences {
     marks: Vec<BoardNanos>,
 }
 
 impl Sequences {
-    /// From the marks in any order; equal ones count once.
+    /// Creates the division by marks in any order; equal ones count once.
     pub(crate) fn new(mut marks: Vec<BoardNanos>) -> Self {
         marks.sort_unstable();
         marks.dedup();
         Self { marks }
     }
 
-    /// How many sequences there are.
+    /// Returns the number of sequences.
     pub(crate) fn count(&self) -> usize {
         self.marks.len() + 1
     }
 
-    /// The marks in order.
+    /// Returns the marks in order.
     pub(crate) fn marks(&self) -> &[BoardNanos] {
         &self.marks
     }
 
-    /// The sequence of an instant.
+    /// Returns the sequence of an instant.
     pub(crate) fn at(&self, time: BoardNanos) -> usize {
         self.marks.partition_point(|&mark| mark <= time)
     }
 
-    /// The folder of a sequence, relative to the output.
+    /// Returns the folder of a sequence, relative to the output.
     pub(crate) fn folder(&self, sequence: usize) -> PathBuf {
         if self.marks.is_empty() {
             PathBuf::new()
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn marks_divide() {
+    fn marks_divide_a_recording() {
         let sequences = Sequences::new([30, 10, 10].map(BoardNanos).to_vec());
         assert_eq!(sequences.count(), 3);
         assert_eq!(

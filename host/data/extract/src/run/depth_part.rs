@@ -1,7 +1,6 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
-use super::geometry_part::DepthView;
-use super::{Extraction, rate_of};
+use super::{Extraction, depth_wording, rate_of};
 use crate::constants::Constants;
 use crate::depth::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth::k4a::ColorTrack;
@@ -9,24 +8,28 @@ use crate::depth::matching::{Matched, Matching};
 use crate::depth::ros2_bag::Ros2Bag;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::error::ExtractError;
+use crate::frames::{self, CameraFrame, DepthFrame};
+use crate::geometry::DepthView;
 use crate::inputs::survey::Survey;
-use crate::layout::{DataSetInfo, ImageKind, calibration_path, number};
+use crate::layout::{DataSetInfo, ImageKind, calibration_path};
 use crate::output::images::{CameraPaths, DepthImageView, DepthOutcome, DepthPaths, write_depth};
 use crate::output::sequences::Sequences;
-use crate::output::tables::{self, CameraFrame, DepthFrame};
-use crate::report::DepthReport;
+use crate::output::tables;
+use crate::report::{DepthReport, LossPart};
 use recording::camera::Center;
 
-/// The depth camera's part after reading.
+/// The depth recording and the times of its frames.
 pub(super) struct Depth {
     pub(super) index: DepthIndex,
-    matched: Result<Matched, String>,
+    matched: Result<DepthMatch, MatchError>,
     pub(super) frames: Vec<DepthFrame>,
-    /// Colour images of the camera.
+    /// The camera's colour images.
     pub(super) color: Vec<CameraFrame>,
 }
 
 impl Extraction<'_> {
+    /// Reads the times of the depth recording, and matches its frames to pulses. Adds what the
+    /// recording says about the time to the centre of exposure to `constants`.
     pub(super) fn read_depth(
         &mut self,
         survey: &Survey,
@@ -41,7 +44,7 @@ impl Extraction<'_> {
             }),
             None => {
                 self.lose(
-                    "depth",
+                    LossPart::Depth,
                     "there is no depth recording; give the file with --depth",
                 );
                 return Ok(None);
@@ -51,48 +54,55 @@ impl Extraction<'_> {
         let index = match input.index(&self.job.monitor) {
             Ok(index) => index,
             Err(error) => {
-                self.lose("depth", error.to_string());
+                self.lose(LossPart::Depth, error.to_string());
                 return Ok(None);
             }
         };
         for fault in &index.faults {
-            self.lose("depth", fault.clone());
+            self.lose(LossPart::Depth, fault.clone());
         }
         self.set_center(&index, constants);
         let constants = *constants;
-        let matched = match self.match_depth(&input, &index, survey, &constants) {
-            Err(error) if error.is_fatal() => return Err(error),
-            matched => matched.map_err(|error| error.to_string()),
-        };
+        let matched = self.match_depth(&input, &index, survey, &constants)?;
         if let Some(by) = &index.rewritten {
-            self.lose("depth", by.clone());
+            self.lose(LossPart::Depth, by.clone());
         }
-        match &matched {
-            Ok(matched) => {
-                self.remarks.extend(matched.remarks.iter().cloned());
-                let missing = &matched.found.missing;
-                if !missing.is_empty() {
-                    let count = missing.len();
-                    self.lose("depth", format!("{count} pulses have no depth frame; depth_frames.csv and report.json name them"));
-                }
+        let matched = matched.map(|Matched { found, offset_alone }| {
+            if let Some(error) = offset_alone {
+                self.remarks.push(format!(
+                    "depth frames have the one offset that was recorded, without pulses: {error}"
+                ));
             }
-            Err(error) if index.rewritten.is_none() => self.lose("depth", error.clone()),
-            // Times that are rounded explain it.
+            let missing = found.missing.len();
+            if missing > 0 {
+                self.lose(
+                    LossPart::Depth,
+                    format!("{missing} pulses have no depth frame; depth_frames.csv and report.json name them"),
+                );
+            }
+            found
+        });
+        match &matched {
+            Ok(_) => {}
+            Err(error) if index.rewritten.is_none() => {
+                self.lose(LossPart::Depth, error.to_string());
+            }
+            // Rounded times explain it.
             Err(_) => self.lose(
-                "depth",
+                LossPart::Depth,
                 "with rounded times it is not found which pulse made which depth frame",
             ),
         }
-        let found = matched.as_ref().ok().map(|matched| &matched.found);
-        let frames = tables::depth_frames(&index, found, &survey.pulses, constants.depth_center_ns);
+        let found = matched.as_ref().ok();
+        let frames = frames::depth_frames(&index, found, &survey.pulses, constants.depth_center_ns);
         let broken = frames.iter().filter(|frame| !frame.whole).count();
         if broken > 0 {
             self.lose(
-                "depth",
+                LossPart::Depth,
                 format!("{broken} depth frames do not hold a whole image"),
             );
         }
-        let color = tables::camera_frames(&index.color_frames, &frames, found);
+        let color = frames::camera_frames(&index.color_frames, &frames, found);
         self.write_camera_table(&index, &color)?;
         Ok(Some(Depth {
             index,
@@ -102,14 +112,14 @@ impl Extraction<'_> {
         }))
     }
 
-    /// Depth frames and their pulses.
+    /// Matches depth frames to pulses, unless the camera was not configured to follow them.
     fn match_depth(
         &self,
         input: &DepthInput,
         index: &DepthIndex,
         survey: &Survey,
         constants: &Constants,
-    ) -> Result<Matched, ExtractError> {
+    ) -> Result<Result<Matched, MatchError>, ExtractError> {
         let matching = Matching {
             board: &self.inputs.board,
             input,
@@ -120,12 +130,12 @@ impl Extraction<'_> {
         };
         if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
             let sync = sync.chars().take(32).collect();
-            let error = MatchError::OtherSync { sync };
-            return Err(ExtractError::Missing(error.to_string()));
+            return Ok(Err(MatchError::OtherSync { sync }));
         }
         matching.find(self.job.options.first_pulse)
     }
 
+    /// Writes the times of the camera's colour images.
     fn write_camera_table(
         &mut self,
         index: &DepthIndex,
@@ -135,73 +145,55 @@ impl Extraction<'_> {
             return Ok(());
         };
         if !color.is_jpeg() {
-            let format: String = color.format.chars().filter(|c| !c.is_control()).collect();
-            self.lose(
-                "depth",
-                format!(
-                    "the camera's colour images are {format}, expected MJPG: their times are in \
-                     camera_frames.csv, and no images are written; record with an MJPG colour mode"
-                ),
-            );
+            self.lose(LossPart::Depth, depth_wording::no_jpeg(&color.format));
         }
         let exposure = self.inputs.color_exposure_ns;
         let path = self.output.out.join("camera_frames.csv");
         tables::write_camera(&path, frames, exposure).map_err(|error| self.failed(error))
     }
 
-    /// From the pulse to the centre of exposure: the profile's, or the nominal one of the mode,
-    /// made to fit to what the file says: its mode, its delays, and a colour camera that exposes
+    /// Sets the time from pulse to centre of exposure: the profile's or the mode's nominal one,
+    /// corrected by the mode and the delays in the file, and by a colour camera that exposes
     /// longer.
     fn set_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        match constants.is_center_known {
-            true => self.compare_mode(index, constants),
-            false => self.nominal_center(index, constants),
+        if constants.is_center_known {
+            self.correct_for_mode(index, constants);
+        } else {
+            self.set_nominal_center(index, constants);
         }
-        // Without colour the recorder's library refuses a delay of depth behind it.
-        let behind_color = index.depth_delay * i64::from(index.color.is_some());
-        let delay = index.subordinate_delay.saturating_add(behind_color);
-        if index.subordinate_delay != 0 || behind_color != 0 {
+        // Without colour the recorder's library refuses a delay of depth after it.
+        let after_color = index.depth_delay * i64::from(index.color.is_some());
+        let delay = index.subordinate_delay.saturating_add(after_color);
+        if index.subordinate_delay != 0 || after_color != 0 {
             constants.delay_depth(delay);
-            self.remarks.push(format!(
-                "the depth camera's file has delays that the profile does not know: \
-                 {} µs after the trigger (K4A_SUBORDINATE_DELAY_NS) and {} µs of depth after colour \
-                 (K4A_DEPTH_DELAY_NS); depth is timed {} µs later by that",
-                micros(index.subordinate_delay),
-                micros(behind_color),
-                micros(delay)
-            ));
+            let remark = depth_wording::file_delays(index.subordinate_delay, after_color, delay);
+            self.remarks.push(remark);
         }
         if index.color.is_some() {
             self.add_color_exposure(index, constants);
         }
     }
 
-    /// The camera puts the centres of colour and depth on one another, and begins with
-    /// the longer exposure (issue 868 of the camera's SDK): a colour exposure longer than
-    /// the train of infrared pulses makes depth later by half of the difference.
+    /// Delays depth by half of what the colour exposure is longer than the train of infrared
+    /// pulses: the camera centres colour and depth on each other, and begins with the longer
+    /// exposure (issue 868 of the camera's SDK).
     fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let half_train = index.mode.as_deref().and_then(|mode| self.nominal(mode));
         let (Some(exposure), Some(half_train)) = (self.inputs.color_exposure_ns, half_train) else {
-            self.remarks.push(String::from(
-                "the depth camera recorded colour too: it exposes depth later by half of what the colour \
-                 exposure is longer than the train of infrared pulses (12.725 ms; WFOV_UNBINNED 20.245 ms). \
-                 The file does not say that exposure: set color_exposure_us in the rig profile if it may be longer, then extract with `--profile rig.toml`",
-            ));
+            self.remarks.push(depth_wording::color_exposure_unknown());
             return;
         };
         let later = (exposure / 2 - half_train).max(0);
         constants.delay_depth(later);
         if later > 0 {
-            self.remarks.push(format!(
-                "depth is timed {} µs later, because the camera exposed colour for {} µs",
-                micros(later),
-                micros(exposure)
-            ));
+            let remark = depth_wording::delayed_by_color(later, exposure);
+            self.remarks.push(remark);
         }
     }
 
-    /// The file's mode decides where the profile has another.
-    fn compare_mode(&mut self, index: &DepthIndex, constants: &mut Constants) {
+    /// Corrects the profile's time to the centre of exposure if the file was recorded in
+    /// another mode.
+    fn correct_for_mode(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let (Some(file), Some(profile)) = (&index.mode, &self.inputs.depth_mode) else {
             return;
         };
@@ -210,28 +202,13 @@ impl Extraction<'_> {
         }
         let change = self.nominal(file).zip(self.nominal(profile));
         let change = change.map(|(file, profile)| file - profile);
-        let file: String = file.chars().take(32).collect();
-        let what = match change {
-            Some(0) => {
-                String::from("the time from pulse to centre of exposure is the same in both")
-            }
-            Some(change) => format!(
-                "depth is timed {} µs later than the profile's center_offset_us says, by the difference of \
-                 the modes",
-                micros(change)
-            ),
-            None => String::from(
-                "the time from pulse to centre of exposure is the profile's; set its center_offset_us, then extract with `--profile rig.toml`",
-            ),
-        };
         constants.delay_depth(change.unwrap_or(0));
-        self.remarks.push(format!(
-            "the depth camera recorded in mode {file} and the profile says {profile}: {what}"
-        ));
+        let remark = depth_wording::other_mode(file, profile, change);
+        self.remarks.push(remark);
     }
 
-    /// From the edge to the middle of exposure in a mode of the camera, ns, where that is
-    /// always the same.
+    /// Returns the time from the edge to the centre of exposure in a mode of the camera, ns, if
+    /// the mode has a constant one.
     fn nominal(&self, mode: &str) -> Option<i64> {
         match self.inputs.camera?.mode(mode)?.center {
             Center::Fixed(center_us) => Some((center_us * 1e3).round() as i64),
@@ -239,32 +216,20 @@ impl Extraction<'_> {
         }
     }
 
-    /// The edge-to-centre time of the camera's mode, where nothing better is known.
-    fn nominal_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
+    /// Sets the nominal time to the centre of exposure of the file's mode, if it has one.
+    fn set_nominal_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let mode = index.mode.as_deref();
-        match mode.and_then(|mode| self.nominal(mode)) {
-            Some(center) => {
+        let nominal = mode.and_then(|mode| Some((mode, self.nominal(mode)?)));
+        self.remarks.push(match nominal {
+            Some((mode, center)) => {
                 constants.depth_center_ns = center;
-                let mode = mode.unwrap_or_default();
-                self.remarks.push(format!(
-                    "from pulse to centre of exposure: {:.1} µs, half of the infrared train of mode {mode}; \
-                     measure it, set center_offset_us in the rig profile, then extract with `--profile rig.toml`",
-                    center as f64 / 1000.0
-                ));
+                depth_wording::nominal_center(mode, center)
             }
-            None => {
-                let mode = match mode {
-                    Some(mode) => format!("there is no known value for depth mode {mode}"),
-                    None => String::from("the depth recording does not say its mode"),
-                };
-                self.remarks.push(format!(
-                    "the time from pulse to centre of exposure is not known ({mode}): depth timestamps \
-                     are the pulses; set center_offset_us in the rig profile, then extract with `--profile rig.toml`"
-                ));
-            }
-        }
+            None => depth_wording::unknown_center(mode),
+        });
     }
 
+    /// Writes the images of the depth camera, and reports what is wrong with them.
     pub(super) fn write_depth_images(
         &mut self,
         depth: Option<&Depth>,
@@ -277,9 +242,9 @@ impl Extraction<'_> {
         };
         let registration = match view {
             _ if depth.matched.is_err() => return Ok(None),
-            DepthView::None => return Ok(None),
+            DepthView::Unavailable => return Ok(None),
             DepthView::Own => None,
-            DepthView::Other(registration) => Some(&**registration),
+            DepthView::Registered(registration) => Some(&**registration),
         };
         let layout = self.layout();
         let path = |kind, at| {
@@ -302,7 +267,7 @@ impl Extraction<'_> {
             depth: frames.iter().map(paths_of).collect(),
             color: depth.color.iter().map(color_path).collect(),
         };
-        let outcome = match self.output.done::<DepthOutcome>("depth") {
+        let outcome = match self.output.outcome::<DepthOutcome>("depth") {
             Some(outcome) => outcome,
             None => {
                 let view = DepthImageView {
@@ -312,12 +277,12 @@ impl Extraction<'_> {
                 match write_depth(&input, &paths, view, layout, &self.job.monitor) {
                     Ok(outcome) => {
                         self.output
-                            .keep("depth", &outcome)
+                            .store("depth", &outcome)
                             .map_err(|error| self.failed(error))?;
                         outcome
                     }
                     Err(ExtractError::Depth(error)) => {
-                        self.lose("depth", error.to_string());
+                        self.lose(LossPart::Depth, error.to_string());
                         self.unfinished = true;
                         return Ok(None);
                     }
@@ -325,7 +290,7 @@ impl Extraction<'_> {
                 }
             }
         };
-        // As the trigger starts, a camera takes up its phase in frames without depth.
+        // While the trigger starts, a camera adopts its phase in frames without depth.
         let recorded = self.inputs.recorded;
         let is_outside = |&&index: &&usize| {
             let at = frames.get(index).and_then(|frame| frame.at);
@@ -351,18 +316,14 @@ impl Extraction<'_> {
                 "colour images of the depth camera are no whole JPEG files",
             ),
         ];
-        for (frames, what) in counts {
+        for (frames, fault) in counts {
             if !frames.is_empty() {
-                let first: Vec<String> = frames.iter().take(10).map(ToString::to_string).collect();
-                self.lose(
-                    "depth",
-                    format!("{} {what} (frames {} ...)", frames.len(), first.join(" ")),
-                );
+                self.lose(LossPart::Depth, depth_wording::faulty_frames(frames, fault));
             }
         }
         if outcome.out_of_range > 0 {
             self.lose(
-                "depth",
+                LossPart::Depth,
                 format!(
                     "{} pixels lie beyond the 13.107 m that the format can hold and became 0",
                     outcome.out_of_range
@@ -372,6 +333,7 @@ impl Extraction<'_> {
         Ok(Some(outcome))
     }
 
+    /// Writes the camera's calibration as the recording has it.
     pub(super) fn write_calibration(&self, depth: Option<&Depth>) -> Result<(), ExtractError> {
         let Some(calibration) = depth.and_then(|depth| depth.index.calibration.as_ref()) else {
             return Ok(());
@@ -380,58 +342,51 @@ impl Extraction<'_> {
     }
 }
 
-/// Nanoseconds as people write microseconds.
-fn micros(nanos: i64) -> String {
-    number(nanos as f64 / 1000.0, 3)
-}
-
 impl Depth {
-    /// What is known about its data, seen like this.
+    /// Returns the rates and sizes of its data, as seen in `view`.
     pub(super) fn facts(&self, view: &DepthView) -> DataSetInfo {
         let size = match view {
-            DepthView::Other(registration) => registration.out,
+            DepthView::Registered(registration) => registration.out,
             _ => self.index.size,
         };
         DataSetInfo {
             depth_rate: rate_of(self.frames.iter().filter_map(|frame| frame.at)),
             depth_size: Some(size),
             infrared_size: Some(self.index.size),
-            registered: matches!(view, DepthView::Other(_)),
+            registered: matches!(view, DepthView::Registered(_)),
             camera_rate: rate_of(self.color.iter().filter_map(|frame| frame.at)),
             camera_size: self.index.color.as_ref().map(|color| color.size),
             ..DataSetInfo::default()
         }
     }
 
+    /// Reports the frames and, if there are any, the written images.
     pub(super) fn report(&self, survey: &Survey, images: Option<&DepthOutcome>) -> DepthReport {
-        let those = |is_so: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
+        let indices = |matches: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
             let frames = self.frames.iter().enumerate();
             frames
-                .filter(|(_, frame)| is_so(frame))
+                .filter(|(_, frame)| matches(frame))
                 .map(|(index, _)| index)
                 .collect()
         };
-        let of = |state| those(&|frame| frame.state == Some(state));
-        let found: Option<&DepthMatch> = self.matched.as_ref().ok().map(|matched| &matched.found);
+        let in_state = |state| indices(&|frame| frame.state == Some(state));
+        let found = self.matched.as_ref().ok();
         let number = |pulse: &usize| survey.pulses.get(*pulse).map(|pulse| pulse.number);
         DepthReport {
             frames: self.frames.len(),
-            matched: of(FrameState::Matched).len(),
-            decided_by: self
-                .matched
-                .as_ref()
-                .map_or_else(|_| String::new(), |matched| matched.decided_by()),
+            matched: in_state(FrameState::Matched).len(),
+            decided_by: found.map(|found| found.decision),
             not_matched: self.matched.as_ref().err().cloned(),
             rate_ppm: found.map(|found| (found.rate_error * 1e6, found.rate_sigma * 1e6)),
             residual_us: found.map(|found| found.residual / 1000.0),
             missing: found.map_or_else(Vec::new, |found| {
                 found.missing.iter().filter_map(number).collect()
             }),
-            doubled: of(FrameState::Doubled),
-            off_pulse: of(FrameState::OffPulse),
-            before_first_pulse: of(FrameState::BeforeFirstPulse).len(),
-            after_last_pulse: of(FrameState::AfterLastPulse).len(),
-            broken: those(&|frame| !frame.whole),
+            doubled: in_state(FrameState::Doubled),
+            off_pulse: in_state(FrameState::OffPulse),
+            before_first_pulse: in_state(FrameState::BeforeFirstPulse).len(),
+            after_last_pulse: in_state(FrameState::AfterLastPulse).len(),
+            broken: indices(&|frame| !frame.whole),
             damaged: images.map_or_else(Vec::new, |images| images.damaged.clone()),
             empty: images.map_or_else(Vec::new, |images| images.empty.clone()),
             out_of_range: images.map_or(0, |images| images.out_of_range),

@@ -1,4 +1,4 @@
-//! What is known of the cameras, and the way of depth images into another camera's view.
+//! The cameras' lenses and poses, and the registration of depth images that the user asks for.
 
 use recording::profile::{Intrinsics, Pose};
 
@@ -7,23 +7,14 @@ use super::depth_part::Depth;
 use crate::error::ExtractError;
 use crate::geometry::calibration::{self, Calibration};
 use crate::geometry::lens::Lens;
-use crate::geometry::register::Registration;
-use crate::geometry::{CameraFacts, Cameras, View};
+use crate::geometry::register::{ImageGeometry, Registration};
+use crate::geometry::{CameraFacts, Cameras, DepthView, View};
 use crate::inputs::PhoneInput;
-
-/// Where depth images are seen from.
-pub(super) enum DepthView {
-    /// As the depth camera has them.
-    Own,
-    /// From another camera.
-    Other(Box<Registration>),
-    /// From another camera, and that is not possible.
-    None,
-}
+use crate::report::LossPart;
 
 impl Extraction<'_> {
-    /// The cameras, and the view of depth images that was asked for. `video` is the size of
-    /// the phone's images.
+    /// Returns the cameras and the view of depth images that the user asks for. `video` is the
+    /// size of the phone's images.
     pub(super) fn geometry(
         &mut self,
         phone: &PhoneInput,
@@ -56,10 +47,7 @@ impl Extraction<'_> {
         };
         let found = calibration.and_then(|calibration| match view {
             View::Color => into_color(&calibration),
-            View::Phone => {
-                let facts = (&cameras.phone, video);
-                into_phone(&calibration, facts, depth_from_imu)
-            }
+            View::Phone => into_phone(&calibration, &cameras.phone, video, depth_from_imu),
         });
         match found {
             Ok(registration) => {
@@ -68,21 +56,21 @@ impl Extraction<'_> {
                     View::Color => cameras.color.clone(),
                 };
                 cameras.depth.shutter = None;
-                (cameras, DepthView::Other(Box::new(registration)))
+                (cameras, DepthView::Registered(Box::new(registration)))
             }
-            Err(why) => {
+            Err(reason) => {
                 self.lose(
-                    "depth",
+                    LossPart::Depth,
                     format!(
-                        "depth images are not written, for they cannot be registered as --register asks: {why}"
+                        "depth images are not written, for they cannot be registered as --register asks: {reason}"
                     ),
                 );
-                (cameras, DepthView::None)
+                (cameras, DepthView::Unavailable)
             }
         }
     }
 
-    /// Writes `cameras.json`, if anything is known of a camera.
+    /// Writes `cameras.json`, unless nothing is known about any camera.
     pub(super) fn write_cameras(&self, cameras: &Cameras) -> Result<(), ExtractError> {
         if *cameras == Cameras::default() {
             return Ok(());
@@ -92,6 +80,7 @@ impl Extraction<'_> {
     }
 }
 
+/// Reads the calibration in the depth recording, for the mode and sizes of its images.
 fn read_calibration(depth: &Depth) -> Result<Calibration, String> {
     let index = &depth.index;
     let json = index
@@ -109,29 +98,33 @@ fn read_calibration(depth: &Depth) -> Result<Calibration, String> {
     ))
 }
 
+/// Registers depth images into the view of the depth camera's colour camera.
 fn into_color(calibration: &Calibration) -> Result<Registration, String> {
     let color = calibration
         .color
         .as_ref()
         .ok_or("the depth camera recorded no colour; give --register phone")?;
-    let depth = &calibration.depth;
     Ok(Registration::new(
-        (&depth.lens, depth.size),
+        calibration.depth.image(),
         calibration.color_from_depth,
-        (&color.lens, color.size),
+        color.image(),
     ))
 }
 
+/// Registers depth images into the view of the phone's camera, whose images have the size
+/// `video`.
 fn into_phone(
     calibration: &Calibration,
-    (phone, video): (&CameraFacts, Option<(u32, u32)>),
+    phone: &CameraFacts,
+    video: Option<(u32, u32)>,
     depth_from_imu: Option<Pose>,
 ) -> Result<Registration, String> {
-    let (width, height) = video.ok_or("there are no images of the phone")?;
+    let size = video.ok_or("there are no images of the phone")?;
     let intrinsics: &Intrinsics = phone.intrinsics.as_ref().ok_or_else(|| {
         format!(
-            "the profile has no intrinsics of the phone (phone.cameras) for images of {width} × {height}; \
-             `profile import-kalibr` writes them"
+            "the profile has no intrinsics of the phone (phone.cameras) for images of {} × {}; \
+             `profile import-kalibr` writes them",
+            size.0, size.1
         )
     })?;
     let from_imu = phone.from_imu.ok_or(
@@ -142,10 +135,10 @@ fn into_phone(
         "the profile does not say where the depth camera is (depth.color_from_imu); `profile \
          import-kalibr` writes it",
     )?;
-    let depth = &calibration.depth;
+    let lens = &Lens::from_intrinsics(intrinsics);
     Ok(Registration::new(
-        (&depth.lens, depth.size),
+        calibration.depth.image(),
         from_imu.after(&depth_from_imu.inverse()),
-        (&Lens::of(intrinsics), (width, height)),
+        ImageGeometry { lens, size },
     ))
 }

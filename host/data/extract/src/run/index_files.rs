@@ -1,19 +1,19 @@
-//! The index files of each sequence, which list what was written.
+//! Index files of each sequence, which list the written images.
 
 use std::path::Path;
 
 use super::Extraction;
 use crate::error::ExtractError;
 use crate::frames::pairs::Pair;
+use crate::frames::{CameraFrame, ColorFrame, DepthFrame};
 use crate::inputs::board_data::{Reference, TimePair};
 use crate::layout::{DataSetInfo, ImageKind, ImageRow, SequenceTables, file_names};
 use crate::output::images::{DepthOutcome, VideoOutcome};
 use crate::output::sample_pairs;
 use crate::output::sequences::Sequences;
-use crate::output::tables::{CameraFrame, ColorFrame, DepthFrame};
 use crate::report::SequenceReport;
 
-/// What there is for all sequences.
+/// Tables and written images of all sequences.
 pub(super) struct Written<'a> {
     pub(super) times: &'a [TimePair],
     pub(super) color: &'a [ColorFrame],
@@ -25,7 +25,7 @@ pub(super) struct Written<'a> {
 }
 
 impl Extraction<'_> {
-    /// Writes the index files, one set a sequence, below a folder of the output.
+    /// Writes the index files of each sequence below a folder of the output.
     pub(super) fn finish_sequences(
         &mut self,
         below: &Path,
@@ -52,7 +52,7 @@ impl Extraction<'_> {
             tables.names = here.map(|(&of, name)| (of, name.clone())).collect();
             let folder = sequences.folder(sequence);
             let data = self.output.out.join(below).join(&folder);
-            // Before the format may do away with the images, and of the sequence that has most.
+            // Before the format may remove the images; the sequence with most pairs is shown.
             if tables.pairs.len() > drawn_from && self.draw_samples(&data, &tables)? {
                 drawn_from = tables.pairs.len();
             }
@@ -74,7 +74,7 @@ impl Extraction<'_> {
         Ok(reports)
     }
 
-    /// Draws sample pairs for the report, if the images are there; returns whether they are.
+    /// Draws sample pairs for the report, and returns true if the images are there.
     fn draw_samples(
         &mut self,
         data: &Path,
@@ -86,7 +86,7 @@ impl Extraction<'_> {
         }
         match sample_pairs::draw(&pairs) {
             Ok(svg) => self.write(sample_pairs::FILE, svg.as_bytes())?,
-            // The images are right or wrong by themselves; the report does without.
+            // The images do not depend on it; the report lacks the drawing.
             Err(error) => self
                 .remarks
                 .push(format!("the report has no sample pairs: {error}")),
@@ -94,6 +94,7 @@ impl Extraction<'_> {
         Ok(true)
     }
 
+    /// Returns the written images, pairs and pairs of times of one sequence.
     fn tables_of<'a>(
         &self,
         sequence: usize,
@@ -111,7 +112,7 @@ impl Extraction<'_> {
             unfinished: self.unfinished,
             ..SequenceTables::default()
         };
-        // Places in this sequence's lists, by place in the whole tables.
+        // Positions in this sequence's lists, by position in the whole tables.
         let mut color_places = vec![None; written.color.len()];
         let mut depth_places = vec![None; written.depth.len()];
         for (index, frame) in written.color.iter().enumerate() {

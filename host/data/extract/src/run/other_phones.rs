@@ -1,21 +1,22 @@
-//! The other phones: the same tables, images and samples as of the phone that the
+//! The other phones: the same tables, images and samples as for the phone that the
 //! trigger was aligned to, each in `phones/NAME` of the output.
 
 use super::index_files::Written;
 use super::phone_part::Phone;
-use super::{Extraction, find_pairs, rate_of};
+use super::{Extraction, find_pairs, phone_tables, rate_of};
 use crate::constants::Constants;
 use crate::error::ExtractError;
+use crate::frames::DepthFrame;
 use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
 use crate::inputs::survey::Survey;
 use crate::layout::DataSetInfo;
 use crate::output::sequences::Sequences;
-use crate::output::tables::{self, DepthFrame};
 use crate::report::OtherReport;
 
 impl Extraction<'_> {
-    /// Extracts one of them. `depth_center` (ns) is from pulse to depth timestamp.
+    /// Extracts one of the other phones. `depth_center` is the time from pulse to depth
+    /// timestamp, ns.
     pub(super) fn other_phone(
         &mut self,
         input: &PhoneInput,
@@ -31,10 +32,8 @@ impl Extraction<'_> {
         let phone = self.read_phone(input, survey)?;
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = self.aligned_pairs(find_pairs(color, depth, survey), color, input);
-        let sigma = self.sigma_of_pairs(phone.as_ref(), input);
-        let folder = self.output.out.join(&input.folder);
-        let known = input.camera(None);
-        tables::write_phone(&folder, (color, known.shutter), (&pairs, &sigma), depth)
+        phone_tables(phone.as_ref(), input, depth, &pairs)
+            .write(&self.output.out.join(&input.folder))
             .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let size = video.as_ref().and_then(|video| video.size);
@@ -51,7 +50,7 @@ impl Extraction<'_> {
                 },
                 ..DataSetInfo::default()
             };
-            // Depth, board and the pairs of images stand with the first phone.
+            // Depth, board and the pairs of images are with the first phone.
             let written = Written {
                 times: &[],
                 color,
@@ -63,14 +62,14 @@ impl Extraction<'_> {
             };
             self.finish_sequences(&input.folder, sequences, &written, &facts)?;
         }
-        let grid = self.against_grid(color, survey, &constants);
+        let grid = self.trigger_offset(color, survey, &constants);
         let clock = phone.as_ref().and_then(Phone::clock_report);
         Ok(OtherReport {
             name: input.name.clone().unwrap_or_default(),
             phone: phone
                 .as_ref()
                 .map(|phone| phone.report(video.as_ref(), &imu)),
-            pairs: self.pairs_report(&pairs, color, (input, clock.as_ref())),
+            pairs: self.pairs_report(&pairs, color, input, clock.as_ref()),
             clock,
             grid,
             constants,

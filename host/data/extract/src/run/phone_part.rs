@@ -2,37 +2,40 @@
 
 use std::path::PathBuf;
 
+use phone::video::{Pixels, Video, VideoError, presentation_times};
 use phone::video_files::VideoFiles;
 
-use phone::video::{Pixels, Video, VideoError, presentation_times};
-
 use super::Extraction;
+use super::depth_wording::WITH_PROFILE;
 use crate::clocks::phone_clock::{self, PhoneClock};
 use crate::error::ExtractError;
 use crate::faults::Faults;
-use crate::frames::video_rows::{Alignment, align};
+use crate::frames::video_rows::{VideoRows, match_by_time};
+use crate::frames::{self, ColorFrame};
 use crate::inputs::PhoneInput;
 use crate::inputs::phone_rows::PhoneRows;
 use crate::inputs::survey::{ImuSpan, Survey};
 use crate::layout::ImageKind;
 use crate::output::images::{VideoOutcome, write_video};
-use crate::output::imu_tables::{Joiner, TableWriter, in_board_time};
+use crate::output::imu_tables::{AccelInterpolator, TableWriter, in_board_time};
 use crate::output::sequences::Sequences;
-use crate::output::tables::{self, ColorFrame};
-use crate::report::{ClockReport, Loss, PhoneReport};
+use crate::report::{ClockReport, LossPart, PhoneReport};
 use crate::time::PhoneNanos;
 
-/// The phone's part after reading.
+/// A phone's timestamps in board time.
 pub(super) struct Phone {
     name: String,
-    /// Images that the video has by the timestamps, and timestamps.
+    /// Number of images that the video should have.
     images: usize,
+    /// Number of timestamps.
     stamps: usize,
+    /// True if a mismatch of video and timestamps has been reported.
+    has_mismatch: bool,
     pub(super) frames: Vec<ColorFrame>,
     pub(super) clock: Option<PhoneClock>,
 }
 
-/// The phone's samples in short.
+/// Summary of a phone's samples.
 #[derive(Default)]
 pub(super) struct PhoneImu {
     gyro: u64,
@@ -41,25 +44,26 @@ pub(super) struct PhoneImu {
 }
 
 impl Extraction<'_> {
+    /// Reads a phone's timestamps, and relates its clock to the board's.
     pub(super) fn read_phone(
         &mut self,
         input: &PhoneInput,
         survey: &Survey,
     ) -> Result<Option<Phone>, ExtractError> {
         let Some(files) = input.files.clone() else {
-            let how = match input.other_name() {
+            let option = match input.other_name() {
                 Some(name) => format!("--phone {name}=PATH"),
                 None => String::from("--phone"),
             };
             let what = format!(
                 "there are no files of the phone (its video .mp4 and beside it the .csv files of frame \
-                 timestamps, gyroscope and accelerometer); give the folder that has them with {how}"
+                 timestamps, gyroscope and accelerometer); give the folder that has them with {option}"
             );
-            self.lose("phone", input.about(&what));
+            self.lose(LossPart::Phone, input.about(&what));
             return Ok(None);
         };
         for what in files.missing() {
-            self.lose("phone", input.about(&format!("there is no {what}")));
+            self.lose(LossPart::Phone, input.about(&format!("there is no {what}")));
         }
         let mut rows_of_frames = Vec::new();
         if let Some(path) = &files.frames {
@@ -76,7 +80,7 @@ impl Extraction<'_> {
                 }
                 Err(error) => {
                     let what = format!("reading {}: {error}", path.display());
-                    self.lose("phone", input.about(&what));
+                    self.lose(LossPart::Phone, input.about(&what));
                 }
             }
         }
@@ -89,70 +93,75 @@ impl Extraction<'_> {
                 Some(clock)
             }
             Err(error) if error.is_fatal() => return Err(error),
-            Err(why) => {
-                self.lose("clock", input.about(&why.to_string()));
+            Err(error) => {
+                self.lose(LossPart::Clock, input.about(&error.to_string()));
                 None
             }
         };
         let constants = &input.constants;
         if !constants.is_middle_known && !stamps.is_empty() {
             self.remarks.push(input.about(
-                "exposure or readout of the phone is not known: its images' times are earlier than the \
-                 middle of exposure by half of what is missing; set exposure_us and readout_us in the rig profile, then extract with `--profile rig.toml`",
+                &format!(
+                    "exposure or readout of the phone is not known: its images' times are earlier than the \
+                     middle of exposure by half of what is missing; set exposure_us and readout_us in the rig profile, {WITH_PROFILE}"
+                ),
             ));
         }
-        let alignment = self.align_video(input, &files, &rows_of_frames);
+        let matched = self.match_video(input, &files, &rows_of_frames);
         let mut images = vec![None; stamps.len()];
-        for (image, row) in alignment.rows.iter().enumerate() {
+        for (image, row) in matched.rows.iter().enumerate() {
             if let Some(slot) = row.and_then(|row| images.get_mut(row)) {
                 *slot = Some(image);
             }
         }
         let frames = clock.as_ref().map_or_else(Vec::new, |clock| {
-            tables::color_frames(&stamps, &images, &clock.map, constants.color_middle_ns)
+            frames::color_frames(&stamps, &images, &clock.map, constants.color_middle_ns)
         });
         Ok(Some(Phone {
             name: files.name.clone(),
-            images: alignment.rows.len(),
+            images: matched.rows.len(),
             stamps: stamps.len(),
+            has_mismatch: matched.remark.is_some(),
             frames,
             clock,
         }))
     }
 
-    /// Which row each frame of the video has.
-    fn align_video(
+    /// Finds the row of the timestamps for each frame of the video.
+    fn match_video(
         &mut self,
         input: &PhoneInput,
         files: &VideoFiles,
         rows: &[Option<PhoneNanos>],
-    ) -> Alignment {
+    ) -> VideoRows {
         let Some(video) = &files.video else {
-            return Alignment::default();
+            return VideoRows::default();
         };
         match presentation_times(video, &self.job.monitor) {
             Some(times) if times.len() != rows.len() => {
                 let stamps: Vec<PhoneNanos> = rows.iter().flatten().copied().collect();
-                let alignment = align(&times, &stamps);
-                if let Some(remark) = &alignment.remark {
-                    self.lose("video", input.about(remark));
+                let matched = match_by_time(&times, &stamps);
+                if let Some(remark) = &matched.remark {
+                    self.lose(LossPart::Video, input.about(remark));
                 }
-                alignment
+                matched
             }
-            // Or without ffprobe, or without times in the file: then the count is
+            // Also without ffprobe, or without times in the file: then the count is
             // compared when the frames are decoded.
-            _ => Alignment::of_rows(rows),
+            _ => VideoRows::image_per_row(rows),
         }
     }
 
+    /// Reports the damaged rows of a file.
     fn note_faults(&mut self, input: &PhoneInput, what: &str, faults: &Faults) {
         if faults.count() > 0 {
             let (count, first) = (faults.count(), faults.first().join("; "));
             let what = format!("{count} rows of the {what} are left out: {first}");
-            self.lose("phone", input.about(&what));
+            self.lose(LossPart::Phone, input.about(&what));
         }
     }
 
+    /// Decodes the phone's video, and writes its images; `None` if there is no place for them.
     pub(super) fn write_phone_images(
         &mut self,
         input: &PhoneInput,
@@ -187,7 +196,7 @@ impl Extraction<'_> {
             Some(name) => format!("video-{name}"),
             None => String::from("video"),
         };
-        let outcome = match self.output.done::<VideoOutcome>(&step) {
+        let outcome = match self.output.outcome::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
             None => match Video::open(&video, Pixels::Rgb, &self.job.monitor) {
                 Ok(decoder) => {
@@ -195,14 +204,17 @@ impl Extraction<'_> {
                     // With an error the next run tries again.
                     if outcome.error.is_none() {
                         self.output
-                            .keep(&step, &outcome)
+                            .store(&step, &outcome)
                             .map_err(|error| self.failed(error))?;
                     }
                     outcome
                 }
                 Err(error @ VideoError::Missing(_)) => {
                     let again = "run the extraction again: it goes on where it stopped";
-                    self.lose("video", input.about(&format!("{error}, and {again}")));
+                    self.lose(
+                        LossPart::Video,
+                        input.about(&format!("{error}, and {again}")),
+                    );
                     self.unfinished = true;
                     return Ok(None);
                 }
@@ -214,22 +226,21 @@ impl Extraction<'_> {
         };
         if let Some(error) = &outcome.error {
             self.unfinished = true;
-            self.lose("video", input.about(error));
+            self.lose(LossPart::Video, input.about(error));
         }
         let expected = phone.stamps as u64;
         let is_complete = outcome.decoded == phone.images as u64;
-        let own = input.about("");
-        let told = |loss: &Loss| loss.part == "video" && loss.what.starts_with(&own);
-        if !is_complete && !self.losses.iter().any(told) {
+        if !is_complete && !phone.has_mismatch && outcome.error.is_none() {
             let what = format!(
                 "{} frames were decoded and there are {expected} timestamps",
                 outcome.decoded
             );
-            self.lose("video", input.about(&what));
+            self.lose(LossPart::Video, input.about(&what));
         }
         Ok(Some(outcome))
     }
 
+    /// Writes the phone's samples in board time.
     pub(super) fn write_phone_imu(
         &mut self,
         input: &PhoneInput,
@@ -248,7 +259,7 @@ impl Extraction<'_> {
             (Ok(gyro), Ok(accel)) => (gyro, accel),
             (Err(error), _) | (_, Err(error)) => {
                 let what = format!("opening the sensor files: {error}");
-                self.lose("phone", input.about(&what));
+                self.lose(LossPart::Phone, input.about(&what));
                 return Ok(PhoneImu::default());
             }
         };
@@ -256,7 +267,7 @@ impl Extraction<'_> {
         let mut writer =
             TableWriter::new(table, &out, sequences, input.constants.phone_imu_delay_ns);
         let mut span = ImuSpan::default();
-        let mut joiner = Joiner::new(|| accel.next_sample());
+        let mut interpolator = AccelInterpolator::new(|| accel.next_sample());
         let read_error = loop {
             let sample = match gyro.next_sample() {
                 Ok(Some(sample)) => sample,
@@ -264,7 +275,7 @@ impl Extraction<'_> {
                 Err(error) => break Some(error),
             };
             span.add(sample.time.0);
-            let value = match joiner.at(sample.time) {
+            let value = match interpolator.at(sample.time) {
                 Ok(Some(value)) => value,
                 Ok(None) => continue,
                 Err(error) => break Some(error),
@@ -273,11 +284,11 @@ impl Extraction<'_> {
                 writer.push(row).map_err(|error| self.failed(error))?;
             }
         };
-        let without = joiner.without_accel;
+        let without = interpolator.without_accel;
         let rows = writer.finish().map_err(|error| self.failed(error))?;
         if let Some(error) = read_error {
             let what = format!("reading the sensor files: {error}");
-            self.lose("phone", input.about(&what));
+            self.lose(LossPart::Phone, input.about(&what));
         }
         self.note_faults(input, "gyroscope", gyro.faults());
         self.note_faults(input, "accelerometer", accel.faults());
@@ -295,10 +306,12 @@ impl Extraction<'_> {
 }
 
 impl Phone {
+    /// Reports the relation of the clocks over the phone's frames.
     pub(super) fn clock_report(&self) -> Option<ClockReport> {
         Some(self.clock.as_ref()?.report(&self.frames))
     }
 
+    /// Reports timestamps, images and samples.
     pub(super) fn report(&self, video: Option<&VideoOutcome>, imu: &PhoneImu) -> PhoneReport {
         PhoneReport {
             name: self.name.clone(),

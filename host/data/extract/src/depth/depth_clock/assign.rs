@@ -1,67 +1,68 @@
-//! With the shift known: each frame takes the pulse next to it in time.
+//! Assigns to each frame the pulse nearest to it in time, once the shift is known.
 
 use super::fit;
-use super::pattern::{Fitted, Grid, distance};
+use super::pattern::{Fitted, Trains, distance};
 use super::{Decision, DepthMatch};
 use crate::time::DeviceNanos;
 
-/// A frame may be this far from its pulse (ns) or ten times the scatter: more is
-/// a frame that no pulse of the recording has made.
+/// Largest distance of a frame from its pulse, ns, unless ten times the scatter is more.
+/// A frame farther away was made by no recorded pulse.
 const TOLERANCE: f64 = 1e6;
 
-/// What a frame is.
+/// Relation of a frame to the pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum FrameState {
-    /// It has a pulse of its own.
+    /// The frame has a pulse of its own.
     Matched,
-    /// Another frame lies nearer to the same pulse.
+    /// Another frame is nearer to the same pulse.
     Doubled,
-    /// It lies in front of the first recorded pulse.
+    /// The frame is earlier than the first recorded pulse.
     BeforeFirstPulse,
-    /// It lies after the last recorded pulse.
+    /// The frame is later than the last recorded pulse.
     AfterLastPulse,
-    /// It lies between pulses, or where a pulse is missing in the recording.
+    /// The frame is between pulses, or where a pulse is missing in the recording.
     OffPulse,
-    /// Frames and pulses were not matched: it has no board time.
+    /// Frames and pulses were not matched: the frame has no board time.
     NotMatched,
 }
 
-/// A frame's pulse.
+/// Pulse of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Assignment {
-    /// What it is.
+    /// Relation of the frame to the pulses.
     pub(crate) state: FrameState,
-    /// Index of its pulse; of the nearest one for a doubled frame.
+    /// Index of the frame's pulse; for a doubled frame, of the nearest one.
     pub(crate) pulse: Option<usize>,
-    /// Frame − pulse on the fitted clock, in ns.
+    /// Frame − pulse on the fitted clock, ns.
     pub(crate) residual: i64,
 }
 
+/// Assigns pulses to `frames` at `shift`, on the clock that was fitted there.
 pub(super) fn assign(
-    grid: &Grid,
+    trains: &Trains,
     shift: i64,
     fitted: &Fitted,
     frames: &[DeviceNanos],
     decision: Decision,
 ) -> DepthMatch {
-    let pulses = grid.pulse_times.len();
-    let ratio = grid.ratio();
+    let pulses = trains.pulse_times.len();
+    let ratio = trains.ratio();
     // distance(frame)·ratio − distance(pulse) = smooth, with the distance modulo a
     // period: the whole periods are in the shift.
-    let base = grid.base(shift);
+    let base = trains.base(shift);
     let to_pulse = |x: f64| {
         let scaled = x * ratio;
         scaled - fitted.smooth.at(scaled) + base
     };
     let tolerance = (10.0 * fitted.scatter)
         .max(TOLERANCE)
-        .min(grid.period * 0.4);
+        .min(trains.period * 0.4);
     let mut taken: Vec<Option<(usize, f64)>> = vec![None; pulses];
     let mut out: Vec<Assignment> = Vec::with_capacity(frames.len());
     for (index, frame) in frames.iter().enumerate() {
-        let time = to_pulse(distance(frame.0, grid.device_zero.0));
-        let (nearest, residual) = grid.nearest_pulse(time);
+        let time = to_pulse(distance(frame.0, trains.device_zero.0));
+        let (nearest, residual) = trains.nearest_pulse(time);
         let state = if residual.abs() <= tolerance {
             match taken[nearest] {
                 Some((_, other)) if other.abs() <= residual.abs() => FrameState::Doubled,
@@ -94,7 +95,7 @@ pub(super) fn assign(
     let missing = (first..last)
         .filter(|&pulse| taken[pulse].is_none())
         .collect();
-    let end = grid.end();
+    let end = trains.end();
     // board = device·ratio·(1 − b) and the rate is device against board.
     let rate_error = 1.0 / (ratio * (1.0 - fitted.smooth.b)) - 1.0;
     let matched = taken.iter().flatten().count().max(1) as f64;
@@ -107,6 +108,6 @@ pub(super) fn assign(
         rate_error,
         rate_sigma,
         residual: fitted.scatter,
-        clock: fit::knots(grid.device_zero, grid.board_zero, end, to_pulse),
+        clock: fit::knots(trains.device_zero, trains.board_zero, end, to_pulse),
     }
 }

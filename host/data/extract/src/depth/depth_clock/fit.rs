@@ -1,21 +1,20 @@
-//! A robust fit of a slow function of time.
+//! Robust fit of a slow function of time.
 //!
 //! The wander of a crystal is slow: within [`KNOT_SPACING`] it is a straight
-//! line to far below a microsecond. So the difference of two clocks is modelled
+//! line to far below a microsecond. The difference of two clocks is therefore modelled
 //! as a line plus a piecewise linear function with a knot each 30 s, where
 //! neighbouring knots are tied together weakly (20 µs, 0.7 ppm). The normal
 //! equations are tridiagonal and are solved in one sweep, so that a fit costs as
-//! much as reading the data. Outliers are left out by iteration (distances
-//! beyond 4 robust sigmas).
+//! much as reading the data. Outliers (beyond 4 robust sigmas) are removed by iteration.
 
 use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
 use twist_sync::robust::Line;
 
-/// Distance of knots, in ns.
+/// Distance of the knots, ns.
 pub(crate) const KNOT_SPACING: f64 = 30e9;
-/// How far neighbouring knots may be apart (1-sigma), in ns.
+/// 1-sigma of the difference of neighbouring knots, ns.
 const KNOT_TIE: f64 = 20e3;
-/// Iterations of the robust fit.
+/// Number of iterations of a robust fit.
 const ITERATIONS: usize = 4;
 
 /// Result of a fit `y ≈ a + b·x + knots(x)`.
@@ -29,7 +28,7 @@ pub(crate) struct Smooth {
 }
 
 impl Smooth {
-    /// The value at `x`.
+    /// Returns the value at `x`.
     pub(crate) fn at(&self, x: f64) -> f64 {
         self.a + self.b * x + self.knot_value(x)
     }
@@ -43,7 +42,7 @@ impl Smooth {
     }
 }
 
-/// Left knot and weight of the right one.
+/// Returns the knot to the left of `x` and the weight of the one to the right.
 fn knot(x: f64, count: usize) -> Option<(usize, f64)> {
     if count < 2 {
         return None;
@@ -53,8 +52,8 @@ fn knot(x: f64, count: usize) -> Option<(usize, f64)> {
     Some((left, place - left as f64))
 }
 
-/// Fits points (x ≥ 0 in ns, y in ns) of noise about `sigma`. `None` if there are
-/// fewer than three.
+/// Fits points (x ≥ 0 in ns, y in ns) whose noise is about `sigma`. Returns `None` for
+/// fewer than three points.
 pub(crate) fn smooth(points: &[(f64, f64)], sigma: f64) -> Option<Smooth> {
     if points.len() < 3 {
         return None;
@@ -88,18 +87,18 @@ pub(crate) fn smooth(points: &[(f64, f64)], sigma: f64) -> Option<Smooth> {
     Some(fit)
 }
 
-/// Least squares line: its value at x = 0, and its slope.
+/// Returns the value at x = 0 and the slope of the least squares line.
 fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let line = Line::through(points);
     (line.at(0.0), line.slope)
 }
 
-/// The least squares line `a + b·x` through at least three points.
+/// Returns (a, b) of the least squares line `a + b·x`; `None` for fewer than three points.
 pub(crate) fn straight(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     (points.len() >= 3).then(|| line(points))
 }
 
-/// Slope of a line, with points beyond 4 robust sigmas left out by iteration.
+/// Returns the slope of a line, with points beyond 4 robust sigmas removed by iteration.
 pub(super) fn robust_line(points: &[(f64, f64)]) -> Option<f64> {
     let mut used = points.to_vec();
     let mut slope = None;
@@ -122,7 +121,7 @@ fn tied_knots(points: &[(f64, f64)], a: f64, b: f64, sigma: f64, count: usize) -
     }
     let weight = 1.0 / (sigma * sigma);
     let tie = 1.0 / (KNOT_TIE * KNOT_TIE);
-    // Tridiagonal: diagonal, upper, right-hand side.
+    // Tridiagonal: diagonal, upper diagonal, right-hand side.
     let mut diagonal = vec![0.0; count];
     let mut upper = vec![0.0; count];
     let mut right = vec![0.0; count];
@@ -143,7 +142,7 @@ fn tied_knots(points: &[(f64, f64)], a: f64, b: f64, sigma: f64, count: usize) -
         diagonal[left + 1] += tie;
         upper[left] -= tie;
     }
-    // Thomas's algorithm; the matrix is positive definite as soon as there is a point.
+    // Thomas's algorithm; with at least one point the matrix is positive definite.
     for i in 1..count {
         let factor = upper[i - 1] / diagonal[i - 1];
         diagonal[i] -= factor * upper[i - 1];
@@ -160,8 +159,8 @@ fn tied_knots(points: &[(f64, f64)], a: f64, b: f64, sigma: f64, count: usize) -
     knots
 }
 
-/// The upper median; 0 of nothing. One of the values, so that whole periods stay whole:
-/// [`twist_sync::robust::median`] takes the mean of two.
+/// Returns the upper median, or 0 without values. It is one of the values, so that whole
+/// periods stay whole; [`twist_sync::robust::median`] takes the mean of two.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -171,8 +170,8 @@ pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     *value
 }
 
-/// Pairs of device and board time, a knot each [`KNOT_SPACING`]: `to_board(x)` is the
-/// board's distance from `board_zero` at the device's distance `x` from `device_zero`.
+/// Returns a map from device to board time with a knot each [`KNOT_SPACING`]. `to_board(x)`
+/// is the board's distance from `board_zero` at the device's distance `x` from `device_zero`.
 pub(super) fn knots(
     device_zero: DeviceNanos,
     board_zero: BoardNanos,
@@ -198,23 +197,20 @@ mod tests {
     fn wander_is_followed_and_outliers_are_not() {
         // Ten minutes at 30 fps, 300 ppm, a wander of ±60 µs over five minutes,
         // one point in seven off by a few ms.
-        let truth = |x: f64| 5e6 + 300e-6 * x + 60e3 * (x / 150e9).sin();
+        let true_value = |x: f64| 5e6 + 300e-6 * x + 60e3 * (x / 150e9).sin();
         let points: Vec<(f64, f64)> = (0..18_000)
             .map(|i| {
                 let x = f64::from(i) * 33.33e6;
                 let off = if i % 7 == 3 { 3e6 } else { 0.0 };
                 let noise = f64::from(i * 7919 % 11_111) - 5_555.0;
-                (x, truth(x) + off + noise)
+                (x, true_value(x) + off + noise)
             })
             .collect();
         let fit = smooth(&points, 3.2e3).unwrap();
         for i in 0..600 {
             let x = f64::from(i) * 1e9;
-            assert!(
-                (fit.at(x) - truth(x)).abs() < 1.5e3,
-                "{i}: {}",
-                fit.at(x) - truth(x)
-            );
+            let error = fit.at(x) - true_value(x);
+            assert!(error.abs() < 1.5e3, "{i}: {error}");
         }
     }
 

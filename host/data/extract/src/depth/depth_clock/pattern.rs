@@ -1,25 +1,24 @@
-//! At which shift by whole periods the frames fit the pulses.
+//! Searches for the shift by whole periods at which the frames fit the pulses.
 //!
 //! Frames and pulses both get ordinals: time differences rounded to whole
-//! periods and summed up, so that a lost frame or pulse is a step of two. A
-//! *shift* says which pulse ordinal belongs to frame ordinal 0. For a shift, the
-//! distances frame − pulse (modulo a period, as a jump of the phase by half a
-//! period may be counted either way; unwrapped along time) must be a slow
-//! function of time ([`fit::smooth`]); what remains is noise of the camera's tick,
-//! or a sign that the shift is wrong: where the phase was moved, a wrong shift
-//! leaves the difference of the phases.
+//! periods and summed, so that a lost frame or pulse is a step of two. A
+//! *shift* is the pulse ordinal that belongs to frame ordinal 0. At the right shift the
+//! distances frame − pulse (modulo a period, since a phase jump of half a
+//! period can be counted either way; unwrapped along time) are a slow
+//! function of time ([`fit::smooth`]) plus the noise of the camera's tick. At a wrong
+//! shift, the difference of the phases remains wherever the phase was moved.
 //!
-//! Shifts are compared by χ² over the frames that have a pulse in both, so that
+//! Shifts are compared by χ² over the frames that have a pulse at both, so that
 //! where pulses are regular, all shifts cost the same and none wins by chance. A
-//! frame in front of the first pulse speaks against a shift (the camera waits for
-//! pulses); one after the last does not (it goes on without them).
+//! frame before the first pulse is evidence against a shift (the camera waits for
+//! pulses); a frame after the last one is not (the camera continues without them).
 //!
-//! All this takes for granted that the camera follows each pulse. One that comes later
-//! than expected by more than the camera waits for may find a frame already begun: the
+//! All this assumes that the camera follows each pulse. When a pulse is later than expected
+//! by more than the camera's waiting time, the camera may already have begun a frame: the
 //! frames then follow the move one pulse late, which looks exactly like the next shift.
-//! How long a camera waits is not documented. Where the trigger was moved by more than
-//! [`FOLLOWED`] at a time, the neighbours of the best shift therefore stay in the
-//! running, whatever their χ².
+//! The waiting time is not documented. Where the trigger moved by more than
+//! [`FOLLOWED`] at a time, the neighbours of the best shift therefore remain
+//! candidates, whatever their χ².
 
 use rayon::prelude::*;
 
@@ -27,53 +26,53 @@ use super::fit::{self, Smooth, median};
 use super::{DEVICE_TICK_NS, MIN_FRAMES, MatchError, PulseTime};
 use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
 
-/// χ² by which every other shift must fit worse.
+/// Smallest χ² by which every other shift must fit worse for a decision.
 const DECISIVE: f64 = 30.0;
-/// χ² of one frame at most.
+/// Largest χ² of one frame.
 const CAP: f64 = 100.0;
-/// χ² of a frame in front of the first pulse.
+/// χ² of a frame before the first pulse.
 const TOO_EARLY: f64 = 9.0;
-/// Frames in the first, coarse comparison.
+/// Number of frames in the first, coarse comparison.
 const COARSE: usize = 300;
-/// Shifts near the best that are always compared in full.
+/// Number of shifts on either side of the best that are always compared in full.
 const NEAR: usize = 64;
-/// At most this many shifts are compared in full.
+/// Largest number of shifts that are compared in full.
 const MAX_FULL: usize = 1000;
-/// How often the best shift may change as more is compared.
+/// Largest number of times that the best shift may change during a comparison.
 const ROUNDS: usize = 8;
-/// So many frames say what shift a clock relation means.
+/// Number of frames from which the shift implied by a clock relation is taken.
 const AT_ANCHOR: usize = 1000;
-/// By how much a pulse may come off its expected place for the camera to follow it
-/// for certain, ns: twice the usual slew.
+/// Largest deviation of a pulse from its expected time that a camera is certain to
+/// follow, ns: twice the usual slew.
 const FOLLOWED: f64 = 200e3;
-/// Noise of a device time: one tick, evenly distributed.
+/// Standard deviation of a device time, ns: one tick, uniformly distributed.
 pub(crate) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
-/// Longest recording, ns: a month.
+/// Longest recording, ns: 30 days.
 const MAX_SPAN: f64 = 30.0 * 86_400.0 * 1e9;
-/// Largest ordinal: beyond, times are damaged.
+/// Largest ordinal; times beyond it are damaged.
 const MAX_ORDINAL: i64 = 1 << 40;
-/// How far the two rates may be apart.
+/// Largest relative difference of the two periods.
 const MAX_RATE_DIFFERENCE: f64 = 0.002;
 
-/// Frames and pulses with their ordinals.
+/// The trains of frames and pulses, with an ordinal for each.
 #[derive(Clone, Debug)]
-pub(crate) struct Grid {
-    /// Distance of pulses, ns.
+pub(crate) struct Trains {
+    /// Period of the pulses, ns.
     pub(super) period: f64,
-    /// Distance of frames, ns of the device.
+    /// Period of the frames, ns of the device.
     frame_period: f64,
     /// (ordinal, distance from the first frame in ns of the device), in time order.
     frames: Vec<(i64, f64)>,
-    /// Distance of the pulse at each ordinal from the first one, ns.
+    /// Distance of the pulse at each ordinal from the first pulse, ns.
     pulses: Vec<Option<f64>>,
-    /// The same of each pulse, in order.
+    /// Distance of each pulse from the first one, in order, ns.
     pub(super) pulse_times: Vec<f64>,
     /// Ordinal of each pulse.
     ordinals: Vec<i64>,
-    /// Whether pulses were there before the first recorded one, or the camera streamed
-    /// without them: frames may lie in front of it.
+    /// True if there were pulses before the first recorded one, so that frames may be
+    /// earlier than it.
     pub(super) earlier_pulses: bool,
-    /// Whether the trigger moved faster than the camera follows for certain.
+    /// True if the trigger moved faster than a camera is certain to follow.
     pub(super) moved_fast: bool,
     /// Device time of the first frame.
     pub(super) device_zero: DeviceNanos,
@@ -81,20 +80,20 @@ pub(crate) struct Grid {
     pub(super) board_zero: BoardNanos,
 }
 
-/// What the search found.
+/// Result of the search.
 #[derive(Clone, Debug)]
 pub(crate) struct Found {
     /// The best shift.
     pub(crate) best: i64,
-    /// All shifts that it cannot be told apart from, itself among them.
+    /// All shifts that cannot be distinguished from it, itself included.
     pub(crate) left: Vec<i64>,
-    /// χ² of the next best less that of the best.
+    /// χ² of the next best shift less that of the best.
     pub(crate) margin: f64,
     /// Robust standard deviation at the best shift, ns.
     pub(crate) scatter: f64,
 }
 
-/// A fit at one shift.
+/// Fit at one shift.
 #[derive(Clone, Debug)]
 pub(crate) struct Fitted {
     /// Frame − pulse (as distances, frame scaled by the ratio of the periods)
@@ -104,17 +103,17 @@ pub(crate) struct Fitted {
     pub(crate) scatter: f64,
 }
 
-impl Grid {
-    /// Gives everything its ordinal.
+impl Trains {
+    /// Counts frames and pulses in whole periods.
     ///
     /// # Errors
     ///
-    /// The camera does not run at the rate of the pulses.
+    /// Fails if the camera did not run at the rate of the pulses.
     pub(crate) fn new(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<Self, MatchError> {
         let mut order: Vec<DeviceNanos> = frames.to_vec();
         order.sort_unstable();
-        // A stamp that is days away from the others is damaged; it must not
-        // stretch the fit over all that time.
+        // A stamp days away from the others is damaged; it must not
+        // stretch the fit over that time.
         let middle = order.get(order.len() / 2).copied().unwrap_or_default();
         order.retain(|at| distance(at.0, middle.0).abs() <= MAX_SPAN / 2.0);
         let zero = order.first().copied().unwrap_or_default();
@@ -126,7 +125,7 @@ impl Grid {
             .collect();
         let frame_period = median(steps(&times));
         let period = median(steps(&pulse_times));
-        // Negated so that a period that is not a number fails too.
+        // Compared this way round so that a period that is not a number fails too.
         let plausible = (frame_period / period - 1.0).abs() < MAX_RATE_DIFFERENCE;
         if !plausible {
             return Err(MatchError::OtherRate {
@@ -136,12 +135,12 @@ impl Grid {
         }
         let frame_ordinals = ordinals(&times, frame_period);
         let ordinals = ordinals(&pulse_times, period);
-        // The median knows the period to a tick of the camera only.
+        // The median is accurate to a tick of the camera only.
         let frame_period = mean_period(&frame_ordinals, &times).unwrap_or(frame_period);
         let period = mean_period(&ordinals, &pulse_times).unwrap_or(period);
         let moved_fast = moved_fast(&ordinals, &pulse_times, period);
         let length = ordinals.last().map_or(0, |&last| last + 1);
-        // Hostile times must not ask for memory: beyond this, pulses are too far
+        // Hostile times must not claim memory: beyond this length, pulses are too far
         // apart to be one recording.
         let length = usize::try_from(length)
             .unwrap_or(0)
@@ -169,12 +168,12 @@ impl Grid {
         })
     }
 
-    /// Distance of the last frame from the first, ns of the device.
+    /// Returns the distance of the last frame from the first, ns of the device.
     pub(super) fn end(&self) -> f64 {
         self.frames.last().map_or(0.0, |frame| frame.1)
     }
 
-    /// Board ns a device ns, from the periods.
+    /// Returns the board nanoseconds per device nanosecond, from the periods.
     pub(super) fn ratio(&self) -> f64 {
         self.period / self.frame_period
     }
@@ -184,11 +183,11 @@ impl Grid {
         self.pulses.get(slot).copied().flatten()
     }
 
-    /// (scaled distance of the frame, frame − pulse, whole periods taken off) of
-    /// the frames that have a pulse at a shift.
+    /// Returns (scaled distance of the frame, frame − pulse, periods subtracted from it)
+    /// for the frames that have a pulse at a shift.
     ///
-    /// The frames are gone through in order of time, and each takes the number of
-    /// periods that puts it next to those before it.
+    /// In order of time, each frame gets the number of periods that puts it nearest to
+    /// those before it.
     fn points(&self, shift: i64, stride: usize) -> Vec<(f64, f64, f64)> {
         let ratio = self.ratio();
         let mut near = None;
@@ -208,8 +207,8 @@ impl Grid {
         points
     }
 
-    /// What to add to `scaled − smooth(scaled)` to get the pulse's distance: the
-    /// whole periods, as they are at the first frames.
+    /// Returns the whole periods, ns, to add to `scaled − smooth(scaled)` for the pulse's
+    /// distance, as they are at the first frames.
     pub(super) fn base(&self, shift: i64) -> f64 {
         let turns = self
             .points(shift, 1)
@@ -220,7 +219,7 @@ impl Grid {
         -median(turns) * self.period
     }
 
-    /// The fit at a shift, over all frames.
+    /// Fits all frames at a shift.
     pub(crate) fn fit(&self, shift: i64) -> Fitted {
         self.fit_points(&self.points(shift, 1))
     }
@@ -243,8 +242,8 @@ impl Grid {
         }
     }
 
-    /// Index of the pulse at an ordinal, or of the next one where none is; negative
-    /// in front of the first.
+    /// Returns the index of the first pulse at or after an ordinal; the ordinal itself if it
+    /// is negative, that is before the first pulse.
     pub(super) fn index_of(&self, ordinal: i64) -> i64 {
         if ordinal < 0 {
             return ordinal;
@@ -252,13 +251,13 @@ impl Grid {
         self.ordinals.partition_point(|&o| o < ordinal) as i64
     }
 
-    /// The shift at which frame ordinal 0 has this pulse.
+    /// Returns the shift at which frame ordinal 0 has this pulse.
     pub(super) fn shift_of_pulse(&self, index: usize) -> Option<i64> {
         self.ordinals.get(index).copied()
     }
 
-    /// The shift that a clock relation means: the median over the frames nearest to
-    /// where it is known best.
+    /// Returns the shift implied by a clock relation: the median over the frames nearest to
+    /// `around`, where the relation is most accurate.
     pub(super) fn shift_by_clock(
         &self,
         map: &PiecewiseMap<DeviceNanos, BoardNanos>,
@@ -274,30 +273,30 @@ impl Grid {
         let shifts = near.filter_map(|&(ordinal, time)| {
             let device = DeviceNanos(self.device_zero.0.saturating_add(time as i64));
             let board = map.apply(device)?.0.saturating_sub(center);
-            let (pulse, behind) = self.nearest_pulse(distance(board, self.board_zero.0));
-            let is_near = behind.abs() < self.period * 0.5;
+            let (pulse, after) = self.nearest_pulse(distance(board, self.board_zero.0));
+            let is_near = after.abs() < self.period * 0.5;
             is_near.then(|| (self.ordinals[pulse] - ordinal) as f64)
         });
         let shifts: Vec<f64> = shifts.collect();
         (!shifts.is_empty()).then(|| median(shifts) as i64)
     }
 
-    /// Index of the pulse nearest to a distance from the first one, and how far
-    /// after it that is.
+    /// Returns the index of the pulse nearest to a distance from the first one, and the
+    /// distance from that pulse, ns.
     pub(super) fn nearest_pulse(&self, time: f64) -> (usize, f64) {
-        let behind = |index: usize| time - self.pulse_times[index];
+        let distance = |index: usize| time - self.pulse_times[index];
         let after = self.pulse_times.partition_point(|&pulse| pulse < time);
         let left = after.saturating_sub(1);
         let right = after.min(self.pulse_times.len() - 1);
-        if behind(left).abs() <= behind(right).abs() {
-            (left, behind(left))
+        if distance(left).abs() <= distance(right).abs() {
+            (left, distance(left))
         } else {
-            (right, behind(right))
+            (right, distance(right))
         }
     }
 
-    /// Shifts at which at least half of the frames lie within the pulses, or as many
-    /// as half of the pulses, if those are fewer: a camera goes on without them.
+    /// Returns the shifts at which at least half of the frames, or half as many as there are
+    /// pulses if that is fewer, lie within the pulses: a camera continues without them.
     fn shifts(&self) -> std::ops::Range<i64> {
         let frames = self.frames.last().map_or(0, |frame| frame.0);
         let pulses = self.pulses.len() as i64;
@@ -310,7 +309,7 @@ impl Grid {
         early..(pulses - half).max(early + 1)
     }
 
-    /// Distance of each frame from its pulse at a shift.
+    /// Returns the distance of each frame from its pulse at a shift.
     fn distances(&self, shift: i64, stride: usize) -> Distances {
         let points = self.points(shift, stride);
         if points.len() < MIN_FRAMES {
@@ -323,13 +322,13 @@ impl Grid {
             if self.pulse(ordinal).is_none() {
                 let early = ordinal < 0 && !self.earlier_pulses;
                 return if early {
-                    Frame::TooEarly
+                    Place::TooEarly
                 } else {
-                    Frame::NoPulse
+                    Place::NoPulse
                 };
             }
-            points.next().map_or(Frame::NoPulse, |(x, y, _)| {
-                Frame::Distance((y - fitted.smooth.at(x)) as f32)
+            points.next().map_or(Place::NoPulse, |(x, y, _)| {
+                Place::Distance((y - fitted.smooth.at(x)) as f32)
             })
         });
         Distances {
@@ -339,18 +338,18 @@ impl Grid {
     }
 }
 
-/// A frame at one shift.
+/// Place of a frame at one shift.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Frame {
-    /// It lies in front of the first pulse that the camera can have seen.
+enum Place {
+    /// Before the first pulse that the camera can have received.
     TooEarly,
-    /// There is no recorded pulse.
+    /// Where no pulse is recorded.
     NoPulse,
     /// Distance from the pulse on the fitted clock, ns.
     Distance(f32),
 }
 
-impl Frame {
+impl Place {
     fn cost(self, sigma: f64) -> Option<f64> {
         match self {
             Self::TooEarly => Some(TOO_EARLY),
@@ -365,12 +364,12 @@ impl Frame {
 
 #[derive(Clone, Debug, Default)]
 struct Distances {
-    frames: Vec<Frame>,
+    frames: Vec<Place>,
     scatter: f64,
 }
 
-/// By how much `other` fits worse than `best`, over the frames that both have.
-fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
+/// Returns χ² of `other` less that of `best`, over the frames that have a pulse at both.
+fn excess_cost(best: &Distances, other: &Distances, sigma: f64) -> f64 {
     if other.frames.is_empty() {
         return f64::INFINITY;
     }
@@ -378,9 +377,9 @@ fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
         .iter()
         .zip(&other.frames)
         .map(|(best, other)| match (best, other) {
-            // Impossible at one of the shifts, without a pulse at the other.
-            (Frame::NoPulse, Frame::TooEarly) => TOO_EARLY,
-            (Frame::TooEarly, Frame::NoPulse) => -TOO_EARLY,
+            // Impossible at one of the shifts, and without a pulse at the other.
+            (Place::NoPulse, Place::TooEarly) => TOO_EARLY,
+            (Place::TooEarly, Place::NoPulse) => -TOO_EARLY,
             _ => match (best.cost(sigma), other.cost(sigma)) {
                 (Some(best), Some(other)) => other - best,
                 _ => 0.0,
@@ -389,10 +388,10 @@ fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
         .sum()
 }
 
-/// Compares the shifts.
-pub(crate) fn search(grid: &Grid) -> Found {
-    let mut found = search_all(grid);
-    if grid.moved_fast {
+/// Searches for the best shift, and keeps those that a late camera could also mean.
+pub(crate) fn search(trains: &Trains) -> Found {
+    let mut found = search_all(trains);
+    if trains.moved_fast {
         for shift in [found.best - 1, found.best + 1] {
             if !found.left.contains(&shift) {
                 found.left.push(shift);
@@ -402,16 +401,16 @@ pub(crate) fn search(grid: &Grid) -> Found {
     found
 }
 
-fn search_all(grid: &Grid) -> Found {
-    let stride = grid.frames.len().div_ceil(COARSE);
-    let start = grid.shifts().start;
-    let coarse: Vec<Distances> = grid
+fn search_all(trains: &Trains) -> Found {
+    let stride = trains.frames.len().div_ceil(COARSE);
+    let start = trains.shifts().start;
+    let coarse: Vec<Distances> = trains
         .shifts()
         .into_par_iter()
-        .map(|shift| grid.distances(shift, stride))
+        .map(|shift| trains.distances(shift, stride))
         .collect();
-    // The noise is not known before the shift is: take the smallest scatter of
-    // all, and never less than the tick's.
+    // The noise is unknown as long as the shift is: the smallest scatter of all
+    // stands for it, and never less than the tick's.
     let by_scatter = |a: &&Distances, b: &&Distances| a.scatter.total_cmp(&b.scatter);
     let smallest = coarse
         .iter()
@@ -424,7 +423,7 @@ fn search_all(grid: &Grid) -> Found {
     for _ in 0..ROUNDS {
         costs = coarse
             .par_iter()
-            .map(|c| worse(&coarse[best], c, sigma))
+            .map(|c| excess_cost(&coarse[best], c, sigma))
             .collect();
         match costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)) {
             Some((better, cost)) if *cost < 0.0 && better != best => best = better,
@@ -447,20 +446,25 @@ fn search_all(grid: &Grid) -> Found {
             best,
             left: close(DECISIVE, 0),
             margin: 0.0,
-            scatter: grid.fit(best).scatter,
+            scatter: trains.fit(best).scatter,
         };
     }
-    compare_in_full(grid, &full, best, sigma)
+    compare_in_full(trains, &full, best, sigma)
 }
 
-/// Compares the shifts that are left over all frames.
-fn compare_in_full(grid: &Grid, shifts: &[i64], mut best: i64, sigma: f64) -> Found {
+/// Compares the remaining shifts over all frames.
+fn compare_in_full(trains: &Trains, shifts: &[i64], mut best: i64, sigma: f64) -> Found {
     let mut costs: Vec<(i64, f64)> = Vec::new();
     for _ in 0..ROUNDS {
-        let reference = grid.distances(best, 1);
+        let reference = trains.distances(best, 1);
         costs = shifts
             .par_iter()
-            .map(|&shift| (shift, worse(&reference, &grid.distances(shift, 1), sigma)))
+            .map(|&shift| {
+                (
+                    shift,
+                    excess_cost(&reference, &trains.distances(shift, 1), sigma),
+                )
+            })
             .collect();
         match costs.iter().min_by(|a, b| a.1.total_cmp(&b.1)) {
             Some(&(shift, cost)) if cost < 0.0 && shift != best => best = shift,
@@ -478,11 +482,11 @@ fn compare_in_full(grid: &Grid, shifts: &[i64], mut best: i64, sigma: f64) -> Fo
         best,
         left,
         margin,
-        scatter: grid.fit(best).scatter,
+        scatter: trains.fit(best).scatter,
     }
 }
 
-/// `a − b` of two times in ns, without overflow.
+/// Returns `a − b` of two times in ns, without overflow.
 pub(crate) fn distance(a: i64, b: i64) -> f64 {
     (i128::from(a) - i128::from(b)) as f64
 }
@@ -495,8 +499,8 @@ fn steps(times: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Whether two pulses that follow each other are further from whole periods than the
-/// camera follows for certain.
+/// Returns true if two successive pulses are farther from whole periods than a camera is
+/// certain to follow.
 fn moved_fast(ordinals: &[i64], times: &[f64], period: f64) -> bool {
     ordinals.windows(2).zip(times.windows(2)).any(|(o, t)| {
         let steps = (o[1] - o[0]) as f64;
@@ -506,7 +510,7 @@ fn moved_fast(ordinals: &[i64], times: &[f64], period: f64) -> bool {
     })
 }
 
-/// The slope of a robust line through (ordinal, time).
+/// Returns the mean period: the slope of a robust line through (ordinal, time).
 fn mean_period(ordinals: &[i64], times: &[f64]) -> Option<f64> {
     let points: Vec<(f64, f64)> = ordinals
         .iter()
@@ -517,7 +521,7 @@ fn mean_period(ordinals: &[i64], times: &[f64]) -> Option<f64> {
     (period.is_finite() && period > 0.0).then_some(period)
 }
 
-/// Time differences in whole periods, summed up. Times closer than a quarter of
+/// Returns the time differences in whole periods, summed. Times closer than a quarter of
 /// a period get the same ordinal.
 fn ordinals(times: &[f64], period: f64) -> Vec<i64> {
     let mut ordinal = 0_i64;

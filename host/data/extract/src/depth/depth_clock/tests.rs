@@ -1,15 +1,15 @@
-//! The matching against simulated cameras with a ground truth.
+//! Matching of simulated cameras whose pulses are known.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::*;
 
-pub(crate) const PERIOD_PS: i64 = 33_330_652_540;
+const PERIOD_PS: i64 = 33_330_652_540;
 
-/// Pulses of 30.0024 Hz with a move of the phase: its first pulse, ns in all, ns a pulse (0: at
+/// Pulses of 30.0024 Hz with a move of the phase: first pulse, total ns, ns a pulse (0: all at
 /// once).
-pub(crate) fn train(count: u64, slew: Option<(u64, i64, i64)>) -> Vec<PulseTime> {
+fn train(count: u64, slew: Option<(u64, i64, i64)>) -> Vec<PulseTime> {
     let mut moved = 0_i64;
     let pulse = |number| {
         if let Some((from, total, step)) = slew
@@ -32,7 +32,7 @@ pub(crate) fn train(count: u64, slew: Option<(u64, i64, i64)>) -> Vec<PulseTime>
     (0..count).map(pulse).collect()
 }
 
-/// The camera's stamp of a pulse: 300 ppm off, with wander, in ticks of 90 kHz.
+/// The camera's stamp for a pulse: 300 ppm fast, with wander, in ticks of 90 kHz.
 fn stamp(pulse: &PulseTime) -> DeviceNanos {
     let seconds = (pulse.at.0 - 7_000_000_000) as f64 * 1e-9;
     let wander = 40e-6 * (seconds / 200.0).sin();
@@ -41,7 +41,7 @@ fn stamp(pulse: &PulseTime) -> DeviceNanos {
     DeviceNanos((ticks / 90_000.0 * 1e6).floor() as i64 * 1000)
 }
 
-/// Frames of the pulses from `skip` on, with drops; and the pulse of each.
+/// Frames of the pulses from `skip` on, one in `drop_in` lost, and the index of each one's pulse.
 fn frames(
     pulses: &[PulseTime],
     skip: usize,
@@ -51,7 +51,7 @@ fn frames(
     let mut random = Pcg64::seed_from_u64(seed);
     let mut out = (Vec::new(), Vec::new());
     for (index, pulse) in pulses.iter().enumerate().skip(skip) {
-        // A first frame that is there anchors the true shift.
+        // The first frame is never lost: it fixes the true shift.
         if index > skip && drop_in > 0 && random.random_range(0..drop_in) == 0 {
             continue;
         }
@@ -61,18 +61,18 @@ fn frames(
     out
 }
 
-fn check(found: &DepthMatch, truth: &[usize]) {
-    assert_eq!(found.frames.len(), truth.len());
-    for (frame, &pulse) in found.frames.iter().zip(truth) {
+fn check(found: &DepthMatch, expected: &[usize]) {
+    assert_eq!(found.frames.len(), expected.len());
+    for (frame, &pulse) in found.frames.iter().zip(expected) {
         assert_eq!(
             (frame.state, frame.pulse),
             (FrameState::Matched, Some(pulse))
         );
         assert!(frame.residual.abs() < 20_000, "{frame:?}");
     }
-    let (first, last) = (truth[0], truth[truth.len() - 1]);
+    let (first, last) = (expected[0], expected[expected.len() - 1]);
     let missing: Vec<usize> = (first..=last)
-        .filter(|pulse| !truth.contains(pulse))
+        .filter(|pulse| !expected.contains(pulse))
         .collect();
     assert_eq!(found.missing, missing);
     assert!(
@@ -84,24 +84,24 @@ fn check(found: &DepthMatch, truth: &[usize]) {
 
 #[test]
 fn an_alignment_in_the_recording_decides() {
-    // Slews as they are used, both ways; the recorder starts in front of them.
+    // Usual slews, both ways; the recorder starts before them.
     for (seed, slew) in [
         (1, (900, 9_000_000, 100_000)),
         (2, (300, -15_000_000, 20_000)),
         (3, (600, 4_000_000, 2_000)),
     ] {
         let pulses = train(18_000, Some(slew));
-        let (frames, truth) = frames(&pulses, 137, 50, seed);
+        let (frames, made_by) = frames(&pulses, 137, 50, seed);
         let found = match_frames(&frames, &pulses, None).unwrap();
         assert!(matches!(found.decision, Decision::Pattern { margin } if margin > 30.0));
-        check(&found, &truth);
+        check(&found, &made_by);
     }
 }
 
-/// A camera that has begun the next frame by itself when a late pulse comes follows the
-/// whole move one pulse late: at the wrong shift everything fits.
+/// A camera that has already begun the next frame when a late pulse comes follows the
+/// whole move one pulse late: everything fits at the wrong shift.
 #[test]
-fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
+fn a_move_followed_late_is_not_mistaken_for_another_shift() {
     let pulses = train(3_000, Some((1_000, 16_000_000, 1_000_000)));
     let mut late = pulses.clone();
     for index in 1..late.len() {
@@ -110,7 +110,7 @@ fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
             late[index].at = BoardNanos(expected);
         }
     }
-    let (frames, truth) = frames(&late, 3, 0, 1);
+    let (frames, made_by) = frames(&late, 3, 0, 1);
     let error = match_frames(&frames, &pulses, None).unwrap_err();
     assert!(
         matches!(error, MatchError::Ambiguous(a) if a.first <= 3 && a.last >= 3 && a.moved_fast),
@@ -120,7 +120,7 @@ fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
     let wrong = found
         .frames
         .iter()
-        .zip(&truth)
+        .zip(&made_by)
         .filter(|(frame, pulse)| frame.pulse != Some(**pulse));
     let wrong = wrong.count();
     assert!(wrong <= 17, "{wrong}");
@@ -129,8 +129,8 @@ fn a_move_that_is_followed_late_is_not_taken_for_another_shift() {
 #[test]
 fn a_jump_leaves_the_neighbouring_shifts() {
     let pulses = train(3_000, Some((1_000, 16_000_000, 0)));
-    let (frames, truth) = frames(&pulses, 3, 0, 1);
-    // The frame of the jump may be one that the camera had begun already.
+    let (frames, made_by) = frames(&pulses, 3, 0, 1);
+    // The camera may have begun the frame of the jump already.
     let error = match_frames(&frames, &pulses, None).unwrap_err();
     assert!(
         matches!(error, MatchError::Ambiguous(a) if (a.first, a.last) == (2, 4) && a.moved_fast),
@@ -139,13 +139,13 @@ fn a_jump_leaves_the_neighbouring_shifts() {
     assert!(error.to_string().contains("a frame late"), "{error}");
     check(
         &match_frames(&frames, &pulses, Some(Hint::FirstPulse(3))).unwrap(),
-        &truth,
+        &made_by,
     );
-    // Without the frames around the jump there is nothing to tell shifts apart by.
+    // Without the frames around the jump nothing distinguishes the shifts.
     let hole = |index: &usize| (950..1050).contains(index);
     let kept: Vec<DeviceNanos> = frames
         .iter()
-        .zip(&truth)
+        .zip(&made_by)
         .filter(|(_, index)| !hole(index))
         .map(|(frame, _)| *frame)
         .collect();
@@ -157,29 +157,30 @@ fn a_jump_leaves_the_neighbouring_shifts() {
 }
 
 #[test]
-fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
+fn a_regular_train_is_ambiguous_until_a_hint_settles_it() {
     let pulses = train(2_000, None);
-    let (frames, truth) = frames(&pulses[..1_900], 2, 30, 5);
+    let (frames, made_by) = frames(&pulses[..1_900], 2, 30, 5);
     let error = match_frames(&frames, &pulses, None).unwrap_err();
     let MatchError::Ambiguous(left) = error else {
         panic!("{error:?}");
     };
     assert!(left.first <= 2 && left.last >= 100, "{left:?}");
-    // Whoever had the camera's IMU on is not told to switch it on.
-    let told = |has_imu| MatchError::Ambiguous(Ambiguity { has_imu, ..left }).to_string();
-    assert!(told(false).contains("with the camera's IMU on"));
-    assert!(!told(true).contains("IMU on") && told(true).contains("turning by hand"));
+    // A user who recorded the camera's IMU is not advised to do so.
+    let message = |has_imu| MatchError::Ambiguous(Ambiguity { has_imu, ..left }).to_string();
+    assert!(message(false).contains("with the camera's IMU on"));
+    assert!(!message(true).contains("IMU on") && message(true).contains("turning by hand"));
 
     let given = match_frames(&frames, &pulses, Some(Hint::FirstPulse(2))).unwrap();
-    assert!(matches!(given.decision, Decision::Hint { left } if left > 90));
-    check(&given, &truth);
+    assert!(matches!(given.decision, Decision::Hint { left, .. } if left > 90));
+    check(&given, &made_by);
 
-    // A clock known to 3 ms, with the rate 5 ppm off; the centre of exposure
-    // lies 6.3625 ms after the pulse.
+    // A clock known to 3 ms, with its rate 5 ppm off; the centre of exposure
+    // is 6.3625 ms after the pulse.
     let center = 6_362_500;
     let around = stamp(&pulses[1_000]);
     let board = pulses[1_000].at.0 + center + 3_000_000;
     let clock = |sigma| Hint::Clock {
+        source: HintSource::CameraGyroscope,
         map: PiecewiseMap::from_knots([
             (around, BoardNanos(board)),
             (
@@ -193,9 +194,9 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
     };
     check(
         &match_frames(&frames, &pulses, Some(clock(3e6))).unwrap(),
-        &truth,
+        &made_by,
     );
-    // Too coarse to tell periods apart: not used.
+    // Too coarse to distinguish periods: not used.
     assert!(matches!(
         match_frames(&frames, &pulses, Some(clock(8e6))),
         Err(MatchError::Ambiguous(_))
@@ -205,10 +206,10 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
 #[test]
 fn pattern_and_hint_must_agree() {
     let pulses = train(4_000, Some((500, 9_000_000, 100_000)));
-    let (frames, truth) = frames(&pulses, 10, 40, 9);
+    let (frames, made_by) = frames(&pulses, 10, 40, 9);
     check(
         &match_frames(&frames, &pulses, Some(Hint::FirstPulse(10))).unwrap(),
-        &truth,
+        &made_by,
     );
     let error = match_frames(&frames, &pulses, Some(Hint::FirstPulse(11))).unwrap_err();
     assert!(
@@ -227,7 +228,7 @@ fn pattern_and_hint_must_agree() {
 #[test]
 fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
     let all = train(3_000, Some((400, 9_000_000, 100_000)));
-    let (mut frames, mut truth) = frames(&all, 5, 25, 11);
+    let (mut frames, mut made_by) = frames(&all, 5, 25, 11);
     // Three pulses never reached the recording.
     let lost = [700, 701, 1500];
     let pulses: Vec<PulseTime> = all
@@ -236,16 +237,16 @@ fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
         .filter(|(index, _)| !lost.contains(index))
         .map(|(_, pulse)| *pulse)
         .collect();
-    // A frame doubled 300 µs later, and the camera going on for two seconds.
+    // One frame is doubled 300 µs later, and the camera continues for two seconds.
     frames.insert(1000, DeviceNanos(frames[999].0 + 300_000));
-    truth.insert(1000, usize::MAX);
+    made_by.insert(1000, usize::MAX);
     let last = frames[frames.len() - 1].0;
     for i in 1..=60 {
         frames.push(DeviceNanos(last + i * 33_333_000));
-        truth.push(usize::MAX);
+        made_by.push(usize::MAX);
     }
     let found = match_frames(&frames, &pulses, None).unwrap();
-    for (index, (frame, &pulse)) in found.frames.iter().zip(&truth).enumerate() {
+    for (index, (frame, &pulse)) in found.frames.iter().zip(&made_by).enumerate() {
         if index == 1000 {
             assert_eq!(frame.state, FrameState::Doubled);
         } else if pulse == usize::MAX {
@@ -262,17 +263,17 @@ fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
 }
 
 #[test]
-fn frames_may_go_on_for_longer_than_the_pulses() {
+fn frames_may_continue_after_the_last_pulse() {
     let pulses = train(1_970, Some((84, -6_500_000, 100_000)));
-    let (mut frames, truth) = frames(&pulses, 1, 0, 5);
+    let (mut frames, made_by) = frames(&pulses, 1, 0, 5);
     let last = frames[frames.len() - 1].0;
     frames.extend((1..=3_200).map(|i| DeviceNanos(last + i * 33_333_000)));
     let found = match_frames(&frames, &pulses, None).unwrap();
-    for (frame, &pulse) in found.frames.iter().zip(&truth) {
+    for (frame, &pulse) in found.frames.iter().zip(&made_by) {
         assert_eq!(frame.pulse, Some(pulse));
     }
     assert_eq!(found.missing, Vec::<usize>::new());
-    let rest = &found.frames[truth.len()..];
+    let rest = &found.frames[made_by.len()..];
     assert!(
         rest.iter()
             .all(|frame| frame.state == FrameState::AfterLastPulse)
@@ -280,7 +281,7 @@ fn frames_may_go_on_for_longer_than_the_pulses() {
 }
 
 #[test]
-fn a_camera_that_runs_free_is_said() {
+fn a_free_running_camera_is_an_error() {
     let pulses = train(3_000, Some((400, 9_000_000, 100_000)));
     let at = |i: i64| DeviceNanos(i * 50_000_000);
     let slow: Vec<DeviceNanos> = (0..1_000).map(at).collect();

@@ -1,17 +1,20 @@
-//! Blocks and their lacing, and the checksum of a cluster.
+//! Blocks with their lacing, and the checksum of a cluster.
 
 use super::ebml::{self, Head};
 
-/// A block's head and what follows it.
+/// Head of a block, and its payload.
 pub(super) struct Block<'a> {
+    /// Number of the track.
     pub(super) track: u64,
+    /// Time relative to the cluster, in units of the file.
     pub(super) time: i16,
-    /// 0 none, 1 Xiph, 2 fixed size, 3 EBML.
+    /// Lacing: 0 none, 1 Xiph, 2 fixed size, 3 EBML.
     pub(super) lacing: u8,
     pub(super) payload: &'a [u8],
 }
 
 impl<'a> Block<'a> {
+    /// Parses the head; `None` if it is invalid.
     pub(super) fn parse(data: &'a [u8]) -> Option<Self> {
         let (track, rest) = ebml::variable(data)?;
         let (head, payload) = rest.split_at_checked(3)?;
@@ -23,7 +26,7 @@ impl<'a> Block<'a> {
         })
     }
 
-    /// The frames of the block (RFC 9559, 10.3).
+    /// Splits the payload into frames (RFC 9559, 10.3); `None` if the lacing is invalid.
     pub(super) fn frames(&self) -> Option<Vec<&'a [u8]>> {
         if self.lacing == 0 {
             return Some(vec![self.payload]);
@@ -82,19 +85,21 @@ impl<'a> Block<'a> {
     }
 }
 
-/// The CRC-32 of a cluster: over all that follows the CRC element in it.
+/// CRC-32 of a cluster, over everything that follows its CRC element.
 #[derive(Default)]
-pub(super) struct Check {
+pub(super) struct Checksum {
     expected: Option<u32>,
     hasher: crc32fast::Hasher,
     used: bool,
 }
 
-impl Check {
+impl Checksum {
+    /// Returns true before the first element.
     pub(super) fn is_unused(&self) -> bool {
         !self.used
     }
 
+    /// Sets the expected value, from the content of the CRC element.
     pub(super) fn expect(&mut self, data: &[u8]) {
         self.used = true;
         if let Ok(bytes) = data.try_into() {
@@ -103,11 +108,13 @@ impl Check {
         }
     }
 
+    /// Gives up the check, as an element was not read in full.
     pub(super) fn skip(&mut self) {
         self.used = true;
         self.expected = None;
     }
 
+    /// Adds an element.
     pub(super) fn add(&mut self, head: &Head, data: &[u8]) {
         self.used = true;
         if self.expected.is_some() {
@@ -116,7 +123,8 @@ impl Check {
         }
     }
 
-    pub(super) fn verdict(self) -> Option<bool> {
+    /// Returns true if the checksum is right; `None` if there is nothing to compare.
+    pub(super) fn matches(self) -> Option<bool> {
         Some(self.hasher.finalize() == self.expected?)
     }
 }
@@ -134,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn all_lacings_are_taken_apart() {
+    fn all_lacings_are_split() {
         assert_eq!(lace(0, &[1, 2, 3]), Some(vec![3]));
         assert_eq!(lace(2, &[1, 9, 9, 9, 9]), Some(vec![2, 2]));
         assert_eq!(lace(2, &[1, 9, 9, 9]), None);

@@ -1,13 +1,13 @@
 //! EBML primitives (RFC 8794): element IDs, sizes, and values.
 //!
-//! Everything works on a [`Source`] with a known end, so that a size that a
-//! file claims is checked against what is there before memory is asked for.
+//! Everything works on a [`Source`] with a known end, so that a size claimed by a
+//! file is checked against its length before memory is allocated.
 
 use std::io::{self, Read as _, SeekFrom};
 
 use system::Sparse;
 
-/// Why an element could not be read.
+/// Reason why an element cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum EbmlError {
     /// Reading failed.
@@ -16,65 +16,65 @@ pub enum EbmlError {
     /// The file ends within an element.
     #[error("the file ends within an element that begins at byte {at}")]
     Truncated {
-        /// Where the element begins.
+        /// Position of the element.
         at: u64,
     },
-    /// These bytes are no element ID or size.
+    /// The bytes are no element ID or size.
     #[error("no EBML element at byte {at}: {what}")]
     Invalid {
-        /// Where.
+        /// Position of the bytes.
         at: u64,
-        /// What was wrong.
+        /// Description of the fault.
         what: &'static str,
     },
-    /// An element that is held in memory is larger than it may be.
+    /// An element to be read into memory is larger than allowed.
     #[error(
         "the element at byte {at} has {size} bytes, more than the {limit} allowed for its kind"
     )]
     TooLarge {
-        /// Where.
+        /// Position of the element.
         at: u64,
-        /// What it claims.
+        /// Claimed size, bytes.
         size: u64,
-        /// The limit.
+        /// Largest allowed size, bytes.
         limit: u64,
     },
 }
 
-/// Bytes of the longest head.
+/// Length of the longest head, bytes.
 const LONGEST_HEAD: u64 = 12;
 
-/// The head of an element.
+/// Head of an element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Head {
-    /// The ID with its marker bits, as the Matroska specification writes it.
+    /// ID with its marker bits, as in the Matroska specification.
     pub(crate) id: u32,
-    /// Size of the data; `None`: until an element of a higher level, or the end of the
-    /// file.
+    /// Size of the data, bytes; `None` if it extends to an element of a higher level or the end
+    /// of the file.
     pub(crate) size: Option<u64>,
     /// Position of the first byte of the head.
     pub(crate) at: u64,
     /// Position of the first byte of the data.
     pub(crate) data: u64,
-    /// As it stands in the file.
+    /// Bytes of the head.
     pub(crate) bytes: Vec<u8>,
 }
 
 impl Head {
-    /// The first position after the element; `None` for an unknown size or one
+    /// Returns the first position after the element; `None` for an unknown size, or one
     /// that no file can have.
     pub(crate) fn end(&self) -> Option<u64> {
         self.data.checked_add(self.size?)
     }
 }
 
-/// Length of the ID, or `None` for a first byte that begins none.
+/// Returns the length of an ID from its first byte; `None` if the byte begins none.
 fn id_length(first: u8) -> Option<usize> {
     let length = first.leading_zeros() as usize + 1;
     (length <= 4).then_some(length)
 }
 
-/// A reader that knows its position and length.
+/// Reader that keeps track of its position and length.
 pub(crate) struct Source<R> {
     reader: R,
     position: u64,
@@ -82,11 +82,11 @@ pub(crate) struct Source<R> {
 }
 
 impl<R: Sparse> Source<R> {
-    /// Takes the reader from its beginning to its present end.
+    /// Creates a source over the whole of a reader, up to its present end.
     ///
     /// # Errors
     ///
-    /// Seeking fails.
+    /// Fails if the reader cannot seek.
     pub(crate) fn new(mut reader: R) -> io::Result<Self> {
         let length = reader.seek(SeekFrom::End(0))?;
         reader.seek(SeekFrom::Start(0))?;
@@ -97,17 +97,17 @@ impl<R: Sparse> Source<R> {
         })
     }
 
-    /// The position of the next byte.
+    /// Returns the position of the next byte.
     pub(crate) fn position(&self) -> u64 {
         self.position
     }
 
-    /// Bytes in all.
+    /// Returns the length in bytes.
     pub(crate) fn length(&self) -> u64 {
         self.length
     }
 
-    /// Bytes from here to the end.
+    /// Returns the number of bytes from the position to the end.
     pub(crate) fn remaining(&self) -> u64 {
         self.length.saturating_sub(self.position)
     }
@@ -116,23 +116,23 @@ impl<R: Sparse> Source<R> {
     ///
     /// # Errors
     ///
-    /// Seeking fails.
+    /// Fails if the reader cannot seek.
     pub(crate) fn seek(&mut self, position: u64) -> io::Result<()> {
         let position = position.min(self.length);
-        // No file is longer than an i64 can say.
+        // No file is longer than an i64 can express.
         let distance = position.wrapping_sub(self.position) as i64;
         self.reader.seek_relative(distance)?;
         self.position = position;
         Ok(())
     }
 
-    /// Reads `size` bytes into `out` (its old content is lost).
+    /// Reads `size` bytes into `out`, replacing its content.
     ///
-    /// Memory grows with what is read, not with what is claimed.
+    /// Memory grows with the bytes that are read, not with the claimed size.
     ///
     /// # Errors
     ///
-    /// More than `limit`, or the file ends before.
+    /// Fails if `size` is more than `limit`, or if the file ends before.
     pub(crate) fn read_into(
         &mut self,
         size: u64,
@@ -155,11 +155,11 @@ impl<R: Sparse> Source<R> {
         Ok(())
     }
 
-    /// Reads an element's head. `None` at the end of the file.
+    /// Reads the head of an element; `None` at the end of the file.
     ///
     /// # Errors
     ///
-    /// The bytes are no head, or the file ends within it. The position is then after
+    /// Fails if the bytes are no head, or if the file ends within it. The position is then after
     /// the first byte.
     pub(crate) fn head(&mut self) -> Result<Option<Head>, EbmlError> {
         let at = self.position;
@@ -169,7 +169,7 @@ impl<R: Sparse> Source<R> {
         let Some(&first) = bytes.first() else {
             return Ok(None);
         };
-        let parts = memory_id(&bytes).and_then(|(id, rest)| Some((id, variable(rest)?)));
+        let parts = read_id(&bytes).and_then(|(id, rest)| Some((id, variable(rest)?)));
         let Some((id, (size, rest))) = parts else {
             self.seek(at + 1)?;
             let size = id_length(first).map(|length| bytes.get(length));
@@ -197,20 +197,20 @@ impl<R: Sparse> Source<R> {
         }))
     }
 
-    /// Moves on to the next place where the bytes of `id` stand, at or after
-    /// `from`. False (and at the end of the file) if there is none.
+    /// Moves to the first occurrence of the bytes of `id` at or after
+    /// `from`. Returns false, at the end of the file, if there is none.
     ///
     /// # Errors
     ///
-    /// Reading fails.
+    /// Fails if the file cannot be read.
     pub(crate) fn find(&mut self, id: u32, from: u64) -> io::Result<bool> {
         self.seek(from)?;
         let pattern = id.to_be_bytes();
         let mut block = vec![0_u8; 64 * 1024];
-        // The last three bytes of the block before, so that no place is missed.
+        // The last three bytes of the previous block, so that no occurrence is missed.
         let mut kept = 0;
         loop {
-            // It begins with a byte that is not zero: in no hole.
+            // An ID begins with a byte other than zero, so it does not begin in a hole.
             let data = self.reader.next_data(self.position)?;
             if data > self.position {
                 self.seek(data)?;
@@ -234,35 +234,35 @@ impl<R: Sparse> Source<R> {
     }
 }
 
-/// An unsigned integer of at most eight bytes.
+/// Reads a big-endian unsigned integer; `None` if it has more than eight bytes.
 pub(crate) fn unsigned(data: &[u8]) -> Option<u64> {
     let next = |value, &byte: &u8| value << 8 | u64::from(byte);
     (data.len() <= 8).then(|| data.iter().fold(0, next))
 }
 
-/// UTF-8 text without the zeros that may follow it; wrong bytes are replaced.
+/// Reads UTF-8 text up to the first zero; invalid bytes are replaced.
 pub(crate) fn text(data: &[u8]) -> String {
     let text = data.split(|&byte| byte == 0).next();
     String::from_utf8_lossy(text.unwrap_or_default()).into_owned()
 }
 
-/// The content of the first element of an ID in a master element that is in memory.
+/// Returns the content of the first element with an ID, in the content of a master element.
 pub(crate) fn child(data: &[u8], id: u32) -> Option<&[u8]> {
     all(data, id).next()
 }
 
-/// The content of all elements of an ID in a master element that is in memory.
+/// Returns the contents of all elements with an ID, in the content of a master element.
 pub(crate) fn all(data: &[u8], id: u32) -> impl Iterator<Item = &[u8]> {
-    let of_id = children(data).filter(move |(child, _)| *child == id);
-    of_id.map(|(_, data)| data)
+    let matching = children(data).filter(move |(child, _)| *child == id);
+    matching.map(|(_, data)| data)
 }
 
-/// The elements of a master element that is in memory; stops at the first that
-/// is broken or goes beyond the end.
+/// Returns IDs and contents of the elements in the content of a master element, up to the first
+/// that is invalid or extends beyond the end.
 fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
     let mut rest = data;
     std::iter::from_fn(move || {
-        let (id, after) = memory_id(rest)?;
+        let (id, after) = read_id(rest)?;
         let (size, after) = variable(after)?;
         let size = usize::try_from(size?).ok()?;
         let data = after.get(..size)?;
@@ -271,13 +271,14 @@ fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
     })
 }
 
-fn memory_id(data: &[u8]) -> Option<(u32, &[u8])> {
+/// Reads an ID; returns it and the bytes after it.
+fn read_id(data: &[u8]) -> Option<(u32, &[u8])> {
     let length = id_length(*data.first()?)?;
     let id = unsigned(data.get(..length)?)? as u32;
     Some((id, &data[length..]))
 }
 
-/// A variable-length integer and what follows it; the inner `None` is the
+/// Reads a variable-length integer; returns it and the bytes after it. The inner `None` is the
 /// reserved value of all ones (unknown).
 pub(crate) fn variable(data: &[u8]) -> Option<(Option<u64>, &[u8])> {
     let first = *data.first()?;
@@ -317,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_head_is_said() {
+    fn invalid_and_truncated_heads_are_errors() {
         let read = |bytes: &'static [u8]| Source::new(Cursor::new(bytes)).unwrap().head();
         assert!(matches!(read(&[]), Ok(None)));
         assert!(matches!(
@@ -335,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claimed_size_is_checked_before_memory_is_used() {
+    fn a_claimed_size_is_checked_before_memory_is_allocated() {
         let mut source = Source::new(Cursor::new(vec![0_u8; 10])).unwrap();
         let mut out = Vec::new();
         assert!(matches!(
@@ -354,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_over_a_block_border_is_found() {
+    fn a_pattern_across_two_blocks_is_found() {
         let mut bytes = vec![0_u8; 64 * 1024 - 2];
         bytes.extend_from_slice(&[0x1F, 0x43, 0xB6, 0x75, 1]);
         let mut source = Source::new(Cursor::new(&bytes)).unwrap();

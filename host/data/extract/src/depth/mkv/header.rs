@@ -1,20 +1,20 @@
-//! What stands beside the clusters: tracks, tags, attachments.
+//! Content outside of the clusters: tracks, tags, attachments.
 
 use super::{ebml, id};
 
-/// Most tracks, tags and attachments that are kept.
+/// Largest number of tracks, of tags, and of attachments that are kept.
 const MAX_ITEMS: usize = 4096;
 
-/// One track.
+/// Track of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Track {
-    /// The number in the blocks.
+    /// Number that blocks refer to.
     pub(crate) number: u64,
-    /// The number in the tags.
+    /// Number that tags refer to.
     pub(crate) uid: u64,
-    /// Its name.
+    /// Name of the track.
     pub(crate) name: String,
-    /// Its codec.
+    /// ID of the codec.
     pub(crate) codec: String,
     /// Set-up data of the codec.
     pub(crate) codec_private: Vec<u8>,
@@ -22,12 +22,12 @@ pub(crate) struct Track {
     pub(crate) pixels: Option<(u64, u64)>,
 }
 
-/// What stands beside the clusters.
+/// Content of a file outside of its clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Header {
-    /// Nanoseconds in one unit of time; `None` if the segment information is lost.
+    /// Unit of time, ns; `None` if the segment information is lost.
     pub(crate) scale: Option<u64>,
-    /// The program that wrote the file.
+    /// Program that wrote the file.
     pub(crate) written_by: Option<String>,
     /// The tracks.
     pub(crate) tracks: Vec<Track>,
@@ -35,37 +35,37 @@ pub(crate) struct Header {
     pub(crate) tags: Vec<(String, String)>,
     /// Names and bytes of the attached files.
     pub(crate) attachments: Vec<(String, Vec<u8>)>,
-    /// Whether the segment knows its size: it is written last, so a file without it
+    /// True if the segment states its size, which is written last: a file without it
     /// was not closed.
     pub(crate) has_size: bool,
 }
 
 impl Header {
-    /// The value of a tag.
+    /// Returns the value of a tag.
     pub(crate) fn tag(&self, name: &str) -> Option<&str> {
         let found = self.tags.iter().find(|(tag, _)| tag == name)?;
         Some(&found.1)
     }
 
-    /// Whether it is in elements of this ID.
-    pub(super) fn takes(id: u32) -> bool {
+    /// Returns true if elements with this ID belong to the header.
+    pub(super) fn includes(id: u32) -> bool {
         matches!(id, id::INFO | id::TRACKS | id::ATTACHMENTS | id::TAGS)
     }
 
-    /// Takes what is in such an element.
-    pub(super) fn take(&mut self, id: u32, data: &[u8]) {
+    /// Adds the content of an element.
+    pub(super) fn add(&mut self, id: u32, data: &[u8]) {
         match id {
             id::INFO => read_info(data, self),
-            id::TRACKS => keep(&mut self.tracks, read_tracks(data)),
-            id::ATTACHMENTS => keep(&mut self.attachments, read_attachments(data)),
-            id::TAGS => keep(&mut self.tags, read_tags(data)),
+            id::TRACKS => extend(&mut self.tracks, read_tracks(data)),
+            id::ATTACHMENTS => extend(&mut self.attachments, read_attachments(data)),
+            id::TAGS => extend(&mut self.tags, read_tags(data)),
             _ => {}
         }
     }
 }
 
-/// Adds items to those that are kept, as long as there is room.
-fn keep<T>(kept: &mut Vec<T>, items: impl Iterator<Item = T>) {
+/// Adds items up to [`MAX_ITEMS`].
+fn extend<T>(kept: &mut Vec<T>, items: impl Iterator<Item = T>) {
     let room = MAX_ITEMS.saturating_sub(kept.len());
     kept.extend(items.take(room));
 }

@@ -1,4 +1,4 @@
-//! IDs of the elements that are read (RFC 9559, appendix; the recorder's own files).
+//! IDs of the elements that are read (RFC 9559, appendix; files of the recorder).
 
 pub(super) const EBML: u32 = 0x1A45_DFA3;
 pub(super) const DOC_TYPE: u32 = 0x4282;

@@ -1,9 +1,9 @@
-//! A forward reader of Matroska segments (RFC 9559) that survives damage.
+//! Forward reader of Matroska segments (RFC 9559) that tolerates damage.
 //!
-//! [`Mkv::open`] reads everything in front of the first cluster, and looks
-//! after the clusters for what is missing there. [`Mkv::next_cluster`] then
-//! gives one cluster after the other. Where the bytes make no sense, it goes on
-//! at the next place that looks like a cluster, and the loss is in
+//! [`Mkv::open`] reads everything before the first cluster, and then the elements
+//! after the clusters. [`Mkv::next_cluster`]
+//! reads one cluster after the other. Where the bytes are invalid, it continues
+//! at the next position that looks like a cluster, and adds the loss to
 //! [`Mkv::damage`]. A cluster with a CRC-32 element is checked against it.
 
 use std::fmt::Display;
@@ -11,23 +11,23 @@ use std::io;
 
 use system::Sparse;
 
-use super::block::{Block, Check};
+use super::block::{Block, Checksum};
 use super::ebml::{self, EbmlError, Head, Source};
 use super::header::Header;
 use super::id;
 use crate::faults::Faults;
 
-/// Most bytes of one cluster (the camera's hold 32 ms; the largest colour mode,
-/// uncompressed 4K, makes 66 MB of them).
+/// Largest size of a cluster, bytes (the camera's clusters cover 32 ms, at most 66 MB in its
+/// largest colour mode, uncompressed 4K).
 pub(crate) const MAX_CLUSTER: u64 = 256 << 20;
-/// Most bytes of the elements in front of the clusters, each.
+/// Largest size of an element outside of the clusters, bytes.
 const MAX_HEADER: u64 = 16 << 20;
-/// Most frames in one cluster.
+/// Largest number of frames in one cluster.
 const MAX_FRAMES: usize = 100_000;
-/// Most entries in the list of damage.
+/// Largest number of described faults.
 const MAX_DAMAGE: usize = 1000;
 
-/// IDs that stand in a segment: after one of these, a cluster of unknown size is over.
+/// IDs of the children of a segment, each of which ends a cluster of unknown size.
 const TOP_LEVEL: [u32; 8] = [
     id::SEEK_HEAD,
     id::INFO,
@@ -39,10 +39,10 @@ const TOP_LEVEL: [u32; 8] = [
     id::CLUSTER,
 ];
 
-/// Why a file cannot be read at all.
+/// Reason why a file cannot be read at all.
 #[derive(Debug, thiserror::Error)]
 pub enum MkvError {
-    /// Reading failed, or the beginning is broken.
+    /// Reading failed, or the beginning is invalid.
     #[error(transparent)]
     Ebml(#[from] EbmlError),
     /// The file begins with something else.
@@ -50,10 +50,10 @@ pub enum MkvError {
         "this is no Matroska file: expected an EBML head with document type \"matroska\", found {found}"
     )]
     NotMatroska {
-        /// What it begins with.
+        /// Description of its beginning.
         found: String,
     },
-    /// There is no list of tracks in front of the first cluster.
+    /// There is no list of tracks before the first cluster.
     #[error(
         "the file has no list of tracks; it is cut off within its first bytes or not a recording"
     )]
@@ -66,32 +66,33 @@ impl From<io::Error> for MkvError {
     }
 }
 
-/// One frame of a track.
+/// Frame of a track.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Frame {
-    /// The track's number.
+    /// Number of the track.
     pub(crate) track: u64,
-    /// Time of the block in units of the file; frames that share a block share it.
+    /// Time of its block, in units of the file.
     pub(crate) time: i64,
     /// Size in bytes.
     pub(crate) size: usize,
-    /// The bytes; empty if they were not asked for.
+    /// Content; empty if it was not requested.
     pub(crate) data: Vec<u8>,
 }
 
-/// One cluster.
+/// Cluster of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cluster {
-    /// Its frames as they stand in the file.
+    /// Frames in the order of the file.
     pub(crate) frames: Vec<Frame>,
-    /// Whether it agrees with its CRC; `None` if it has none or was not read in full.
+    /// True if the CRC is right; `None` if there is none, or if the cluster was not read in full.
     pub(crate) crc_ok: Option<bool>,
 }
 
-/// Whose bytes are wanted; of other tracks only time and size are given.
+/// Returns true for the number of a track whose content is requested; other frames have only
+/// time and size.
 pub(crate) type Wanted<'a> = &'a dyn Fn(u64) -> bool;
 
-/// An open file.
+/// Open Matroska file.
 pub(crate) struct Mkv<R> {
     source: Source<R>,
     header: Header,
@@ -101,11 +102,11 @@ pub(crate) struct Mkv<R> {
 }
 
 impl<R: Sparse> Mkv<R> {
-    /// Opens a file and reads what stands beside the clusters.
+    /// Opens a file and reads everything outside of its clusters.
     ///
     /// # Errors
     ///
-    /// It is no Matroska file, or has no tracks.
+    /// Fails if the content is no Matroska file, or has no tracks.
     pub(crate) fn open(reader: R) -> Result<Self, MkvError> {
         let mut source = Source::new(reader)?;
         check_document(&mut source)?;
@@ -133,18 +134,18 @@ impl<R: Sparse> Mkv<R> {
         Ok(mkv)
     }
 
-    /// What stands beside the clusters.
+    /// Returns the content outside of the clusters.
     pub(crate) fn header(&self) -> &Header {
         &self.header
     }
 
-    /// What could not be read so far, in words.
+    /// Returns descriptions of what could not be read so far.
     pub(crate) fn damage(&self) -> &[String] {
         self.damage.first()
     }
 
     fn read_header(&mut self) -> Result<(), MkvError> {
-        // A damaged element in front of the tracks must not hide them.
+        // A damaged element before the tracks must not hide them.
         let first_cluster = loop {
             let head = match self.source.head() {
                 Ok(None) => break None,
@@ -171,8 +172,8 @@ impl<R: Sparse> Mkv<R> {
         let Some(first_cluster) = first_cluster else {
             return Ok(());
         };
-        // Remuxed files have tags at the end. Stepping over clusters reads
-        // heads only.
+        // Remuxed files have tags at the end. Skipping clusters reads only
+        // their heads.
         self.source.seek(first_cluster)?;
         while let Ok(Some(head)) = self.source.head() {
             if head.id == id::CLUSTER {
@@ -190,14 +191,14 @@ impl<R: Sparse> Mkv<R> {
 
     fn read_top_level(&mut self, head: &Head) -> Result<(), MkvError> {
         let Some(size) = head.size else {
-            // Only segments and clusters may have no size: nothing to step over.
+            // Only segments and clusters may lack a size, so this one cannot be skipped.
             self.note(head.at, 0, format!("element {:X} has no size", head.id));
             return Ok(());
         };
-        if Header::takes(head.id) {
+        if Header::includes(head.id) {
             let mut data = Vec::new();
             match self.source.read_into(size, MAX_HEADER, &mut data) {
-                Ok(()) => self.header.take(head.id, &data),
+                Ok(()) => self.header.add(head.id, &data),
                 Err(EbmlError::Io(error)) => return Err(error.into()),
                 Err(error) => self.note(head.at, size.min(self.source.remaining()), error),
             }
@@ -206,11 +207,11 @@ impl<R: Sparse> Mkv<R> {
         Ok(())
     }
 
-    /// The next cluster; `None` at the end of the file.
+    /// Reads the next cluster; `None` at the end of the file.
     ///
     /// # Errors
     ///
-    /// Reading fails (damage is no error).
+    /// Fails if the file cannot be read (damage is no error).
     pub(crate) fn next_cluster(&mut self, wanted: Wanted<'_>) -> io::Result<Option<Cluster>> {
         loop {
             let at = self.source.position();
@@ -244,14 +245,14 @@ impl<R: Sparse> Mkv<R> {
         }
     }
 
-    /// Reads the children of a cluster. What is there of a damaged cluster is
-    /// given; the rest of it is noted.
+    /// Reads the children of a cluster. The readable part of a damaged cluster is
+    /// returned, and the rest noted as damage.
     fn read_cluster(&mut self, cluster: &Head, wanted: Wanted<'_>) -> Result<Cluster, EbmlError> {
         let length = self.source.length();
         let end = cluster.end().unwrap_or(length);
         let limit = cluster.data.saturating_add(MAX_CLUSTER).min(length);
         let mut out = Cluster::default();
-        let mut crc = Check::default();
+        let mut crc = Checksum::default();
         let mut time: i64 = 0;
         loop {
             let at = self.source.position();
@@ -263,7 +264,7 @@ impl<R: Sparse> Mkv<R> {
                 Ok(Some(head)) => head,
                 Err(EbmlError::Truncated { .. }) => break self.cut_off(at, cluster),
                 Err(EbmlError::Io(error)) => return Err(error.into()),
-                Err(error) => break self.broken(cluster.at, at, &error)?,
+                Err(error) => break self.skip_rest(cluster.at, at, &error)?,
             };
             if TOP_LEVEL.contains(&head.id) {
                 // The end of a cluster of unknown size, or a cluster whose size
@@ -271,7 +272,7 @@ impl<R: Sparse> Mkv<R> {
                 if cluster.size.is_some() {
                     let what = "a cluster is shorter than its size says";
                     self.note(cluster.at, 0, what);
-                    crc = Check::default();
+                    crc = Checksum::default();
                 }
                 self.source.seek(at)?;
                 break;
@@ -281,7 +282,7 @@ impl<R: Sparse> Mkv<R> {
                     at,
                     what: "an element is larger than its cluster",
                 };
-                break self.broken(cluster.at, at, &error)?;
+                break self.skip_rest(cluster.at, at, &error)?;
             };
             if child_end > length {
                 break self.cut_off(at, cluster);
@@ -292,7 +293,7 @@ impl<R: Sparse> Mkv<R> {
                     size: child_end - cluster.data,
                     limit: MAX_CLUSTER,
                 };
-                break self.broken(cluster.at, at, &error)?;
+                break self.skip_rest(cluster.at, at, &error)?;
             }
             let size = child_end - head.data;
             match head.id {
@@ -322,11 +323,11 @@ impl<R: Sparse> Mkv<R> {
                 }
             }
         }
-        out.crc_ok = crc.verdict();
+        out.crc_ok = crc.matches();
         Ok(out)
     }
 
-    /// Reads a block into frames. True if all its bytes are in `self.buffer`.
+    /// Reads the frames of a block. Returns true if all its bytes are in `self.buffer`.
     fn read_block(
         &mut self,
         head: &Head,
@@ -335,7 +336,7 @@ impl<R: Sparse> Mkv<R> {
         wanted: Wanted<'_>,
         out: &mut Cluster,
     ) -> Result<bool, EbmlError> {
-        // Peek at the track first: blocks that nobody wants are stepped over.
+        // Peek at the track first, to skip blocks that are not requested.
         let peek = size.min(16);
         if head.id == id::SIMPLE_BLOCK {
             self.source.read_into(peek, 16, &mut self.buffer)?;
@@ -370,20 +371,20 @@ impl<R: Sparse> Mkv<R> {
             self.note(head.at, size, what);
             return Ok(true);
         };
-        let keep = wanted(track);
+        let is_wanted = wanted(track);
         let time = time.saturating_add(relative.into());
         for part in parts {
             out.frames.push(Frame {
                 track,
                 time,
                 size: part.len(),
-                data: if keep { part.to_vec() } else { Vec::new() },
+                data: if is_wanted { part.to_vec() } else { Vec::new() },
             });
         }
         Ok(true)
     }
 
-    /// The file ends within a cluster.
+    /// Notes that the file ends within a cluster, and moves to its end.
     fn cut_off(&mut self, at: u64, cluster: &Head) {
         let length = self.source.length();
         // A cluster of unknown size may end with the file.
@@ -391,20 +392,19 @@ impl<R: Sparse> Mkv<R> {
             let rest = length - at.min(length);
             self.note(at, rest, "the file ends within a cluster");
         }
-        // Seeking to the end of a readable file cannot fail in a way that matters:
-        // the next read says so.
+        // If seeking to the end of a readable file fails, the next read fails too.
         let _ = self.source.seek(length);
     }
 
-    /// A cluster cannot be read to its end: go on at the next one.
-    fn broken(&mut self, cluster: u64, at: u64, error: &EbmlError) -> io::Result<()> {
+    /// Notes that a cluster cannot be read to its end, and moves to the next one.
+    fn skip_rest(&mut self, cluster: u64, at: u64, error: &EbmlError) -> io::Result<()> {
         let _ = self.source.find(id::CLUSTER, at.max(cluster + 4))?;
         let next = self.source.position();
         self.note(at, next - at, error);
         Ok(())
     }
 
-    /// Notes bytes that are left out, and what was wrong.
+    /// Notes bytes that are left out, with the reason.
     fn note(&mut self, at: u64, bytes: u64, what: impl Display) {
         let what = format!("byte {at}, {bytes} bytes: {what}");
         self.damage.add(what);
@@ -415,6 +415,7 @@ fn is_known(head: u32) -> bool {
     TOP_LEVEL.contains(&head) || head == id::VOID || head == id::CRC32
 }
 
+/// Moves to the end of an element.
 fn skip<R: Sparse>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlError> {
     let Some(end) = head.end() else {
         return Err(EbmlError::Invalid {
@@ -426,6 +427,7 @@ fn skip<R: Sparse>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlError>
     Ok(())
 }
 
+/// Checks that the EBML head has a Matroska document type.
 fn check_document<R: Sparse>(source: &mut Source<R>) -> Result<(), MkvError> {
     let not = |found: &str| MkvError::NotMatroska {
         found: found.to_owned(),
