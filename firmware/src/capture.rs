@@ -41,8 +41,8 @@ impl Bucket {
         }
     }
 
-    /// Takes one, at counter value `now`. False if none was left: the edge is
-    /// still to be taken, and the input then to be switched off for a while.
+    /// Takes a token at counter value `now`. Returns false if none was left: the edge is still
+    /// valid, but the input must then be switched off for a while.
     pub const fn take(&mut self, now: u32) -> bool {
         let gained = now.wrapping_sub(self.at) / self.refill;
         self.at = self.at.wrapping_add(gained.wrapping_mul(self.refill));

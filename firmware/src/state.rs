@@ -57,12 +57,13 @@ pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
 
 /// Waits until `is_so` holds of the outbox, or until it is time to check in. `waker` is woken
 /// when that may have changed.
-pub(crate) async fn wait_for(waker: &AtomicWaker, is_so: impl Fn(&Outbox) -> bool) {
+pub(crate) async fn wait_for(waker: &AtomicWaker, is_ready: impl Fn(&Outbox) -> bool) {
     let wait = poll_fn(|context| {
         waker.register(context.waker());
-        match with_outbox(|outbox| is_so(outbox)) {
-            true => Poll::Ready(()),
-            false => Poll::Pending,
+        if with_outbox(|outbox| is_ready(outbox)) {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
         }
     });
     let _ = with_timeout(CHECK_IN, wait).await;

@@ -19,7 +19,7 @@ const BLANK: u8 = 0xFF;
 const SETTINGS: u8 = 1;
 const PANIC: u8 = 2;
 
-/// Settings of a board that nobody has measured.
+/// Settings of a board that has not been measured.
 pub const DEFAULTS: BoardSettings = BoardSettings {
     output_start_delay: config::OUTPUT_START_DELAY,
     input_delay: config::INPUT_FILTER as u8,

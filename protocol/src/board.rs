@@ -1,4 +1,4 @@
-//! The board itself: who it is, how it last ended, and how it fares as a whole.
+//! The board itself: identity, end of its last run, settings and overall status.
 
 use heapless::String;
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,7 @@ pub const MAX_PANIC: usize = 128;
 /// The core's clock, in Hz.
 pub const CORE_HZ: u32 = 96_000_000;
 
-/// Who the board is and how it last ended.
+/// Identity of the board and end of its last run.
 ///
 /// `protocol_version` stays the first field of the first variant for ever.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -59,7 +59,7 @@ pub struct BoardSettings {
     /// [`MAX_INPUT_DELAY`]; taken off where the time of a capture is stated.
     pub input_delay: u8,
     /// The crystal against a clock that was trusted when it was measured, in 10⁻⁹ (fast is
-    /// positive). Kept for whoever asks; no time is corrected by it.
+    /// positive). For information only; no time is corrected by it.
     pub crystal_ppb: Option<i32>,
 }
 

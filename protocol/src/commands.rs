@@ -110,7 +110,7 @@ commands! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SayHello;
 
-/// Tell the time.
+/// Report the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ping {
     /// Any number of the host's, returned as it is.
@@ -165,7 +165,7 @@ pub struct StopTrigger(
     pub Output,
 );
 
-/// Tell the state of the train.
+/// Report the status of the train.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueryTrigger(
     /// The output.
@@ -179,7 +179,7 @@ pub struct ConfigureImu(
     pub ImuConfig,
 );
 
-/// Tell how the IMU is set up.
+/// Report the setup of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueryImu;
 
@@ -195,7 +195,7 @@ pub struct StartGnss(
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StopGnss;
 
-/// Tell how the pulse per second fares.
+/// Report the status of the pulse per second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueryGnss;
 
@@ -206,7 +206,7 @@ pub struct SendFiller(
     pub bool,
 );
 
-/// Tell the settings that the board keeps.
+/// Report the settings that the board keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueryBoard;
 

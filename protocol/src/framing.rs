@@ -72,8 +72,8 @@ impl LinkCounters {
 /// of this crate.
 pub fn encode<'b, M: Serialize>(message: &M, buffer: &'b mut [u8]) -> postcard::Result<&'b [u8]> {
     const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
-    // The message goes where COBS, which makes it longer by up to so many bytes,
-    // can code it to the front of the same buffer.
+    // The message is placed so that COBS, which lengthens it by up to COBS_OVERHEAD bytes, can
+    // code it to the front of the same buffer.
     let body = buffer.get_mut(COBS_OVERHEAD..).ok_or(FULL)?;
     let space = body
         .get_mut(..MAX_MESSAGE.min(body.len()))

@@ -9,7 +9,7 @@ use crate::units::{TICK_HZ, Ticks};
 pub const MAX_PPS_WIDTH: u32 = TICK_HZ / 2;
 
 /// Sentences must have ended this long after the leading edge of their pulse, in ms.
-/// Velodyne's HDL-32E wants them to begin at most so long after the pulse's end (user
+/// Velodyne's HDL-32E requires them to begin within this time after the pulse's end (user
 /// manual, "External GPS Time Synchronization").
 pub const NMEA_WINDOW_MS: u32 = 500;
 

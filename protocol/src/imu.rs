@@ -1,4 +1,4 @@
-//! The IMU: its settings, its samples and how it fares.
+//! The IMU: its settings, samples and status.
 
 use serde::{Deserialize, Serialize};
 
@@ -67,7 +67,7 @@ pub struct ImuConfig {
 
 impl ImuConfig {
     /// The largest divider that the board takes: 5 Hz. Slower, and a sensor
-    /// that fell silent could not be told from a slow one within a second.
+    /// that fell silent could not be distinguished from a slow one within a second.
     pub const MAX_DIVIDER: u8 = 199;
 }
 

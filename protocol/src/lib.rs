@@ -1,26 +1,26 @@
 //! The messages between the SmartDepthSync board and its host.
 //!
-//! One crate owns the wire format; firmware and host both import it and nobody
-//! declares it again. `no_std`, no allocation, no unsafe code.
+//! One crate owns the wire format; firmware and host both import it.
+//! `no_std`, no allocation, no unsafe code.
 //!
 //! The modules form layers: each imports only from those before it.
 //!
 //! - [`units`]: board time in whole ticks ([`Ticks`], [`TickDelta`]).
 //! - [`edges`]: board time finer than a tick ([`Period`], [`EdgeTime`], [`EdgeGrid`]).
-//! - [`framing`]: how a message of any type is put on the wire (postcard, CRC-32,
-//!   COBS, a zero byte after each frame) and taken off again.
+//! - [`framing`]: encoding of messages as frames (postcard, CRC-32, COBS, a zero byte after
+//!   each) and decoding.
 //! - [`trigger`], [`capture`], [`imu`], [`gnss`]: settings, events and status of the
 //!   trigger outputs, the capture inputs, the IMU and the pulse per second.
-//! - [`board`]: who the board is ([`Hello`]) and how all of it fares ([`Status`]).
-//! - [`commands`]: what the host can ask for, each with its reply.
-//! - [`messages`]: what is said ([`DeviceToHost`], [`HostToDevice`]).
+//! - [`board`]: identity ([`Hello`]), settings and overall status ([`Status`]) of the board.
+//! - [`commands`]: the host's commands, each with its reply.
+//! - [`messages`]: the messages ([`DeviceToHost`], [`HostToDevice`]).
 //!
 //! Beside them, without imports:
 //!
 //! - [`mpu9150`], [`icm42688p`]: names of the IMUs' registers, which [`ImuFault`] gives as
 //!   numbers.
 //! - [`pins`]: which signal is on which pin.
-//! - [`usb`]: how the board shows itself on USB.
+//! - [`usb`]: identity of the board on USB.
 //!
 //! The order of an enum's variants and of a struct's fields *is* the format.
 //! `tests/it/golden` pins the bytes of every message; any change there needs a

@@ -47,7 +47,7 @@ impl Meter {
 
     /// Runs a handler. Nothing interrupts it that runs under the same meter, so plain
     /// loads and stores do.
-    pub(crate) fn of(&self, handler: impl FnOnce()) {
+    pub(crate) fn measure(&self, handler: impl FnOnce()) {
         let begin = DWT::cycle_count();
         if cfg!(feature = "scope") {
             leds::drive(self.led, true);

@@ -86,7 +86,7 @@ pub(crate) fn init(
 /// # Errors
 ///
 /// A setting above its most; no place is left, or the flash took something else.
-pub(crate) fn keep(settings: BoardSettings) -> Result<BoardSettings, Refusal> {
+pub(crate) fn store(settings: BoardSettings) -> Result<BoardSettings, Refusal> {
     let is_in_range = settings.output_start_delay <= MAX_START_DELAY
         && settings.input_delay <= MAX_INPUT_DELAY
         && (settings.crystal_ppb).is_none_or(|ppb| ppb.unsigned_abs() <= MAX_CRYSTAL_PPB);

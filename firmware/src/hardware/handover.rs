@@ -54,7 +54,7 @@ fn next<T>(events: &Receiver<T>) -> Option<T> {
 
 #[interrupt]
 fn SPI3() {
-    HANDOVER_TIME.of(hand_over);
+    HANDOVER_TIME.measure(hand_over);
 }
 
 fn hand_over() {

@@ -27,7 +27,7 @@ impl Longest {
 
     /// Meters `work`, which is done with interrupts masked.
     #[inline]
-    pub(super) fn of<R>(&self, work: impl FnOnce() -> R) -> R {
+    pub(super) fn measure<R>(&self, work: impl FnOnce() -> R) -> R {
         let begin = DWT::cycle_count();
         let result = work();
         self.ended(begin);

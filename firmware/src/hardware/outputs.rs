@@ -115,7 +115,7 @@ pub(crate) fn with_line<R>(
                 pulser, channel, ..
             } = shared.line(line);
             work.take()
-                .map(|work| masked::BELOW_TRIGGER.of(|| work(pulser, channel, &TIMEBASE)))
+                .map(|work| masked::BELOW_TRIGGER.measure(|| work(pulser, channel, &TIMEBASE)))
         });
         if let Some(result) = result {
             return result;
@@ -143,12 +143,12 @@ pub(crate) fn set_pps_inverted(inverted: bool) {
 
 #[interrupt]
 fn TIM1_CC() {
-    OUTPUTS_TIME.of(|| SHARED.lock(|shared| shared.borrow_mut().handle()));
+    OUTPUTS_TIME.measure(|| SHARED.lock(|shared| shared.borrow_mut().handle()));
 }
 
 #[interrupt]
 fn TIM5() {
-    OUTPUTS_TIME.of(|| SHARED.lock(|shared| shared.borrow_mut().handle()));
+    OUTPUTS_TIME.measure(|| SHARED.lock(|shared| shared.borrow_mut().handle()));
 }
 
 impl Shared {

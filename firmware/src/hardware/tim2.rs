@@ -215,7 +215,8 @@ fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
             if shared.pulser.is_busy(now, config::QUIET_MARGIN) {
                 return None;
             }
-            work.take().map(|work| masked::ALL.of(|| work(&mut shared)))
+            work.take()
+                .map(|work| masked::ALL.measure(|| work(&mut shared)))
         });
         if let Some(result) = result {
             return result;
@@ -245,7 +246,7 @@ pub(crate) fn unmute(input: Input) {
 
 #[interrupt]
 fn TIM2() {
-    TRIGGER_TIME.of(|| {
+    TRIGGER_TIME.measure(|| {
         with_all_masked(|token| SHARED.borrow(token).borrow_mut().handle());
     });
 }
@@ -253,7 +254,7 @@ fn TIM2() {
 /// The end of a whole pulse.
 #[interrupt]
 fn DMA1_STREAM5() {
-    TRIGGER_TIME.of(|| {
+    TRIGGER_TIME.measure(|| {
         with_all_masked(|token| {
             TIMEBASE.refresh(counter());
             // The stream also calls when it is switched off.
@@ -361,7 +362,7 @@ impl Shared {
     }
 
     fn data_ready(&mut self) {
-        let (captured, after_loss, flood) = self.data_ready.take(DATA_READY);
+        let (captured, after_loss, flood) = self.data_ready.read_capture(DATA_READY);
         let at = TIMEBASE.extend(captured);
         let edge = DataReady { at, after_loss };
         if !events::send(&mut self.events, Event::DataReady(edge)) {
@@ -373,7 +374,7 @@ impl Shared {
     }
 
     fn strobe(&mut self) {
-        let (captured, after_loss, flood) = self.strobe.take(STROBE);
+        let (captured, after_loss, flood) = self.strobe.read_capture(STROBE);
         // The level that this capture, or the one after it, led to. An edge shows at
         // the pin at once and in the flag only after the filter: both count if they
         // stay for as long as that takes. An input that never does is a flood; its
@@ -412,9 +413,9 @@ impl Shared {
 }
 
 impl InputState {
-    /// Takes the captured edge of `channel`: its counter value, whether one was
-    /// lost before it, and whether the input was now switched off.
-    fn take(&mut self, channel: usize) -> (u32, bool, bool) {
+    /// Reads the captured edge of `channel`. Returns its counter value, true if an edge was lost
+    /// before it, and true if the input was now switched off.
+    fn read_capture(&mut self, channel: usize) -> (u32, bool, bool) {
         // Reading the value clears its flag.
         let captured = capture_of(channel);
         let over = TIM.sr().read().ccof(channel);

@@ -87,7 +87,7 @@ const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
 pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description {
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
     let sensor = match model {
-        // PS-MPU-9250A-01, 3.1, 3.2 and 3.4.2 (noise, thermometer). The MPU-6500 is believed to
+        // PS-MPU-9250A-01, 3.1, 3.2 and 3.4.2 (noise, thermometer). The MPU-6500 is assumed to
         // be the same (hil-sim/rig/ranges.md).
         ImuModel::Mpu6500 | ImuModel::Mpu9250 => ImuSensor {
             gyro_noise_udps: 10_000,

@@ -60,7 +60,7 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
         }),
         Command::QueryBoard(command) => answer(command, |_| Ok(flash::settings())),
         Command::SetBoard(command) => answer(command, |set| {
-            while_idle().and_then(|()| flash::keep(set.0))
+            while_idle().and_then(|()| flash::store(set.0))
         }),
         Command::RestartIntoRom(command) => answer(command, |_| {
             while_idle()?;
@@ -94,11 +94,12 @@ fn answer_of<R: Request>(
     answer(command, carry_out)
 }
 
-/// For what stops the core for a while.
+/// Refuses a command that stops the core for a while, unless all outputs are idle.
 fn while_idle() -> Result<(), Refusal> {
-    match triggers::is_any_running() {
-        true => Err(Refusal::OutputRunning),
-        false => Ok(()),
+    if triggers::is_any_running() {
+        Err(Refusal::OutputRunning)
+    } else {
+        Ok(())
     }
 }
 

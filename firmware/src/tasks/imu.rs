@@ -326,7 +326,7 @@ async fn next_edge(patience: Duration) -> Result<Option<DataReady>, ImuFault> {
     }
 }
 
-/// A part of the work with a sensor, which takes so long at most.
+/// Limits a step of the work with a sensor to `limit_ms`.
 async fn within<'a, T>(
     limit_ms: u64,
     sensor: &mut Sensor<'a>,

@@ -166,9 +166,10 @@ impl Transmit {
             let write = poll_fn(|context| {
                 LINK_CHANGED.register(context.waker());
                 // A packet for one host is not to reach the next.
-                match self.is_same_host() {
-                    true => write.as_mut().poll(context).map(Some),
-                    false => Poll::Ready(None),
+                if self.is_same_host() {
+                    write.as_mut().poll(context).map(Some)
+                } else {
+                    Poll::Ready(None)
                 }
             });
             match with_timeout(CHECK_IN, write).await {

@@ -37,7 +37,7 @@ struct Timed;
 impl interrupt::typelevel::Handler<interrupt::typelevel::OTG_FS> for Timed {
     unsafe fn on_interrupt() {
         // SAFETY: called by the vector of this interrupt alone, as it asks for.
-        USB_TIME.of(|| unsafe { InterruptHandler::<USB_OTG_FS>::on_interrupt() });
+        USB_TIME.measure(|| unsafe { InterruptHandler::<USB_OTG_FS>::on_interrupt() });
     }
 }
 

@@ -440,7 +440,7 @@ pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
 
 /// Returns the scale of the board's IMU, which every command that reads samples needs.
 pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
-    Ok(Scale::of(setup).ok_or(SessionError::NoScale)?)
+    Ok(Scale::from_setup(setup).ok_or(SessionError::NoScale)?)
 }
 
 #[cfg(test)]

@@ -568,6 +568,6 @@ fn imu_info() -> recording::session_file::ImuInfo {
         },
         sensor: protocol::ImuSensor::default(),
     };
-    let scale = board::imu::Scale::of(&setup).unwrap();
+    let scale = board::imu::Scale::from_setup(&setup).unwrap();
     recording::session_file::ImuInfo { setup, scale }
 }

@@ -160,7 +160,7 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
     board.start_counting();
     checks.look_at_imu(|| {
         let mut look = ImuLook::default();
-        let scale = Scale::of(&board.call(QueryImu)?);
+        let scale = Scale::from_setup(&board.call(QueryImu)?);
         listen_for(board, context, IMU_TIME, |event| match (event, &scale) {
             (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
                 look.add(&scale.apply(sample));

@@ -203,7 +203,7 @@ fn a_silence_of_the_imu_is_found_and_must_have_a_reason() {
         let folder = make(parent.path(), wrong);
         let mut session = SessionFile::load(&folder).unwrap();
         let setup = imu_setup();
-        let scale = Scale::of(&setup).unwrap();
+        let scale = Scale::from_setup(&setup).unwrap();
         session.imu = Some(ImuInfo { setup, scale });
         session.save(&folder).unwrap();
         let report = verify(&folder).unwrap();

@@ -231,7 +231,7 @@ pub fn run(
     operator: Operator<'_>,
     plan: Plan<'_>,
 ) -> Result<BoardTestReport, BringUpError> {
-    let info = BoardInfo::of(board.hello());
+    let info = BoardInfo::new(board.hello());
     let mut test = parts::BoardTest::new(board, operator)?;
     let mut settings = test.settings(false)?;
     let measured = (plan.parts.iter()).try_for_each(|&part| test.measure(part, &plan));

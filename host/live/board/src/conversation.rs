@@ -52,8 +52,8 @@ pub enum Event {
         /// Number of missing messages.
         count: u32,
     },
-    /// The number of the next message came before, or lies so far ahead that nobody can
-    /// tell how many are missing.
+    /// The number of the next message came before, or lies so far ahead that it is unknown how
+    /// many are missing.
     Disordered {
         /// Which stream.
         stream: Stream,
@@ -297,7 +297,7 @@ impl Conversation {
         let mut held = std::mem::take(&mut self.held);
         let before = std::mem::take(&mut self.held_before);
         if before > 0 && self.epoch != Some(epoch) {
-            // The board was reset before or after these: nobody will ever say.
+            // The board was reset before or after these: that cannot be decided.
             tracing::warn!("{before} messages of an unknown run are left out");
             held.drain(..before.min(held.len()));
         }
@@ -340,7 +340,7 @@ impl Conversation {
             DeviceToHost::Arrived(ref arrived) => self.time(arrived.at),
             _ => {}
         }
-        if let Some((stream, number, at)) = Stream::of(&message) {
+        if let Some((stream, number, at)) = Stream::from_message(&message) {
             self.number(stream, number);
             self.time(at);
         }

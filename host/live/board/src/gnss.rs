@@ -6,7 +6,7 @@ use protocol::{Baud, GnssReport, GnssSettings, QueryGnss, Sentences, StartGnss, 
 
 use crate::{Board, Result};
 
-/// From the pulse to the sentences unless told otherwise, ms. With a pulse of 20 ms
+/// Default time from the pulse to the sentences, ms. With a pulse of 20 ms
 /// they begin 80 ms after its end and have ended 175 ms after its edge, with `$GPZDA`
 /// 215 ms: what each lidar wants whose figures are in `docs/wiring.md`.
 pub const NMEA_DELAY_MS: u16 = 100;
@@ -26,9 +26,10 @@ pub const fn settings(utc_at_zero: i64, baud: Baud, idle_high: bool, zda: bool) 
         utc_at_zero,
         baud,
         line_inverted: !idle_high,
-        sentences: match zda {
-            true => Sentences::RmcZda,
-            false => Sentences::Rmc,
+        sentences: if zda {
+            Sentences::RmcZda
+        } else {
+            Sentences::Rmc
         },
         delay_ms: NMEA_DELAY_MS,
         pulse_width: PPS_WIDTH,

@@ -142,7 +142,7 @@ pub struct Sample {
 impl Scale {
     /// The scale of a setup; `None` if the board gave no scale.
     #[must_use]
-    pub fn of(setup: &ImuSetup) -> Option<Self> {
+    pub fn from_setup(setup: &ImuSetup) -> Option<Self> {
         let sensor = &setup.sensor;
         let counts = [
             setup.gyro_lsb_per_dps_times_10,
@@ -475,7 +475,9 @@ mod tests {
             temperature_lsb_per_c_times_100: 13_248,
             temperature_at_zero_centidegrees: 2_500,
         };
-        let sample = Scale::of(&setup).unwrap().apply(&raw(5, ImuFlags(0), 0));
+        let sample = Scale::from_setup(&setup)
+            .unwrap()
+            .apply(&raw(5, ImuFlags(0), 0));
         assert!((sample.temperature - (25.0 - 3_400.0 / 132.48)).abs() < 1e-12);
         assert_eq!(
             describe(&setup),
@@ -488,7 +490,7 @@ mod tests {
 
     #[test]
     fn intervals_across_a_gap_or_a_recovery_are_left_out() {
-        let scale = Scale::of(&setup()).unwrap();
+        let scale = Scale::from_setup(&setup()).unwrap();
         let mut summary = Summary::default();
         for (at, flags, gap) in [
             (0, ImuFlags::FIRST, false),
@@ -514,7 +516,7 @@ mod tests {
 
     #[test]
     fn noise_is_the_sample_deviation() {
-        let scale = Scale::of(&setup()).unwrap();
+        let scale = Scale::from_setup(&setup()).unwrap();
         let mut summary = Summary::default();
         for (index, gyro) in [-3, -1, 1, 3].into_iter().enumerate() {
             summary.add(&scale.apply(&raw(index as u64 * 96_000, ImuFlags(0), gyro)));

@@ -30,7 +30,7 @@ pub struct BoardInfo {
 impl BoardInfo {
     /// As it introduces itself.
     #[must_use]
-    pub fn of(hello: &Hello) -> Self {
+    pub fn new(hello: &Hello) -> Self {
         let (major, minor, patch) = hello.firmware_version;
         Self {
             id: serial_number(&hello.board_id).to_string(),

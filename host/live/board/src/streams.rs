@@ -46,10 +46,10 @@ impl Stream {
         Self::Pps,
     ];
 
-    /// Stream, number and time of a message; none of a message of no stream. The
+    /// Returns stream, number and time of a message, or `None` if it belongs to no stream. The
     /// time of filler is 0.
     #[must_use]
-    pub const fn of(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
+    pub const fn from_message(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
         Some(match message {
             DeviceToHost::Status(status) => (Self::Status, status.seq, status.at),
             DeviceToHost::Pulse(pulse) => (Self::of_pulses(pulse.output), pulse.seq, pulse.at),
@@ -131,7 +131,7 @@ pub struct StreamCount {
     pub received: u64,
     /// Messages missing, by their numbers.
     pub lost: u64,
-    /// Messages whose number came before, or lies so far ahead that nobody can tell how
+    /// Messages whose number came before, or lies so far ahead that it is unknown how
     /// many are missing.
     #[serde(default)]
     pub disordered: u64,
@@ -159,27 +159,27 @@ pub struct StreamCounts {
 }
 
 impl StreamCounts {
-    /// The count of one stream.
+    /// Returns the counts of one stream.
     #[must_use]
-    pub const fn of(mut self, stream: Stream) -> StreamCount {
+    pub const fn get(mut self, stream: Stream) -> StreamCount {
         *self.get_mut(stream)
     }
 
-    /// Messages missing on all streams.
+    /// Returns the number of messages missing on all streams.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.sum(|count| count.lost)
     }
 
-    /// Messages on all streams whose number does not follow.
+    /// Returns the number of messages on all streams whose number does not follow.
     #[must_use]
     pub fn disordered(&self) -> u64 {
         self.sum(|count| count.disordered)
     }
 
-    /// Saturating: the numbers may come from a file.
-    fn sum(&self, of: fn(&StreamCount) -> u64) -> u64 {
-        let counts = Stream::ALL.iter().map(|&stream| of(&self.of(stream)));
+    /// Sums saturating: the numbers may come from a file.
+    fn sum(&self, field: fn(&StreamCount) -> u64) -> u64 {
+        let counts = Stream::ALL.iter().map(|&stream| field(&self.get(stream)));
         counts.fold(0, u64::saturating_add)
     }
 

@@ -92,7 +92,7 @@ impl Checks {
     /// the profile names.
     pub fn firmware(&mut self, board: &Board, profile: Option<&Profile>) {
         let hello = board.hello();
-        let BoardInfo { id, firmware, .. } = BoardInfo::of(hello);
+        let BoardInfo { id, firmware, .. } = BoardInfo::new(hello);
         let up = hello.now.as_secs_f64();
         self.good("board", format!("{id}, firmware {firmware}, up {up:.1} s"));
         if let Some(panic) = &hello.last_panic {

@@ -86,7 +86,7 @@ fn check(session: &mut Session<'_>, mut checks: Checks) -> Result<(), Stop> {
         Ok::<_, Stop>((look, session.call(|board| board.call(QueryImu))?))
     })?;
     // The board may have been looking for the sensor until now.
-    if let Some(scale) = Scale::of(&setup) {
+    if let Some(scale) = Scale::from_setup(&setup) {
         session.link.set_scale(scale);
         session.log.publish(SessionEvent::ScaleChanged { scale });
         session.file.imu = Some(ImuInfo { setup, scale });

@@ -112,7 +112,7 @@ pub(crate) fn run(
     }
     context.show(&Flashed {
         image: path,
-        board: BoardInfo::of(&hello),
+        board: BoardInfo::new(&hello),
     })?;
     Ok(ExitStatus::Good)
 }

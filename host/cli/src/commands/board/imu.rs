@@ -61,7 +61,7 @@ pub(crate) fn run(
         scale,
         nominal_interval_ticks: setup.interval,
         summary: summary.report(),
-        missed: board.conversation().counts().of(Stream::Imu).lost,
+        missed: board.conversation().counts().get(Stream::Imu).lost,
     };
     context.show(&report)?;
     let impaired = report.missed > 0 || summary.is_impaired();

@@ -41,7 +41,7 @@ pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failu
     let settings = board.call(QueryBoard)?;
     let hello = board.hello();
     context.show(&PrintedInfo {
-        board: BoardInfo::of(hello),
+        board: BoardInfo::new(hello),
         has_outputs: hello.board.has_outputs(),
         now_ticks: hello.now.0,
         uptime_s: hello.now.as_secs_f64(),

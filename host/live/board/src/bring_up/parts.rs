@@ -129,10 +129,13 @@ impl<'a> BoardTest<'a> {
             skipped = skips();
             done || skipped
         })?;
-        let why = match skipped {
-            _ if done || ended => return Ok(Some((received, ended))),
-            true => "left out",
-            false => "not done within two minutes",
+        if done || ended {
+            return Ok(Some((received, ended)));
+        }
+        let why = if skipped {
+            "left out"
+        } else {
+            "not done within two minutes"
         };
         self.skip(name, why, reason);
         Ok(None)
@@ -256,7 +259,7 @@ impl<'a> BoardTest<'a> {
             first_edge: None,
         };
         let status = self.board.call(StartTrigger { output, start })?;
-        Ok(PulseGrid::of(&status))
+        Ok(PulseGrid::from_status(&status))
     }
 
     /// Stops a train and returns the rest of its messages.
@@ -374,7 +377,7 @@ impl<'a> BoardTest<'a> {
             output: Output::Camera,
             period: other,
         })?;
-        let grid = PulseGrid::of(&status);
+        let grid = PulseGrid::from_status(&status);
         let mut changed = self.receive_for(millis(500))?;
         changed.append(self.stop(Output::Camera)?);
         let after: Vec<Pulse> = (changed.pulses.iter())

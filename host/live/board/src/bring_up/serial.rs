@@ -2,7 +2,7 @@
 
 use protocol::{Capture, Edge, TICK_HZ, TickDelta, Ticks};
 
-/// Bytes that are read: `$GPRMC,hhmmss`. The strobe input takes the edges of so many.
+/// Bytes that are read: `$GPRMC,hhmmss`. The strobe input keeps up with the edges of this many.
 const BYTES: usize = 13;
 
 /// Bits of a byte with start and stop.
@@ -70,7 +70,7 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// Edges of a line on which a text comes, each bit so many ticks long.
+    /// Returns the edges of a line that carries a text, with bits of this many ticks.
     fn edges(text: &[u8], bit: u64, idle_low: bool) -> Vec<Capture> {
         let (mut all, mut is_mark, mut at) = (Vec::new(), true, 1_000);
         for byte in text {

@@ -22,7 +22,7 @@ pub(crate) struct PulseGrid {
 
 impl PulseGrid {
     /// Returns the grid of a train from its next edge on.
-    pub(crate) fn of(status: &TriggerStatus) -> Self {
+    pub(crate) fn from_status(status: &TriggerStatus) -> Self {
         Self {
             grid: EdgeGrid::new(status.next_edge, status.period),
             number: status.pulses,

@@ -108,7 +108,7 @@ fn gaps_are_counted_across_the_wrap_of_the_number() {
             count: 3
         }]
     );
-    let count = conversation.counts().of(Stream::Filler);
+    let count = conversation.counts().get(Stream::Filler);
     assert_eq!((count.received, count.lost), (4, 3));
     assert_eq!(conversation.counts().lost(), 3);
 }
@@ -119,7 +119,7 @@ fn numbers_that_do_not_follow_are_counted_apart() {
     for seq in [7, 7, 7, 8, 8 + (1 << 31) + 1, 8 + (1 << 31) + 2] {
         conversation.receive(&frame(&sample(seq)));
     }
-    let count = conversation.counts().of(Stream::Imu);
+    let count = conversation.counts().get(Stream::Imu);
     assert_eq!((count.received, count.lost, count.disordered), (6, 0, 3));
     let told = events(&mut conversation);
     let disordered = |event: &&Event| matches!(event, Event::Disordered { .. });

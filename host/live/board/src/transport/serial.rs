@@ -131,7 +131,8 @@ impl SerialLink {
         })
     }
 
-    fn take(&mut self, chunk: io::Result<Vec<u8>>, into: &mut Vec<u8>) {
+    /// Appends received bytes, or notes why the port is gone.
+    fn accept(&mut self, chunk: io::Result<Vec<u8>>, into: &mut Vec<u8>) {
         match chunk {
             Ok(bytes) => {
                 self.waiting.fetch_sub(bytes.len(), Ordering::Relaxed);
@@ -192,7 +193,7 @@ impl Link for SerialLink {
         let before = into.len();
         if self.gone.is_none() {
             match self.received.recv_timeout(wait) {
-                Ok(chunk) => self.take(chunk, into),
+                Ok(chunk) => self.accept(chunk, into),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     self.gone = Some(LinkError::Gone {
@@ -204,7 +205,7 @@ impl Link for SerialLink {
                 && into.len() - before < MOST_AT_ONCE
                 && let Ok(chunk) = self.received.try_recv()
             {
-                self.take(chunk, into);
+                self.accept(chunk, into);
             }
         }
         match &self.gone {

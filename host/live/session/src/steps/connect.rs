@@ -158,7 +158,7 @@ fn reach(
     if setup.config != wanted {
         setup = board.call(ConfigureImu(wanted))?;
     }
-    let scale = Scale::of(&setup).ok_or(SessionError::NoScale)?;
+    let scale = Scale::from_setup(&setup).ok_or(SessionError::NoScale)?;
     has_addresses(profile)?;
     let apps = phones.probe(is_interrupted)?;
     Ok(Sides {
@@ -205,7 +205,7 @@ fn create_files<'a>(
         .map_or(name, |name| name.to_string_lossy().into_owned());
     let mut file = SessionFile::new(name, profile.clone());
     file.started = now.strftime("%Y-%m-%dT%H:%M:%S%:z").to_string();
-    file.board = Some(BoardInfo::of(sides.board.hello()));
+    file.board = Some(BoardInfo::new(sides.board.hello()));
     file.imu = Some(sides.imu.clone());
     for (phone, version) in file.phones.iter_mut().zip(&sides.apps) {
         phone.version = Some(version.clone());

@@ -20,7 +20,7 @@ const IMU_BACK_TRIES: u32 = 5;
 impl BoardTest<'_> {
     pub(super) fn imu(&mut self) -> Result<(), BringUpError> {
         let setup = self.board.call(QueryImu)?;
-        let scale = Scale::of(&setup);
+        let scale = Scale::from_setup(&setup);
         let running = setup.status.state == ImuState::Running;
         let Some(scale) = scale.filter(|_| running) else {
             self.check(
@@ -202,9 +202,10 @@ fn is_running(status: &Status) -> bool {
 }
 
 const fn back_text(is_back: bool) -> &'static str {
-    match is_back {
-        true => "came again by themselves",
-        false => "did not come again steadily",
+    if is_back {
+        "came again by themselves"
+    } else {
+        "did not come again steadily"
     }
 }
 

@@ -30,7 +30,7 @@ const MAX_CLOCK_PPM: f64 = 100.0;
 
 const UNREAD: &str = "a host that does not read";
 
-/// The firmware masks everything only while no edge of the trigger is due for so long, µs.
+/// The firmware masks everything only while no edge of the trigger is due within this time, µs.
 const MASKED_US: f64 = 15.0;
 
 /// A tenth of the millisecond in which the queues to the hand-over do not fill, µs.
@@ -169,7 +169,7 @@ impl BoardTest<'_> {
     pub(super) fn clock(&mut self, length: Duration) -> Result<(), BringUpError> {
         const REASON: &str =
             "the board does not run on its crystal, or the computer's clock is off";
-        let scale = Scale::of(&self.board.call(QueryImu)?);
+        let scale = Scale::from_setup(&self.board.call(QueryImu)?);
         let (mut temperature, mut die, mut supply, mut best) = (None, None, None, Vec::new());
         let begun = self.board.now();
         while self.board.now().saturating_sub(begun) < length {

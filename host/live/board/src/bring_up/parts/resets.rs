@@ -74,7 +74,8 @@ struct Interrupted {
 }
 
 impl Interrupted {
-    fn take(&mut self, received: &Received) {
+    /// Adds the messages of a stretch.
+    fn add(&mut self, received: &Received) {
         self.trains.compare(&self.grid, &received.pulses);
         self.trains.find(&received.pulses, MIN_PULSE_WIDTH, &[]);
         self.lost += received.lost;
@@ -106,7 +107,7 @@ impl BoardTest<'_> {
             if !self.leave_bus(&mut received, "leaving the bus")? {
                 return Ok(());
             }
-            train.take(&received);
+            train.add(&received);
             train.times += 1;
         }
         self.judge(train, "leaving the bus", true, REASON)?;
@@ -140,7 +141,7 @@ impl BoardTest<'_> {
                 return Ok(());
             }
             received.append(self.receive_for(millis(2_000))?);
-            train.take(&received);
+            train.add(&received);
             train.times += 1;
         }
         let reason = "what fails only after hours: heat, the supply, the cable";
@@ -158,7 +159,7 @@ impl BoardTest<'_> {
             dropped: None,
             suspends: None,
         };
-        train.take(&self.receive_for(millis(1_500))?);
+        train.add(&self.receive_for(millis(1_500))?);
         Ok(train)
     }
 
@@ -213,7 +214,7 @@ impl BoardTest<'_> {
             self.come_back(name)?;
         }
         received.append(self.receive_for(millis(2_500))?);
-        train.take(&received);
+        train.add(&received);
         train.times = 1;
         // A computer that cuts the supply of its ports while it sleeps does not suspend them.
         let seen = ended || train.suspended() > 0;
@@ -227,7 +228,7 @@ impl BoardTest<'_> {
         seen: bool,
         reason: &'static str,
     ) -> Result<(), BringUpError> {
-        train.take(&self.stop(Output::Camera)?);
+        train.add(&self.stop(Output::Camera)?);
         let same_run = self.board.hello().epoch == train.epoch;
         let counted = train
             .dropped
