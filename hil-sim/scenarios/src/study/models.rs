@@ -4,8 +4,8 @@
 //! that of the grid.
 
 use anyhow::{Context, Result, bail};
+use clock::frames::{LearntFrames, frame_period};
 use clock::rates::Course;
-use clock::train::frame_period;
 use clock::twists::Twists;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos, board_track, phone_track};
 use jiff::Timestamp;
@@ -25,7 +25,7 @@ use rig::whole_rig::config::{RigConfig, RigParts};
 use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
 use session::alignment::{plan, skew_prior};
-use session::learn::{Frames, Origin, learnt};
+use session::learn::{Origin, learnt};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model_bench::ModelBench;
 use stm32f4_sim::shared::lock;
@@ -155,7 +155,7 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
         at = end + GAP_S;
     }
     let fresh_profile = rig.profile.clone();
-    let one = Twists::of(twists[0]).course();
+    let one = Twists::new(twists[0]).course();
     let begun = ends[0] + TO_VIDEO_S;
     let fresh = rig.record(&fresh_profile, &one, 0, begun)?;
 
@@ -179,7 +179,7 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     let (clock, end) = rig.twist(end + 20.0)?;
     let later = now + jiff::SignedDuration::from_secs(360);
     let known = skew_prior(&profile.phone, "", later, None);
-    let alone = Twists::of(clock);
+    let alone = Twists::new(clock);
     let both = known.and_then(|known| alone.with_known(&known));
     let course = both.unwrap_or(alone).course();
     let learnt = rig.record(&profile, &course, 1, end + TO_VIDEO_S)?;
@@ -187,9 +187,9 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     // On a cold rig the frame period of another day, and no skew.
     let joined = |places: &[usize]| {
         let others = places.iter().map(|&place| &twists[place]);
-        let first = Twists::of(twists[0]);
+        let first = Twists::new(twists[0]);
         let joined = others.fold(first, |known, twist| {
-            known.with(twist).unwrap_or(Twists::of(*twist))
+            known.with(twist).unwrap_or(Twists::new(*twist))
         });
         joined.course()
     };
@@ -348,12 +348,12 @@ impl Rig {
     }
 
     /// Frame period that the timestamps of the first recording teach.
-    fn learnt_frames(&self, begun: f64) -> Result<Frames> {
+    fn learnt_frames(&self, begun: f64) -> Result<LearntFrames> {
         let frames = self.frames(0, begun);
         let count = (RECORDED_S * 1e9 / frames.period_ns()) as usize;
         let stamps: Vec<PhoneNanos> = frames.stamps(count).into_iter().map(PhoneNanos).collect();
         let period = frame_period(&stamps)?;
-        Ok(Frames {
+        Ok(LearntFrames {
             period_ns: period.period_ns,
             sigma_ns: period.sigma_ns,
             jitter_ns: Some(period.jitter_ns),

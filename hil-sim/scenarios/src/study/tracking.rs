@@ -303,7 +303,7 @@ fn align(
         exposure_ns: Some(1_000_000),
         boot_minus_frames_ns: 0,
     };
-    let course = Twists::of(clock).course();
+    let course = Twists::new(clock).course();
     let alignment = plan(&profile, &course, &video)?.alignment;
     // From the frame's timestamp to the edge, in the phone's time.
     let lead_us = alignment.exposure_us / 2.0 + alignment.middle_row_us

@@ -14,7 +14,7 @@ use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, write_file};
 use crate::recordings::{self, RecordingArg};
 use crate::rig_profile::ProfileArg;
-use clock::train::frame_period;
+use clock::frames::{LearntFrames, frame_period};
 use phone::rows::RowError;
 use phone::{frame_timestamps, video_files};
 use recording::camera::{DEFAULT_CAMERA, Model};
@@ -267,7 +267,7 @@ fn learn_from(
             .filter_map(|twist| twist.board_temperature_c)
             .next_back(),
     };
-    let frames = learn::Frames {
+    let frames = LearntFrames {
         period_ns: period.period_ns,
         sigma_ns: period.sigma_ns,
         jitter_ns: Some(period.jitter_ns),

@@ -16,7 +16,7 @@ use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
 use clock::alignment::{GridPlan, Placement};
-use clock::twist_report::TwistReport;
+use clock::twists::report::TwistReport;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos};
 
 /// Version of this file's form.

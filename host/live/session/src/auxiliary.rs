@@ -1,9 +1,9 @@
 //! The auxiliary outputs of a rig: cameras on the trigger outputs 2 to 4, and a lidar
 //! that takes the board for a GNSS receiver.
 //!
-//! They join when the camera's train is on its grid. An output runs at a multiple
-//! of the train's period, a fixed delay after a pulse of it; place and period are
-//! exact to 2⁻³² ticks, so it stays on that pulse for ever.
+//! They start when the camera's train is on its grid. An output runs at a multiple
+//! of the train's period, with a fixed delay after its pulses; phase and period are
+//! exact to 2⁻³² ticks, so the output does not drift against the train.
 
 use board::BoardError;
 use board::gnss::{self, parse_baud};
@@ -17,17 +17,17 @@ use crate::error::{SessionError, Stop};
 use crate::event::SessionEvent;
 use crate::session::Session;
 
-/// How far ahead the first pulse lies at first, ticks: time for the command.
+/// Time to the first pulse in the first attempt, ticks: the command must arrive before it.
 const LEAD: u64 = TICK_HZ as u64 / 2;
 
-/// How often a start is tried, each from twice as far ahead: 16 s at last.
+/// Number of attempts to start an output, each with twice the time to the first pulse: 16 s at last.
 const ATTEMPTS: u32 = 6;
 
-/// Starts what the profile names.
+/// Starts the outputs and the lidar of the profile.
 ///
 /// # Errors
 ///
-/// The board cannot be reached or refuses; a multiple is longer than a second.
+/// The board cannot be reached or refuses; the period of an output is longer than a second.
 pub(crate) fn start(session: &mut Session<'_>) -> Result<(), Stop> {
     let profile = session.profile;
     for sensor in &profile.outputs {
@@ -39,7 +39,7 @@ pub(crate) fn start(session: &mut Session<'_>) -> Result<(), Stop> {
     }
 }
 
-/// Stops what the profile names. Gives the first failure; all are tried.
+/// Stops the outputs and the lidar of the profile. Tries all, and returns the first failure.
 ///
 /// # Errors
 ///
@@ -69,8 +69,8 @@ fn start_output(session: &mut Session<'_>, sensor: &TriggerOutput) -> Result<(),
     if status.state != TrainState::Stopped {
         session.call(|board| board.call(StopTrigger(output)))?;
     }
-    // A rig that runs faster than time, or a slow link, may have gone past the
-    // first pulse when the command arrives: then once more, from farther ahead.
+    // Over a slow link, or on a simulated rig that runs faster than time, the first pulse may be
+    // past when the command arrives: then try again with more time.
     for attempt in 0..ATTEMPTS {
         let camera = session.call(|board| board.call(QueryTrigger(Output::Camera)))?;
         let start = joined(sensor, &camera, LEAD << attempt).ok_or_else(too_slow)?;

@@ -1,10 +1,11 @@
-//! What a recording teaches about the phone's clocks: the distance of its
-//! frames in its own time ([`clock::train`]), and the rate of its clock against the
-//! board's, from the session's twists or from an extraction. Both go into the rig
+//! Learning of the phone's clocks from a recording: the distance of its
+//! frames in its own time ([`clock::frames`]), and the rate of its clock against the
+//! board's, from the session's twists or from an extraction. Both are stored in the rig
 //! profile.
 
 use std::path::Path;
 
+use clock::frames::LearntFrames;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use toml_edit::{DocumentMut, Item, Table, TomlError};
@@ -13,41 +14,28 @@ use recording::profile::edit::{open, phone_table};
 use recording::profile::{Learnt, Profile, ProfileError};
 use recording::session_file::PhoneRecord;
 
-/// What crystals do from one recording to the next (temperature), relative: a
-/// floor under the stated sigmas, which are those within one recording.
+/// Relative 1-sigma of a crystal's rate from one recording to the next (temperature); added to
+/// the stated sigmas, which are those within one recording.
 const REPEATABILITY: f64 = 2e-8;
 
-/// The least time between two twists, s.
+/// Least time between two twists from which a skew is learnt, s.
 const MIN_BASELINE_S: f64 = 60.0;
 
-/// Where something was learnt.
+/// Origin of a learnt value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Origin<'a> {
-    /// The board whose clock the skew is against.
+    /// Board to whose clock the skew refers.
     pub board_id: Option<&'a str>,
-    /// When the recording was made.
+    /// Time of the recording.
     pub time: Timestamp,
-    /// Temperature of the board's IMU then, °C.
+    /// Temperature of the board's IMU at that time, °C.
     pub board_temperature_c: Option<f64>,
 }
 
-/// What the frames of a recording teach.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frames {
-    /// Their distance in the phone's time, ns.
-    pub period_ns: f64,
-    /// 1-sigma of it within the recording, ns.
-    pub sigma_ns: f64,
-    /// 1-sigma of the timestamps of single frames, ns, where it is known.
-    pub jitter_ns: Option<f64>,
-    /// Their exposure, µs, where it is known.
-    pub exposure_us: Option<f64>,
-}
-
-/// What a recording teaches, with the floor for what changes between recordings:
-/// its frames, and the skew with its 1-sigma within the recording.
+/// Returns the profile's entry for the frames of a recording and its skew, given with its 1-sigma
+/// within the recording. Changes from one recording to the next are added to the sigmas.
 #[must_use]
-pub fn learnt(frames: &Frames, skew: Option<(f64, f64)>, origin: &Origin<'_>) -> Learnt {
+pub fn learnt(frames: &LearntFrames, skew: Option<(f64, f64)>, origin: &Origin<'_>) -> Learnt {
     Learnt {
         frame_period_ns: frames.period_ns,
         frame_period_sigma_ns: frames.sigma_ns.hypot(REPEATABILITY * frames.period_ns),
@@ -62,8 +50,8 @@ pub fn learnt(frames: &Frames, skew: Option<(f64, f64)>, origin: &Origin<'_>) ->
     }
 }
 
-/// The skew that a phone's twists in a session know, with its 1-sigma: only two that are at
-/// least a minute apart know it well enough.
+/// Returns the skew from a phone's twists in a session, with its 1-sigma; `None` if they span less
+/// than a minute, in which case the skew is too uncertain.
 #[must_use]
 pub fn skew_of_twists(phone: &PhoneRecord) -> Option<(f64, f64)> {
     let twists = phone.twists.iter();
@@ -75,12 +63,12 @@ pub fn skew_of_twists(phone: &PhoneRecord) -> Option<(f64, f64)> {
     Some((clock.skew, clock.covariance[1][1].max(0.0).sqrt()))
 }
 
-/// Puts what was learnt into a profile's text; comments and order stay. `name` is
-/// that of the phone; without it, it is `[phone]`.
+/// Inserts the learnt values into the text of a profile; comments and order stay. `name` is
+/// that of the phone; without it, the phone is `[phone]`.
 ///
 /// # Errors
 ///
-/// The text is no valid profile, or would not be one any more.
+/// The text is not a valid profile, or would no longer be one.
 pub fn into_profile(
     text: &str,
     path: &Path,
@@ -97,7 +85,7 @@ pub fn into_profile(
     let lines: DocumentMut = lines
         .parse()
         .map_err(|error: TomlError| unwritable(error.to_string()))?;
-    // A new table, which has no place in a document yet.
+    // A new table, which has no position in a document yet.
     let table: Table = lines
         .iter()
         .map(|(key, item)| (key, item.clone()))
@@ -111,7 +99,7 @@ pub fn into_profile(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clock::train::{FramePeriod, frame_period};
+    use clock::frames::{FramePeriod, frame_period};
     use clock::{ClockRelation, PhoneNanos, Wander};
     use recording::profile::DEFAULT;
     use recording::session_file::Twist;
@@ -153,7 +141,7 @@ mod tests {
                 clock: last,
                 ..PhoneRecord::default()
             });
-            let known = Frames {
+            let known = LearntFrames {
                 period_ns: period.period_ns,
                 sigma_ns: period.sigma_ns,
                 jitter_ns: Some(period.jitter_ns),

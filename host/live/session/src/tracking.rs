@@ -1,12 +1,12 @@
-//! The phone's clock while it records, and the trigger's period that follows it.
+//! Tracking of the phone's clock while it records, and of the trigger's period by it.
 //!
 //! A program on the phone ([`PhoneClock`]) and the board are asked for their time many times
-//! a second. Their answers go into the recording and to the tracker
-//! ([`twist_sync::tracker`]), which has the clocks' offset from the twist and follows its
+//! a second. The answers go into the recording and to the tracker
+//! ([`twist_sync::tracker`]), which takes the clocks' offset from the twist and follows its
 //! change. While the recording runs, the trigger's period follows ([`clock::steering`]).
 //!
-//! Where the phone's clock cannot be read any more, the period stays as it is, as in a
-//! session without tracking. That is reported, and stands in the recording's log.
+//! When the phone's clock can no longer be read, the period stays as it is, as in a
+//! session without tracking. This is reported, and noted in the recording's log.
 
 use std::time::Duration;
 
@@ -26,80 +26,80 @@ use crate::link::watch::Watch;
 use crate::log::Log;
 use crate::options::Track;
 
-/// The board is asked so often.
+/// Time between two questions to the board.
 const ASK_EVERY: Duration = Duration::from_millis(40);
 
-/// The phase is reported so often.
+/// Time between two reports of the phase.
 const REPORT_EVERY: Duration = Duration::from_millis(200);
 
-/// A question that is asked again and again, one at a time.
+/// A question that is asked repeatedly, one at a time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Asking {
-    /// The one that is out, and when it was asked.
+    /// Number of the unanswered question, and the time at which it was asked.
     out: Option<(u32, Duration)>,
     last: Duration,
 }
 
 impl Asking {
-    /// Tells whether it is time to ask again.
+    /// Returns true if it is time to ask again.
     fn is_due(&self, now: Duration) -> bool {
         self.out.is_none() && now.saturating_sub(self.last) >= ASK_EVERY
     }
 
-    /// It was asked by this command.
+    /// Notes that the question was asked by this command.
     const fn asked(&mut self, id: u32, now: Duration) {
         self.out = Some((id, now));
         self.last = now;
     }
 
-    /// This command has its answer, or none will come: gives when it was asked, if it was
-    /// this question.
+    /// Notes that this command was answered, or never will be. Returns the time at which it was asked,
+    /// if it was this question.
     fn ended(&mut self, id: u32) -> Option<Duration> {
         let (_, asked) = self.out.take_if(|(out, _)| *out == id)?;
         Some(asked)
     }
 }
 
-/// The clocks as they are followed.
+/// The tracked clocks.
 pub(crate) struct Tracking {
     phone_clock: Box<dyn PhoneClock>,
     link: Link,
     phone: String,
     tracker: Tracker,
-    /// The questions to the board.
+    /// Questions to the board.
     asking: Asking,
-    /// The relation that the tracker has.
+    /// Relation that the tracker starts from.
     known: Option<ClockRelation>,
-    /// How far the phone's `CLOCK_MONOTONIC` is behind its `CLOCK_BOOTTIME`, ns.
+    /// Delay of the phone's `CLOCK_MONOTONIC` behind its `CLOCK_BOOTTIME`, ns.
     slept_ns: Option<i64>,
     following: Option<Following>,
     reported: Duration,
-    /// The phase that was reported last.
+    /// Phase reported last.
     tracked: Option<Tracked>,
 }
 
-/// The trigger on the phone's frames.
+/// The trigger while its period follows the phone's clock.
 struct Following {
     steering: Steering,
     stepped: Duration,
     is_lost: bool,
-    /// The board was asked for it, and may have taken it.
+    /// Step that the board was asked for, and may have carried out.
     unanswered: Option<Step>,
 }
 
-/// Another period.
+/// A change of the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Step {
     period: Period,
-    /// The phase before it, and its 1-sigma, µs.
+    /// Phase before the step, and its 1-sigma, µs.
     phase_us: f64,
     sigma_us: f64,
 }
 
 impl Following {
-    /// The step that the board is to be asked for. One without an answer comes before any other,
-    /// whatever is known of the clocks by now: to ask for it again does nothing more, and its
-    /// answer says which grid the trigger is on.
+    /// Returns the step that the board is to be asked for. An unanswered one comes before any other,
+    /// whatever is known of the clocks by now: a repetition changes nothing, and its
+    /// answer tells which grid the trigger is on.
     fn due(&mut self, clock: Option<&ClockRelation>, now: Duration, at: Ticks) -> Option<Step> {
         if self.unanswered.is_none() {
             let since_s = now.saturating_sub(self.stepped).as_secs_f64();
@@ -117,12 +117,12 @@ impl Following {
     }
 }
 
-/// Starts to read the phone's clock, if that is wanted and possible. `is_only_phone` says
-/// whether the rig has one phone.
+/// Starts to read the phone's clock, if that is wanted and possible. `is_only_phone` is true if the
+/// rig has one phone.
 ///
 /// # Errors
 ///
-/// It is wanted in any case, and not possible.
+/// Tracking is required ([`Track::Always`]) and not possible.
 pub(crate) fn start(
     track: Track,
     is_only_phone: bool,
@@ -152,9 +152,10 @@ pub(crate) fn start(
         device: phone_clock.device().to_owned(),
     });
     Ok(Some(Tracking {
-        link: match phone_clock.is_by_network() {
-            true => Link::Network,
-            false => Link::Usb,
+        link: if phone_clock.is_by_network() {
+            Link::Network
+        } else {
+            Link::Usb
         },
         phone_clock,
         phone: phone.to_owned(),
@@ -169,8 +170,8 @@ pub(crate) fn start(
 }
 
 impl Tracking {
-    /// Takes the phone's answers, asks the board if it is time to, and takes over what
-    /// twists say. Never waits.
+    /// Receives the phone's answers, asks the board if it is time to, and adopts new relations from
+    /// twists. Never waits.
     pub(crate) fn look(
         &mut self,
         board: &mut BoardLink<'_>,
@@ -179,11 +180,11 @@ impl Tracking {
     ) -> Result<(), Stop> {
         for exchange in self.phone_clock.exchanges() {
             let answer = exchange.answer;
-            // The second clock is read after the first: of all pairs the nearest counts.
+            // The second clock is read after the first: the closest of all pairs counts.
             let slept_ns = answer.boot_ns.saturating_sub(answer.monotonic_ns);
             self.slept_ns = self.slept_ns.max(Some(slept_ns));
             let between = (exchange.sent, exchange.received);
-            self.take(log, Asked::B, between, answer.boot_ns, answer.monotonic_ns)?;
+            self.receive(log, Asked::B, between, answer.boot_ns, answer.monotonic_ns)?;
         }
         let now = board.board.now();
         if self.asking.is_due(now) {
@@ -204,17 +205,17 @@ impl Tracking {
         Ok(())
     }
 
-    /// How long the phone has slept since its start, ns, once both of its clocks were read.
+    /// Returns the time that the phone has slept since its start, ns, once both of its clocks were read.
     pub(crate) const fn slept_ns(&self) -> Option<i64> {
         self.slept_ns
     }
 
-    /// 1-sigma of the phase, µs, as it was reported last.
+    /// Returns the 1-sigma of the phase reported last, µs.
     pub(crate) fn sigma_us(&self) -> Option<f64> {
         self.tracked.map(|tracked| tracked.sigma_us)
     }
 
-    /// The board has answered a question with its time.
+    /// Receives the board's answer to a question for its time.
     pub(crate) fn answered(
         &mut self,
         log: &mut Log<'_>,
@@ -226,15 +227,15 @@ impl Tracking {
             return Ok(());
         };
         let nanos = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
-        self.take(log, Asked::A, (sent, now), nanos, 0)
+        self.receive(log, Asked::A, (sent, now), nanos, 0)
     }
 
-    /// No answer to this question will come.
+    /// Notes that this question will not be answered.
     pub(crate) fn expired(&mut self, id: u32) {
         self.asking.ended(id);
     }
 
-    fn take(
+    fn receive(
         &mut self,
         log: &mut Log<'_>,
         asked: Asked,
@@ -267,7 +268,7 @@ impl Tracking {
         })
     }
 
-    /// The relation of the clocks now, once there was a twist.
+    /// Returns the present relation of the clocks, once there was a twist.
     fn relation(&self, now: Duration) -> Option<ClockRelation> {
         self.known?;
         self.tracker.relation_at(now.as_secs_f64())
@@ -284,7 +285,7 @@ impl Tracking {
         })
     }
 
-    /// Lets the period follow from here on: the trigger is on its grid.
+    /// Lets the period follow from now on. The trigger must be on its grid.
     pub(crate) fn follow(&mut self, file: &mut SessionFile, now: Duration) {
         let Some(alignment) = &file.alignment else {
             return;
@@ -303,8 +304,8 @@ impl Tracking {
         });
     }
 
-    /// The period that the board is to be asked for now, if it is another. Reports it if the
-    /// phone's clock cannot be read any more, and if it can again.
+    /// Returns the period that the board is to be asked for now, if it differs from the present one.
+    /// Reports when the phone's clock can no longer be read, and when it can again.
     pub(crate) fn due(
         &mut self,
         file: &mut SessionFile,
@@ -326,7 +327,7 @@ impl Tracking {
         Ok(step.map(|step| step.period))
     }
 
-    /// Takes the board's answer to the period that was [due](Self::due).
+    /// Receives the board's answer to the period that was [due](Self::due).
     pub(crate) fn stepped(
         &mut self,
         answer: board::Result<protocol::TriggerStatus>,
@@ -342,7 +343,7 @@ impl Tracking {
             Err(BoardError::Link(_) | BoardError::NoAnswer { .. } | BoardError::Silent) => {
                 return Ok(());
             }
-            // By a board that was reset, as its messages will show.
+            // The board was reset, as its messages will show.
             Err(BoardError::Refused { .. }) => {
                 following.unanswered = None;
                 return Ok(());
@@ -364,9 +365,8 @@ impl Tracking {
     }
 }
 
-/// Reports that the phone's clock cannot be read any more, or is followed again. Both stand
-/// in the recording's log with their times; they are no marks, which would divide the data
-/// set.
+/// Reports that the phone's clock can no longer be read, or is followed again. The recording's log
+/// has both with their times; marks would divide the data set.
 fn report_lock(file: &mut SessionFile, log: &mut Log<'_>, holds: bool) -> Result<(), Stop> {
     if holds {
         return log.report(SessionEvent::TrackBack);
@@ -405,7 +405,7 @@ mod tests {
             ratio: 1,
             depth_fps: 30,
         };
-        let plan = GridPlan::new(&Twists::of(clock).course(), frames, &target).unwrap();
+        let plan = GridPlan::new(&Twists::new(clock).course(), frames, &target).unwrap();
         let mut following = Following {
             steering: Steering::new(&plan, 1),
             stepped: Duration::ZERO,

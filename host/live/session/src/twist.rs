@@ -1,9 +1,9 @@
-//! The twist: it relates the clock of each phone to the board's.
+//! The twists, which relate the clock of each phone to the board's.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use clock::twist_report::warning_text;
+use clock::twists::report::warning_text;
 use clock::{ClockRelation, phone_track};
 use phone::PhoneSample;
 use protocol::TICK_HZ;
@@ -23,25 +23,25 @@ use crate::session::Session;
 use clock::rates::Course;
 use clock::twists::{KnownSkew, Twists};
 
-/// How often a twist is tried when nobody is there to decide.
+/// Number of tries of a twist when nobody is present to decide.
 const TRIES: usize = 3;
 
-/// How much longer than the phone's recording the board's is taken, ticks.
+/// Additional length of the board's recording beyond the phone's, ticks.
 const MARGIN: u64 = TICK_HZ as u64 / 4;
 
-/// A twist suffices when its expected 1-sigma is this part of the gate's: the
+/// Expected 1-sigma with which a twist suffices, as a part of the gate's limit: the
 /// phase then depends on the profile's constants more than on the twist.
 const ENOUGH: f64 = 0.1;
 
-/// A twist that passes with more than this part of the gate's 1-sigma is weak.
+/// 1-sigma of the offset from which an accepted twist is weak, as a part of the gate's limit.
 const WEAK: f64 = 0.3;
 
-/// So is one that knows the rate of the clocks no better, ppm: a drift of half a millisecond a
+/// 1-sigma of the skew from which an accepted twist is weak, ppm: a drift of half a millisecond a
 /// minute.
 const WEAK_PPM: f64 = 8.0;
 
-/// Makes the twists before a recording: each until it passes the gates, of every phone. Two
-/// at a distance give the rate of today; more of them, how it changes.
+/// Makes the twists before a recording, each until it passes the gates for every phone. Two
+/// with some time between them give the present rate, more of them its change.
 pub(crate) fn first_twists(session: &mut Session<'_>, options: &Options) -> Result<(), Stop> {
     let mut known = vec![None; session.phones.places().len()];
     for round in 0..options.twists {
@@ -56,8 +56,8 @@ pub(crate) fn first_twists(session: &mut Session<'_>, options: &Options) -> Resu
     Ok(())
 }
 
-/// Twists until one passes the gates, of every phone. `before` is what the earlier ones
-/// say; gives it with this one.
+/// Twists until one passes the gates for every phone. Returns the earlier twists of each phone,
+/// `before`, joined with this one.
 fn good_twist(
     session: &mut Session<'_>,
     before: &[Option<Twists>],
@@ -96,7 +96,7 @@ fn good_twist(
         }
         session.save()?;
         if !session.operator.is_present() {
-            // Phones may have got theirs from different twists. The last try is taken as it is.
+            // Phones may have theirs from different twists. The last try is accepted as it is.
             if known.iter().all(Option::is_some) && (weak.is_none() || attempt >= TRIES) {
                 return Ok(known);
             }
@@ -120,8 +120,8 @@ fn good_twist(
     Ok(known)
 }
 
-/// The worst of a twist's relations that is accepted and yet weak, for several times what a
-/// twist of nine seconds gives: its number, its phone, and its 1-sigma, µs and ppm.
+/// Returns the worst relation of an accepted twist that is weak, several times worse than a
+/// twist of nine seconds usually gives: its number, its phone, and its 1-sigma, µs and ppm.
 fn weak_twist(
     session: &Session<'_>,
     clocks: &[Option<ClockRelation>],
@@ -132,21 +132,22 @@ fn weak_twist(
     accepted
         .filter_map(|(place, clock)| {
             let [[offset, _], [_, skew]] = clock.as_ref()?.covariance;
-            let [offset_us, skew_ppm] = [offset, skew].map(|it| it.max(0.0).sqrt() * 1e6);
+            let [offset_us, skew_ppm] =
+                [offset, skew].map(|variance| variance.max(0.0).sqrt() * 1e6);
             let is_weak = offset_us > limit_us || skew_ppm > WEAK_PPM;
             is_weak.then(|| (number, session.phones.name(place), offset_us, skew_ppm))
         })
         .max_by(|a, b| a.2.total_cmp(&b.2))
 }
 
-/// Joins what the earlier twists say of the phone at a place with one more.
+/// Joins the earlier twists of the phone at a place with one more.
 fn joined(
     session: &mut Session<'_>,
     place: usize,
     before: Option<&Twists>,
     clock: &ClockRelation,
 ) -> Result<Twists, Stop> {
-    let alone = Twists::of(*clock);
+    let alone = Twists::new(*clock);
     let Some(before) = before else {
         return Ok(alone);
     };
@@ -166,7 +167,7 @@ fn joined(
     Ok(joined)
 }
 
-/// Takes over what is known of the phone at a place: from its twists, and from before.
+/// Sets the relation of the phone at a place, from its twists and the learnt skew.
 fn take_over(session: &mut Session<'_>, place: usize, twists: &Twists) -> Result<(), Stop> {
     let phone = session.phones.profile(place);
     let temperature = session.monitors.temperature;
@@ -182,7 +183,7 @@ fn take_over(session: &mut Session<'_>, place: usize, twists: &Twists) -> Result
     session.set_clock(place, phone, course.clock, &source)
 }
 
-/// Takes the skew that was learnt before into what the twists say.
+/// Joins the twists with the learnt skew, unless that contradicts them.
 fn sharpen(log: &mut Log<'_>, twists: &Twists, learnt: &KnownSkew) -> Result<Course, Stop> {
     let sharper = twists.with_known(learnt);
     if sharper.is_none() {
@@ -195,7 +196,7 @@ fn sharpen(log: &mut Log<'_>, twists: &Twists, learnt: &KnownSkew) -> Result<Cou
     Ok(sharper.unwrap_or(*twists).course())
 }
 
-/// Asks for a twist; where it cannot be left out, says so and asks again.
+/// Asks for a twist. If it cannot be skipped and the user tries to, says so and asks again.
 fn ask_for_twist(
     session: &mut Session<'_>,
     prompt: Prompt,
@@ -211,8 +212,8 @@ fn ask_for_twist(
     }
 }
 
-/// Makes one twist, of all phones. Gives the relation of each phone's clock if it passes
-/// the gates, by the phone's place; nothing if it was left out.
+/// Makes one twist with all phones. Returns, in the order of the phones, the relation of each
+/// clock that passes the gates; `None` if the user skips the twist.
 fn twist(
     session: &mut Session<'_>,
     can_skip: bool,
@@ -260,7 +261,7 @@ fn twist(
         .map(Some)
 }
 
-/// The board's side of a twist.
+/// The board's samples of a twist.
 struct BoardMotion<'a> {
     number: usize,
     gyro: &'a BoardGyro,
@@ -311,7 +312,7 @@ fn relate(
     };
     file.phones[place].twists.push(twist);
     file.files.push(name);
-    // First what the hands did: that is what a further twist can change.
+    // The motion of the hands comes first: that is what a further twist can change.
     let mut remarks: Vec<_> = together(report).into_iter().collect();
     remarks.extend(report.left_out.iter().map(LeftOut::to_string));
     if result.is_ok() {
@@ -349,7 +350,7 @@ fn relate(
     }
 }
 
-/// When the two moved as one body, in words; `None` where no part of them did.
+/// Returns a sentence with the stretches in which the two moved as one body; `None` without any.
 fn together(report: &Report) -> Option<String> {
     let stretches = report.together.iter();
     let stretches = stretches.map(|(from, to)| format!("from {from:.1} s to {to:.1} s"));
@@ -364,8 +365,8 @@ fn seen_jump_s(twists: &[Twist]) -> f64 {
     twists.iter().rev().find_map(jump).unwrap_or(0.0)
 }
 
-/// Takes the phones' samples of one twist, by their places; the board's go into the
-/// monitors meanwhile.
+/// Receives the phones' samples of one twist, in the order of the phones. Meanwhile the monitors
+/// collect the board's.
 fn twist_samples(session: &mut Session<'_>, length_s: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
     let length = Duration::from_secs(length_s.into());
     let places = session.phones.places();
@@ -379,7 +380,7 @@ fn twist_samples(session: &mut Session<'_>, length_s: u32) -> Result<Vec<Vec<Pho
     Ok(samples)
 }
 
-/// Twists once more and joins what it says with the first; of each phone by itself.
+/// Twists once more, after the recording, and joins each phone's relation with its first.
 pub(crate) fn second_twist(
     session: &mut Session<'_>,
     first: &[Option<ClockRelation>],
@@ -404,8 +405,8 @@ pub(crate) fn second_twist(
         })?;
         session.set_clock(place, phone, clock, "twists at begin and end")?;
     }
-    match is_refused {
-        true => Err(SessionError::SecondTwist.into()),
-        false => Ok(()),
+    if is_refused {
+        return Err(SessionError::SecondTwist.into());
     }
+    Ok(())
 }

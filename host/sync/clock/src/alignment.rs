@@ -25,7 +25,7 @@ use std::fmt::{self, Display, Formatter};
 use protocol::{EdgeGrid, Period, TICK_HZ, Ticks, TriggerAlign};
 use serde::{Deserialize, Serialize};
 
-use crate::frames::Frames;
+use crate::frames::{Frames, NEAR_MODE};
 use crate::rates::{Course, RateChange};
 use crate::{BoardSeconds, BoardToPhone, ClockRelation, PhoneSeconds, Wander};
 
@@ -35,11 +35,6 @@ const TEMPERATURE_PER_C: f64 = 0.3e-6;
 
 /// Largest 1-sigma that age alone adds to a skew: rooms and seasons.
 const MOST_AGED: f64 = 2e-6;
-
-/// Largest relative difference of the trigger's period from that of the depth camera's mode.
-/// Phones are off by some 0.1 %; a camera that is driven at another rate makes no
-/// frames, and at a thousand a second may come to harm.
-pub(crate) const NEAR_MODE: f64 = 0.1;
 
 /// Reason for which no grid can be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,6 +1,10 @@
 //! Period of a phone's frames in its own time, from what earlier recordings have shown and what
 //! the app reports of the current video.
 
+mod period;
+
+pub use period::{FramePeriod, TrainError, frame_period};
+
 use serde::{Deserialize, Serialize};
 
 use crate::rates::CONSISTENT_SIGMAS;
@@ -21,9 +25,14 @@ const PERIOD_OF_EXPOSURE_NS_PER_MS: f64 = 100.0;
 /// Drift caused by a changed exposure from which on the user is warned, µs/min.
 const WARNED_DRIFT_US_PER_MIN: f64 = 5.0;
 
+/// Largest relative difference of the trigger's period from that of the depth camera's mode.
+/// Phones are off by some 0.1 %; a camera that is driven at another rate makes no
+/// frames, and at a thousand a second may come to harm.
+pub(crate) const NEAR_MODE: f64 = 0.1;
+
 /// Largest number of lost or doubled frames among the first 60. With more, the phone is probably in
-/// another mode, and [`crate::alignment::GridPlan::new`] refuses it.
-const MOST_ODD_FRAMES: f64 = crate::alignment::NEAR_MODE * INTERVALS;
+/// another mode, which is refused.
+const MOST_ODD_FRAMES: f64 = NEAR_MODE * INTERVALS;
 
 /// Largest distance of the span of the first frames from a whole number of periods, in periods:
 /// phones are off by less than half a percent.

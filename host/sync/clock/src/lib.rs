@@ -1,9 +1,18 @@
-//! The times of the phone and of the board as types that do not mix.
+//! The clocks of board and phone: their relation, the alignment of the trigger to the phone's
+//! frames, and its steering. No I/O and no state of a session.
 //!
-//! Integers at the edges ([`Ticks`] of the board, [`PhoneNanos`]), seconds in
+//! The times of phone and board are types that do not mix: integers at the edges ([`Ticks`] of the board, [`PhoneNanos`]), seconds in
 //! f64 inside the math. An f64 second holds 0.12 ns at 10⁶ s (twelve days of
 //! uptime), far below one tick (20.8 ns). The only way from one clock to the
 //! other is [`BoardToPhone`].
+//!
+//! | module | content |
+//! |---|---|
+//! | [`twists`] | several twists joined, and the estimator's findings about one |
+//! | [`rates`] | the rate of the clocks and its change, predicted from twists |
+//! | [`frames`] | the period of the phone's frames |
+//! | [`alignment`] | the grid of trigger edges on the phone's frames |
+//! | [`steering`] | the period that keeps the trigger on that grid |
 
 pub mod alignment;
 pub mod frames;
@@ -11,8 +20,6 @@ pub mod rates;
 mod relation;
 pub mod steering;
 mod tracks;
-pub mod train;
-pub mod twist_report;
 pub mod twists;
 
 pub use relation::BoardToPhone;
@@ -41,7 +48,7 @@ pub struct PhoneSeconds(pub f64);
 pub struct BoardSeconds(pub f64);
 
 impl PhoneNanos {
-    /// The same instant in seconds.
+    /// Returns the same instant in seconds.
     #[must_use]
     pub fn seconds(self) -> PhoneSeconds {
         // Whole seconds and remainder apart: the quotient is exact, so the sum
@@ -53,7 +60,7 @@ impl PhoneNanos {
 }
 
 impl PhoneSeconds {
-    /// The nearest nanosecond; saturates at the ends of i64, not-a-number becomes 0.
+    /// Returns the nearest nanosecond; saturates at the ends of i64, not-a-number becomes 0.
     #[must_use]
     pub fn nanos(self) -> PhoneNanos {
         PhoneNanos((self.0 * 1e9).round() as i64)
@@ -61,7 +68,7 @@ impl PhoneSeconds {
 }
 
 impl BoardSeconds {
-    /// The nearest tick; times before reset become tick 0.
+    /// Returns the nearest tick; times before reset become tick 0.
     #[must_use]
     pub fn ticks(self) -> Ticks {
         Ticks((self.0 * f64::from(TICK_HZ)).round() as u64)

@@ -1,8 +1,8 @@
-//! How the rate of the phone's clock against the board's goes on.
+//! Prediction of the rate of the phone's clock against the board's.
 //!
-//! Two crystals are not at rest while a rig warms up: by 0.1 to 5 ppm in ten minutes each
-//! (hil-sim/rig/ranges.md), fast at first and then ever more slowly. So beside offset and skew
-//! there is the *change* of the skew, which dies away:
+//! While a rig warms up, the rate of each of the two crystals changes by 0.1 to 5 ppm in ten minutes
+//! (hil-sim/rig/ranges.md), fast at first and then ever more slowly. So the state has, beside offset
+//! and skew, the *change* of the skew, which decays:
 //!
 //! ```text
 //! change(t) = c · e^(−t/T)                  T = WARMING_S
@@ -11,12 +11,11 @@
 //! ```
 //!
 //! A Kalman filter over the twists before a recording estimates the three ([`crate::twists`]).
-//! One twist knows nothing of the change. Two know the skew between them to 0.06 ppm, three
-//! and more the change too. `T` is another one in each rig: it is known to a factor
-//! ([`WARMING_FACTOR_LN`]), and what it may make of an estimated change is stated too.
+//! One twist says nothing about the change. Two determine the skew between them to 0.06 ppm, three
+//! and more the change too. `T` differs from rig to rig: it is known to a factor
+//! ([`WARMING_FACTOR_LN`]), whose influence on a prediction is part of the stated uncertainty.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
-
 use serde::{Deserialize, Serialize};
 use twist_sync::mixture::{Supposed, mixed};
 use twist_sync::tracker::WARMING_S;
@@ -26,25 +25,25 @@ use crate::{BoardSeconds, ClockRelation, Wander};
 /// 1-sigma of the logarithm of [`WARMING_S`]: a factor of two.
 const WARMING_FACTOR_LN: f64 = std::f64::consts::LN_2;
 
-/// The time that a warming is stated of, s.
+/// Time over which a warming is quoted, s.
 const TEN_MINUTES_S: f64 = 600.0;
 
-/// The drift is planned for, and stated of, so much of a recording, s.
+/// Length of a recording for which the drift is planned and stated, s.
 pub const PLANNED_S: f64 = 300.0;
 
-/// `T (1 − e^(−t/T))`: what a change makes of the skew in `t` seconds.
-fn of_skew(t: f64) -> f64 {
+/// Returns `T (1 − e^(−t/T))`: the skew gained in `t` seconds per unit of change.
+fn skew_gain(t: f64) -> f64 {
     -WARMING_S * (-t / WARMING_S).exp_m1()
 }
 
-/// `T t − T² (1 − e^(−t/T))`: what it makes of the offset.
-fn of_offset(t: f64) -> f64 {
-    WARMING_S * (t - of_skew(t))
+/// Returns `T t − T² (1 − e^(−t/T))`: the offset gained in `t` seconds per unit of change.
+fn offset_gain(t: f64) -> f64 {
+    WARMING_S * (t - skew_gain(t))
 }
 
-/// By how much those two, and the change itself, would be others for a longer time `T`: their
-/// derivatives by its logarithm.
-fn of_longer_warming(t: f64) -> Vector3<f64> {
+/// Returns the derivatives of the offset gained, the skew gained and the remaining change by the
+/// logarithm of `T`.
+fn gain_by_warming_time(t: f64) -> Vector3<f64> {
     let x = t / WARMING_S;
     let (gone, fading) = (-(-x).exp_m1(), x * (-x).exp());
     Vector3::new(
@@ -54,37 +53,37 @@ fn of_longer_warming(t: f64) -> Vector3<f64> {
     )
 }
 
-/// How far a value may be from what was known of it before, in sigmas of both.
+/// Largest distance of two estimates that count as consistent, in sigmas of their difference.
 pub(crate) const CONSISTENT_SIGMAS: f64 = 5.0;
 
-/// What `since_s` seconds of warming are of that in the first ten minutes.
+/// Returns the warming in the first `since_s` seconds as a part of that in the first ten minutes.
 #[must_use]
 pub fn warming_share(since_s: f64) -> f64 {
-    of_skew(since_s) / of_skew(TEN_MINUTES_S)
+    skew_gain(since_s) / skew_gain(TEN_MINUTES_S)
 }
 
-/// A rate with its 1-sigma.
+/// The rate of two clocks with its 1-sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Rate of the phone's clock against the board's, minus one.
     pub skew: f64,
-    /// 1-sigma of it.
+    /// 1-sigma of the skew.
     pub sigma: f64,
 }
 
-/// How well something fits what was known before.
+/// Agreement of a measurement with what was known before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fit {
-    /// Square of how far it is off, in sigmas of both.
+    /// Squared distance of the two, in variances of their difference.
     distance: f64,
-    /// Logarithm of its likelihood, less a constant.
+    /// Logarithm of the measurement's likelihood, less a constant.
     pub(crate) likelihood_ln: f64,
 }
 
 impl Fit {
-    fn of(distance: f64, variance: f64) -> Option<Self> {
-        let is_one = variance.is_normal() && variance > 0.0 && distance.is_finite();
-        is_one.then(|| Self {
+    fn new(distance: f64, variance: f64) -> Option<Self> {
+        let is_valid = variance.is_normal() && variance > 0.0 && distance.is_finite();
+        is_valid.then(|| Self {
             distance,
             likelihood_ln: -0.5 * (distance + variance.ln()),
         })
@@ -95,12 +94,12 @@ impl Fit {
     }
 }
 
-/// How the skew of two clocks changes while a rig warms up, as far as it is known.
+/// Estimated change of the skew of two clocks while a rig warms up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RateChange {
-    /// Change of the skew at the relation's reference, 1/s; it dies away.
+    /// Change of the skew at the relation's reference, 1/s; it decays.
     pub per_s: f64,
-    /// Variance of it, 1/s².
+    /// Variance of the change, 1/s².
     pub variance: f64,
     /// Covariance with the offset.
     pub with_offset: f64,
@@ -108,7 +107,7 @@ pub struct RateChange {
     pub with_skew: f64,
 }
 
-/// The relation of the clocks at the last twist, and how its skew changes.
+/// The relation of the clocks at the last twist, and the change of its skew.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Course {
     /// The relation at its reference.
@@ -118,19 +117,19 @@ pub struct Course {
 }
 
 impl Course {
-    /// What one twist says of clocks whose skew changes by so much (1-sigma) in the first
-    /// ten minutes.
+    /// Returns the course after one twist, of clocks whose skew changes by `warming` (1-sigma) in the
+    /// first ten minutes.
     pub(crate) fn of_twist(clock: ClockRelation, warming: f64) -> Self {
         let change = RateChange {
             per_s: 0.0,
-            variance: (warming / of_skew(TEN_MINUTES_S)).powi(2),
+            variance: (warming / skew_gain(TEN_MINUTES_S)).powi(2),
             with_offset: 0.0,
             with_skew: 0.0,
         };
         Self { clock, change }
     }
 
-    /// The same with a later twist, and how well it fits.
+    /// Returns the course joined with a later twist, and their agreement.
     pub(crate) fn with_twist(&self, twist: &ClockRelation) -> Option<(Self, Fit)> {
         let base = twist.offset;
         let (mean, covariance) = self.predicted(BoardSeconds(twist.reference), base);
@@ -140,7 +139,7 @@ impl Course {
         let inverse = expected.try_inverse()?;
         let gain = covariance * observe.transpose() * inverse;
         let innovation = Vector2::new(0.0, twist.skew) - observe * mean;
-        let fit = Fit::of(
+        let fit = Fit::new(
             innovation.dot(&(inverse * innovation)),
             expected.determinant(),
         )?;
@@ -148,26 +147,27 @@ impl Course {
         // Joseph form: stays positive.
         let covariance = keep * covariance * keep.transpose() + gain * seen * gain.transpose();
         let mean = mean + gain * innovation;
-        let course = Self::of(twist.reference, base, mean, covariance, twist.wander);
+        let course = Self::from_state(twist.reference, base, mean, covariance, twist.wander);
         Some((course, fit))
     }
 
-    /// The same with a skew that is known from before, and how well it fits.
+    /// Returns the course joined with a skew that was known before, and their agreement.
     pub(crate) fn with_known_skew(&self, known: Rate) -> Option<(Self, Fit)> {
         let base = self.clock.offset;
         let (mean, covariance) = self.predicted(BoardSeconds(self.clock.reference), base);
         let variance = covariance[(1, 1)] + known.sigma * known.sigma;
         let innovation = known.skew - mean[1];
-        let fit = Fit::of(innovation * innovation / variance, variance)?;
+        let fit = Fit::new(innovation * innovation / variance, variance)?;
         let gain = covariance.column(1) / variance;
         let mean = mean + gain * innovation;
         let covariance = covariance - gain * covariance.row(1);
         let (reference, wander) = (self.clock.reference, self.clock.wander);
-        let course = Self::of(reference, base, mean, covariance, wander);
+        let course = Self::from_state(reference, base, mean, covariance, wander);
         Some((course, fit))
     }
 
-    /// Several of the same reference as one, each with the logarithm of its likelihood.
+    /// Returns the mean and covariance of several courses with one reference, each with the logarithm
+    /// of its likelihood.
     pub(crate) fn mixed<const N: usize>(parts: &[(Self, f64); N]) -> Self {
         const { assert!(N > 0) };
         let ClockRelation {
@@ -186,17 +186,16 @@ impl Course {
             }
         });
         let (mean, covariance) = mixed(&parts);
-        Self::of(reference, base, mean, covariance, wander)
+        Self::from_state(reference, base, mean, covariance, wander)
     }
 
-    /// The mean rate over [`PLANNED_S`] from a board time on, with all that may change
-    /// meanwhile.
+    /// Predicts the mean rate over [`PLANNED_S`] from a board time on.
     #[must_use]
     pub fn rate_from(&self, from: BoardSeconds) -> Rate {
         self.rate_over(from, PLANNED_S)
     }
 
-    /// The same over so many seconds.
+    /// Predicts the mean rate over `length_s` seconds from a board time on.
     #[must_use]
     pub fn rate_over(&self, from: BoardSeconds, length_s: f64) -> Rate {
         let to = BoardSeconds(from.0 + length_s);
@@ -205,8 +204,8 @@ impl Course {
         let (end, _) = self.predicted(to, base);
         // The rate's error is that of skew and change, and the wander over the span.
         let since = from.0 - self.clock.reference;
-        let of_change = (of_offset(since + length_s) - of_offset(since)) / length_s;
-        let longer = of_longer_warming(since + length_s) - of_longer_warming(since);
+        let of_change = (offset_gain(since + length_s) - offset_gain(since)) / length_s;
+        let longer = gain_by_warming_time(since + length_s) - gain_by_warming_time(since);
         let of_time = WARMING_FACTOR_LN * longer[0] / length_s;
         let [_, [_, skew_variance]] = self.clock.covariance;
         let wander = self.clock.wander.diffusion() * (since.abs() + length_s / 3.0);
@@ -221,9 +220,8 @@ impl Course {
         }
     }
 
-    /// How far the offset at a board time is from where the mean rate from another time on
-    /// would have it ([`Self::rate_from`]), s: a train of even pulses does not follow a rate
-    /// that changes.
+    /// Returns the offset at a board time minus its extrapolation from `from` by the mean rate
+    /// ([`Self::rate_from`]), s: a train of even pulses does not follow a rate that changes.
     pub(crate) fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
         let base = self.clock.offset;
         let (start, _) = self.predicted(from, base);
@@ -231,14 +229,14 @@ impl Course {
         then[0] - start[0] - self.rate_from(from).skew * (at.0 - from.0)
     }
 
-    /// 1-sigma of the offset at a board time, s.
+    /// Returns the 1-sigma of the offset at a board time, s.
     #[must_use]
     pub fn offset_sigma_at(&self, at: BoardSeconds) -> f64 {
         let (_, covariance) = self.predicted(at, self.clock.offset);
         covariance[(0, 0)].max(0.0).sqrt()
     }
 
-    /// Offset less a base, skew and change at a board time, with their covariance.
+    /// Predicts offset less a base, skew and change at a board time, with their covariance.
     fn predicted(&self, at: BoardSeconds, base: f64) -> (Vector3<f64>, Matrix3<f64>) {
         let (clock, change) = (&self.clock, &self.change);
         let t = at.0 - clock.reference;
@@ -247,12 +245,22 @@ impl Course {
         let (oc, sc) = (change.with_offset, change.with_skew);
         let covariance = Matrix3::new(oo, os, oc, os, ss, sc, oc, sc, change.variance);
         let fade = (-t / WARMING_S).exp();
-        let step = Matrix3::new(1.0, t, of_offset(t), 0.0, 1.0, of_skew(t), 0.0, 0.0, fade);
+        let step = Matrix3::new(
+            1.0,
+            t,
+            offset_gain(t),
+            0.0,
+            1.0,
+            skew_gain(t),
+            0.0,
+            0.0,
+            fade,
+        );
         let q = clock.wander.diffusion();
         let (span, cross) = (t.abs(), q * t.abs() * t / 2.0);
         let grown = q * span.powi(3) / 3.0;
         let wander = Matrix3::new(grown, cross, 0.0, cross, q * span, 0.0, 0.0, 0.0, 0.0);
-        let longer = of_longer_warming(t) * WARMING_FACTOR_LN;
+        let longer = gain_by_warming_time(t) * WARMING_FACTOR_LN;
         let time = longer * longer.transpose() * self.change_squared();
         (
             step * mean,
@@ -260,12 +268,12 @@ impl Course {
         )
     }
 
-    /// Mean of the square of the change, 1/s².
+    /// Returns the mean square of the change, 1/s².
     fn change_squared(&self) -> f64 {
         self.change.per_s.powi(2) + self.change.variance.max(0.0)
     }
 
-    fn of(
+    fn from_state(
         reference: f64,
         base: f64,
         mean: Vector3<f64>,
@@ -306,7 +314,7 @@ mod tests {
             covariance: [[4e-12, 0.0], [0.0, 1e-14]],
             wander: Wander::default(),
         };
-        let per_s = 1e-6 / of_skew(TEN_MINUTES_S);
+        let per_s = 1e-6 / skew_gain(TEN_MINUTES_S);
         let course = |per_s| Course {
             change: RateChange {
                 per_s,
@@ -317,7 +325,7 @@ mod tests {
         let warming = course(per_s);
         let bend = |course: &Course, s| course.bend(BoardSeconds(100.0), BoardSeconds(100.0 + s));
         assert!(bend(&warming, 0.0).abs() < 1e-12 && bend(&warming, PLANNED_S).abs() < 1e-12);
-        let expected = of_offset(150.0) - 0.5 * of_offset(PLANNED_S);
+        let expected = offset_gain(150.0) - 0.5 * offset_gain(PLANNED_S);
         let middle = bend(&warming, 150.0);
         assert!((middle - per_s * expected).abs() < 1e-9, "{middle}");
         assert!((-60e-6..-15e-6).contains(&middle), "{middle}");

@@ -1,6 +1,6 @@
-//! How the trigger follows the phone's clock while it is watched.
+//! The trigger's period while the phone's clock is tracked.
 //!
-//! After the alignment the grid of the trigger has one period for ever, and drifts as far
+//! After the alignment the grid of the trigger has a constant period, and drifts
 //! as the rate of the clocks was wrong or changes. Where the relation of the clocks is
 //! tracked ([`twist_sync::tracker`]), the period follows instead:
 //!
@@ -10,11 +10,11 @@
 //! next period            p    = frame period / (1 + rate) · (1 − φ / CATCH_UP_S)
 //! ```
 //!
-//! A step is another period from an edge on that is on the old grid and on the new one: no
-//! jump of the phase. It is bounded in ppm a second and in ppm of the alignment's period, so
-//! that whatever the tracker believes, the depth camera never sees more than that.
+//! A step changes the period at an edge that is on the old grid and on the new one: the phase does
+//! not jump. The change is bounded in ppm a second and in ppm of the alignment's period, so
+//! that the depth camera never sees more than that, whatever the tracker estimates.
 //!
-//! What a frame's period is in the phone's time, nothing here learns: 1 ppb of it is 3.6 µs
+//! The frame period in the phone's time is not estimated here: an error of 1 ppb makes 3.6 µs
 //! an hour.
 
 use protocol::{EdgeGrid, EdgeTime, Period, TICK_HZ, Ticks};
@@ -23,30 +23,30 @@ use twist_sync::tracker::{Asked, Tracker};
 use crate::alignment::GridPlan;
 use crate::{BoardSeconds, BoardToPhone, ClockRelation, PhoneSeconds};
 
-/// A phase is brought back within about so long, s.
+/// Time constant with which a phase is corrected, s.
 const CATCH_UP_S: f64 = 10.0;
 
-/// The period changes by no more in a second, of itself. A crystal that warms up by 5 ppm in
+/// Largest relative change of the period in a second. A crystal that warms up by 5 ppm in
 /// ten minutes moves by 0.04 ppm a second at most.
 const MOST_A_SECOND: f64 = 0.2e-6;
 
-/// And is never farther from the alignment's, of itself.
+/// Largest relative difference from the alignment's period.
 const MOST_AWAY: f64 = 50e-6;
 
-/// The period follows so often, s.
+/// Time between two steps of the period, s.
 pub const STEP_EVERY_S: f64 = 2.0;
 
-/// How a phone is reached.
+/// The connection to the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Link {
-    /// By a cable.
+    /// A cable.
     Usb,
-    /// Through a network.
+    /// A network.
     Network,
 }
 
 impl Link {
-    /// After so long without an exchange the phone's clock counts as lost, s.
+    /// Returns the time without an exchange after which the phone's clock counts as lost, s.
     #[must_use]
     pub const fn patience_s(self) -> f64 {
         match self {
@@ -56,7 +56,7 @@ impl Link {
     }
 }
 
-/// Tells whether both clocks were heard lately, at a time of the computer.
+/// Returns true if both clocks have answered recently, at `computer` seconds of the computer's clock.
 #[must_use]
 pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
     [Asked::A, Asked::B].into_iter().all(|clock| {
@@ -65,22 +65,22 @@ pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
     })
 }
 
-/// The trigger's grid, and where the phone's frames are.
+/// The trigger's grid against the phone's frames.
 #[derive(Clone, Debug)]
 pub struct Steering {
     plan: GridPlan,
-    /// Phone's time at the alignment's anchor.
+    /// Phone's time at the anchor of the plan.
     begin: PhoneSeconds,
     /// Phone's time from one wanted edge to the next, s.
     frame_s: f64,
-    /// The grid that is followed now.
+    /// Present grid of the trigger.
     grid: EdgeGrid,
-    /// Number of its anchor, from the alignment's.
+    /// Number of edges from the anchor of the plan to that of the grid.
     number: u64,
 }
 
 impl Steering {
-    /// From an alignment on; `ratio` phone frames to a depth frame.
+    /// Starts on a planned grid, with `ratio` phone frames to a depth frame.
     #[must_use]
     pub fn new(plan: &GridPlan, ratio: u32) -> Self {
         Self {
@@ -93,15 +93,15 @@ impl Steering {
     }
 
     /// Returns the first edge of the grid that is not before `at`, with its number from the
-    /// alignment's anchor.
+    /// anchor of the plan.
     #[must_use]
     pub fn edge_from(&self, at: Ticks) -> (u64, EdgeTime) {
         let (count, edge) = self.grid.first_from(at);
         (self.number.saturating_add(count), edge)
     }
 
-    /// By how much the grid is late on the phone's frames at a time, s, by a relation of the
-    /// clocks.
+    /// Returns the delay of the grid against the phone's frames at `at`, s, by a tracked relation of
+    /// the clocks.
     #[must_use]
     pub fn phase_s(&self, clock: &ClockRelation, at: Ticks) -> f64 {
         let (number, edge) = self.edge_from(at);
@@ -109,7 +109,7 @@ impl Steering {
         (at.0 - self.begin.0) - number as f64 * self.frame_s
     }
 
-    /// 1-sigma of the phase at a time, µs, by a relation that is tracked: that of its offset,
+    /// Returns the 1-sigma of the phase at a time, µs, by a tracked relation: that of its offset,
     /// of the first frame's time, and of the frame period since.
     #[must_use]
     pub fn phase_sigma_us(&self, clock: &ClockRelation, at: BoardSeconds) -> f64 {
@@ -117,13 +117,13 @@ impl Steering {
         offset_us.hypot(self.plan.frames_sigma_us(at))
     }
 
-    /// The period that is followed now.
+    /// Returns the present period.
     #[must_use]
     pub const fn period(&self) -> Period {
         self.grid.period
     }
 
-    /// The period from now on, `since_s` seconds after the last one was set; nothing if it
+    /// Returns the period to set now, `since_s` seconds after the last one was set; `None` if it
     /// stays.
     #[must_use]
     pub fn wanted(&self, clock: &ClockRelation, at: Ticks, since_s: f64) -> Option<Period> {
@@ -141,10 +141,10 @@ impl Steering {
         changes.then_some(period)
     }
 
-    /// Follows the board, which has set another period and makes the edge `next` by it.
+    /// Adopts a period that the board has set; `next` is an edge that it makes with this period.
     ///
-    /// Returns the grid from the first edge on that is on the old one too: where answers were
-    /// lost, `next` lies after that.
+    /// Returns the grid from the first edge that is also on the old one; if answers were lost, `next`
+    /// lies after it.
     pub fn follow(&mut self, next: EdgeTime, period: Period) -> EdgeGrid {
         let (count, anchor) = turn(self.grid, next, period);
         self.number = self.number.saturating_add(count);
@@ -153,8 +153,8 @@ impl Steering {
     }
 }
 
-/// Returns the edge at which a train has gone from the grid `old`, whose anchor lies before, to
-/// the period `new`, with its number from that anchor. `next` is an edge of the new period.
+/// Returns the edge at which a train changed from the grid `old`, whose anchor is earlier, to
+/// the period `new`, and its number from that anchor. `next` is an edge of the new period.
 fn turn(old: EdgeGrid, next: EdgeTime, new: Period) -> (u64, EdgeTime) {
     let apart = i128::from(old.period.0.max(1));
     let ahead = (next.raw() - old.anchor.raw()).max(0);
@@ -164,7 +164,7 @@ fn turn(old: EdgeGrid, next: EdgeTime, new: Period) -> (u64, EdgeTime) {
     let each = i128::from(new.0) - i128::from(old.period.0);
     let since = match (beyond.checked_rem(each), beyond.checked_div(each)) {
         (Some(0), Some(since)) => since.clamp(0, count),
-        // On neither grid: nothing else is known of the train.
+        // On neither grid: `next` is the only edge known.
         _ => 0,
     };
     let number = u64::try_from(count - since).unwrap_or(u64::MAX);
@@ -184,7 +184,7 @@ mod tests {
 
     /// The answer to a step may come late, or be that to its repetition.
     #[test]
-    fn a_step_is_found_at_its_edge_however_late_it_is_told() {
+    fn a_step_is_found_at_its_edge_however_late_it_is_reported() {
         let anchor = EdgeTime {
             ticks: Ticks(9_000_000_000),
             fraction: 5,
@@ -204,18 +204,19 @@ mod tests {
     #[test]
     fn the_train_comes_back_onto_the_frames_from_either_side() {
         for sign in [1.0, -1.0] {
-            let believed = clock(1e-5);
-            let mut steering = Steering::new(&plan(&believed), 1);
+            let assumed = clock(1e-5);
+            let mut steering = Steering::new(&plan(&assumed), 1);
             let begin = steering.plan.anchor;
-            let mut is = clock(1e-5 + sign * 2e-6);
+            let mut actual = clock(1e-5 + sign * 2e-6);
             let at_begin = BoardSeconds::from(begin);
-            is.offset += believed.to_phone(at_begin).0 - is.to_phone(at_begin).0 + sign * 30e-6;
+            actual.offset +=
+                assumed.to_phone(at_begin).0 - actual.to_phone(at_begin).0 + sign * 30e-6;
             let at = |seconds: u64| Ticks(begin.0 + seconds * u64::from(TICK_HZ));
-            let phase_us = |steering: &Steering, at| steering.phase_s(&is, at) * 1e6;
+            let phase_us = |steering: &Steering, at| steering.phase_s(&actual, at) * 1e6;
             assert!((phase_us(&steering, begin) - sign * 30.0).abs() < 0.1);
             for step in 1..=45 {
                 let now = at(2 * step);
-                if let Some(period) = steering.wanted(&is, now, STEP_EVERY_S) {
+                if let Some(period) = steering.wanted(&actual, now, STEP_EVERY_S) {
                     let (_, edge) = steering.edge_from(now);
                     steering.follow(edge, period);
                 }
@@ -245,6 +246,6 @@ mod tests {
             ratio: 1,
             depth_fps: 30,
         };
-        GridPlan::new(&Twists::of(*clock).course(), frames, &target).unwrap()
+        GridPlan::new(&Twists::new(*clock).course(), frames, &target).unwrap()
     }
 }

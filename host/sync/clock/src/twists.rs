@@ -1,101 +1,110 @@
-//! What the twists before a recording, and a skew that was learnt before, say together.
+//! The twists before a recording, joined with each other and with a skew from earlier recordings.
 //!
-//! How much a rig warms up is not known: it stands still, or moves by ppm. One Gaussian that
-//! is wide enough for the one takes the noise of a twist's own skew (0.6 ppm) for warming in
-//! the other: 0.1 of the difference of two such skews, a minute apart, carried five minutes
-//! on, is 12 µs/min. So there are three suppositions of how much it is ([`WARMINGS`]), each
-//! with its own Kalman filter ([`Course`]) and weighed by how well it foretold what came.
-//! Together they are one [`Course`] of their mean and covariance.
+//! The warming of a rig is not known in advance: its clocks are steady, or move by ppm. A single
+//! Gaussian that is wide enough for a warming rig mistakes, in a steady one, the noise of a twist's
+//! own skew (0.6 ppm) for warming: 0.1 of the difference of two such skews, a minute apart,
+//! extrapolated by five minutes, is 12 µs/min. So there are three hypotheses of the warming
+//! ([`WARMINGS`]), each with its own Kalman filter ([`Course`]) and weighted by its predictions of
+//! the later twists. The result is one [`Course`] with their mean and covariance.
+//!
+//! Two other ways of joining estimates exist for other questions. The twist after a recording is
+//! joined with the relation from before it by [`twist_sync::ClockRelation::joined`]: nothing is
+//! predicted from there on, so no hypothesis of the warming is needed, only the random walk that any
+//! two clocks have. [`twist_sync::tracker`] does not join twists: its hypotheses are about the
+//! motion of a rate that is observed many times a second.
+
+pub mod report;
 
 use twist_sync::tracker::WARMING_S;
 
 use crate::rates::{Course, Fit, Rate};
 use crate::{BoardSeconds, ClockRelation};
 
-/// What the skew changes by in the first ten minutes, 1-sigma: still, some, much; equally
+/// Hypotheses of the skew's change in the first ten minutes, 1-sigma: none, some, much; equally
 /// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
 /// (hil-sim/rig/ranges.md), have the rms of the three, 2.5 ppm.
 const WARMINGS: [f64; 3] = [0.15e-6, 0.8e-6, 4.3e-6];
 
-/// 1-sigma of the warming of a phone that begins to record: of the two clocks' rms it is one, and
-/// begins as likely as not.
+/// 1-sigma of the warming of a phone that begins to record: the phone is one of the two clocks with
+/// that rms, and the probability that it begins to warm up is one half.
 const BEGINS: f64 = 1.26e-6;
 
-/// How much of the warming of two clocks lies ahead, of what one of a rig that was just
-/// switched on has: the rms. The board's crystal has warmed since its reset, at the latest.
-/// Of the phone nobody knows: that it has been in use as long as the board is supposed to be
-/// as likely as that it begins to warm up now.
+/// Returns the remaining warming of the two clocks (rms) as a part of that of a rig that was just
+/// switched on. The board's crystal has been warming up since its reset or longer. The phone's
+/// history is unknown: that it has been in use as long as the board is assumed to be as likely as
+/// that it begins to warm up now.
 fn warming_left(since_reset: BoardSeconds) -> f64 {
     let board = (-2.0 * since_reset.0.max(0.0) / WARMING_S).exp();
     let phone = 0.5 * (board + 1.0);
     (0.5 * (board + phone)).sqrt()
 }
 
-/// A skew that was learnt before.
+/// A skew from earlier recordings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownSkew {
-    /// What it was, with its 1-sigma now but for the warming.
+    /// The skew with its present 1-sigma, apart from the warming since.
     pub rate: Rate,
-    /// How much it may have warmed up since, in the warming of the first ten minutes.
+    /// Possible warming since, as a multiple of that in the first ten minutes.
     pub warmed: f64,
 }
 
-/// What twists say.
+/// The joint result of several twists.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Twists([Supposition; WARMINGS.len()]);
+pub struct Twists([Hypothesis; WARMINGS.len()]);
 
+/// The clocks if their warming is the one of [`WARMINGS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Supposition {
+struct Hypothesis {
     warming: f64,
     course: Course,
     likelihood_ln: f64,
 }
 
 impl Twists {
-    /// Of the first.
+    /// Returns the result of a first twist.
     #[must_use]
-    pub fn of(clock: ClockRelation) -> Self {
+    pub fn new(clock: ClockRelation) -> Self {
         let left = warming_left(BoardSeconds(clock.reference));
-        Self(WARMINGS.map(|warming| Supposition {
+        Self(WARMINGS.map(|warming| Hypothesis {
             warming,
             course: Course::of_twist(clock, warming * left),
             likelihood_ln: 0.0,
         }))
     }
 
-    /// The same with a later twist; `None` if the two contradict each other.
+    /// Joins a later twist; `None` if it contradicts the earlier ones.
     #[must_use]
     pub fn with(&self, twist: &ClockRelation) -> Option<Self> {
-        self.updated(|supposed| supposed.course.with_twist(twist))
+        self.updated(|hypothesis| hypothesis.course.with_twist(twist))
     }
 
-    /// The same with a skew that was learnt before; `None` if they contradict each other.
+    /// Joins a skew from earlier recordings; `None` if it contradicts the twists.
     #[must_use]
     pub fn with_known(&self, known: &KnownSkew) -> Option<Self> {
-        self.updated(|supposed| {
-            let sigma = known.rate.sigma.hypot(known.warmed * supposed.warming);
+        self.updated(|hypothesis| {
+            let sigma = known.rate.sigma.hypot(known.warmed * hypothesis.warming);
             let skew = known.rate.skew;
-            supposed.course.with_known_skew(Rate { skew, sigma })
+            hypothesis.course.with_known_skew(Rate { skew, sigma })
         })
     }
 
-    fn updated(&self, of: impl Fn(&Supposition) -> Option<(Course, Fit)>) -> Option<Self> {
+    fn updated(&self, join: impl Fn(&Hypothesis) -> Option<(Course, Fit)>) -> Option<Self> {
         let mut each = self.0;
         let mut is_consistent = false;
-        for supposed in &mut each {
-            let (course, fit) = of(supposed)?;
-            supposed.course = course;
-            supposed.likelihood_ln += fit.likelihood_ln;
+        for hypothesis in &mut each {
+            let (course, fit) = join(hypothesis)?;
+            hypothesis.course = course;
+            hypothesis.likelihood_ln += fit.likelihood_ln;
             is_consistent |= fit.is_consistent();
         }
         is_consistent.then_some(Self(each))
     }
 
-    /// All suppositions together. However still the rig was, the phone may begin to warm up when it
-    /// begins to record.
+    /// Returns the mean and covariance of all hypotheses. However steady the clocks were, the phone
+    /// may begin to warm up when it begins to record.
     #[must_use]
     pub fn course(&self) -> Course {
-        let likely = |supposed: Supposition| (supposed.course, supposed.likelihood_ln);
+        let likely = |hypothesis: Hypothesis| (hypothesis.course, hypothesis.likelihood_ln);
         let mut course = Course::mixed(&self.0.map(likely));
         let least = Course::of_twist(course.clock, BEGINS).change.variance;
         course.change.variance = course.change.variance.max(least);
@@ -110,7 +119,7 @@ mod tests {
     use crate::rates::PLANNED_S;
 
     /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
-    /// dying away within `fades` seconds.
+    /// decaying within `fades` seconds.
     fn twist(t: f64, c: f64, fades: f64) -> ClockRelation {
         let gone = 1.0 - (-t / fades).exp();
         ClockRelation {
@@ -124,7 +133,7 @@ mod tests {
 
     fn twists(c: f64, times: &[f64]) -> Twists {
         let mut each = times.iter().map(|&t| twist(t, c, WARMING_S));
-        let first = Twists::of(each.next().unwrap());
+        let first = Twists::new(each.next().unwrap());
         each.fold(first, |known, twist| known.with(&twist).unwrap())
     }
 
@@ -139,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn one_twist_knows_nothing_of_the_change() {
+    fn one_twist_says_nothing_about_the_change() {
         let one = course(0.0, &[0.0]);
         let rate = one.rate_from(BoardSeconds(10.0));
         assert!((rate.skew - 20e-6).abs() < 1e-15);
@@ -156,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn two_twists_know_the_rate_between_them() {
+    fn two_twists_determine_the_rate_between_them() {
         let two = course(0.0, &[100.0, 160.0]);
         assert!((two.clock.skew - 20e-6).abs() < 1e-12);
         let sigma = |course: &Course| course.clock.covariance[1][1].sqrt();
@@ -179,10 +188,10 @@ mod tests {
     /// Two twists whose own skews differ by their noise: the less it is taken for warming,
     /// the less a steady rig drifts.
     #[test]
-    fn the_noise_of_two_twists_is_hardly_taken_for_warming() {
+    fn the_noise_of_two_twists_is_hardly_mistaken_for_warming() {
         let mut second = twist(170.0, 0.0, WARMING_S);
         second.skew += 0.6e-6;
-        let one = Twists::of(twist(100.0, 0.0, WARMING_S));
+        let one = Twists::new(twist(100.0, 0.0, WARMING_S));
         let mixed = one.with(&second).unwrap().course();
         let strong = Course::of_twist(twist(100.0, 0.0, WARMING_S), 2.5e-6);
         let (strong, _) = strong.with_twist(&second).unwrap();
@@ -197,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn three_twists_foresee_a_warming_rig() {
+    fn three_twists_predict_a_warming_rig() {
         // 1 ppm in ten minutes.
         let c = 1e-6 / (WARMING_S * (1.0 - (-600.0 / WARMING_S).exp()));
         let errors = [

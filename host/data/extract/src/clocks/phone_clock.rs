@@ -14,7 +14,7 @@ use crate::inputs::survey::Survey;
 use crate::report::{ClockReport, ClockSource};
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockRelation;
-use clock::train::frame_period;
+use clock::frames::frame_period;
 use system::ReadMonitor;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};

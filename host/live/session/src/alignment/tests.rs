@@ -6,7 +6,7 @@ use clock::rates::RateChange;
 use clock::twists::Twists;
 use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
 
-/// Of a rig whose constants are known exactly.
+/// Profile of a rig whose constants are known exactly.
 fn profile() -> Profile {
     let mut profile = Profile::published().unwrap();
     profile.depth.center_offset_sigma_us = 0.0;
@@ -26,7 +26,7 @@ fn clock() -> ClockRelation {
     }
 }
 
-/// Of a rig that does not warm up.
+/// Course of a rig that does not warm up.
 fn course() -> Course {
     Course {
         clock: clock(),
@@ -106,10 +106,10 @@ fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
 }
 
 #[test]
-fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
+fn a_rig_that_may_warm_up_is_less_certain_and_its_temperature_counts() {
     let profile = profile();
     let steady = plan(&profile, &course(), &video()).unwrap().alignment;
-    let warming = plan(&profile, &Twists::of(clock()).course(), &video()).unwrap();
+    let warming = plan(&profile, &Twists::new(clock()).course(), &video()).unwrap();
     let mut warming = warming.alignment;
     assert!(warming.drift_sigma_us_per_min > 1.02 * steady.drift_sigma_us_per_min);
     // Where the train arrives, seconds after the twist, it is nothing.
@@ -219,7 +219,7 @@ fn a_learnt_period_is_used_unless_it_does_not_fit() {
 }
 
 #[test]
-fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase() {
+fn a_phone_with_jittering_stamps_keeps_its_learnt_period_and_has_an_uncertain_phase() {
     let mut profile = profile();
     let mut known = learnt();
     profile.phone.learnt = Some(known.clone());
@@ -316,7 +316,7 @@ fn another_phone_is_placed_against_the_grid() {
         let placed = placement(
             &profile,
             &profile.phone,
-            &Twists::of(other).course(),
+            &Twists::new(other).course(),
             &moved,
             &alignment,
         );
@@ -332,7 +332,7 @@ fn another_phone_is_placed_against_the_grid() {
 }
 
 #[test]
-fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured() {
+fn uncertain_constants_are_part_of_the_phase_until_the_bias_is_measured() {
     let known = profile();
     let of = |profile: &Profile| plan(profile, &course(), &video()).unwrap().alignment;
     let exact = of(&known);
@@ -397,8 +397,8 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
         "{stated}"
     );
     let planned = plan(&changed, &course(), &video()).unwrap();
-    let is_told = |remark: &String| remark.contains("set exposure_locked = true");
-    assert!(planned.remarks.iter().any(is_told));
+    let is_said = |remark: &String| remark.contains("set exposure_locked = true");
+    assert!(planned.remarks.iter().any(is_said));
 }
 
 #[test]
@@ -412,7 +412,7 @@ fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
 }
 
 #[test]
-fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
+fn without_a_reported_exposure_the_profile_is_used_with_a_remark() {
     let profile = profile();
     for exposure_ns in [None, Some(0)] {
         let video = Video {
@@ -426,7 +426,7 @@ fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
 }
 
 #[test]
-fn nonsense_from_the_phone_is_told() {
+fn nonsense_from_the_phone_is_refused() {
     let profile = profile();
     // A period of 1 ms would be within what the board can do.
     for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9, 1e6, 2.9e7, 4e7] {
@@ -450,7 +450,7 @@ fn nonsense_from_the_phone_is_told() {
 }
 
 #[test]
-fn a_skew_against_another_board_is_not_taken() {
+fn a_skew_against_another_board_is_ignored() {
     let mut profile = profile();
     profile.phone.learnt = Some(learnt());
     let prior = |board| skew_prior(&profile.phone, board, Timestamp::now(), None);

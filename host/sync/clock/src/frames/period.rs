@@ -1,61 +1,60 @@
-//! The phone's frames as a regular train in its own clock: their period, and how
-//! well it is known.
+//! The period of a phone's frames in its own time, fitted to the timestamps of a recording.
 //!
 //! `video_start` reports the mean of 59 intervals; a whole recording has
 //! thousands of timestamps, and a straight line through them knows the slope
 //! with a 1-sigma of `σ·√12 / N^1.5` intervals: 1 µs of jitter over 5 min is
-//! 0.004 ns a frame. Both `profile learn` and `extract` take the period from here.
+//! 0.004 ns a frame. `profile learn` and `extract` use this fit.
 
 use twist_sync::robust::Line;
 
 use crate::PhoneNanos;
 
-/// The least number of frames.
+/// Smallest number of frames that a period is fitted to.
 const MIN_FRAMES: usize = 300;
 
-/// Timestamps that scatter by more than this part of the period about a straight line are those
-/// of frames whose distance changes.
+/// Largest scatter of timestamps about a straight line, as a part of the period. With more, the
+/// distance of the frames is not constant.
 const MOST_JITTER: f64 = 0.01;
 
-/// Why timestamps have no frame period.
+/// Reason for which timestamps have no frame period.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrainError {
     /// Too few frames.
     #[error("{found} timestamps are too few to learn from, expected {MIN_FRAMES} or more")]
     TooFew {
-        /// How many there are.
+        /// Number of timestamps.
         found: usize,
     },
-    /// The timestamps are no train of frames.
+    /// The timestamps are not those of frames at a constant rate.
     #[error("the timestamps are not those of frames: {reason}")]
     NoTrain {
-        /// What is odd.
+        /// First deviation that was found.
         reason: String,
     },
 }
 
-/// A frame period and how well it is known.
+/// A frame period with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FramePeriod {
-    /// ns of the phone's time.
+    /// Distance of frames, ns of the phone's time.
     pub period_ns: f64,
-    /// 1-sigma within this recording, ns.
+    /// 1-sigma of the period within this recording, ns.
     pub sigma_ns: f64,
-    /// Spread of the timestamps about the line, ns.
+    /// Standard deviation of the timestamps about the line, ns.
     pub jitter_ns: f64,
-    /// Frames used.
+    /// Number of frames used.
     pub frames: usize,
-    /// Frames that are missing between the first and the last.
+    /// Number of frames missing between the first and the last.
     pub missing: u64,
 }
 
 /// Fits a straight line through the timestamps of frames. Missing frames are
-/// recognised by their distance; single timestamps far off the line are left out, and
-/// of a frame that came twice, the second.
+/// recognised by their distance; single timestamps far off the line and repeated timestamps are
+/// left out.
 ///
 /// # Errors
 ///
-/// Too few, or no train.
+/// There are too few timestamps, or their distance is not constant.
 pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
     let odd = |reason: &str| TrainError::NoTrain {
         reason: reason.to_owned(),
@@ -127,7 +126,7 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
     })
 }
 
-/// A line through points, and their standard deviation about it.
+/// Returns a line through points, and their standard deviation about it.
 fn fit(points: &[(f64, f64)]) -> (Line, f64) {
     let line = Line::through(points);
     let squares: f64 = points.iter().map(|p| (p.1 - line.at(p.0)).powi(2)).sum();
@@ -141,7 +140,7 @@ mod tests {
 
     use super::*;
 
-    /// Frames of 33,330,652.54 ns with a deterministic jitter of about 1 µs.
+    /// Frames of 33,330,652.54 ns with a jitter of about 1 µs.
     fn frames(count: usize) -> Vec<PhoneNanos> {
         let mut random = Pcg64::seed_from_u64(1);
         (0..count)
@@ -179,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_train_is_told() {
+    fn timestamps_without_a_constant_distance_are_refused() {
         assert_eq!(
             frame_period(&frames(10)),
             Err(TrainError::TooFew { found: 10 })
