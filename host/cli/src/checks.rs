@@ -93,7 +93,7 @@ fn check_camera(checks: &mut Checks, profile: &Profile) {
     let Some(model) = profile.depth.model() else {
         return;
     };
-    let objections = model.objections(profile);
+    let objections = profile.objections(model);
     for objection in &objections {
         checks.warn(CHECK_CAMERA, objection.found.clone(), &objection.next_step);
     }

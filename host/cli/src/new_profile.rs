@@ -164,7 +164,7 @@ mod tests {
                 let text = text(&camera, &[(key, value(recorder))]).unwrap();
                 let profile = Profile::parse(&text, None).unwrap();
                 assert_eq!(profile.depth.camera, model.id);
-                assert_eq!(model.objections(&profile), [], "{text}");
+                assert_eq!(profile.objections(model), [], "{text}");
                 assert!(text.contains(&mode.source));
                 assert!(text.contains("# From the trigger's edge"), "comments stay");
                 assert!(profile.depth.recorder.command.len() > 4);

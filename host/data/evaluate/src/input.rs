@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use phone::file_name::VIDEO_ENDINGS;
 use recording::SESSION_FILE;
-use recording::folder::{entries, is_mkv};
+use recording::depth_files::is_mkv;
+use recording::folder::entries;
 use recording::session_file::SessionFile;
 
 use super::EvaluateError;

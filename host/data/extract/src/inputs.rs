@@ -17,7 +17,7 @@ use phone::video_files::{self, FilesError, VideoFiles};
 use recording::RecordingError;
 use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
-use recording::folder::{depth_recordings, is_mkv};
+use recording::depth_files::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 

@@ -21,8 +21,9 @@ use std::path::{Path, PathBuf};
 
 use self::noise::Noise;
 use crate::constants::Constants;
+use crate::depth::depth_clock::PulseTime;
 use crate::geometry::{Cameras, View};
-use crate::inputs::board_data::{ImuRow, Reference, TimePair};
+use crate::inputs::board_data::{Reference, TimePair};
 use crate::time::{BoardNanos, in_name};
 
 /// Format of a data set.
@@ -64,6 +65,19 @@ impl Format {
             Self::Ros2 => &ros::Ros2,
         }
     }
+}
+
+/// A row of the samples of an IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ImuRow {
+    /// Board time.
+    pub(crate) at: BoardNanos,
+    /// Rates of rotation, rad/s.
+    pub(crate) gyro: [f64; 3],
+    /// Accelerations, m/s².
+    pub(crate) accel: [f64; 3],
+    /// Temperature of the sensor, °C, if it is known.
+    pub(crate) temperature: Option<f64>,
 }
 
 /// CSV file of an IMU's samples.
@@ -172,6 +186,8 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) camera: Vec<ImageRow>,
     /// Pairs, as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
+    /// Pulses of the trigger, with their numbers in the whole recording.
+    pub(crate) pulses: Vec<(usize, &'a PulseTime)>,
     /// Pairs of times in order of the recording.
     pub(crate) times: Vec<&'a TimePair>,
     /// Names of the files for pairs of times, for kinds that have a file.

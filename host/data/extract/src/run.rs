@@ -33,10 +33,10 @@ use crate::error::ExtractError;
 use crate::frames::pairs::{self, Pair};
 use crate::frames::trigger_offset::{self, TriggerOffset};
 use crate::frames::{ColorFrame, DepthFrame};
-use crate::inputs::board_data::BoardEvent;
+use crate::inputs::board_data::{BoardEvent, board_time};
 use crate::inputs::survey::{ImuSpan, Survey, survey};
 use crate::inputs::{Inputs, PhoneInput};
-use crate::layout::{DataSetInfo, Format, Layout};
+use crate::layout::{DataSetInfo, Format, ImuRow, Layout};
 use crate::options::Options;
 use crate::output::folder::{FileMark, OutputDir, check_outside};
 use crate::output::imu_tables::TableWriter;
@@ -146,6 +146,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
             .map_or_else(DataSetInfo::default, |depth| depth.facts(&view))
     };
     let written = Written {
+        pulses: &survey.pulses,
         times: &survey.times,
         color,
         depth: depth_frames,
@@ -409,7 +410,15 @@ impl Extraction<'_> {
         let mut writer = TableWriter::new(table, &self.output.out, sequences, delay);
         let board = &self.inputs.board;
         each_event(board, &self.job.monitor, |event| match event {
-            BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
+            BoardEvent::Sample(sample) => {
+                let row = ImuRow {
+                    at: board_time(sample.stamp),
+                    gyro: sample.gyro,
+                    accel: sample.accel,
+                    temperature: sample.temperature,
+                };
+                writer.push(row).map_err(|error| self.failed(error))
+            }
             _ => Ok(()),
         })?;
         writer.finish().map_err(|error| self.failed(error))?;

@@ -1,8 +1,7 @@
-//! The file of a recording or of a bag: MCAP, and one file.
+//! Finds the one MCAP file of a recording or of a ROS 2 bag.
 //!
-//! Bags of other forms (ROS 1, sqlite3, several parts, packed ones) are made such a file by
-//! `rosbags-convert` of the Python package `rosbags`; what is given instead is refused with
-//! the command that does it.
+//! Bags of other forms (ROS 1, sqlite3, several parts, compressed) are refused with the command
+//! that converts them: `rosbags-convert` of the Python package `rosbags`.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -10,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::rosbag2::METADATA_FILE;
 use super::{MCAP_FILE, RecordingError, folder};
 
-/// What the file of a bag ends with, and what it is.
+/// Endings of the files of bags, and their meanings in words.
 const FORMS: [(&str, &str); 6] = [
     (".mcap", MCAP),
     (".bag", "a ROS 1 bag"),
@@ -22,7 +21,7 @@ const FORMS: [(&str, &str); 6] = [
 
 const MCAP: &str = "an MCAP file";
 
-/// What a file is by its name, if it is a bag.
+/// Returns the form of a bag by the name of its file; `None` if it is not a bag.
 fn form_of(path: &Path) -> Option<&'static str> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let forms = FORMS.iter().rev();
@@ -30,27 +29,29 @@ fn form_of(path: &Path) -> Option<&'static str> {
     found.next().map(|&(_, form)| form)
 }
 
-/// Whether a path may be a bag of a depth camera's driver: a folder as `ros2 bag record`
-/// leaves it, which is no recording of ours, or a file of one.
+/// Returns true if a path may be a bag of a depth camera's driver: a folder that
+/// `ros2 bag record` wrote (and not a recording of this program), or a file of such a bag.
 #[must_use]
 pub fn is_bag(path: &Path) -> bool {
-    match path.is_dir() {
-        true => path.join(METADATA_FILE).is_file() && !path.join(MCAP_FILE).is_file(),
-        false => form_of(path).is_some(),
+    if path.is_dir() {
+        path.join(METADATA_FILE).is_file() && !path.join(MCAP_FILE).is_file()
+    } else {
+        form_of(path).is_some()
     }
 }
 
-/// The MCAP file of a recording, of a bag's folder, or the file itself.
+/// Returns the MCAP file of a recording's or a bag's folder; a file is returned as it is.
 ///
 /// # Errors
 ///
-/// [`RecordingError::ForeignBag`] for a bag of another form, [`RecordingError::NoRecording`]
-/// for anything else; or the folder cannot be read.
+/// Returns [`RecordingError::ForeignBag`] for a bag of another form,
+/// [`RecordingError::NoRecording`] for anything else, and [`RecordingError::Io`] if the folder
+/// cannot be read.
 pub fn mcap_in(path: &Path) -> Result<PathBuf, RecordingError> {
     if !path.is_dir() {
         return match form_of(path) {
             Some(form) if form != MCAP => Err(foreign(path, form)),
-            // Whatever it is called, its first bytes say what it is.
+            // Its first bytes decide, whatever its name.
             _ => Ok(path.to_owned()),
         };
     }
@@ -74,18 +75,16 @@ pub fn mcap_in(path: &Path) -> Result<PathBuf, RecordingError> {
     }
 }
 
-/// The refusal of a bag of another form.
-#[must_use]
-pub fn foreign(path: &Path, form: &'static str) -> RecordingError {
+/// Returns the refusal of a bag of another form.
+pub(crate) fn foreign(path: &Path, form: &'static str) -> RecordingError {
     RecordingError::ForeignBag {
         path: path.to_owned(),
         form,
     }
 }
 
-/// The command that makes a bag that is read of one that is not.
-#[must_use]
-pub fn conversion(path: &Path) -> String {
+/// Returns the command that converts a bag of another form.
+pub(crate) fn conversion(path: &Path) -> String {
     let mut to = path.with_extension("").into_os_string();
     to.push("-mcap");
     let [from, to] = [path, Path::new(&to)].map(system::shell_word);

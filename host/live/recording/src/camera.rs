@@ -1,25 +1,18 @@
-//! Models of depth cameras: what a maker says, or somebody has measured, of the pulse that
-//! a camera follows and of the moment at which it then exposes.
+//! Models of depth cameras: the trigger pulse that a camera follows, and the time from its edge
+//! to the middle of exposure, as the maker states or somebody has measured them.
 //!
-//! Each is a file of `cameras/`, with its sources. A value that nobody has published is an
-//! assumption and says so; what is wrong with it stands in its 1-sigma until
-//! `smartdepthsync evaluate precision --calibrate` has measured what is left of it.
+//! Each model is a file in `cameras/`, with its sources. A value that nobody has published is
+//! marked as an assumption; its 1-sigma covers its error until
+//! `smartdepthsync evaluate precision --calibrate` has measured the rest.
 
 use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use crate::profile::Profile;
-
-/// A profile's middle of exposure is another mode's or camera's, if it is so many sigmas off.
-/// The published rig's hand-tuned constant was 8 sigmas of the Azure Kinect's below the
-/// nominal one, and pulses do begin later than their edge.
-const FAR_SIGMAS: f64 = 20.0;
-
 /// Word in a profile for the camera of the published rig.
 pub const DEFAULT_CAMERA: &str = "azure-kinect-dk";
 
-/// The models, the published rig's first.
+/// Files of the models, the published rig's first.
 const FILES: [&str; 6] = [
     include_str!("cameras/azure_kinect_dk.toml"),
     include_str!("cameras/femto_bolt.toml"),
@@ -33,22 +26,23 @@ const FILES: [&str; 6] = [
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Model {
-    /// Word in profiles and options.
+    /// Word for the model in profiles and options.
     pub id: String,
-    /// As its maker calls it.
+    /// Name given by its maker.
     pub name: String,
-    /// Setting in which it follows the trigger, as its maker calls it.
+    /// Maker's name of the setting in which it follows the trigger.
     pub sync_mode: String,
     /// The pulse that it follows.
     pub pulse: Pulse,
-    /// Pulses a second that it can be given beside a phone at 30 frames a second.
+    /// Rates of the trigger that it accepts beside a phone at 30 frames a second, pulses per
+    /// second.
     pub rates: Vec<u32>,
-    /// Its own frame rate, by the pulses that it is given.
+    /// Setting of its own frame rate for a rate of the trigger, in words.
     pub own_rate: String,
-    /// The program that records it, and its arguments; `{mode}`, and as in a profile `{fps}`
-    /// and `{folder}`, are filled in.
+    /// Program that records it, with arguments; `{mode}` is replaced by the mode, `{fps}` and
+    /// `{folder}` as in a profile.
     pub recorder: Vec<String>,
-    /// The mode that it has unless another is chosen.
+    /// Depth mode unless another one is chosen.
     pub default_mode: Mode,
     /// Its other depth modes.
     pub other_modes: Vec<Mode>,
@@ -58,9 +52,9 @@ pub struct Model {
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulse {
-    /// Length that the profile gets, µs.
+    /// Length that a new profile gets, µs.
     pub width_us: f64,
-    /// Length that the maker asks for at least, µs.
+    /// Shortest length that the maker allows, µs.
     pub shortest_us: f64,
     /// Circuit between a pin of 3 V and the camera's input, in words.
     pub through: String,
@@ -70,48 +64,48 @@ pub struct Pulse {
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mode {
-    /// As the camera's programs call it.
+    /// Name in the camera's own programs.
     pub name: String,
-    /// Pulses a second in this mode, of the model's.
+    /// Rates of the trigger in this mode, pulses per second; a part of the model's.
     pub rates: Vec<u32>,
-    /// From the edge to the middle of exposure.
+    /// Time from the edge to the middle of exposure.
     pub center: Center,
-    /// 1-sigma of it, µs.
+    /// 1-sigma of that time, µs.
     pub sigma_us: f64,
-    /// How it is known.
+    /// Origin of that time.
     pub basis: Basis,
-    /// Where from.
+    /// Document or measurement that states it.
     pub source: String,
 }
 
-/// From the rising edge to the middle of exposure.
+/// Time from the rising edge to the middle of exposure.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Center {
-    /// Always the same, µs.
+    /// A constant, µs.
     #[serde(rename = "fixed_us")]
     Fixed(f64),
-    /// The exposure begins so many µs after the edge.
+    /// The exposure begins this long after the edge, µs.
     #[serde(rename = "begins_us")]
     Begins(f64),
-    /// The exposure ends with the pulse that follows.
+    /// The exposure ends when the next pulse comes.
     EndsAtNext,
 }
 
-/// How a value is known.
+/// Origin of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Basis {
-    /// Its maker says so.
+    /// Stated by the maker.
     Maker,
-    /// Somebody has measured it.
+    /// Measured by somebody.
     Measured,
-    /// Nobody has published it.
+    /// Assumed: nobody has published it.
     Assumed,
 }
 
 impl Basis {
-    /// In a word.
+    /// Returns the origin in a few words.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -123,7 +117,7 @@ impl Basis {
 }
 
 impl Model {
-    /// All models, the published rig's first.
+    /// Returns all models, the published rig's first.
     #[must_use]
     pub fn all() -> &'static [Self] {
         // Each file can be read: a test does.
@@ -132,32 +126,32 @@ impl Model {
         &ALL
     }
 
-    /// The model of that word.
+    /// Returns the model with that word.
     #[must_use]
     pub fn find(id: &str) -> Option<&'static Self> {
         Self::all().iter().find(|model| model.id == id)
     }
 
-    /// The words of all models, for messages.
+    /// Returns the words of all models, separated by commas.
     #[must_use]
     pub fn ids() -> String {
         let ids: Vec<&str> = Self::all().iter().map(|model| model.id.as_str()).collect();
         ids.join(", ")
     }
 
-    /// Its modes, the default first.
+    /// Iterates over the modes, the default first.
     pub fn modes(&self) -> impl Iterator<Item = &Mode> {
         std::iter::once(&self.default_mode).chain(&self.other_modes)
     }
 
-    /// Its mode of that name.
+    /// Returns the mode with that name, whatever its case.
     #[must_use]
     pub fn mode(&self, name: &str) -> Option<&Mode> {
         self.modes()
             .find(|mode| mode.name.eq_ignore_ascii_case(name))
     }
 
-    /// The names of its modes, for messages.
+    /// Returns the names of the modes, separated by commas.
     #[must_use]
     pub fn mode_names(&self) -> String {
         let names: Vec<&str> = self.modes().map(|mode| mode.name.as_str()).collect();
@@ -165,106 +159,9 @@ impl Model {
     }
 }
 
-/// Something of a profile that does not fit its camera.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Objection {
-    /// What.
-    pub found: String,
-    /// What to do.
-    pub next_step: String,
-}
-
-impl Model {
-    /// What of a profile does not fit this camera, as far as a profile shows it.
-    #[must_use]
-    pub fn objections(&self, profile: &Profile) -> Vec<Objection> {
-        let depth = &profile.depth;
-        let mut objections = Vec::new();
-        let mut object = |found: String, next_step: String| {
-            objections.push(Objection { found, next_step });
-        };
-        let Pulse {
-            width_us,
-            shortest_us,
-            ..
-        } = &self.pulse;
-        if depth.pulse_width_us < *shortest_us {
-            object(
-                format!(
-                    "pulses of {} µs, but {} needs {shortest_us} µs",
-                    depth.pulse_width_us, self.name
-                ),
-                format!("set depth.pulse_width_us to {width_us}"),
-            );
-        }
-        if profile.align.slew_us == 0.0 {
-            object(
-                format!(
-                    "the phase would jump, and {} may lose frames then",
-                    self.name
-                ),
-                String::from("set align.slew_us to 100"),
-            );
-        }
-        let recorder = &depth.recorder.command;
-        let is_microsofts = recorder
-            .first()
-            .is_some_and(|program| program.ends_with("k4arecorder"));
-        if is_microsofts
-            && !recorder
-                .iter()
-                .any(|word| word == "sub" || word == "subordinate")
-        {
-            object(
-                String::from("the recorder does not tell the camera to follow the trigger"),
-                String::from("add \"--external-sync\", \"sub\" to command in [depth.recorder]"),
-            );
-        }
-        let Some(mode) = self.mode(&depth.mode) else {
-            object(
-                format!("{} has no mode {:?}", self.name, depth.mode),
-                format!("set depth.mode to one of {}", self.mode_names()),
-            );
-            return objections;
-        };
-        if !mode.rates.contains(&depth.fps) {
-            let rates: Vec<String> = mode.rates.iter().map(u32::to_string).collect();
-            object(
-                format!(
-                    "{} does not run at {} frames a second",
-                    mode.name, depth.fps
-                ),
-                format!("set depth.fps to {}", rates.join(" or ")),
-            );
-        }
-        if let Center::Fixed(center) = mode.center {
-            let given = depth.center_offset_us;
-            let is_of = |other: &Mode| matches!(other.center, Center::Fixed(at) if at == given);
-            let off = (given - center).abs();
-            let is_far = off > FAR_SIGMAS * mode.sigma_us.hypot(depth.center_offset_sigma_us);
-            // The train of pulses is known where the delay before it is not.
-            if is_far || given != center && self.modes().any(is_of) {
-                object(
-                    format!(
-                        "depth.center_offset_us is {given} µs, but the middle of exposure of {} comes {center} µs \
-                         after the edge ({})",
-                        mode.name,
-                        mode.basis.word()
-                    ),
-                    String::from(
-                        "take the model's, and measure what is left with `smartdepthsync evaluate \
-                         precision --calibrate`",
-                    ),
-                );
-            }
-        }
-        objections
-    }
-}
-
 impl Mode {
-    /// From the rising edge to the middle of exposure, µs, at so many pulses a second and
-    /// with an exposure of so many µs; a fixed one is what it is.
+    /// Returns the time from the rising edge to the middle of exposure, µs, for `rate` pulses
+    /// per second and an exposure of `exposure_us`. Neither changes a fixed one.
     #[must_use]
     pub fn center_us(&self, rate: u32, exposure_us: f64) -> f64 {
         match self.center {
@@ -274,7 +171,7 @@ impl Mode {
         }
     }
 
-    /// Whether the exposure has a say in it.
+    /// Returns true if that time depends on the exposure.
     #[must_use]
     pub const fn follows_exposure(&self) -> bool {
         !matches!(self.center, Center::Fixed(_))
@@ -299,51 +196,6 @@ mod tests {
         let oak = &Model::find("oak").unwrap().default_mode;
         assert!((oak.center_us(30, 10_000.0) - 28_333.333).abs() < 0.001);
         assert!(oak.follows_exposure() && !wide.follows_exposure());
-    }
-
-    fn objections(text: &str) -> Vec<String> {
-        let profile = Profile::parse(text, None).unwrap();
-        let objections = profile.depth.model().unwrap().objections(&profile);
-        objections
-            .into_iter()
-            .map(|objection| objection.found)
-            .collect()
-    }
-
-    #[test]
-    fn the_published_profile_fits_its_camera() {
-        assert_eq!(objections(""), [""; 0]);
-    }
-
-    #[test]
-    fn what_does_not_fit_is_said() {
-        let found = objections(
-            "[depth]\ncamera = \"femto-bolt\"\n[align]\nslew_us = 0\n\
-             [depth.recorder]\ncommand = [\"/opt/k4arecorder\", \"depth.mkv\"]\n",
-        );
-        let [pulse, jump, recorder] = found.as_slice() else {
-            panic!("{found:?}");
-        };
-        assert!(
-            pulse.contains("12 µs") && pulse.contains("needs 100 µs"),
-            "{pulse}"
-        );
-        assert!(jump.contains("jump"), "{jump}");
-        assert!(recorder.contains("follow the trigger"), "{recorder}");
-        let found = objections("[depth]\nmode = \"WFOV_UNBINNED\"\n");
-        let [rate, center] = found.as_slice() else {
-            panic!("{found:?}");
-        };
-        assert!(rate.contains("30 frames"), "{rate}");
-        assert!(
-            center.contains("6362.5") && center.contains("10122.5"),
-            "{center}"
-        );
-        let found = objections("[depth]\ncamera = \"oak\"\npulse_width_us = 200\n");
-        assert!(
-            found.len() == 1 && found[0].contains("no mode"),
-            "{found:?}"
-        );
     }
 
     #[test]

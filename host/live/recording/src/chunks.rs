@@ -1,57 +1,57 @@
-//! The chunks of an MCAP file, unpacked and checked.
+//! Unpacks and checks the chunks of an MCAP file.
 //!
-//! Memory is bounded by 20 MiB of a chunk, packed and unpacked, time by the file's length
-//! ([`Budget`]), whatever the file claims.
+//! Memory is bounded by 20 MiB of a chunk, packed and unpacked, and time by the length of the
+//! file ([`Budget`]), whatever the file claims.
 //!
-//! Limits: chunks are stored as they are or with LZ4, which is all that this program writes.
+//! Limits: chunks are uncompressed or LZ4, as this program writes them.
 
 use std::borrow::Cow;
 use std::io::{self, Read};
 
 use mcap::records::{ChunkHeader, Record, op};
 
-/// The longest record that is taken: a chunk that could not be packed, with its head.
+/// Longest record that is read: a chunk that could not be compressed, with its head.
 pub(crate) const MAX_RECORD: u64 = MAX_CHUNK + (1 << 16);
 
-/// The largest chunk when unpacked: above the 16 MiB at which a writer of this program
-/// closes one, if half a second has not done so.
+/// Largest chunk when unpacked: above the 16 MiB at which a writer of this program closes one,
+/// unless half a second of recording does so first.
 const MAX_CHUNK: u64 = 20 << 20;
 
-/// What a file may unpack to in all: this much, and so many times the bytes that it has
-/// up to there.
+/// Most bytes that a file may unpack to, besides [`RATIO`] times the bytes read so far.
 const MAX_UNPACKED: u64 = 64 << 20;
 
-/// How many times its length a file may unpack to. Recordings unpack to 2.1 to 2.6 times
-/// theirs; in a bag, LZ4 packs pictures without any depth to a 250th, others to a quarter.
+/// Most bytes that a file may unpack to per byte of its length. Recordings unpack to 2.1 to 2.6
+/// times their length; in a bag, LZ4 packs pictures without any depth to a 250th, others to a
+/// quarter.
 const RATIO: u64 = 64;
 
-/// Opcode and length before the body of a record.
+/// Bytes of opcode and length before the body of a record.
 const HEAD: usize = 9;
 
-/// How much of the name of an unknown compression is reported.
+/// Most characters of the name of an unknown compression that are reported.
 const SHOWN_NAME: usize = 16;
 
-/// Why a chunk cannot be used.
+/// Reason why a chunk cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum BadChunk {
-    /// It is longer than any real one.
+    /// The chunk claims more bytes than any real one holds.
     #[error("it claims {0} bytes, more than any real one holds")]
     TooLarge(u64),
-    /// A compression that this program does not know.
+    /// The chunk has a compression that this program does not know, by its name.
     #[error("it is packed with {0:?}; expected lz4 or nothing")]
     Compression(String),
-    /// Its bytes are not packed as it says.
+    /// The bytes cannot be decompressed.
     #[error("it cannot be unpacked: {0}")]
     Packing(io::Error),
-    /// It is shorter or longer than it says.
+    /// The records are shorter or longer than the head says.
     #[error("it holds {found} bytes where {expected} were expected")]
     Length {
         /// Bytes of its records.
         found: u64,
-        /// Bytes by its head.
+        /// Bytes stated by its head.
         expected: u64,
     },
-    /// Its bytes were changed.
+    /// The checksum does not match the bytes.
     #[error("its checksum is wrong")]
     Checksum,
     /// The chunks before it have unpacked to as much as any real file does.
@@ -59,17 +59,17 @@ pub enum BadChunk {
     Budget,
 }
 
-/// What the chunks of a file have unpacked to, so that a small file costs little time.
+/// Bytes that the chunks of a file have unpacked to, so that a small file costs little time.
 ///
-/// A file may unpack to 64 MiB, and to a multiple of the bytes that were read of it.
+/// A file may unpack to 64 MiB plus a multiple of the bytes read so far.
 #[derive(Debug, Default)]
 pub(crate) struct Budget(u64);
 
 impl Budget {
-    /// Takes a chunk, in a file that was read up to `position`.
-    pub(crate) fn take(&mut self, header: &ChunkHeader, position: u64) -> Result<(), BadChunk> {
+    /// Adds a chunk of a file that was read up to byte `position`, or refuses it.
+    pub(crate) fn spend(&mut self, header: &ChunkHeader, position: u64) -> Result<(), BadChunk> {
         let most = position.saturating_mul(RATIO).saturating_add(MAX_UNPACKED);
-        // One that claims more than any is refused for that.
+        // A chunk that claims more is refused for that reason later.
         let unpacked = header.uncompressed_size.min(MAX_CHUNK);
         let total = self.0.saturating_add(unpacked);
         if total > most {
@@ -80,14 +80,14 @@ impl Budget {
     }
 }
 
-/// The records of a chunk whose checksum is right.
+/// Records of a chunk whose checksum is right.
 #[derive(Debug)]
-pub struct Chunk(pub(crate) Vec<u8>);
+pub(crate) struct Chunk(pub(crate) Vec<u8>);
 
 impl Chunk {
-    /// Opcode and body of each record; ends at the first that is cut off
+    /// Iterates over opcode and body of each record, up to the first that is cut off
     /// ([`Chunk::cut_off`]).
-    pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
+    pub(crate) fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let mut rest = self.0.as_slice();
         std::iter::from_fn(move || {
             let (opcode, body, after) = split_record(rest)?;
@@ -96,31 +96,27 @@ impl Chunk {
         })
     }
 
-    /// Bytes after the last whole record, which claims more than there are.
-    #[must_use]
-    pub fn cut_off(&self) -> usize {
+    /// Returns the number of bytes after the last whole record.
+    pub(crate) fn cut_off(&self) -> usize {
         let whole = self.records().map(|(_, body)| HEAD + body.len());
         self.0.len() - whole.sum::<usize>()
     }
 
-    /// The memory, for the next chunk: asking the system for it again costs as much as
-    /// unpacking.
-    #[must_use]
-    pub fn into_memory(self) -> Vec<u8> {
+    /// Returns the memory for the next chunk: a new allocation costs as much as unpacking.
+    pub(crate) fn into_memory(self) -> Vec<u8> {
         self.0
     }
 }
 
-/// A record by its opcode; `None` if it is no such, or one of a kind that nobody has a use
-/// for.
-#[must_use]
-pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+/// Parses a record by its opcode; returns `None` if it is malformed or of a kind that is not
+/// used.
+pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     strings_fit(opcode, body)?;
     mcap::parse_record(opcode, body).ok()
 }
 
-/// Whether the strings of a record fit into it: the parser makes room for as much as they
-/// claim, up to 4 GB, before it looks whether that is there.
+/// Returns `Some` if the strings of a record fit into it: the parser allocates what they claim,
+/// up to 4 GB, before it checks their length.
 fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     fn length(bytes: &[u8]) -> Option<(usize, &[u8])> {
         let (length, rest) = bytes.split_first_chunk::<4>()?;
@@ -141,7 +137,7 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         rest = after.get(long..)?;
     }
     if opcode == op::ATTACHMENT {
-        // The parser takes the length of the data and the checksum for granted.
+        // The parser does not check that length of the data and checksum are there.
         rest.get(..12)?;
     }
     if opcode == op::CHANNEL {
@@ -180,21 +176,21 @@ pub(crate) fn unpack(
     if found != expected {
         return Err(BadChunk::Length { found, expected });
     }
-    // 0: its writer made none.
+    // 0: the writer computed none.
     if header.uncompressed_crc != 0 && header.uncompressed_crc != crc32fast::hash(&records) {
         return Err(BadChunk::Checksum);
     }
     Ok(Chunk(records))
 }
 
-/// What a decoder gives, in this memory; at most one byte more than is expected.
+/// Reads the output of a decoder into `memory`, at most one byte more than expected.
 fn read_all(decoder: impl Read, expected: u64, mut memory: Vec<u8>) -> io::Result<Vec<u8>> {
     memory.clear();
     decoder.take(expected + 1).read_to_end(&mut memory)?;
     Ok(memory)
 }
 
-/// Opcode and body of the first of a chunk's records, and what follows; `None` if it
+/// Returns opcode and body of the first record, and the bytes after it; `None` if the record
 /// is cut off.
 fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (&opcode, after) = records.split_first()?;

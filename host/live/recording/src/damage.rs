@@ -1,35 +1,35 @@
-//! The state of a file as bytes: what is damaged in it, and how much can be read.
+//! State of an MCAP file as bytes: its damage, and how much can be read.
 
 use protocol::Ticks;
 use serde::Serialize;
 
 use super::chunks::BadChunk;
 
-/// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
+/// Longest name of a topic that is read, bytes. There may be 65,536 topics.
 pub(crate) const MAX_NAME: usize = 1_000;
 
-/// The file as bytes.
+/// State of a file as bytes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FileReport {
-    /// Length.
+    /// Length of the file, bytes.
     pub bytes: u64,
     /// Chunks whose checksum is right.
     pub chunks: u64,
     /// Chunks that cannot be used.
     pub bad_chunks: u64,
-    /// Bytes that are no records.
+    /// Bytes that belong to no record.
     pub skipped_bytes: u64,
-    /// Whole records end at this byte: the writer did not come to its end.
+    /// Byte at which the whole records end, if the writer was stopped before it closed the file.
     pub cut_off_at: Option<u64>,
-    /// The record that closes the data is there: only the index may be missing.
+    /// True if the record that closes the data is there: only the index may be missing.
     pub data_complete: bool,
-    /// The end that a writer makes is there.
+    /// True if the writer closed the file.
     pub closed: bool,
     /// Messages that can be read.
     pub messages: u64,
 }
 
-/// Something that is damaged.
+/// A damage of the file.
 #[derive(Debug, thiserror::Error)]
 pub enum Damage {
     /// A chunk cannot be used.
@@ -37,9 +37,9 @@ pub enum Damage {
     Chunk {
         /// Byte at which it begins.
         at: u64,
-        /// Board time of its first message, as its head says.
+        /// Board time of its first message, from its head.
         from: Ticks,
-        /// What is wrong with it.
+        /// Reason.
         why: BadChunk,
     },
     /// A chunk ends within a record.
@@ -48,43 +48,43 @@ pub enum Damage {
         /// Bytes after its last whole record.
         bytes: usize,
     },
-    /// Bytes are no records.
+    /// Bytes belong to no record.
     #[error("{} bytes from byte {from} on are no records", to - from)]
     Bytes {
-        /// From this byte.
+        /// First of these bytes.
         from: u64,
-        /// Up to this one.
+        /// First byte after them.
         to: u64,
     },
     /// The file ends within a record, or without the records that close it.
     #[error("the file was not closed: its last whole record ends at byte {at} of {length}")]
     CutOff {
-        /// Whole records end here.
+        /// Byte at which the whole records end.
         at: u64,
-        /// Length of the file.
+        /// Length of the file, bytes.
         length: u64,
-        /// The data are complete: only the index is missing.
+        /// True if the data are complete: only the index is missing.
         complete: bool,
     },
-    /// A record is not of its kind.
+    /// A record does not have the form of its kind.
     #[error("a record is not of its kind")]
     Record,
     /// A message stands outside of a chunk, where this program puts none.
     #[error("a message stands outside of a chunk and is left out")]
     OutsideChunk,
-    /// A topic's name is longer than any.
+    /// The name of a topic is longer than any real one.
     #[error("a topic's name has {bytes} bytes; up to {MAX_NAME} are read")]
     TopicName {
-        /// Its bytes.
+        /// Length of the name, bytes.
         bytes: usize,
     },
-    /// A message's topic is not described.
+    /// The file does not describe the topic of a message.
     #[error("a message belongs to channel {channel}, which is not described")]
     UnknownTopic {
         /// Number of its channel.
         channel: u16,
     },
-    /// No topic is described: those of this program are taken.
+    /// The description of the topics is damaged: those of this program are assumed.
     #[error("the part that describes the topics is damaged; those of this program are taken")]
     TopicsAssumed,
     /// The checksum over all data is wrong.
@@ -96,18 +96,18 @@ pub enum Damage {
     /// The record that closes the data is damaged.
     #[error("the record that closes the data is damaged")]
     NoEndOfData,
-    /// The file's statistics tell another number of messages.
+    /// The file's statistics state another number of messages.
     #[error("{found} messages can be read where the file's statistics say {expected}")]
     MessageCount {
         /// Messages that can be read.
         found: u64,
-        /// As the statistics say.
+        /// Messages by the statistics.
         expected: u64,
     },
 }
 
 impl Damage {
-    /// A stable word for its kind.
+    /// Returns a stable word for the kind of damage.
     #[must_use]
     pub const fn kind(&self) -> &'static str {
         match self {
@@ -127,7 +127,7 @@ impl Damage {
         }
     }
 
-    /// Whether messages are missing here.
+    /// Returns true if messages may be missing here.
     #[must_use]
     pub const fn is_gap(&self) -> bool {
         matches!(
@@ -141,7 +141,7 @@ impl Damage {
         )
     }
 
-    /// Whether something was left out that the file once held.
+    /// Returns true if the file once held something that cannot be read.
     #[must_use]
     pub const fn is_loss(&self) -> bool {
         match self {
@@ -151,7 +151,7 @@ impl Damage {
         }
     }
 
-    /// Board time of it, where that is known.
+    /// Returns the board time of the damage, if it is known.
     #[must_use]
     pub const fn at(&self) -> Option<Ticks> {
         match self {

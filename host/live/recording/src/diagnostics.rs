@@ -1,60 +1,52 @@
-//! The board's status as a ROS 2 diagnostic message, and the counters that are read back of it.
-
-use std::str::FromStr;
+//! The board's status as a ROS 2 diagnostic message, and the counters that the verification reads
+//! back from it.
+//!
+//! The message has strings alone. All numbers of a [`Status`] are written under their names in
+//! the source, by way of its JSON form, so that a new counter is in each recording without a
+//! change here.
 
 use protocol::{Dropped, ImuState, Status};
 use serde_json::Value;
 
-use super::messages::{DiagnosticArray, DiagnosticStatus, KeyValue};
-use super::publish::header;
+use super::messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 
-/// Counters of the board, as a recorded status has them.
+/// Counters of the board in a recorded status.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BoardCounters {
-    /// The board's number of its run.
-    pub epoch: u32,
-    /// Messages that it dropped.
-    pub dropped: Dropped,
-    /// Samples that it read from the IMU.
-    pub imu_samples: u32,
-    /// The trigger's train.
-    pub train: u32,
-    /// Pulses of that train.
-    pub pulses: u64,
+pub(crate) struct BoardCounters {
+    /// Number of the board's run: a reset begins a new one.
+    pub(crate) epoch: u32,
+    /// Messages that the board dropped because a queue was full.
+    pub(crate) dropped: Dropped,
 }
 
 impl BoardCounters {
-    /// Reads them; `None` if one is missing.
-    #[must_use]
-    pub fn of(array: &DiagnosticArray) -> Option<Self> {
-        fn value<T: FromStr>(array: &DiagnosticArray, part: &str, key: &str) -> Option<T> {
-            let part = array.status.iter().find(|found| found.name == part)?;
-            let found = part.values.iter().find(|found| found.key == key)?;
-            found.value.parse().ok()
-        }
-        let board = |key| value(array, "board", key);
+    /// Reads the counters; returns `None` if one is missing.
+    pub(crate) fn from_message(array: &DiagnosticArray) -> Option<Self> {
+        let board = array.status.iter().find(|part| part.name == "board")?;
+        let counter = |key| {
+            let found = board.values.iter().find(|found| found.key == key)?;
+            found.value.parse::<u32>().ok()
+        };
         Some(Self {
-            epoch: board("epoch")?,
+            epoch: counter("epoch")?,
             dropped: Dropped {
-                answers: board("dropped_answers")?,
-                pulses: board("dropped_pulses")?,
-                captures: board("dropped_captures")?,
-                imu: board("dropped_imu")?,
-                status: board("dropped_status")?,
-                outputs: board("dropped_outputs")?,
+                answers: counter("dropped_answers")?,
+                pulses: counter("dropped_pulses")?,
+                captures: counter("dropped_captures")?,
+                imu: counter("dropped_imu")?,
+                status: counter("dropped_status")?,
+                outputs: counter("dropped_outputs")?,
             },
-            imu_samples: value(array, "imu", "samples")?,
-            train: value(array, "trigger", "train")?,
-            pulses: value(array, "trigger", "pulses")?,
         })
     }
 }
 
-/// The status in five parts, each with all its numbers by their names in [`Status`].
+/// Converts a status to a message of five parts, each with all its numbers by their names in
+/// [`Status`].
 pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
     let (trigger, imu, gnss) = (&status.trigger, &status.imu, &status.gnss);
     let is_lossy = status.dropped.total() > 0 || status.link.lost_frames > 0;
-    let said = if is_lossy {
+    let words = if is_lossy {
         "messages were dropped"
     } else {
         "ok"
@@ -68,7 +60,7 @@ pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
     let is_late = status.outputs.iter().any(|output| output.late > 0);
     let trigger_fails = trigger.late > 0 || trigger.readback.missing > 0;
     let gnss_fails = gnss.late > 0 || gnss.missed > 0;
-    // Its numbers always are one of JSON.
+    // A status always has a JSON form.
     let mut all = serde_json::to_value(status).unwrap_or_default();
     let parts = [
         (
@@ -79,8 +71,8 @@ pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
         ("imu", imu_level, format!("{:?}", imu.state)),
         ("outputs", u8::from(is_late), outputs.join(", ")),
         ("gnss", u8::from(gnss_fails), format!("{:?}", gnss.state)),
-        // All that no other part has.
-        ("board", u8::from(is_lossy), String::from(said)),
+        // Everything that is not in another part.
+        ("board", u8::from(is_lossy), String::from(words)),
     ];
     let status_of = |(name, level, message): (&str, u8, String)| {
         let own = match all.get_mut(name) {
@@ -98,12 +90,13 @@ pub(crate) fn diagnostics(status: &Status, board_id: &str) -> DiagnosticArray {
         }
     };
     DiagnosticArray {
-        header: header(status.at, "board"),
+        header: Header::at(status.at, "board"),
         status: parts.map(status_of).to_vec(),
     }
 }
 
-/// All values within one, by their names from the outside in.
+/// Appends all numbers and words within a value, each under the names that lead to it, joined by
+/// `_`.
 fn leaves(name: &str, value: &Value, to: &mut Vec<KeyValue>) {
     let within = |own: &str| match name {
         "" => own.to_owned(),
@@ -117,7 +110,7 @@ fn leaves(name: &str, value: &Value, to: &mut Vec<KeyValue>) {
             let numbered = list.iter().enumerate();
             numbered.for_each(|(own, value)| leaves(&within(&own.to_string()), value, to));
         }
-        // Not known.
+        // Unknown values are left out.
         Value::Null => {}
         value => to.push(KeyValue {
             key: name.to_owned(),

@@ -1,9 +1,9 @@
-//! How well the cameras expose together: the parts of the uncertainty, and its words.
+//! Uncertainty between the exposures of the two cameras: its parts, and its description in words.
 
 use serde::{Deserialize, Serialize};
 
-/// From this total on, µs, cameras are not known to expose together: a moving hand is blurred
-/// by as much.
+/// Total 1-sigma, µs, from which cameras are not known to expose together: a moving hand is
+/// blurred by as much.
 pub const COARSE_US: f64 = 1_000.0;
 
 /// A part of the total uncertainty between the middles of the two exposures.
@@ -26,7 +26,7 @@ pub enum ErrorPart {
 }
 
 impl ErrorPart {
-    /// It in words.
+    /// Returns the part in words.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -40,7 +40,7 @@ impl ErrorPart {
     }
 }
 
-/// How well the cameras expose together, in the same words everywhere.
+/// Describes how well the cameras expose together: total 1-sigma, µs, and its largest part.
 #[must_use]
 pub fn together(sigma_us: f64, largest: Option<ErrorPart>) -> String {
     let part = largest.map_or(String::new(), |part| {
@@ -52,11 +52,12 @@ pub fn together(sigma_us: f64, largest: Option<ErrorPart>) -> String {
     )
 }
 
-/// A span of µs as people write it: of a millisecond and more in ms.
+/// Formats a span given in µs; one of a millisecond and more in ms.
 #[must_use]
 pub fn micros_text(micros: f64) -> String {
-    match micros.abs() < 1_000.0 {
-        true => format!("{micros:.1} µs"),
-        false => format!("{:.1} ms", micros * 1e-3),
+    if micros.abs() < 1_000.0 {
+        format!("{micros:.1} µs")
+    } else {
+        format!("{:.1} ms", micros * 1e-3)
     }
 }

@@ -1,23 +1,22 @@
-//! The folder of a recording: a readable name that never overwrites, and the depth
-//! recordings in it.
+//! The folder of a recording: creation under a readable name that never overwrites, and its
+//! entries.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use super::{RecordingError, bag};
+use super::RecordingError;
 
-/// How many names are tried.
+/// Most names that are tried.
 const TRIES: u32 = 1_000;
 
-/// Makes a new folder in `parent` (which is made too) and returns its path.
+/// Creates a new folder in `parent`, which is created too, and returns its path.
 ///
-/// `name` is taken as it is, with `_2`, `_3`, … after it where it exists
-/// already; making the folder is what claims the name, so two programs never get
-/// the same one.
+/// If `name` exists already, `_2`, `_3`, … is appended. The creation of the folder claims the
+/// name, so two programs never get the same one.
 ///
 /// # Errors
 ///
-/// No folder can be made there.
+/// Returns an error if no folder can be created there.
 pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
     let failed = |path| RecordingError::io("make the folder", path);
     std::fs::create_dir_all(parent).map_err(failed(parent))?;
@@ -34,57 +33,25 @@ pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
     Err(failed(&path)(ErrorKind::AlreadyExists.into()))
 }
 
-/// Whether a path is named as what the recorder of an Azure Kinect writes: `….mkv`.
-#[must_use]
-pub fn is_mkv(path: &Path) -> bool {
-    let ending = path.extension();
-    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("mkv"))
-}
-
-/// The depth recordings in a recording's folder, by name: MKV files, and folders of ROS 2 bags.
+/// Returns the entries of a folder that `matches` selects, sorted by name.
 ///
 /// # Errors
 ///
-/// The folder cannot be read.
-pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    entries(folder, |path| match path.is_dir() {
-        true => bag::is_bag(path),
-        false => is_mkv(path) && path.is_file(),
-    })
-}
-
-/// What is in a folder and is asked for, by name.
-///
-/// # Errors
-///
-/// The folder cannot be read.
-pub fn entries(folder: &Path, is_it: impl Fn(&Path) -> bool) -> io::Result<Vec<PathBuf>> {
+/// Returns an error if the folder cannot be read.
+pub fn entries(folder: &Path, matches: impl Fn(&Path) -> bool) -> io::Result<Vec<PathBuf>> {
     let paths = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path()));
     let mut found = paths.collect::<io::Result<Vec<PathBuf>>>()?;
-    found.retain(|path| is_it(path));
+    found.retain(|path| matches(path));
     found.sort();
     Ok(found)
 }
 
-/// Bytes of a depth recording: of the file, or of all files in a bag's folder.
+/// Checks that a name given by a user is a single component of a path, and returns it.
 ///
 /// # Errors
 ///
-/// It cannot be read.
-pub fn bytes_of(path: &Path) -> io::Result<u64> {
-    if !path.is_dir() {
-        return Ok(path.metadata()?.len());
-    }
-    let lengths = std::fs::read_dir(path)?.map(|entry| Ok(entry?.metadata()?.len()));
-    lengths.sum()
-}
-
-/// A name that a user gave, as a single path component.
-///
-/// # Errors
-///
-/// It is empty, begins with a dot, or has a character that does not belong into
-/// a file's name; the text says so.
+/// Returns a sentence on the expected form if the name is empty, begins with a dot, is longer
+/// than 200 bytes, or has a character that does not belong in the name of a file.
 pub fn check_name(name: &str) -> Result<String, String> {
     let bad = |c: char| c == '/' || c == '\\' || c.is_control();
     if name.is_empty() || name.starts_with('.') || name.len() > 200 || name.contains(bad) {

@@ -1,4 +1,4 @@
-//! The grid that the trigger's pulses are on.
+//! Grid of the trigger's pulses while its period changes.
 
 use protocol::{EdgeGrid, TickDelta, Ticks};
 
@@ -11,7 +11,7 @@ pub struct FollowedGrid {
 }
 
 impl FollowedGrid {
-    /// A grid that has not changed yet.
+    /// Creates a grid that has not changed yet.
     #[must_use]
     pub const fn new(grid: EdgeGrid) -> Self {
         Self {
@@ -20,19 +20,19 @@ impl FollowedGrid {
         }
     }
 
-    /// The grid since the last change.
+    /// Returns the grid since the last change.
     #[must_use]
     pub const fn last(&self) -> EdgeGrid {
         self.last
     }
 
-    /// From its anchor on the train is on another grid.
+    /// Changes to another grid from the anchor of that grid on.
     pub const fn follow(&mut self, grid: EdgeGrid) {
         self.before = Some(self.last);
         self.last = grid;
     }
 
-    /// How far a pulse is off the grid that held then, in ticks; late is positive.
+    /// Returns the distance of a pulse from the grid of its time, ticks; late is positive.
     #[must_use]
     pub fn off(&self, at: Ticks) -> TickDelta {
         let grid = match self.before {
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pulse_is_held_against_the_grid_of_its_time() {
+    fn a_pulse_is_compared_with_the_grid_of_its_time() {
         let grid = |anchor, period| EdgeGrid::new(Ticks(anchor), Period::from_ticks(period));
         let mut followed = FollowedGrid::new(grid(1_000, 100));
         followed.follow(grid(2_000, 110));

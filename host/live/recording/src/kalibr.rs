@@ -1,8 +1,8 @@
-//! What Kalibr found (`camchain-imucam.yaml`), into the rig profile.
+//! Imports a calibration by Kalibr (`camchain-imucam.yaml`) into the rig profile.
 //!
-//! Of the file, `cam0` is the phone and `cam1`, if it is there, the colour camera of the
-//! depth camera, as `extract --format kalibr` names them; `T_cam_imu` leads from the frame
-//! of the board's IMU to that of the camera.
+//! In the file, `cam0` is the phone and `cam1`, if present, the colour camera of the depth
+//! camera, as `extract --format kalibr` names them; `T_cam_imu` transforms from the frame of the
+//! board's IMU to that of the camera.
 
 use std::path::Path;
 
@@ -17,34 +17,35 @@ const PHONE: &str = "cam0";
 /// Name of the depth camera's colour camera.
 const COLOR: &str = "cam1";
 
-/// Why nothing was taken over.
+/// Error of an import.
 #[derive(Debug, thiserror::Error)]
 pub enum KalibrError {
-    /// The file is not what Kalibr writes.
+    /// The file does not have the form that Kalibr writes; the text says why.
     #[error("{0}; expected the camchain-imucam.yaml that kalibr_calibrate_imu_camera writes")]
     Chain(String),
-    /// The profile.
+    /// The profile is not valid, or would not be with the calibration.
     #[error(transparent)]
     Profile(#[from] ProfileError),
 }
 
-/// What was taken over.
+/// Imported calibration.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Imported {
     /// Intrinsics of the phone.
     pub camera: Intrinsics,
-    /// From the board's IMU to the phone's camera.
+    /// Transform from the frame of the board's IMU to that of the phone's camera, m.
     pub from_imu: Pose,
-    /// From the board's IMU to the depth camera's colour camera.
+    /// Transform from the frame of the board's IMU to that of the depth camera's colour camera, m.
     pub color_from_imu: Option<Pose>,
 }
 
-/// Puts what Kalibr found into a profile's text; comments and order stay. `name` is that
-/// of the phone; without it, it is `[phone]`.
+/// Puts the calibration `chain` into the text of a profile and returns the new text; comments and
+/// order stay. `name` is the name of the phone; without one, it is `[phone]`.
 ///
 /// # Errors
 ///
-/// The chain is none of Kalibr's, or the profile is not valid or would not be one with it.
+/// Returns an error if the chain does not have Kalibr's form, or if the profile is not valid or
+/// would not be valid with it.
 pub fn into_profile(
     text: &str,
     path: &Path,
@@ -80,14 +81,14 @@ pub fn into_profile(
     Ok((text, imported))
 }
 
-/// What is read of the file.
+/// The parts of the file that are read.
 #[derive(Deserialize)]
 struct Chain {
     cam0: Option<Camera>,
     cam1: Option<Camera>,
 }
 
-/// A camera; of the second only the place is taken over.
+/// A camera; only the pose of the second one is used.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Camera {
@@ -101,7 +102,7 @@ struct Camera {
 }
 
 fn read(text: &str) -> Result<Chain, KalibrError> {
-    // One line says what is wrong, and where.
+    // Without a snippet the message is one line.
     let options = serde_saphyr::options! { with_snippet: false };
     serde_saphyr::from_str_with_options(text, options)
         .map_err(|error| KalibrError::Chain(error.to_string()))
@@ -213,7 +214,7 @@ mod tests {
 
     #[test]
     fn what_is_no_chain_is_named() {
-        for (from, to, told) in [
+        for (from, to, expected) in [
             ("cam0:", "camera:", "no cam0"),
             ("pinhole", "omni", "\"omni\""),
             ("radtan", "fov", "\"fov\""),
@@ -229,7 +230,7 @@ mod tests {
         ] {
             let chain = CHAIN.replace(from, to);
             let error = into_profile(DEFAULT, Path::new("rig.toml"), None, &chain).unwrap_err();
-            assert!(error.to_string().contains(told), "{from}: {error}");
+            assert!(error.to_string().contains(expected), "{from}: {error}");
         }
         assert!(into_profile(DEFAULT, Path::new("x"), None, "- 1\n").is_err());
     }

@@ -2,37 +2,39 @@
 //!
 //! ```text
 //! 2026-01-31_14-03-27/
-//!   recording.mcap   streams of the board, what was decided
-//!   session.json     everything that was decided, with versions and profile
+//!   recording.mcap   streams of the board, and decisions of the session
+//!   session.json     all decisions, with versions and profile
 //!   metadata.yaml    makes the folder a rosbag2
-//!   ...              twists, the phone's and the depth recorder's files
+//!   ...              twists, files of the phone and of the depth recorder
 //! ```
 //!
-//! - [`folder`]: a readable name that never overwrites; the depth recordings in it.
-//! - [`profile`]: what is fixed about one rig.
-//! - [`camera`]: models of depth cameras.
-//! - [`kalibr`]: what Kalibr found, into the profile.
-//! - [`topic`]: the table of topics.
-//! - [`messages`]: the ROS 2 types in the file.
-//! - [`diagnostics`]: the counters in the board's status.
+//! Description of a rig:
+//! - [`profile`]: the rig profile. [`camera`]: models of depth cameras. [`kalibr`]: import of a
+//!   calibration into the profile.
 //! - [`error_budget`]: how well the cameras expose together, in numbers and words.
-//! - [`grid`]: the grid that the trigger's pulses are on.
-//! - [`writer`]: writes it, so that a kill loses at most a second.
-//! - `scan`: the records of the file over any damage (`damage`); [`chunks`] unpacks them.
-//! - [`walk`]: topics, messages and damage, from the records.
-//! - [`reader`]: the messages as Rust values.
-//! - [`bag`]: the one file of a recording or of another program's bag.
-//! - [`rosbag2`]: what `metadata.yaml` holds.
-//! - [`session_file`]: what `session.json` holds.
+//!
+//! Files:
+//! - [`folder`]: the folder. [`bag`]: the one MCAP file of a recording or of another program's
+//!   bag. [`depth_files`]: the depth recordings.
+//! - [`session_file`]: `session.json`. [`rosbag2`]: `metadata.yaml`.
+//!
+//! Content of the MCAP file:
+//! - [`topic`]: the table of topics. [`messages`]: their ROS 2 types. `diagnostics`: the board's
+//!   status as such a message.
+//! - [`writer`]: writes them so that a kill loses at most a second.
+//! - `scan`, `chunks`: records of the file over any `damage`. [`walk`]: topics and messages from
+//!   the records. [`reader`]: messages as Rust values. [`samples`]: joins the messages of an IMU
+//!   sample. [`grid`]: the grid of the trigger's pulses.
 //! - [`verify`]: checks that a recording is complete and agrees with itself.
 //!
 //! The format is described in `docs/formats.md`.
 
 pub mod bag;
 pub mod camera;
-pub mod chunks;
+mod chunks;
 mod damage;
-pub mod diagnostics;
+pub mod depth_files;
+mod diagnostics;
 pub mod error_budget;
 pub mod folder;
 pub mod grid;
@@ -42,6 +44,7 @@ pub mod profile;
 mod publish;
 pub mod reader;
 pub mod rosbag2;
+pub mod samples;
 mod scan;
 pub mod session_file;
 pub mod topic;
@@ -61,35 +64,34 @@ pub const MCAP_FILE: &str = "recording.mcap";
 /// Name of the session file in the folder.
 pub const SESSION_FILE: &str = "session.json";
 
-/// Board time of a `log_time` or stamp, exactly.
-#[must_use]
-pub fn ticks_of_nanos(nanos: u64) -> Ticks {
+/// Converts a `log_time` or stamp, ns of board time, to ticks, exactly.
+fn ticks_of_nanos(nanos: u64) -> Ticks {
     // round(ns · 6 / 125); ticks are 20.83 ns apart, so rounding to nanoseconds
     // and back is exact.
     let ticks = (u128::from(nanos) * 6 + 62) / 125;
     Ticks(u64::try_from(ticks).unwrap_or(u64::MAX))
 }
 
-/// The MCAP file of a recording: the one in its folder, or the file itself.
-#[must_use]
-pub fn mcap_of(recording: &Path) -> PathBuf {
-    match recording.is_dir() {
-        true => recording.join(MCAP_FILE),
-        false => recording.to_owned(),
+/// Returns the MCAP file of a recording: the one in its folder, or the file itself.
+fn mcap_of(recording: &Path) -> PathBuf {
+    if recording.is_dir() {
+        recording.join(MCAP_FILE)
+    } else {
+        recording.to_owned()
     }
 }
 
-/// What can go wrong with a recording's files.
+/// Error of reading or writing a recording's files.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// A file or folder cannot be read or written.
     #[error("cannot {action} {path}: {source}", path = .path.display())]
     Io {
-        /// What was tried.
+        /// Attempted action, as an infinitive: `read`.
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The MCAP file cannot be written or read.
@@ -97,18 +99,18 @@ pub enum RecordingError {
     Mcap {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Error of the format.
         source: mcap::McapError,
     },
-    /// A message is not what its topic says.
+    /// A message is not of its topic's type.
     #[error("{topic}: {source}")]
     Message {
         /// The topic.
         topic: String,
-        /// What is wrong.
+        /// Error of the message.
         source: messages::CdrError,
     },
-    /// A bag of a form that is not read.
+    /// A bag of a form that this program does not read.
     #[error(
         "{path} is {form}, which is not read: `{command}` makes one that is (Python package rosbags)",
         path = .path.display(),
@@ -117,29 +119,29 @@ pub enum RecordingError {
     ForeignBag {
         /// The bag.
         path: PathBuf,
-        /// What it is.
+        /// Its form in words.
         form: &'static str,
     },
-    /// There is no recording and no bag.
+    /// The path is neither a recording nor a bag.
     #[error(
         "{path} is no recording: expected a folder with {MCAP_FILE}, or an MCAP file, found neither",
         path = .path.display()
     )]
     NoRecording {
-        /// What was given.
+        /// The given path.
         path: PathBuf,
     },
-    /// `session.json` is not one.
+    /// `session.json` is damaged or of another version.
     #[error("{path} is not a session file of this program: {reason}", path = .path.display())]
     Session {
         /// The file.
         path: PathBuf,
-        /// Line and what was expected.
+        /// Line and expected content.
         reason: String,
     },
 }
 
-/// What is wrong, in the system's words where it was the system's refusal.
+/// Returns the operating system's message where there is one, else the format's.
 fn mcap_reason(error: &mcap::McapError) -> String {
     match error {
         mcap::McapError::Io(source) => source.to_string(),
@@ -148,7 +150,8 @@ fn mcap_reason(error: &mcap::McapError) -> String {
 }
 
 impl RecordingError {
-    /// Makes what the system said of a file into such an error; `action` is what was tried.
+    /// Returns a function that wraps an error of the operating system; `action` is the attempted
+    /// action, an infinitive.
     pub fn io(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> Self {
         move |source| Self::Io {
             action,
@@ -157,7 +160,7 @@ impl RecordingError {
         }
     }
 
-    /// Makes what is wrong with an MCAP file into such an error.
+    /// Returns a function that wraps an error of an MCAP file.
     pub fn mcap(path: &Path) -> impl Fn(mcap::McapError) -> Self {
         move |source| Self::Mcap {
             path: path.to_owned(),
@@ -165,7 +168,7 @@ impl RecordingError {
         }
     }
 
-    /// Whether the disk is full (or the quota, or the largest file).
+    /// Returns true if the disk is full, or a quota or the size limit of a file is exceeded.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};

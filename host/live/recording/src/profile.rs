@@ -1,17 +1,19 @@
-//! The rig profile: what is fixed about one rig, as a commented TOML file.
+//! The rig profile: the constants and settings of one rig, as a commented TOML file.
 //!
-//! [`DEFAULT`] is the file that `smartdepthsync profile init` writes; the same
-//! text gives the defaults, so the two cannot differ. Unknown keys are errors:
-//! a misspelt constant must not silently be its default.
+//! [`DEFAULT`] is the file that `smartdepthsync profile init` writes; the same text gives the
+//! defaults, so the two cannot differ. Unknown keys are errors: a misspelt constant must not
+//! silently get its default.
 
 mod check;
 pub mod edit;
 mod error;
+mod fit;
 mod geometry;
 
 use std::path::Path;
 
 pub use error::ProfileError;
+pub use fit::Objection;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
@@ -22,39 +24,40 @@ use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
 use serde::{Deserialize, Serialize};
 
-/// The commented default profile.
+/// Text of the commented default profile.
 pub const DEFAULT: &str = include_str!("profile_default.toml");
 
-/// The longest profile that is read, bytes: a thousand times the commented default.
+/// Longest profile that is read, bytes: a thousand times the commented default.
 pub const MAX_LENGTH: u64 = 8 << 20;
 
-/// 1-sigma of how an exposure that is not locked changes within a recording, as a part of it. A guess.
+/// 1-sigma of the change of an exposure that is not locked, within a recording, as a part of the
+/// exposure. A guess.
 const EXPOSURE_CHANGES: f64 = 1.0 / 3.0;
 
 /// A rig profile.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
-    /// What the rig is called.
+    /// Name of the rig.
     pub name: String,
-    /// What is done in the recordings, in a sentence: the task of training data.
+    /// Action in the recordings, in a sentence: the task of training data.
     pub task: Option<String>,
-    /// The board's serial port; else that of the one board that is plugged in.
+    /// Serial port of the board; without it, that of the only board that is plugged in.
     pub port: Option<String>,
-    /// Name of the phone that the trigger is aligned to. Reading a profile puts
-    /// that phone into `phone`; without this it is `[phone]`.
+    /// Name of the phone that the trigger is aligned to. Reading a profile puts that phone into
+    /// `phone`; without this key it is `[phone]`.
     pub reference: Option<String>,
-    /// The phone; of several the one that the trigger is aligned to.
+    /// The phone; with several phones, the one that the trigger is aligned to.
     pub phone: Phone,
     /// The depth camera.
     pub depth: Depth,
     /// The board's IMU.
     pub imu: Imu,
-    /// How the trigger is aligned.
+    /// Settings of the alignment.
     pub align: Align,
     /// The measured constant bias.
     pub frame_sync: FrameSync,
-    /// The other phones, each with its own clock; nothing can shift their frames.
+    /// The other phones, each with its own clock; their frames cannot be shifted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<Phone>,
     /// The sensors on the auxiliary outputs, 2 to 4.
@@ -70,11 +73,11 @@ pub struct Profile {
 pub struct TriggerOutput {
     /// Number of the output: 2, 3 or 4.
     pub output: u8,
-    /// What the sensor is called.
+    /// Name of the sensor.
     pub name: String,
-    /// Pulses of the camera's trigger to one of this: 6 is 5 fps beside 30.
+    /// Number of the camera's trigger pulses per pulse of this output: 6 is 5 fps beside 30.
     pub every: u32,
-    /// How much later than the camera's pulse, µs; less than its period.
+    /// Delay after the camera's pulse, µs; less than its period.
     #[serde(default)]
     pub delay_us: f64,
     /// Length of a pulse, µs.
@@ -83,7 +86,7 @@ pub struct TriggerOutput {
 }
 
 impl TriggerOutput {
-    /// At which pulses of the camera's trigger it has its own, in words.
+    /// Describes at which pulses of the camera's trigger this output has its own.
     #[must_use]
     pub fn rule(&self) -> String {
         let later = if self.delay_us > 0.0 {
@@ -102,19 +105,19 @@ impl TriggerOutput {
     }
 }
 
-/// A lidar that takes the board for a GNSS receiver.
+/// A lidar to which the board acts as a GNSS receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lidar {
-    /// What it is called.
+    /// Name of the lidar.
     pub name: String,
-    /// Rate of the serial line.
+    /// Rate of the serial line, Bd.
     #[serde(default = "Lidar::default_baud")]
     pub baud: u32,
-    /// The serial line is high when idle (a UART's), not low (behind RS-232).
+    /// True if the serial line is high when idle (a UART), false if it is low (RS-232).
     #[serde(default)]
     pub idle_high: bool,
-    /// Send `$GPZDA` after `$GPRMC`.
+    /// True if `$GPZDA` is sent after `$GPRMC`.
     #[serde(default)]
     pub zda: bool,
 }
@@ -125,43 +128,43 @@ impl Lidar {
     }
 }
 
-/// The phone.
+/// A phone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Phone {
-    /// What it is called in the recording.
+    /// Name in the recording.
     #[serde(default = "Phone::default_name")]
     pub name: String,
     /// Host and port of the app.
     pub address: String,
-    /// Exposure of a row, µs, where the app does not report it.
+    /// Exposure of a row, µs, used if the app does not report it.
     pub exposure_us: f64,
-    /// Exposure and frame rate are locked in the app.
+    /// True if exposure and frame rate are locked in the app.
     #[serde(default)]
     pub exposure_locked: bool,
-    /// From the start of exposure of the first row to that of the last, µs.
+    /// Time from the start of exposure of the first row to that of the last, µs.
     pub readout_us: f64,
-    /// 1-sigma of it, µs.
+    /// 1-sigma of `readout_us`, µs.
     pub readout_sigma_us: f64,
-    /// Rows of the video.
+    /// Number of rows of the video.
     pub rows: u32,
-    /// The row that is synchronised, from 0; the middle if not given.
+    /// Row that is synchronised, from 0; the middle one by default.
     pub middle_row: Option<f64>,
     /// Delay of the gyroscope's filter, µs.
     pub gyro_delay_us: f64,
-    /// 1-sigma of it, µs.
+    /// 1-sigma of `gyro_delay_us`, µs.
     pub gyro_delay_sigma_us: f64,
-    /// Where the readout goes in the images of the video.
+    /// Direction of the readout in the images of the video.
     #[serde(default)]
     pub readout_direction: Direction,
     /// Length of a twist, s.
     pub twist_s: u32,
-    /// From the frame of the board's IMU to that of the phone's camera, m.
+    /// Transform from the frame of the board's IMU to that of the phone's camera, m.
     pub from_imu: Option<Pose>,
-    /// Intrinsics of its camera, one for each size of its images.
+    /// Intrinsics of its camera, one entry per size of image.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Intrinsics>,
-    /// What was learnt about it.
+    /// Properties of its clocks, learnt from recordings.
     pub learnt: Option<Learnt>,
 }
 
@@ -170,30 +173,32 @@ impl Phone {
         String::from("phone")
     }
 
-    /// From the start of exposure of the first row to that of the row that is
-    /// synchronised, µs.
+    /// Returns the time from the start of exposure of the first row to that of the synchronised
+    /// row, µs.
     #[must_use]
     pub fn middle_row_us(&self) -> f64 {
         self.readout_us * self.middle_row_part()
     }
 
-    /// The part of the readout that goes by before the row that is synchronised.
+    /// Returns the part of the readout before the synchronised row, 0 to 1.
     fn middle_row_part(&self) -> f64 {
         let last = f64::from(self.rows.saturating_sub(1).max(1));
         self.middle_row.map_or(0.5, |middle| middle / last)
     }
 
-    /// 1-sigma of what the middle of its exposure, now of so many µs, moves within a recording, µs.
+    /// Returns the 1-sigma of the movement of the middle of its exposure within a recording, µs,
+    /// for an exposure of `exposure_us` at its beginning.
     #[must_use]
     pub fn exposure_sigma_us(&self, exposure_us: f64) -> f64 {
-        match self.exposure_locked {
-            true => 0.0,
-            false => EXPOSURE_CHANGES * exposure_us / 2.0,
+        if self.exposure_locked {
+            0.0
+        } else {
+            EXPOSURE_CHANGES * exposure_us / 2.0
         }
     }
 
-    /// 1-sigma of what its own constants put into the phase, µs: the delay of its gyroscope
-    /// and the start of the row that is synchronised.
+    /// Returns the 1-sigma of the phase due to its own constants, µs: the delay of its gyroscope
+    /// and the start of the synchronised row.
     #[must_use]
     pub fn constant_sigma_us(&self) -> f64 {
         self.gyro_delay_sigma_us
@@ -201,29 +206,29 @@ impl Phone {
     }
 }
 
-/// What recordings have taught about the phone's clocks.
+/// Properties of a phone's clocks, learnt from recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Learnt {
-    /// Distance of frames in the phone's own time, ns.
+    /// Frame period in the phone's own time, ns.
     pub frame_period_ns: f64,
-    /// 1-sigma of it, ns.
+    /// 1-sigma of `frame_period_ns`, ns.
     pub frame_period_sigma_ns: f64,
     /// 1-sigma of the timestamps of single frames, ns.
     pub frame_jitter_ns: Option<f64>,
-    /// Exposure of the recording that taught it, µs.
+    /// Exposure in that recording, µs.
     pub exposure_us: Option<f64>,
     /// Rate of the phone's clock against the board's, minus one.
     pub skew: Option<f64>,
-    /// 1-sigma of it.
+    /// 1-sigma of `skew`.
     pub skew_sigma: Option<f64>,
-    /// The day.
+    /// Day of the last recording that contributed.
     pub learnt: Date,
-    /// The time, where it is known.
+    /// Time of that recording, if known.
     pub time: Option<Timestamp>,
-    /// Temperature of the board's IMU then, °C.
+    /// Temperature of the board's IMU in that recording, °C.
     pub board_temperature_c: Option<f64>,
-    /// The board whose clock the skew is against.
+    /// ID of the board against whose clock the skew was measured.
     pub board_id: Option<String>,
 }
 
@@ -231,24 +236,24 @@ pub struct Learnt {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Depth {
-    /// Model of the camera, by its word ([`Model::all`]).
+    /// Word of the camera's model ([`Model::all`]).
     #[serde(default = "Depth::default_camera")]
     pub camera: String,
-    /// Depth mode, for the record.
+    /// Depth mode, for information.
     pub mode: String,
-    /// Frames a second, which divide the phone's 30 and which the camera has.
+    /// Frames per second: a divisor of the phone's 30 that the camera supports.
     pub fps: u32,
-    /// From the trigger's edge to the middle of exposure, µs.
+    /// Time from the trigger's edge to the middle of exposure, µs.
     pub center_offset_us: f64,
-    /// 1-sigma of it, µs.
+    /// 1-sigma of `center_offset_us`, µs.
     pub center_offset_sigma_us: f64,
     /// Length of the trigger pulse, µs.
     pub pulse_width_us: f64,
-    /// Exposure of its colour images, µs, where it records them and that is known.
+    /// Exposure of its colour images, µs, if it records them and the exposure is known.
     pub color_exposure_us: Option<f64>,
-    /// From the frame of the board's IMU to that of the depth camera's colour camera, m.
+    /// Transform from the frame of the board's IMU to that of the depth camera's colour camera, m.
     pub color_from_imu: Option<Pose>,
-    /// The program that records it.
+    /// Program that records it.
     pub recorder: Recorder,
 }
 
@@ -257,26 +262,26 @@ impl Depth {
         DEFAULT_CAMERA.to_owned()
     }
 
-    /// The camera's model; a profile that was checked has one.
+    /// Returns the camera's model; a valid profile has one.
     #[must_use]
     pub fn model(&self) -> Option<&'static Model> {
         Model::find(&self.camera)
     }
 }
 
-/// The program that records the depth camera.
+/// Program that records the depth camera.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recorder {
     /// Program and arguments; empty: none.
     pub command: Vec<String>,
-    /// How it is asked to stop.
+    /// Signal that asks it to stop.
     pub stop: StopSignal,
-    /// How long it may take to stop, s.
+    /// Longest time until it has stopped, s.
     pub stop_timeout_s: u32,
 }
 
-/// How a program is asked to stop.
+/// Signal that asks a program to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StopSignal {
@@ -286,13 +291,13 @@ pub enum StopSignal {
     Terminate,
 }
 
-/// The board's IMU.
+/// Settings of the board's IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Imu {
-    /// Samples a second.
+    /// Samples per second.
     pub rate_hz: u32,
-    /// Low-pass, Hz.
+    /// Cut-off frequency of the low-pass filter, Hz.
     pub low_pass_hz: u32,
     /// Full scale of the gyroscope, °/s.
     pub gyro_range_dps: u32,
@@ -300,13 +305,14 @@ pub struct Imu {
     pub accel_range_g: u32,
 }
 
-/// How the trigger is aligned.
+/// Settings of the alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Align {
-    /// Most change of the distance of two pulses, µs; 0 jumps.
+    /// Largest change of the distance of two pulses while the phase moves, µs; with 0 the phase
+    /// jumps.
     pub slew_us: f64,
-    /// Twists with a larger 1-sigma are refused, µs.
+    /// Largest 1-sigma of the clock offset at which a twist is accepted, µs.
     pub max_offset_sigma_us: f64,
 }
 
@@ -316,11 +322,11 @@ pub struct Align {
 pub struct FrameSync {
     /// Middle of exposure of depth minus that of the phone's middle row, µs.
     pub bias_us: f64,
-    /// 1-sigma of it, µs.
+    /// 1-sigma of `bias_us`, µs.
     pub bias_sigma_us: f64,
-    /// When it was measured.
+    /// Day of the measurement; nothing if it was not measured.
     pub bias_measured: Option<Date>,
-    /// By how much earlier than that the trigger is put on purpose, µs (`record --shift`).
+    /// Intended shift of the trigger to earlier times, µs (`record --shift`).
     #[serde(default)]
     pub shift_us: f64,
 }
@@ -330,30 +336,30 @@ fn unknown_phone(key: &'static str, name: &str) -> ProfileError {
 }
 
 impl Profile {
-    /// The profile of the published rig.
+    /// Returns the profile of the published rig.
     ///
     /// # Errors
     ///
-    /// Never: the text is part of the program, and a test parses it.
+    /// Never returns one: the text is part of the program, and a test parses it.
     pub fn published() -> Result<Self, ProfileError> {
         Self::parse(DEFAULT, None)
     }
 
-    /// The profile as the text of a file.
+    /// Returns the profile as the text of a file.
     ///
     /// # Errors
     ///
-    /// A value has no TOML form.
+    /// Returns an error if a value has no TOML form.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string_pretty(self)
     }
 
-    /// Reads a profile; what it leaves out has its default.
+    /// Reads a profile; missing keys get their defaults.
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is no TOML, has a key that is not known, or a
-    /// value out of its range.
+    /// Returns an error if the file cannot be read, is not TOML, or has an unknown key or a value
+    /// out of its range.
     pub fn load(path: &Path) -> Result<Self, ProfileError> {
         let text = system::read_text(path, MAX_LENGTH).map_err(|error| ProfileError::Read {
             path: path.to_owned(),
@@ -386,16 +392,16 @@ impl Profile {
         Ok(profile)
     }
 
-    /// All phones, the one that the trigger is aligned to first.
+    /// Iterates over all phones, the one that the trigger is aligned to first.
     pub fn all_phones(&self) -> impl Iterator<Item = &Phone> {
         std::iter::once(&self.phone).chain(&self.phones)
     }
 
-    /// Makes a phone the one that the trigger is aligned to.
+    /// Selects the phone that the trigger is aligned to.
     ///
     /// # Errors
     ///
-    /// There is none of that name.
+    /// Returns an error if there is no phone with that name.
     pub fn set_reference(&mut self, name: &str) -> Result<(), ProfileError> {
         if self.phone.name != name {
             match self.phones.iter_mut().find(|phone| phone.name == name) {
@@ -407,7 +413,7 @@ impl Profile {
         Ok(())
     }
 
-    /// The name of the sensor on an auxiliary output.
+    /// Returns the name of the sensor on an auxiliary output; `output N` if there is none.
     #[must_use]
     pub fn output_name(&self, output: Output) -> String {
         let number = output.number();
@@ -417,23 +423,23 @@ impl Profile {
             .map_or_else(|| format!("output {number}"), |sensor| sensor.name.clone())
     }
 
-    /// What the lidar is called; `gnss` if there is none.
+    /// Returns the name of the lidar; `gnss` if there is none.
     #[must_use]
     pub fn lidar_name(&self) -> &str {
         self.lidar.as_ref().map_or("gnss", |lidar| &lidar.name)
     }
 
-    /// 1-sigma of the constant between the middles of the two exposures, µs, where the phone's is
-    /// of so many µs: of the bias, once that is measured; until then from the trigger's edge to
-    /// the middle of the depth exposure, and of the phone's own constants; and of an exposure
-    /// that may change.
+    /// Returns the 1-sigma of the constant between the middles of the two exposures, µs, for a
+    /// phone's exposure of `exposure_us`. It is that of the measured bias; without one, that of
+    /// the time from the trigger's edge to the middle of the depth exposure and of the phone's own
+    /// constants. An exposure that may change adds to either.
     #[must_use]
     pub fn constant_sigma_us(&self, exposure_us: f64) -> f64 {
         let parts = self.constant_parts(exposure_us);
         parts.iter().fold(0.0, |sum, part| sum.hypot(part.1))
     }
 
-    /// 1-sigma of each part of [`Profile::constant_sigma_us`], µs.
+    /// Returns the parts of [`Profile::constant_sigma_us`] with their 1-sigmas, µs.
     #[must_use]
     pub fn constant_parts(&self, exposure_us: f64) -> Vec<(ErrorPart, f64)> {
         let phone = &self.phone;
@@ -453,7 +459,7 @@ impl Profile {
         parts
     }
 
-    /// The largest of them.
+    /// Returns the largest part of [`Profile::constant_sigma_us`].
     #[must_use]
     pub fn constant_part(&self, exposure_us: f64) -> ErrorPart {
         let parts = self.constant_parts(exposure_us).into_iter();
@@ -461,8 +467,8 @@ impl Profile {
         largest.map_or(ErrorPart::Bias, |part| part.0)
     }
 
-    /// [`Profile::constant_sigma_us`] of another phone and its exposure, µs. The bias was measured
-    /// with the first phone, and has the errors of that one's constants in it.
+    /// Returns [`Profile::constant_sigma_us`] for another phone and its exposure, µs. The bias was
+    /// measured with the first phone and includes the errors of that phone's constants.
     #[must_use]
     pub fn other_constant_sigma_us(&self, phone: &Phone, exposure_us: f64) -> f64 {
         let common = match self.frame_sync.bias_measured {
@@ -474,27 +480,26 @@ impl Profile {
         common.hypot(own).hypot(exposure)
     }
 
-    /// Length of the trigger pulse, ticks.
+    /// Returns the length of the trigger pulse, ticks.
     #[must_use]
     pub fn pulse_width(&self) -> u32 {
         micros_to_ticks(self.depth.pulse_width_us)
     }
 
-    /// The slew, ticks a frame.
+    /// Returns the slew, ticks per frame.
     #[must_use]
     pub fn slew(&self) -> u32 {
         micros_to_ticks(self.align.slew_us)
     }
 
-    /// The phone's frames to one frame of the depth camera.
+    /// Returns the number of the phone's frames per frame of the depth camera.
     #[must_use]
     pub const fn frame_ratio(&self) -> u32 {
         30 / self.depth.fps
     }
 }
 
-/// Gives each of the other phones the defaults of what it leaves out; name and address it
-/// must have itself.
+/// Fills in the defaults of the other phones, except for name and address, which are required.
 fn complete_phones(given: &mut toml::Table, default: &toml::Table) {
     let Some(toml::Value::Table(default)) = default.get("phone") else {
         return;
@@ -506,7 +511,7 @@ fn complete_phones(given: &mut toml::Table, default: &toml::Table) {
         if let toml::Value::Table(own) = phone {
             let mut whole = default.clone();
             whole.remove("address");
-            // An empty name is refused where names are checked.
+            // The check of names refuses an empty one.
             whole.insert(String::from("name"), String::new().into());
             merge(&mut whole, std::mem::take(own));
             *own = whole;
@@ -514,7 +519,7 @@ fn complete_phones(given: &mut toml::Table, default: &toml::Table) {
     }
 }
 
-/// Puts the values of `over` into `base`, table by table.
+/// Merges the values of `over` into `base`, table by table.
 fn merge(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
@@ -526,7 +531,7 @@ fn merge(base: &mut toml::Table, over: toml::Table) {
     }
 }
 
-/// Nearest ticks; what is negative or too large saturates.
+/// Rounds to ticks; negative and too large values saturate.
 fn micros_to_ticks(micros: f64) -> u32 {
     (micros * f64::from(TICK_HZ / 1_000_000)).round() as u32
 }

@@ -1,4 +1,4 @@
-//! What the board and the session say, as ROS 2 messages on their topics.
+//! Writes messages of the board and events of the session as ROS 2 messages on their topics.
 
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -18,13 +18,13 @@ use clock::PhoneNanos;
 use clock::{BoardSeconds, ClockRelation};
 
 impl Writer {
-    /// An IMU sample, with the board's number of it.
+    /// Writes an IMU sample with its number from the board.
     ///
     /// # Errors
     ///
-    /// The file cannot be written; so all of these.
+    /// Returns an error if the file cannot be written.
     pub fn imu(&mut self, sample: &Sample, number: u32) -> Result<(), RecordingError> {
-        let header = header(sample.at, "board_imu");
+        let header = Header::at(sample.at, "board_imu");
         let has = |flag| sample.flags.has(flag);
         if sample.flags != protocol::ImuFlags::default() {
             let flags = Item::ImuFlags(ImuFlags {
@@ -54,7 +54,7 @@ impl Writer {
         self.write(sample.at, None, temperature)
     }
 
-    /// A pulse of the trigger.
+    /// Writes a pulse of the trigger.
     ///
     /// # Errors
     ///
@@ -64,7 +64,7 @@ impl Writer {
         self.write(pulse.at, Some(pulse.seq), message)
     }
 
-    /// A pulse of one of the auxiliary outputs; `name` is the sensor's on it.
+    /// Writes a pulse of an auxiliary output; `name` is the name of the sensor on it.
     ///
     /// # Errors
     ///
@@ -82,22 +82,22 @@ impl Writer {
         self.write(pulse.at, Some(pulse.seq), message)
     }
 
-    /// A pulse per second: the UTC that begins with it for whoever takes the
-    /// board for a GNSS receiver; `name` is what the lidar is called.
+    /// Writes a pulse per second with the UTC that the board, as a GNSS receiver, stated for it;
+    /// `name` is the name of the lidar.
     ///
     /// # Errors
     ///
     /// As [`Writer::imu`].
     pub fn pps(&mut self, pps: &protocol::Pps, name: &str) -> Result<(), RecordingError> {
         let second = Item::Gnss(TimeReference {
-            header: header(pps.at, "board"),
+            header: Header::at(pps.at, "board"),
             time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
             source: name.to_owned(),
         });
         self.write(pps.at, Some(pps.seq), second)
     }
 
-    /// An edge on a capture input.
+    /// Writes an edge on a capture input.
     ///
     /// # Errors
     ///
@@ -107,7 +107,7 @@ impl Writer {
             CaptureChannel::Strobe => "strobe",
         };
         let message = Item::Capture(Capture {
-            header: header(capture.at, channel),
+            header: Header::at(capture.at, channel),
             ticks: capture.at.0,
             channel: channel.to_owned(),
             rising: capture.edge == Edge::Rising,
@@ -116,8 +116,8 @@ impl Writer {
         self.write(capture.at, Some(capture.seq), message)
     }
 
-    /// The board's status, which has `waited` before it was taken; with it, the host's wall clock
-    /// when it came.
+    /// Writes the board's status, and the host's wall clock at its arrival, which was `waited`
+    /// ago.
     ///
     /// # Errors
     ///
@@ -136,14 +136,14 @@ impl Writer {
             .and_then(|since| i64::try_from(since.saturating_sub(waited).as_nanos()).ok())
             .unwrap_or_default();
         let time = Item::HostTime(TimeReference {
-            header: header(status.at, "board"),
+            header: Header::at(status.at, "board"),
             time_ref: Time::from_nanos(wall),
             source: String::from("host"),
         });
         self.write(status.at, None, time)
     }
 
-    /// A marker of the user.
+    /// Writes a marker of the user.
     ///
     /// # Errors
     ///
@@ -155,15 +155,15 @@ impl Writer {
         label: &str,
     ) -> Result<(), RecordingError> {
         let marker = TimeReference {
-            header: header(at, "board"),
+            header: Header::at(at, "board"),
             time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
             source: label.to_owned(),
         };
         self.write(at, None, Item::Marker(marker))
     }
 
-    /// A relation of the clocks that holds from now on; `phone` is the name of the
-    /// phone if it is not the reference.
+    /// Writes a relation of the clocks that is used from now on; `phone` is the name of the phone
+    /// if it is not the reference.
     ///
     /// # Errors
     ///
@@ -177,7 +177,7 @@ impl Writer {
     ) -> Result<(), RecordingError> {
         let [[a, b], [c, d]] = clock.covariance;
         let message = ClockModel {
-            header: header(
+            header: Header::at(
                 BoardSeconds(clock.reference).ticks(),
                 phone.unwrap_or("board"),
             ),
@@ -195,8 +195,8 @@ impl Writer {
         self.write(at, None, item)
     }
 
-    /// A clock was asked for its time: that of `name`, where `at` is the latest board time
-    /// known. Whatever header the message has is replaced.
+    /// Writes a question to the clock of `name` for its time; `at` is the latest known board time.
+    /// The header of the message is replaced.
     ///
     /// # Errors
     ///
@@ -207,7 +207,7 @@ impl Writer {
         name: &str,
         exchange: ClockExchange,
     ) -> Result<(), RecordingError> {
-        let header = header(at, name);
+        let header = Header::at(at, name);
         self.write(
             at,
             None,
@@ -215,8 +215,8 @@ impl Writer {
         )
     }
 
-    /// The trigger has another period from an edge on, with the phase before it in µs and
-    /// its 1-sigma.
+    /// Writes that the trigger changes to another grid at its anchor, with the phase before that
+    /// and its 1-sigma, µs.
     ///
     /// # Errors
     ///
@@ -227,7 +227,7 @@ impl Writer {
         (phase_us, phase_sigma_us): (f64, f64),
     ) -> Result<(), RecordingError> {
         let period = Item::Period(TriggerPeriod {
-            header: header(grid.anchor.ticks, "board"),
+            header: Header::at(grid.anchor.ticks, "board"),
             grid,
             phase_us,
             phase_sigma_us,
@@ -235,7 +235,7 @@ impl Writer {
         self.write(grid.anchor.ticks, None, period)
     }
 
-    /// Something that was said. `kind` is a stable word for it.
+    /// Writes an event of the session; `kind` is a stable word for its kind.
     ///
     /// # Errors
     ///
@@ -248,7 +248,7 @@ impl Writer {
         text: &str,
     ) -> Result<(), RecordingError> {
         let log = Item::Log(Log {
-            stamp: stamp(at),
+            stamp: Time::at(at),
             level: level(severity),
             name: String::from("smartdepthsync"),
             msg: text.to_owned(),
@@ -259,15 +259,15 @@ impl Writer {
         self.write(at, None, log)
     }
 
-    /// A frame of the link, as it came, without its delimiter. `at` is the
-    /// latest board time known.
+    /// Writes a frame of the link as it came, without its delimiter; `at` is the latest known
+    /// board time.
     ///
     /// # Errors
     ///
     /// As [`Writer::imu`].
     pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
         let frame = Item::Link(LinkFrame {
-            header: header(at, "link"),
+            header: Header::at(at, "link"),
             data: frame,
         });
         self.write(at, None, frame)
@@ -284,11 +284,7 @@ impl Writer {
     }
 }
 
-fn stamp(at: Ticks) -> Time {
-    Time::from_nanos(i64::try_from(at.as_nanos()).unwrap_or(i64::MAX))
-}
-
-/// The level that ROS has for it.
+/// Returns the level of ROS for a severity.
 const fn level(severity: Severity) -> u8 {
     match severity {
         Severity::Good => 20,
@@ -297,16 +293,9 @@ const fn level(severity: Severity) -> u8 {
     }
 }
 
-pub(crate) fn header(at: Ticks, frame_id: &str) -> Header {
-    Header {
-        stamp: stamp(at),
-        frame_id: frame_id.to_owned(),
-    }
-}
-
 fn pulse_message(pulse: &protocol::Pulse, frame_id: &str) -> Pulse {
     Pulse {
-        header: header(pulse.at, frame_id),
+        header: Header::at(pulse.at, frame_id),
         ticks: pulse.at.0,
         train: pulse.train,
         number: pulse.number,

@@ -1,4 +1,4 @@
-//! The messages of a recording as Rust values, front to back, over any damage.
+//! Reads the messages of a recording as Rust values, front to back, over any damage.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -10,20 +10,19 @@ use super::RecordingError;
 pub use super::topic::Item;
 use super::walk::{Damage, Event, Walk};
 
-/// A message with its time.
+/// A message with its time and number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
     /// Board time.
     pub at: Ticks,
-    /// Running number on its topic.
+    /// Running number on its topic; the board's own where it has one.
     pub sequence: u32,
     /// The message.
     pub item: Item,
 }
 
-/// A recording that is being read. It is an iterator of [`Entry`], with an error for each
-/// message that is not of its topic's type; topics that this version does not know are left
-/// out.
+/// Iterator over the [`Entry`]s of a recording, with an error for each message that is not of its
+/// topic's type. Topics that this version does not know are left out.
 pub struct Reader {
     walk: Walk,
     entries: VecDeque<Result<Entry, RecordingError>>,
@@ -36,7 +35,7 @@ impl Reader {
     ///
     /// # Errors
     ///
-    /// The file cannot be read.
+    /// Returns an error if there is no such file or it cannot be opened.
     pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
         Self::with_monitor(folder_or_file, &ReadMonitor::default())
     }
@@ -58,13 +57,14 @@ impl Reader {
         })
     }
 
-    /// What could not be read so far, the end of a file that was not closed included.
+    /// Returns the damage so far, including the missing end of a file that was not closed; at most
+    /// 1,000 places.
     #[must_use]
     pub fn damage(&self) -> &[Damage] {
         &self.damage
     }
 
-    /// Whether something could not be read so far.
+    /// Returns true if there was any damage so far.
     #[must_use]
     pub const fn broken_off(&self) -> bool {
         !self.damage.is_empty()
@@ -90,7 +90,7 @@ impl Reader {
     }
 }
 
-/// The most places of damage that are kept.
+/// Most places of damage that are kept.
 const MAX_DAMAGE: usize = 1_000;
 
 impl Iterator for Reader {

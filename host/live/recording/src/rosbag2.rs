@@ -1,10 +1,9 @@
-//! `metadata.yaml`: what makes the folder of a recording a rosbag2, for `ros2 bag` and
-//! the libraries that open bags by their folder.
+//! Writes ROS 2 bags of MCAP: `metadata.yaml`, which makes the folder of a recording a rosbag2 for
+//! `ros2 bag` and the libraries that open bags by their folder, and bags of any messages, for
+//! data sets.
 //!
-//! And a bag of any messages, for data sets.
-//!
-//! The form is version 5 of `rosbag2_bagfile_information` (ROS 2 Humble), which later
-//! versions read too. Times are board time, as in the file.
+//! The form is version 5 of `rosbag2_bagfile_information` (ROS 2 Humble), which later versions
+//! read too. Times are board time, as in the file.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -18,25 +17,25 @@ use mcap::{Compression, McapError, Summary, WriteOptions};
 use super::messages::RosMessage;
 use super::{MCAP_FILE, RecordingError};
 
-/// Bytes of a chunk of a bag of images.
+/// Size of a chunk in a bag of images, bytes.
 const CHUNK_BYTES: u64 = 4 << 20;
 
-/// Name of the file in the folder.
+/// Name of the metadata file in the folder.
 pub const METADATA_FILE: &str = "metadata.yaml";
 
-/// Key of the quality of service in a channel's metadata.
+/// Key of the quality of service in the metadata of a channel.
 pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
 
 /// The quality of service of every topic, in the form of rosbag2: keep the last 1,000,
-/// reliable, volatile, no deadline and no lifespan. The file and `metadata.yaml` must
-/// agree in it.
+/// reliable, volatile, no deadline and no lifespan. It must be the same in the file and in
+/// `metadata.yaml`.
 pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
     deadline:\n    sec: 9223372036\n    nsec: 854775807\n  \
     lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
     liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
     avoid_ros_namespace_conventions: false\n";
 
-/// Options of every file that this program writes.
+/// Returns the options of every MCAP file that this program writes.
 pub fn options() -> WriteOptions {
     WriteOptions::new()
         .profile("ros2")
@@ -47,19 +46,19 @@ pub fn options() -> WriteOptions {
         .disable_seeking(true)
 }
 
-/// A bag of any messages that is being written, packed by LZ4.
+/// Writer of a bag of any messages, compressed with LZ4.
 pub struct Bag<'a> {
     pub(crate) mcap: mcap::Writer<NoSeek<Box<dyn io::Write + Send + 'a>>>,
-    /// Of each topic its channel, and the running number of its next message.
+    /// Channel of each topic, and running number of its next message.
     topics: Vec<(u16, u32)>,
 }
 
 impl<'a> Bag<'a> {
-    /// Begins the MCAP file of a bag.
+    /// Creates the MCAP file of a bag.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Returns an error if writing fails.
     pub fn create(to: impl io::Write + Send + 'a) -> Result<Self, McapError> {
         Self::with_options(options().chunk_size(Some(CHUNK_BYTES)), to)
     }
@@ -75,16 +74,16 @@ impl<'a> Bag<'a> {
         })
     }
 
-    /// Adds a topic of messages `M`. Topics are numbered from 0.
+    /// Adds a topic with messages of type `M`. Topics are numbered from 0.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Returns an error if writing fails.
     pub fn add_topic<M: RosMessage>(&mut self, name: &str) -> Result<(), McapError> {
         self.add(name, M::TYPE, &M::schema())
     }
 
-    /// The same, with type and schema of its messages.
+    /// Adds a topic by the name of its type and its schema.
     pub(crate) fn add(&mut self, name: &str, kind: &str, schema: &str) -> Result<(), McapError> {
         let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
         let schema = self.mcap.add_schema(kind, "ros2msg", schema.as_bytes())?;
@@ -93,12 +92,12 @@ impl<'a> Bag<'a> {
         Ok(())
     }
 
-    /// Adds a message in its CDR form, with its number on the topic if the caller has one, on
-    /// which the next follows, at a time in ns. One of a topic that was not added is left out.
+    /// Adds a message in its CDR form at a time in ns. Without a `number`, it gets the one after
+    /// the last on its topic. A message of a topic that was not added is left out.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Returns an error if writing fails.
     pub fn put(
         &mut self,
         topic: usize,
@@ -120,11 +119,11 @@ impl<'a> Bag<'a> {
         self.mcap.write_to_known_channel(&header, cdr)
     }
 
-    /// Finishes it, and gives the text of `metadata.yaml` for the name of its file.
+    /// Closes the file, and returns the text of `metadata.yaml` for the name of the file.
     ///
     /// # Errors
     ///
-    /// Writing fails.
+    /// Returns an error if writing fails.
     pub fn finish(mut self, file: &str) -> Result<String, McapError> {
         Ok(text(file, &self.mcap.finish()?))
     }
@@ -134,14 +133,14 @@ impl<'a> Bag<'a> {
 ///
 /// # Errors
 ///
-/// It cannot be written.
-pub fn save(folder: &Path, summary: &Summary) -> Result<(), RecordingError> {
+/// Returns an error if it cannot be written.
+pub(crate) fn save(folder: &Path, summary: &Summary) -> Result<(), RecordingError> {
     let path = folder.join(METADATA_FILE);
     system::replace(&path, text(MCAP_FILE, summary).as_bytes())
         .map_err(RecordingError::io("write", &path))
 }
 
-/// The content of `metadata.yaml` for a bag of one MCAP file.
+/// Returns the content of `metadata.yaml` for a bag of one MCAP file.
 fn text(file: &str, summary: &Summary) -> String {
     let stats = summary.stats.as_ref();
     let (start, end, count) = stats.map_or((0, 0, 0), |stats| {
@@ -189,7 +188,7 @@ fn text(file: &str, summary: &Summary) -> String {
     text
 }
 
-/// A string of JSON is one of YAML, whatever is in it.
+/// Quotes a string: the form of JSON is valid YAML, whatever the string holds.
 fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }

@@ -1,13 +1,13 @@
-//! Walks the records of an MCAP file over any damage, with bounded memory.
+//! Scans the records of an MCAP file over any damage, with bounded memory.
 //!
-//! The readers for daily work stop where a file breaks. This walk goes on: where
-//! bytes are no records any more it searches for the next chunk, which proves
-//! itself by a head that fits its length (and later by its checksum). So a flipped
-//! length costs one chunk and not the rest of the file.
+//! The recovery of the `mcap` library stops at the first damage, because the library has no
+//! function that finds the next record, and it does not report positions in bytes. This scan
+//! continues: where bytes are no records, it searches for the next chunk, which is recognised by
+//! a head that fits its length (and later by its checksum). So a flipped length costs one chunk
+//! and not the rest of the file.
 //!
-//! Limits: chunks are stored as they are or with LZ4, which is all that this
-//! program writes; a record outside of a chunk that was turned into another valid
-//! one is only noticed by the checksum over the whole file.
+//! Limits: chunks are uncompressed or LZ4, as this program writes them. If damage turns a record
+//! outside of a chunk into another valid one, only the checksum over the whole file shows it.
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -19,61 +19,61 @@ use super::chunks::{self, Budget, Chunk, MAX_RECORD};
 use super::damage::{Damage, FileReport};
 use super::ticks_of_nanos;
 
-/// Opcode and length before each record.
+/// Bytes of opcode and length before each record.
 const HEAD: u64 = 9;
 
-/// Length of the footer, the last record of a file.
+/// Length of the footer, the last record of a file, bytes.
 const FOOTER: u64 = 20;
 
 /// Bytes that are searched at a time.
 const WINDOW: usize = 1 << 16;
 
-/// The longest head of a chunk with its opcode, length and compression's name.
+/// Longest head of a chunk with opcode, length and name of the compression, bytes.
 const CHUNK_HEAD: usize = 9 + 8 + 8 + 8 + 4 + 4 + MAX_NAME + 8;
 
-/// The longest name of a compression that is believed.
+/// Longest name of a compression that is accepted, bytes.
 const MAX_NAME: usize = 8;
 
-/// Something in the file.
+/// Part of the file.
 #[derive(Debug)]
 pub(crate) enum Piece {
-    /// The records of a chunk whose checksum is right.
+    /// Records of a chunk whose checksum is right.
     Chunk(Chunk),
     /// A record outside of chunks: its opcode and body.
     Record(u8, Vec<u8>),
-    /// Something that cannot be read, or whose checksum is wrong.
+    /// A part that cannot be read, or whose checksum is wrong.
     Damage(Damage),
-    /// The end that a writer makes which came to its end.
+    /// The end of a file that its writer closed.
     End,
 }
 
-/// The walk.
+/// Position of the scan.
 pub(crate) struct Scan {
     file: BufReader<Input>,
-    /// The file so far; its messages are not counted here.
+    /// State of the file so far; the messages are counted by the caller.
     pub(crate) report: FileReport,
     position: u64,
     budget: Budget,
-    /// For the next chunk.
+    /// Memory for the next chunk.
     memory: Vec<u8>,
-    /// Up to here it is known where the heads of chunks are: none, but for `head`.
+    /// End of the bytes that were searched for heads of chunks, and found to have none but `head`.
     searched: u64,
     head: Option<u64>,
-    /// Checksum over everything since the begin, and then since the record that
-    /// closes the data; nothing once a part was skipped.
+    /// Checksum over everything since the beginning, later since the record that closes the data;
+    /// `None` once a part was skipped.
     hasher: Option<crc32fast::Hasher>,
     has_footer: bool,
-    /// The file begins as MCAP files do; else its first bytes are skipped.
+    /// False if the file does not begin as MCAP files do, and its first bytes are skipped.
     has_magic: bool,
     ended: bool,
 }
 
 impl Scan {
-    /// Begins at the front of a file.
+    /// Opens a file.
     ///
     /// # Errors
     ///
-    /// It cannot be opened.
+    /// Returns an error if it cannot be opened.
     pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> io::Result<Self> {
         let file = system::open(path, monitor)?;
         let length = file.length();
@@ -95,22 +95,21 @@ impl Scan {
         })
     }
 
-    /// Whether the file begins as MCAP files do.
+    /// Returns true if the file begins as MCAP files do.
     pub(crate) const fn has_magic(&self) -> bool {
         self.has_magic
     }
 
-    /// Takes the memory of a chunk for the next one: asking the system for it again costs as
-    /// much as unpacking.
+    /// Keeps the memory of a chunk for the next one: a new allocation costs as much as unpacking.
     pub(crate) fn reuse(&mut self, chunk: Chunk) {
         self.memory = chunk.into_memory();
     }
 
-    /// The next piece; `None` after the last.
+    /// Returns the next piece; `None` after the last.
     ///
     /// # Errors
     ///
-    /// The file cannot be read.
+    /// Returns an error if the file cannot be read.
     pub(crate) fn next_piece(&mut self) -> io::Result<Option<Piece>> {
         let piece = self.read_piece()?;
         let report = &mut self.report;
@@ -134,12 +133,12 @@ impl Scan {
         }
         // Once the magic was missed, a chunk may begin at byte 0.
         if self.position == 0 && self.hasher.is_some() {
-            let magic = self.take(mcap::MAGIC.len() as u64)?;
+            let magic = self.read_bytes(mcap::MAGIC.len() as u64)?;
             if let Some(hasher) = &mut self.hasher {
                 hasher.update(&magic);
             }
             if magic != *mcap::MAGIC {
-                // What is no magic may be a chunk.
+                // A chunk may begin here.
                 return self.search(0, 0).map(Some);
             }
         }
@@ -156,21 +155,20 @@ impl Scan {
         let fits = length <= MAX_RECORD
             && length <= rest - HEAD
             && match opcode {
-                // What ends the walk must be what it looks like.
+                // A record that ends the scan must have the right length.
                 op::FOOTER => length == FOOTER && rest <= HEAD + FOOTER + 8,
                 op::DATA_END => length == 4,
                 _ => true,
             };
         // A chunk begins with a head that fits, and no other record has such a head
-        // inside. So the walk never goes back, and takes a time that grows as the file.
+        // inside. So the scan never goes back, and its time grows with the length of the file.
         let fits = fits
             && match self.next_head(at, at + HEAD + length)? {
                 Some(head) => opcode == op::CHUNK && head == at,
                 None => opcode != op::CHUNK,
             };
         if !(op::HEADER..=op::DATA_END).contains(&opcode) || !fits {
-            // A record that was being written when the writer was killed looks
-            // like this too; only then is nothing after it.
+            // A record whose writer was killed looks like this too, if nothing comes after it.
             let plausible = (op::HEADER..=op::DATA_END).contains(&opcode) && length <= MAX_RECORD;
             return match self.search(at, at + 1)? {
                 Piece::Damage(Damage::Bytes { to, .. }) if to == self.report.bytes && plausible => {
@@ -183,7 +181,7 @@ impl Scan {
             op::DATA_END => self.hasher.take().map(crc32fast::Hasher::finalize),
             _ => None,
         };
-        let record = self.take(HEAD + length)?;
+        let record = self.read_bytes(HEAD + length)?;
         let body = record.get(HEAD as usize..).unwrap_or_default();
         if let Some(hasher) = &mut self.hasher {
             // The footer's own checksum is its last four bytes.
@@ -200,7 +198,7 @@ impl Scan {
                 let Some((header, packed)) = chunk_of(body) else {
                     return self.search(at, at + 1).map(Some);
                 };
-                let fits = self.budget.take(&header, self.position);
+                let fits = self.budget.spend(&header, self.position);
                 let memory = std::mem::take(&mut self.memory);
                 let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), memory));
                 return Ok(Some(match chunk {
@@ -237,12 +235,12 @@ impl Scan {
         Ok(Some(Piece::Record(opcode, body.to_vec())))
     }
 
-    /// Behind the footer stands the magic again, and nothing else.
+    /// Checks that the magic follows the footer, and nothing else.
     fn after_footer(&mut self) -> io::Result<Piece> {
         self.ended = true;
         let at = self.position;
         let rest = self.report.bytes.saturating_sub(at);
-        if rest == mcap::MAGIC.len() as u64 && self.take(rest)? == *mcap::MAGIC {
+        if rest == mcap::MAGIC.len() as u64 && self.read_bytes(rest)? == *mcap::MAGIC {
             return Ok(Piece::End);
         }
         if rest < mcap::MAGIC.len() as u64 {
@@ -252,7 +250,7 @@ impl Scan {
         Ok(Piece::Damage(Damage::Bytes { from: at, to }))
     }
 
-    /// The file ends here, where whole records end.
+    /// Returns the damage of a file whose whole records end at byte `at`.
     const fn cut_off(&self, at: u64) -> Piece {
         Piece::Damage(Damage::CutOff {
             at,
@@ -261,7 +259,7 @@ impl Scan {
         })
     }
 
-    /// Opcode and length of the record here, without going on.
+    /// Returns opcode and length of the next record, without moving on.
     fn peek_head(&mut self) -> io::Result<(u8, u64)> {
         let mut head = [0; HEAD as usize];
         self.file.read_exact(&mut head)?;
@@ -270,18 +268,17 @@ impl Scan {
         Ok((opcode, u64::from_le_bytes(length)))
     }
 
-    fn take(&mut self, length: u64) -> io::Result<Vec<u8>> {
+    fn read_bytes(&mut self, length: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         (&mut self.file).take(length).read_to_end(&mut bytes)?;
         self.position += bytes.len() as u64;
         Ok(bytes)
     }
 
-    /// Goes from `from` to the first chunk at or after `first`; to the end if there is
-    /// none.
+    /// Skips from byte `from` to the first chunk at or after byte `first`, or to the end.
     fn search(&mut self, from: u64, first: u64) -> io::Result<Piece> {
         let found = self.next_head(first, self.report.bytes)?;
-        // The checksum over all is meaningless from here on.
+        // The checksum over everything is meaningless from here on.
         self.hasher = None;
         self.ended = found.is_none();
         let to = found.unwrap_or(self.report.bytes);
@@ -291,14 +288,14 @@ impl Scan {
         Ok(Piece::Damage(Damage::Bytes { from, to }))
     }
 
-    /// Where in `from..until` the first chunk begins, without going on. `from` must not
-    /// lie before that of an earlier call.
+    /// Returns the byte in `from..until` at which the first chunk begins, without moving on.
+    /// `from` must not decrease from call to call.
     fn next_head(&mut self, from: u64, until: u64) -> io::Result<Option<u64>> {
         self.head.take_if(|head| *head < from);
         self.searched = self.searched.max(from);
         let mut window = Vec::new();
         while self.head.is_none() && self.searched < until {
-            // A head begins with a byte that is not zero: in no hole.
+            // A head begins with a byte other than zero, so not in a hole of the file.
             let start = self.file.next_data(self.searched)?;
             if start >= until {
                 self.searched = until;
@@ -306,7 +303,7 @@ impl Scan {
             }
             window.clear();
             let ahead = start as i64 - self.position as i64;
-            // What was read ahead stays in the buffer.
+            // The buffer keeps the bytes that were read ahead.
             self.file.seek_relative(ahead)?;
             (&mut self.file)
                 .take((WINDOW + CHUNK_HEAD) as u64)
@@ -324,7 +321,7 @@ impl Scan {
     }
 }
 
-/// Whether a chunk begins here: its head must fit the length of its record.
+/// Returns true if a chunk begins here: its head must fit the length of its record.
 fn is_chunk_head(bytes: &[u8], rest: u64) -> bool {
     let inner = || -> Option<bool> {
         let (&opcode, bytes) = bytes.split_first()?;
@@ -350,7 +347,7 @@ fn is_chunk_head(bytes: &[u8], rest: u64) -> bool {
     inner().unwrap_or(false)
 }
 
-/// Head and packed bytes of a chunk, if they fit each other.
+/// Returns head and packed bytes of a chunk, if they fit each other.
 fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
     let Some(Record::Chunk { header, .. }) = chunks::parse(op::CHUNK, body) else {
         return None;

@@ -1,8 +1,8 @@
-//! `session.json`: everything that was decided in a session, with versions and
-//! profile, so that a recording can be judged and evaluated years later.
+//! `session.json`: all decisions of a session, with versions and profile, so that a recording can
+//! be judged and evaluated years later.
 //!
-//! It is written again at every step (to a temporary file that then replaces it),
-//! so a kill leaves the state of the last step, without an outcome.
+//! It is written again at every step (to a temporary file that then replaces it), so a kill
+//! leaves the state of the last step, without an outcome.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -19,10 +19,10 @@ use clock::alignment::{GridPlan, Placement};
 use clock::twists::report::TwistReport;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos};
 
-/// Version of this file's form.
+/// Version of the form of this file.
 pub const FORMAT: u32 = 2;
 
-/// The longest file that is read, bytes. An hour with a twist a minute and a problem a
+/// Longest file that is read, bytes. An hour with a twist a minute and a problem a
 /// second is below 2 MB.
 pub const MAX_LENGTH: u64 = 8 << 20;
 
@@ -38,54 +38,54 @@ pub struct SessionFile {
     pub program: String,
     /// Name of the folder.
     pub name: String,
-    /// When the session began, on the host's clock (RFC 3339).
+    /// Time at which the session began, on the host's clock (RFC 3339).
     pub started: String,
-    /// How it ended; nothing while it runs or after a kill.
+    /// Outcome; nothing while it runs or after a kill.
     pub outcome: Option<SessionOutcome>,
-    /// The profile that was used.
+    /// Rig profile that was used.
     pub profile: Profile,
     /// The board.
     pub board: Option<BoardInfo>,
     /// The board's IMU.
     pub imu: Option<ImuInfo>,
-    /// What was looked at before the recording, and how it was.
+    /// Findings of the checks before the recording.
     #[serde(default)]
     pub preflight: Vec<Finding>,
-    /// The phones, in the profile's order: the first is the reference, to whose frames the
+    /// Phones in the profile's order: the first is the reference, to whose frames the
     /// trigger is aligned.
     pub phones: Vec<PhoneRecord>,
-    /// How the trigger was aligned.
+    /// Alignment of the trigger.
     pub alignment: Option<Alignment>,
-    /// How the phone's clock was followed while it recorded; nothing if it was not.
+    /// Tracking of the phone's clock during the recording; nothing if there was none.
     pub tracking: Option<TrackInfo>,
-    /// The recorded span of board time: from the arrival of the trigger on the
-    /// phone's frames to the stop.
+    /// Recorded span of board time: from the arrival of the trigger on the phone's frames to the
+    /// stop.
     pub recorded: Option<Span>,
-    /// The user's markers.
+    /// Markers of the user.
     pub markers: Vec<Marker>,
-    /// What came and what was lost on each stream, during the recorded span.
+    /// Messages received and lost on each stream, during the recorded span.
     pub counts: StreamCounts,
-    /// Damaged frames on the link.
+    /// Frames that arrived damaged over the link.
     pub damaged_frames: u32,
-    /// How often the link was lost and taken up again.
+    /// Number of times that the link was lost and restored.
     pub reconnects: u32,
-    /// What went wrong, in order.
+    /// Problems, in order of time.
     pub problems: Vec<Finding>,
     /// Files in the folder besides `recording.mcap` and this one.
     pub files: Vec<String>,
 }
 
-/// How a session ended.
+/// Outcome of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SessionOutcome {
-    /// Everything is there.
+    /// Everything was recorded.
     Good,
-    /// Finished, with loss: `problems` says what.
+    /// Finished, with the losses in `problems`.
     Loss,
     /// The user stopped it.
     Interrupted,
-    /// A step failed: the last problem says why.
+    /// A step failed, for the reason in the last problem.
     Failed,
 }
 
@@ -103,46 +103,46 @@ pub const CHECK_READBACK: &str = "trigger read-back";
 pub struct ImuInfo {
     /// Settings and state at the beginning.
     pub setup: ImuSetup,
-    /// From counts to SI units; filter delays, which are not subtracted from
-    /// the samples' times.
+    /// Conversion from counts to SI units, and filter delays, which are not subtracted from the
+    /// times of samples.
     pub scale: Scale,
 }
 
 /// A phone of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhoneRecord {
-    /// Its name in the profile.
+    /// Name in the profile.
     pub name: String,
-    /// Where its app listens.
+    /// Host and port of its app.
     pub address: String,
     /// Version of the app, once it has answered.
     pub version: Option<String>,
-    /// Every twist, in order, refused ones too.
+    /// All twists in order, including rejected ones.
     pub twists: Vec<Twist>,
-    /// The relation of its clock to the board's that is best known.
+    /// Best known relation of its clock to the board's.
     pub clock: Option<ClockRelation>,
-    /// What it answered when its video began.
+    /// Its answer at the start of the video.
     pub video: Option<Video>,
-    /// Where its frames lie against the trigger's grid, if that follows another phone.
+    /// Position of its frames on the trigger's grid, if that follows another phone.
     pub placement: Option<Placement>,
 }
 
 /// One twist.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Twist {
-    /// The folder of the phone's file, relative to the recording.
+    /// File with the phone's gyroscope, relative to the recording.
     pub phone_gyro: Option<String>,
     /// First and last board time of the samples used.
     pub span: Span,
-    /// Whether it passed the gates.
+    /// True if it passed the gates.
     pub accepted: bool,
-    /// The relation of the clocks from this twist alone.
+    /// Relation of the clocks from this twist alone.
     pub clock: Option<ClockRelation>,
     /// 1-sigma of the offset, µs.
     pub offset_sigma_us: Option<f64>,
     /// 1-sigma of the skew, ppm.
     pub skew_sigma_ppm: Option<f64>,
-    /// Temperature of the board's IMU at its end, °C.
+    /// Temperature of the board's IMU at the end of the twist, °C.
     pub board_temperature_c: Option<f64>,
     /// Findings of the estimator (gates, faults, residuals).
     pub report: Option<TwistReport>,
@@ -157,14 +157,14 @@ pub struct Span {
     pub to: Ticks,
 }
 
-/// How the phone's clock was followed while it recorded.
+/// Tracking of the phone's clock during a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrackInfo {
-    /// The phone, as `adb` names it.
+    /// Serial number of the phone in `adb`.
     pub device: String,
-    /// How often the trigger's period was set again.
+    /// Number of changes of the trigger's period.
     pub steps: u32,
-    /// How often the phone's clock was lost.
+    /// Number of times that the phone's clock was lost.
     pub lost: u32,
 }
 
@@ -173,24 +173,24 @@ pub struct TrackInfo {
 pub struct Video {
     /// Timestamp of one frame: start of exposure of its first row.
     pub phase: PhoneNanos,
-    /// Mean frame period as the app measured it, ns.
+    /// Mean frame period that the app measured, ns.
     pub frame_duration_ns: f64,
-    /// Exposure as the app reported it, ns.
+    /// Exposure that the app reported, ns.
     pub exposure_ns: Option<u64>,
-    /// The clock of the phone's sensors (`CLOCK_BOOTTIME`) minus the clock of its frames, ns: 0
-    /// if they are one. Everything that the app says of frames is on the latter.
+    /// Clock of the phone's sensors (`CLOCK_BOOTTIME`) minus the clock of its frames, ns; 0 if
+    /// they are the same. All times of frames from the app are on the latter.
     #[serde(default)]
     pub boot_minus_frames_ns: i64,
 }
 
 impl Video {
-    /// The phase on the clock of the phone's sensors.
+    /// Returns the phase on the clock of the phone's sensors.
     #[must_use]
     pub const fn on_boot_clock(&self) -> PhoneNanos {
         PhoneNanos(self.phase.0.saturating_add(self.boot_minus_frames_ns))
     }
 
-    /// The exposure, µs, if the app reported one.
+    /// Returns the exposure, µs, if the app reported one.
     #[must_use]
     pub fn exposure_us(&self) -> Option<f64> {
         let exposure = self.exposure_ns.filter(|&exposure| exposure > 0)?;
@@ -198,72 +198,75 @@ impl Video {
     }
 }
 
-/// How the trigger was aligned; see `docs/formats.md`.
+/// Alignment of the trigger; see `docs/formats.md`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Alignment {
     /// Exposure that was used, µs.
     pub exposure_us: f64,
-    /// From the start of the first row to that of the synchronised row, µs.
+    /// Time from the start of the first row to that of the synchronised row, µs.
     pub middle_row_us: f64,
-    /// From the trigger's edge to the middle of exposure of the depth image, µs.
+    /// Time from the trigger's edge to the middle of exposure of the depth image, µs.
     pub center_offset_us: f64,
-    /// The constant bias that was subtracted, µs.
+    /// Constant bias that was subtracted, µs.
     pub bias_us: f64,
-    /// What was subtracted beside it on purpose, µs: depth is earlier by as much.
+    /// Intended shift that was subtracted besides, µs: depth is earlier by as much.
     #[serde(default)]
     pub shift_us: f64,
     /// 1-sigma of the constant between the two exposures, µs
     /// ([`Profile::constant_sigma_us`]).
     pub constant_sigma_us: Option<f64>,
-    /// The largest part of that.
+    /// Largest part of that.
     pub constant_part: Option<ErrorPart>,
-    /// Whether that is of a measured bias, and not of what was assumed.
+    /// True if the bias was measured, false if its parts were assumed.
     #[serde(default)]
     pub bias_is_measured: bool,
-    /// The grid.
+    /// Grid of the trigger, with the relation of the clocks and the frame period that it was
+    /// planned from.
     #[serde(flatten)]
     pub plan: GridPlan,
-    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, with the
-    /// constant's where there is one.
+    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, including that of
+    /// the constant if there is one.
     pub phase_sigma_us: f64,
     /// Predicted 1-sigma of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,
-    /// The first pulse on the grid, once it has arrived.
+    /// Number of the first pulse on the grid, once it has arrived.
     pub arrival_pulse: Option<u64>,
-    /// Its time.
+    /// Board time of that pulse.
     pub arrival: Option<Ticks>,
 }
 
 impl Alignment {
-    /// How well the cameras expose together, in words. What is assumed of the constant and what
-    /// is known of the clocks are added as the root of their squares.
+    /// Describes how well the cameras expose together. The 1-sigmas of the constant and of the
+    /// clocks are added as the root of the sum of their squares.
     #[must_use]
     pub fn promise(&self) -> String {
         let total = self.phase_sigma_us;
         together(total, Some(self.largest_part(total)))
     }
 
-    /// Predicted 1-sigma of the phase at a board time, µs, with that of the rig's constants, which no
-    /// twist reduces.
+    /// Returns the predicted 1-sigma of the phase at a board time, µs, including that of the rig's
+    /// constants, which no twist reduces.
     #[must_use]
     pub fn stated_sigma_us_at(&self, at: BoardSeconds) -> f64 {
         let constant_us = self.constant_sigma_us.unwrap_or_default();
         self.plan.phase_sigma_us_at(at).hypot(constant_us)
     }
 
-    /// Tells whether the cameras are known to expose together, and not only believed to.
+    /// Returns true if a measured bias and the predicted phase show that the cameras expose
+    /// together.
     #[must_use]
     pub fn is_sure(&self) -> bool {
         self.bias_is_measured && self.phase_sigma_us < COARSE_US
     }
 
-    /// The largest part of a total 1-sigma, µs: that of the constant, or of the clocks.
+    /// Returns the largest part of a total 1-sigma, µs: that of the constant, or of the clocks.
     #[must_use]
     pub fn largest_part(&self, total_us: f64) -> ErrorPart {
         let constant = self.constant_sigma_us.unwrap_or_default();
-        match constant * constant * 2.0 > total_us * total_us {
-            true => self.constant_part.unwrap_or(ErrorPart::Bias),
-            false => ErrorPart::Clocks,
+        if constant * constant * 2.0 > total_us * total_us {
+            self.constant_part.unwrap_or(ErrorPart::Bias)
+        } else {
+            ErrorPart::Clocks
         }
     }
 }
@@ -273,12 +276,12 @@ impl Alignment {
 pub struct Marker {
     /// Board time.
     pub at: Ticks,
-    /// What it is called.
+    /// Label.
     pub label: String,
 }
 
 impl SessionFile {
-    /// A session that has just begun.
+    /// Creates the file of a session that begins now.
     #[must_use]
     pub fn new(name: String, profile: Profile) -> Self {
         let phone = |phone: &Phone| PhoneRecord {
@@ -319,13 +322,13 @@ impl SessionFile {
             .is_some_and(|span| span.to > span.from || self.outcome.is_none())
     }
 
-    /// When the session began, if [`Self::started`] is a time.
+    /// Returns the time at which the session began, if [`Self::started`] is valid.
     #[must_use]
     pub fn began(&self) -> Option<jiff::Timestamp> {
         self.started.parse().ok()
     }
 
-    /// The folder of a phone's files, relative to the recording's: its own if
+    /// Returns the folder of a phone's files, relative to the recording's: a folder of its own if
     /// there are several phones.
     #[must_use]
     pub fn phone_folder(&self, name: &str) -> PathBuf {
@@ -336,36 +339,36 @@ impl SessionFile {
         }
     }
 
-    /// The phone to whose frames the trigger is aligned.
+    /// Returns the phone to whose frames the trigger is aligned.
     #[must_use]
     pub fn reference(&self) -> Option<&PhoneRecord> {
         self.phones.first()
     }
 
-    /// The phones beside the reference.
+    /// Returns the phones other than the reference.
     #[must_use]
     pub fn other_phones(&self) -> &[PhoneRecord] {
         self.phones.get(1..).unwrap_or_default()
     }
 
-    /// A phone by its name in the profile.
+    /// Returns a phone by its name in the profile.
     #[must_use]
     pub fn phone(&self, name: &str) -> Option<&PhoneRecord> {
         self.phones.iter().find(|phone| phone.name == name)
     }
 
-    /// The best known relation of the reference phone's clock.
+    /// Returns the best known relation of the reference phone's clock.
     #[must_use]
     pub fn clock(&self) -> Option<ClockRelation> {
         self.reference()?.clock
     }
 
-    /// Writes it into the recording's folder; replaces an older one only when
-    /// whole.
+    /// Writes the file into the recording's folder; an older one is replaced only by a complete
+    /// one.
     ///
     /// # Errors
     ///
-    /// It cannot be written.
+    /// Returns an error if it cannot be written.
     pub fn save(&self, folder: &Path) -> Result<(), RecordingError> {
         let path = folder.join(SESSION_FILE);
         let mut text =
@@ -377,12 +380,12 @@ impl SessionFile {
         system::replace(&path, text.as_bytes()).map_err(RecordingError::io("write", &path))
     }
 
-    /// Reads it from a recording's folder.
+    /// Reads the file from a recording's folder.
     ///
     /// # Errors
     ///
-    /// It cannot be read, is of another form, or has a value or a name that this
-    /// program never writes.
+    /// Returns an error if it cannot be read, has another version, or holds a value or a name
+    /// that this program never writes.
     pub fn load(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(SESSION_FILE);
         let text =
@@ -408,7 +411,7 @@ impl SessionFile {
         Ok(session)
     }
 
-    /// Whether the profile is one that could be loaded, the phones are its phones, and every
+    /// Checks that the profile is valid, that the phones are those of the profile, and that every
     /// name stays in the recording's folder: the file may come from anywhere.
     fn check(&self) -> Result<(), String> {
         self.profile.check().map_err(|error| error.to_string())?;
@@ -430,7 +433,7 @@ impl SessionFile {
     }
 }
 
-/// Whether a relative path stays below the folder that it begins in.
+/// Returns true if a relative path stays below the folder that it begins in.
 fn is_below(path: &str) -> bool {
     let mut parts = Path::new(path).components();
     parts.all(|part| matches!(part, Component::Normal(_)))

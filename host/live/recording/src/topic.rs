@@ -1,9 +1,9 @@
-//! The topics of a recording: one table, from which writer, reader, checks, extraction
-//! and live data take name, type and schema.
+//! The topics of a recording: one table with name, type and schema, which writer, reader,
+//! verification, extraction and live data share.
 //!
-//! A new topic is a row of the table and what it means wherever the compiler then asks for it.
+//! A new topic is a row of the table; the compiler then names the places that must handle it.
 //! Each fact is on one topic. The running number of a message is the board's own where the
-//! board numbers them, so that a gap shows what was lost anywhere on the way.
+//! board numbers them, so that a gap shows a loss anywhere on the way.
 
 use board::Stream;
 
@@ -14,7 +14,7 @@ use super::messages::{
 
 macro_rules! topics {
     ($($(#[$doc:meta])* $topic:ident: $message:ident = $name:literal,)+) => {
-        /// A topic.
+        /// A topic of a recording.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Topic {
             $($(#[$doc])* $topic,)+
@@ -31,11 +31,10 @@ macro_rules! topics {
         }
 
         impl Topic {
-            /// All of them in the order of their channels; `topic as usize` is the place
-            /// of each.
+            /// All topics in the order of their channels; `topic as usize` is the index.
             pub const ALL: [Self; [$($name),+].len()] = [$(Self::$topic),+];
 
-            /// Its name in the file.
+            /// Returns the name in the file.
             #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
@@ -43,7 +42,7 @@ macro_rules! topics {
                 }
             }
 
-            /// Full name of the ROS 2 type of its messages.
+            /// Returns the full name of the ROS 2 type of its messages.
             #[must_use]
             pub const fn message_type(self) -> &'static str {
                 match self {
@@ -51,7 +50,7 @@ macro_rules! topics {
                 }
             }
 
-            /// The type's definition as an MCAP schema of encoding `ros2msg`.
+            /// Returns the type's definition as an MCAP schema of encoding `ros2msg`.
             #[must_use]
             pub fn schema(self) -> String {
                 match self {
@@ -63,7 +62,7 @@ macro_rules! topics {
             ///
             /// # Errors
             ///
-            /// The bytes are no CDR, or not of this topic's type.
+            /// Returns an error if the bytes are not CDR, or not of this topic's type.
             pub fn read(self, data: &[u8]) -> Result<Item, CdrError> {
                 match self {
                     $(Self::$topic => from_cdr(data).map(Item::$topic),)+
@@ -72,7 +71,7 @@ macro_rules! topics {
         }
 
         impl Item {
-            /// The topic that it is on.
+            /// Returns the topic of the message.
             #[must_use]
             pub const fn topic(&self) -> Topic {
                 match self {
@@ -80,7 +79,7 @@ macro_rules! topics {
                 }
             }
 
-            /// Its CDR form.
+            /// Writes the message in its CDR form.
             pub(crate) fn to_cdr(&self) -> Result<Vec<u8>, CdrError> {
                 match self {
                     $(Self::$topic(message) => to_cdr(message),)+
@@ -93,9 +92,9 @@ macro_rules! topics {
 topics! {
     /// Samples of the board's IMU.
     Imu: Imu = "/board/imu",
-    /// The IMU's temperature at each sample.
+    /// Temperature of the IMU at each sample.
     Temperature: Temperature = "/board/imu_temperature",
-    /// Samples about which something was unusual.
+    /// Flags of unusual samples.
     ImuFlags: ImuFlags = "/board/imu_flags",
     /// Trigger pulses.
     Pulse: Pulse = "/board/trigger",
@@ -103,36 +102,36 @@ topics! {
     Capture: Capture = "/board/strobe",
     /// State and counters of the board, once a second.
     Status: DiagnosticArray = "/board/status",
-    /// The relation of the clocks of board and phone, whenever a better one is known.
+    /// Relation of the clocks of board and phone, whenever a better one is known.
     Clock: ClockModel = "/session/clock_model",
     /// Markers; `source` is the label.
     Marker: TimeReference = "/session/markers",
     /// Wall clock of the host, once a second.
     HostTime: TimeReference = "/session/host_time",
-    /// What was said and what went wrong.
+    /// Events of the session and problems.
     Log: Log = "/session/log",
-    /// Pulses of the auxiliary outputs; `frame_id` says whose.
+    /// Pulses of the auxiliary outputs; `frame_id` is the name of the sensor.
     Output: Pulse = "/board/output_pulse",
-    /// Pulses per second; `time_ref` is the UTC that a lidar was told.
+    /// Pulses per second; `time_ref` is the UTC that was sent to a lidar.
     Gnss: TimeReference = "/board/gnss",
-    /// The relation of the clocks of another phone; `frame_id` says whose.
+    /// Relation of the clock of another phone; `frame_id` is its name.
     PhoneClock: ClockModel = "/session/phone_clock_model",
-    /// Board and phone were asked for their time, while the phone's clock is followed.
+    /// Questions to board and phone for their time, while the phone's clock is followed.
     Exchange: ClockExchange = "/session/clock_exchanges",
-    /// The trigger's period follows the phone's clock.
+    /// Changes of the trigger's period, which follows the phone's clock.
     Period: TriggerPeriod = "/session/trigger_period",
-    /// Every frame of the link as it came, if that is asked for.
+    /// Every frame of the link as it came, on request.
     Link: LinkFrame = "/link/frames",
 }
 
 impl Topic {
-    /// The topic of that name; `None` if this version does not know it.
+    /// Returns the topic with that name; `None` if this version does not know it.
     #[must_use]
-    pub fn of(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)
     }
 
-    /// Returns the stream of the board whose numbers its messages carry.
+    /// Returns the stream of the board whose numbers the messages carry, if there is one.
     #[must_use]
     pub const fn stream(self) -> Option<Stream> {
         Some(match self {
@@ -152,8 +151,8 @@ mod tests {
     use super::*;
     use crate::rosbag2::{QOS, QOS_KEY};
 
-    /// What readers of other programs rely on, and what a reader assumes where the
-    /// description of the topics is lost.
+    /// Readers of other programs rely on this, and our reader does where the description of the
+    /// topics is lost.
     #[test]
     fn channels_are_the_rows_of_the_table() {
         let mut bag = crate::writer::bag_of_topics(std::io::sink()).unwrap();
@@ -174,10 +173,10 @@ mod tests {
 
     #[test]
     fn topics_are_known_by_their_names() {
-        for (place, topic) in Topic::ALL.into_iter().enumerate() {
-            assert_eq!(topic as usize, place);
-            assert_eq!(Topic::of(topic.name()), Some(topic));
+        for (index, topic) in Topic::ALL.into_iter().enumerate() {
+            assert_eq!(topic as usize, index);
+            assert_eq!(Topic::from_name(topic.name()), Some(topic));
         }
-        assert_eq!(Topic::of("/board/other"), None);
+        assert_eq!(Topic::from_name("/board/other"), None);
     }
 }

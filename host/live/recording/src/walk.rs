@@ -1,5 +1,5 @@
-//! Walks an MCAP file over any damage, and gives everything that can be read: the one reader
-//! of bytes below the typed [`reader`](super::reader), `verify` and `extract`.
+//! Walks an MCAP file over any damage and yields everything that can be read: the one reader of
+//! bytes for the typed [`reader`](super::reader), [`verify`](super::verify) and `extract`.
 //!
 //! ```no_run
 //! # fn show(path: &std::path::Path) -> Result<(), recording::RecordingError> {
@@ -14,8 +14,8 @@
 //! # }
 //! ```
 //!
-//! A part is a chunk, a record outside of chunks, or a place where something is damaged. A
-//! file whose writer was killed gives its whole chunks, and then [`Damage::CutOff`].
+//! A part is a chunk, a record outside of chunks, or a damaged place. A file whose writer was
+//! killed yields its whole chunks, and then [`Damage::CutOff`].
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -32,89 +32,90 @@ use super::scan::{Piece, Scan};
 use super::topic::{Item, Topic};
 use super::{RecordingError, bag, ticks_of_nanos, writer};
 
-/// A compression of other programs, that no damage makes of one of ours.
+/// A compression of other programs, whose name no damage makes from one of ours.
 const ZSTD: &str = "zstd";
 
-/// Something in the file.
+/// A message or a damage of the file.
 pub enum Event<'a> {
     /// A message.
     Message(Message<'a>),
-    /// Something cannot be read, or contradicts the rest.
+    /// A part cannot be read, or contradicts the rest.
     Damage(Damage),
 }
 
 /// A topic of the file.
 #[derive(Debug)]
 pub struct Channel {
-    /// As the file describes it.
+    /// Description in the file.
     pub described: records::Channel,
-    /// Name of the type of its messages, e.g. `sensor_msgs/msg/Imu`; empty if the file does
-    /// not say.
+    /// Name of the type of its messages, for example `sensor_msgs/msg/Imu`; empty if the file
+    /// does not state it.
     pub kind: String,
-    /// The topic of that name, if it is one of ours.
+    /// The topic with that name, if this program knows it.
     pub known: Option<Topic>,
 }
 
-/// A message as it stands in the file.
+/// A message as bytes.
 pub struct Message<'a> {
-    /// Its topic.
+    /// Topic.
     pub channel: &'a Channel,
-    /// Times and number.
+    /// Times (ns) and running number.
     pub header: MessageHeader,
-    /// Its bytes.
+    /// CDR form of the content.
     pub data: &'a [u8],
 }
 
 impl Message<'_> {
-    /// Board time.
+    /// Returns the board time.
     #[must_use]
     pub fn at(&self) -> Ticks {
         ticks_of_nanos(self.header.log_time)
     }
 
-    /// The message of one of our topics; `None` of any other.
+    /// Decodes a message of one of our topics; returns `None` for any other topic.
     ///
     /// # Errors
     ///
-    /// It is not of its topic's type.
+    /// Returns an error if the message is not of its topic's type.
     #[must_use]
     pub fn item(&self) -> Option<Result<Item, CdrError>> {
         Some(self.channel.known?.read(self.data))
     }
 }
 
-/// A file that is being walked.
+/// Position in a file that is being walked.
 pub struct Walk {
     scan: Scan,
     path: PathBuf,
-    /// What it was opened by: the file, or its folder.
+    /// Path that it was opened by: the file, or its folder.
     given: PathBuf,
     topics: Topics,
     ended: bool,
 }
 
-/// What the file has said about its topics, and of its messages.
+/// Topics and statistics of the file so far.
 #[derive(Default)]
 struct Topics {
     channels: HashMap<u16, Channel>,
-    /// Names of types.
+    /// Names of types, by the numbers of their schemas.
     schemas: HashMap<u16, String>,
-    /// The topics are taken from this program, not from the file.
+    /// True if the topics of this program are assumed.
     assumed: bool,
-    /// Messages that were read, and by the file's statistics.
+    /// Messages that were read.
     messages: u64,
+    /// Messages by the file's statistics.
     counted: u64,
 }
 
-/// Takes what is read.
+/// Receives what is read.
 type Each<'e> = &'e mut dyn FnMut(Event<'_>);
 
 impl Walk {
-    /// Begins at the front of the recording or bag in a folder, or of an MCAP file.
+    /// Opens the recording or bag in a folder, or an MCAP file.
     ///
     /// # Errors
     ///
-    /// There is none ([`bag::mcap_in`]), or the file cannot be opened.
+    /// Returns an error if there is none ([`bag::mcap_in`]) or if the file cannot be opened.
     pub fn open(folder_or_file: &Path, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         let path = bag::mcap_in(folder_or_file)?;
         let scan = Scan::open(&path, monitor).map_err(RecordingError::io("read", &path))?;
@@ -127,11 +128,13 @@ impl Walk {
         })
     }
 
-    /// Gives the next part of the file to `each`, in pieces; false after the last.
+    /// Passes the messages and damages of the next part of the file to `each`; returns false
+    /// after the last part.
     ///
     /// # Errors
     ///
-    /// The file cannot be read, or is no MCAP file at all. Damage is no error.
+    /// Returns an error if the file cannot be read, is no MCAP file at all, or is compressed with
+    /// Zstandard. Damage is not an error.
     pub fn next_part(&mut self, each: Each<'_>) -> Result<bool, RecordingError> {
         if self.ended {
             return Ok(false);
@@ -155,13 +158,13 @@ impl Walk {
         Ok(!self.ended)
     }
 
-    /// The file as bytes, as far as it was read.
+    /// Returns the state of the file as bytes, as far as it was read.
     #[must_use]
     pub const fn report(&self) -> &FileReport {
         &self.scan.report
     }
 
-    /// The topics so far, with messages or without.
+    /// Iterates over the topics described so far, with or without messages.
     pub fn topics(&self) -> impl Iterator<Item = &Channel> {
         self.topics.channels.values()
     }
@@ -193,8 +196,8 @@ impl Walk {
                     each(Event::Damage(Damage::ChunkEnd { bytes }));
                 }
             }
-            // Whoever makes chunks packs every message into one: a message outside of them,
-            // without a checksum, is most likely another record that was damaged.
+            // A writer of chunks puts every message into one: a message outside, without a
+            // checksum, is most likely another record that was damaged.
             Piece::Record(op::MESSAGE, _) if self.scan.report.chunks > 0 => {
                 each(Event::Damage(Damage::OutsideChunk));
             }
@@ -219,7 +222,7 @@ impl Topics {
                 let schema = self.schemas.get(&described.schema_id);
                 let channel = Channel {
                     kind: schema.cloned().unwrap_or_default(),
-                    known: Topic::of(&described.topic),
+                    known: Topic::from_name(&described.topic),
                     described,
                 };
                 self.channels.insert(channel.described.id, channel);
@@ -251,7 +254,7 @@ impl Topics {
         }));
     }
 
-    /// Takes the topics that this program describes, always the same ones in the same order:
+    /// Assumes the topics of this program, which are always the same in the same order, because
     /// the chunk that describes those of the file is damaged.
     fn assume(&mut self, each: Each<'_>) {
         self.assumed = true;

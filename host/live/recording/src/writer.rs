@@ -1,16 +1,14 @@
 //! Writes `recording.mcap` so that a kill loses at most a second.
 //!
-//! A chunk is closed and handed to the system whenever half a second of board
-//! time or of the host's time has passed since the last one, whichever comes
-//! first (the caller gives the latter: on a simulated rig it is virtual). Chunks are built in memory
-//! and written in one go, so what a kill leaves is whole chunks, and perhaps the
-//! beginning of one. Once a second the file is also pushed to the disk
-//! (`fdatasync`), against power loss; the link has a thread of its own, so a slow
-//! disk does not stall the board.
+//! A chunk is closed and handed to the operating system whenever half a second of board time or
+//! of the host's time has passed since the last one, whichever comes first (the caller passes
+//! the latter: on a simulated rig it is virtual). Chunks are built in memory and written in one
+//! call, so a kill leaves whole chunks, and perhaps the beginning of one. Once a second the file
+//! is also synchronised with the disk (`fdatasync`), against power loss; the link has a thread
+//! of its own, so a slow disk does not stall the board.
 //!
-//! `log_time` and `publish_time` are board time in nanoseconds. Ticks of 20.83 ns
-//! round to different nanoseconds, so `round(ns · 6 / 125)` gives them back
-//! exactly.
+//! `log_time` and `publish_time` are board time in nanoseconds. Ticks of 20.83 ns round to
+//! different nanoseconds, so `round(ns · 6 / 125)` restores them exactly.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -24,19 +22,18 @@ use super::rosbag2::{self, Bag, options};
 use super::topic::Topic;
 use super::{MCAP_FILE, RecordingError};
 
-/// The longest stretch of board time in one chunk, ticks.
+/// Longest span of board time in one chunk, ticks.
 const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;
 
-/// The longest time on the host's clock before a chunk is closed into which nothing
-/// comes any more.
+/// Longest time on the host's clock before a chunk is closed that receives no more messages.
 const CHUNK_TIME: Duration = Duration::from_millis(500);
 
-/// How often the file is pushed to the disk.
+/// Interval at which the file is synchronised with the disk.
 const SYNC_TIME: Duration = Duration::from_secs(1);
 
 /// Writes a recording's file.
 pub struct Writer {
-    /// With a topic for each of ours, in their order.
+    /// Has all topics, in the order of [`Topic::ALL`].
     bag: Bag<'static>,
     file: File,
     path: PathBuf,
@@ -47,15 +44,15 @@ pub struct Writer {
     pub(crate) wall: WallClock,
 }
 
-/// Tells the time of day.
+/// Returns the time of day.
 pub type WallClock = Box<dyn Fn() -> SystemTime + Send>;
 
 impl Writer {
-    /// Makes the file in a recording's folder.
+    /// Creates the file in a recording's folder.
     ///
     /// # Errors
     ///
-    /// It is there already or cannot be written.
+    /// Returns an error if the file exists already or cannot be written.
     pub fn create(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(MCAP_FILE);
         let io = RecordingError::io("write", &path);
@@ -76,15 +73,14 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Takes the time of day, which is recorded once a second and used for nothing,
-    /// from another clock than the system's.
+    /// Replaces the system's clock as the source of the time of day, which is recorded once a
+    /// second for information.
     pub fn set_wall_clock(&mut self, wall: WallClock) {
         self.wall = wall;
     }
 
-    /// Closes the chunk if it has waited long enough, by the clock that `now` is of,
-    /// since this was called first with something in it. Call it often, also when
-    /// nothing comes.
+    /// Closes the chunk if half a second has passed since the first call with something in it.
+    /// `now` is a reading of any steady clock. To be called often, also without new messages.
     ///
     /// # Errors
     ///
@@ -100,7 +96,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Closes the chunk and hands it to the system.
+    /// Closes the chunk and hands it to the operating system.
     ///
     /// # Errors
     ///
@@ -141,8 +137,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes index and end of the file, `metadata.yaml` beside it, and pushes the file
-    /// to the disk.
+    /// Writes index and end of the file, synchronises it with the disk, and writes
+    /// `metadata.yaml` beside it.
     ///
     /// # Errors
     ///
@@ -155,13 +151,12 @@ impl Writer {
     }
 }
 
-/// What describes the topics of every recording, as the writer makes it: records of types
-/// and topics, among others.
+/// Returns the records that describe the topics of every recording, among others.
 ///
 /// # Errors
 ///
-/// None that is known: it writes into memory.
-pub fn known_topics() -> Result<Chunk, mcap::McapError> {
+/// No error is known: the records are written into memory.
+pub(crate) fn known_topics() -> Result<Chunk, mcap::McapError> {
     let mut bytes = Vec::new();
     bag_of_topics(&mut bytes)?.mcap.finish()?;
     Ok(Chunk(bytes.split_off(mcap::MAGIC.len())))

@@ -1,6 +1,5 @@
 //! Gyroscopes of all devices as streams that can be opened more than once.
 
-use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -78,24 +77,25 @@ fn board<'a>(
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let mut stream = BoardStream::open(board, monitor)?;
     let mut last = span.from.0.saturating_sub(1);
-    let mut marked = BTreeSet::new();
     Ok(Box::new(std::iter::from_fn(move || {
         loop {
-            match stream.next_event() {
+            let sample = match stream.next_event() {
                 Err(error) => return Some(Err(error.into())),
                 Ok(None) => return None,
-                Ok(Some(BoardEvent::Marked(at))) => _ = marked.insert(at),
-                Ok(Some(BoardEvent::Imu(row))) if marked.remove(&row.at) => {}
-                Ok(Some(BoardEvent::Imu(row))) if row.at > span.to => return None,
-                // Windows are cut in order of time.
-                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
-                    last = row.at.0;
-                    return Some(Ok(GyroSample {
-                        at: last,
-                        rate: row.gyro,
-                    }));
-                }
-                Ok(Some(_)) => {}
+                Ok(Some(BoardEvent::Sample(sample))) if !sample.is_marked => sample,
+                Ok(Some(_)) => continue,
+            };
+            let at = sample.stamp.nanos();
+            if at > span.to.0 {
+                return None;
+            }
+            // Windows are cut in order of time.
+            if at > last {
+                last = at;
+                return Some(Ok(GyroSample {
+                    at,
+                    rate: sample.gyro,
+                }));
             }
         }
     })))

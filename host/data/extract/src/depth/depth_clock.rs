@@ -45,12 +45,14 @@ pub(crate) const DEVICE_TICK_NS: f64 = 1e9 / 90_000.0;
 /// A trigger pulse as recorded by the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct PulseTime {
-    /// Number of the train it belongs to.
+    /// Number of its train.
     pub(crate) train: u32,
-    /// Its number in the train, from 0.
+    /// Number in the train, from 0.
     pub(crate) number: u64,
-    /// Time of the rising edge.
+    /// Board time of the rising edge.
     pub(crate) at: BoardNanos,
+    /// Phone time of the edge, ns, by the relation that was known then; 0 if there was none.
+    pub(crate) phone: i64,
 }
 
 /// Independent evidence that singles out one shift by whole periods.

@@ -1,20 +1,20 @@
-//! What the board recorded as one stream of events in board time: from our own
+//! Everything that the board recorded, as one stream of events in board time: from our own
 //! `recording.mcap` (see `docs/formats.md`), or from a bag of the published system that
-//! `rosbags-convert` has made an MCAP file of.
+//! `rosbags-convert` has converted to MCAP.
 //!
 //! | topic of the published system | type | becomes |
 //! |---|---|---|
-//! | `/mcu_imu`, `/mcu_imu_temp` | Imu, Temperature | [`BoardEvent::Imu`], joined by their stamp |
-//! | `/mcu_cameras_ts` | TimeReference | [`BoardEvent::Pulse`] and [`BoardEvent::Times`] |
+//! | `/mcu_imu`, `/mcu_imu_temp` | Imu, Temperature | [`BoardEvent::Sample`] |
+//! | `/mcu_cameras_ts` | TimeReference | [`BoardEvent::Pulse`] |
 //! | `/mcu_lidar_ts`, `/mcu_s10_ts`, `/depth_to_mcu_offset` | TimeReference | [`BoardEvent::Times`] |
 //! | `/sequences_ts` | TimeReference | [`BoardEvent::Mark`] and [`BoardEvent::Times`] |
 //!
-//! It has no trains and no numbers of pulses: the pulses are one train, numbered as they
-//! stand in the bag. Topics below a name space (`/mcu/mcu_imu`) count too.
+//! A bag has neither trains nor numbers of pulses: its pulses are one train, numbered in the
+//! order of the bag. Topics below a name space (`/mcu/mcu_imu`) are read too.
 //!
 //! A stream is read front to back and can be opened again ([`BoardStream::open`]): the
-//! extraction goes over it more than once instead of keeping it in memory. What is damaged
-//! is left out and named; a file that was not closed is read to its last whole chunk.
+//! extraction reads it more than once instead of keeping it in memory. Damaged parts are left
+//! out and reported; a file that was not closed is read to its last whole chunk.
 
 use std::collections::{HashMap, VecDeque};
 use std::mem::{Discriminant, discriminant};
@@ -23,7 +23,8 @@ use std::sync::Arc;
 
 use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
 use protocol::Ticks;
-use recording::messages::{self, Imu, RosMessage, Temperature, TimeReference, from_cdr};
+use recording::messages::{self, RosMessage, Time, TimeReference, from_cdr};
+use recording::samples::{RecordedSample, SampleJoiner};
 use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
 use twist_sync::tracker::{Asked, Exchange};
@@ -33,14 +34,11 @@ use crate::faults::Faults;
 use crate::time::BoardNanos;
 use system::ReadMonitor;
 
-/// How many samples wait for their temperature.
-const WAITING: usize = 64;
-
-/// How many faults are kept with their text.
+/// Most faults that are kept with their text.
 const MAX_FAULTS: usize = 50;
 
-/// Topics whose messages become nothing, and so are not even decoded.
-const PASSED_OVER: [Topic; 6] = [
+/// Topics that the extraction has no use for; their messages are not decoded.
+const UNUSED: [Topic; 6] = [
     Topic::Capture,
     Topic::Status,
     Topic::Link,
@@ -49,83 +47,67 @@ const PASSED_OVER: [Topic; 6] = [
     Topic::Log,
 ];
 
-/// One sample of the board's IMU.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ImuRow {
-    /// The data-ready edge; the filter's delay is not subtracted.
-    pub(crate) at: BoardNanos,
-    /// rad/s.
-    pub(crate) gyro: [f64; 3],
-    /// m/s².
-    pub(crate) accel: [f64; 3],
-    /// °C.
-    pub(crate) temperature: Option<f64>,
-}
-
-/// What a pair of times is of.
+/// Subject of a pair of times.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Reference {
-    /// The trigger, and the phone.
-    Cameras,
     /// The depth camera's clock, as the published system measures it.
     DepthOffset,
-    /// A pulse per second, and the UTC that a lidar was told.
+    /// A pulse per second, and the UTC that was sent to a lidar.
     Lidar,
-    /// The relation of phone and board.
+    /// The relation of the clocks of phone and board.
     Phone,
-    /// A pulse of an auxiliary output; the sensor's name.
+    /// A pulse of an auxiliary output, by the sensor's name.
     Output(Arc<str>),
-    /// A mark.
+    /// A mark of the user.
     Sequences,
 }
 
 impl Reference {
-    /// The sensor's name, if a sensor gets these pulses; `lidar` is that of the lidar.
+    /// Returns the name of the sensor that gets these pulses, if there is one; `lidar` is the
+    /// name of the lidar.
     pub(crate) fn sensor<'a>(&'a self, lidar: Option<&'a str>) -> Option<&'a str> {
         match self {
             Self::Lidar => Some(lidar.unwrap_or("gnss")),
             Self::Output(name) => Some(name),
-            Self::Cameras | Self::DepthOffset | Self::Phone | Self::Sequences => None,
+            Self::DepthOffset | Self::Phone | Self::Sequences => None,
         }
     }
 }
 
-/// A pair of times of one instant.
+/// One instant in board time and in another time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TimePair {
-    /// What it is of.
+    /// Subject.
     pub(crate) of: Reference,
-    /// Its number among those of its kind in the file.
+    /// Number among the pairs of its kind in the file, from 0.
     pub(crate) seq: u32,
     /// Board time.
     pub(crate) stamp: BoardNanos,
-    /// The other time, in ns.
+    /// The other time, ns.
     pub(crate) other: i64,
 }
 
-/// Something that the board recorded.
+/// An event that the board recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum BoardEvent {
     /// A sample of the IMU.
-    Imu(ImuRow),
-    /// The sample of this time, which follows, is marked as late or at the end of its range.
-    Marked(BoardNanos),
+    Sample(RecordedSample),
     /// A trigger pulse.
     Pulse(PulseTime),
-    /// The beginning of a sequence.
+    /// A mark of the user: a sequence begins.
     Mark(BoardNanos),
     /// A pair of times.
     Times(TimePair),
-    /// A relation of phone and board that the session found: of the phone that the
-    /// trigger was aligned to, or of another one by its name.
+    /// A relation of the clocks of phone and board that the session found: of the phone that
+    /// the trigger was aligned to (`None`), or of another one by its name.
     Clock(Option<String>, ClockRelation),
-    /// A clock was asked for its time: the phone's or, as a, the board's.
+    /// A clock was asked for its time: the board's ([`Asked::A`]) or the phone's.
     Exchange(Asked, Exchange),
-    /// The file is of the published system; given once.
+    /// The file is a bag of the published system; sent once.
     Published,
 }
 
-/// Events one after the other.
+/// Reads the events one after the other.
 pub(crate) struct BoardStream {
     walk: Walk,
     sorter: Sorter,
@@ -133,29 +115,31 @@ pub(crate) struct BoardStream {
 
 struct Sorter {
     events: VecDeque<BoardEvent>,
-    /// Samples whose temperature has not come yet.
-    waiting: VecDeque<ImuRow>,
-    /// How many pairs of times there were of each kind.
+    samples: SampleJoiner,
+    /// Pulses of the trigger in a bag of the published system.
+    pulses: u64,
+    /// Pairs of times of each kind.
     counts: HashMap<Discriminant<Reference>, u32>,
-    /// The relation of the clocks that was known last.
+    /// The last known relation of the clocks.
     clock: Option<ClockRelation>,
-    /// The file is of the published system.
+    /// True if the file is a bag of the published system.
     published: bool,
     faults: Faults,
 }
 
 impl BoardStream {
-    /// Begins at the front of an MCAP file.
+    /// Opens an MCAP file.
     ///
     /// # Errors
     ///
-    /// Fails if it cannot be opened.
+    /// Returns an error if it cannot be opened.
     pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         Ok(Self {
             walk: Walk::open(path, monitor)?,
             sorter: Sorter {
                 events: VecDeque::new(),
-                waiting: VecDeque::new(),
+                samples: SampleJoiner::default(),
+                pulses: 0,
                 counts: HashMap::new(),
                 clock: None,
                 published: false,
@@ -164,11 +148,12 @@ impl BoardStream {
         })
     }
 
-    /// The next event; `None` at the end.
+    /// Returns the next event; `None` at the end.
     ///
     /// # Errors
     ///
-    /// Reading fails. Damage is no error: see [`BoardStream::damage`].
+    /// Returns an error if reading fails. Damage is not an error: see
+    /// [`BoardStream::damage`].
     pub(crate) fn next_event(&mut self) -> Result<Option<BoardEvent>, RecordingError> {
         loop {
             if let Some(event) = self.sorter.events.pop_front() {
@@ -183,7 +168,8 @@ impl BoardStream {
                 _ => {}
             })?;
             if !more {
-                sorter.release(0);
+                let left = sorter.samples.drain().map(BoardEvent::Sample);
+                sorter.events.extend(left);
                 if sorter.events.is_empty() {
                     return Ok(None);
                 }
@@ -191,7 +177,7 @@ impl BoardStream {
         }
     }
 
-    /// What could not be read so far, in words.
+    /// Returns the damage so far, in words.
     pub(crate) fn damage(&self) -> Vec<String> {
         self.sorter.faults.summary("damaged parts")
     }
@@ -200,7 +186,7 @@ impl BoardStream {
 impl Sorter {
     fn message(&mut self, message: &Message<'_>) {
         let read = match message.channel.known {
-            Some(topic) if PASSED_OVER.contains(&topic) => Ok(()),
+            Some(topic) if UNUSED.contains(&topic) => Ok(()),
             Some(topic) => match topic.read(message.data) {
                 Ok(item) => {
                     self.item(item);
@@ -217,17 +203,20 @@ impl Sorter {
         }
     }
 
-    /// A message of one of our topics.
+    /// Sorts a message of one of our topics.
     fn item(&mut self, item: Item) {
         match item {
-            Item::Imu(imu) => self.sample(&imu),
-            Item::Temperature(value) => self.temperature(&value),
+            Item::ImuFlags(flags) => self.samples.add_flags(&flags),
+            Item::Imu(imu) => self.samples.add_imu(&imu),
+            Item::Temperature(value) => self.samples.add_temperature(&value),
             Item::Pulse(pulse) => {
-                let at = stamp(&pulse.header);
                 let phone = |clock: ClockRelation| clock.ticks_to_phone(Ticks(pulse.ticks)).0;
-                let phone = self.clock.map_or(0, phone);
-                self.pair(Reference::Cameras, at, phone);
-                self.pulse(pulse.train, pulse.number, at);
+                self.events.push_back(BoardEvent::Pulse(PulseTime {
+                    train: pulse.train,
+                    number: pulse.number,
+                    at: stamp(&pulse.header),
+                    phone: self.clock.map_or(0, phone),
+                }));
             }
             Item::Marker(times) => self.mark(&times),
             Item::Output(pulse) => {
@@ -249,32 +238,32 @@ impl Sorter {
                 let name = Some(model.header.frame_id);
                 self.events.push_back(BoardEvent::Clock(name, relation));
             }
-            Item::ImuFlags(flags) if flags.late || flags.saturated => {
-                let at = stamp(&flags.header);
-                self.events.push_back(BoardEvent::Marked(at));
-            }
-            Item::ImuFlags(_)
-            | Item::Capture(_)
+            Item::Capture(_)
             | Item::Status(_)
             | Item::Link(_)
             | Item::HostTime(_)
             | Item::Period(_)
             | Item::Log(_) => {}
         }
+        self.release_samples();
     }
 
-    /// A message of the published system, or one of another topic, which is passed over.
+    /// Sorts a message of the published system; those of other topics are ignored.
     fn published(&mut self, message: &Message<'_>) -> Result<(), String> {
         let topic = &message.channel.described.topic;
         let name = topic.rsplit('/').next().unwrap_or(topic);
         match name {
-            "mcu_imu" => self.sample(&read(message)?),
-            "mcu_imu_temp" => self.temperature(&read(message)?),
+            "mcu_imu" => self.samples.add_imu(&read(message)?),
+            "mcu_imu_temp" => self.samples.add_temperature(&read(message)?),
             "mcu_cameras_ts" => {
                 let times: TimeReference = read(message)?;
-                let number = *self.count(&Reference::Cameras);
-                self.pulse(0, number.into(), stamp(&times.header));
-                self.times(Reference::Cameras, &times);
+                self.events.push_back(BoardEvent::Pulse(PulseTime {
+                    train: 0,
+                    number: self.pulses,
+                    at: stamp(&times.header),
+                    phone: times.time_ref.nanos(),
+                }));
+                self.pulses += 1;
             }
             "mcu_lidar_ts" => self.times(Reference::Lidar, &read(message)?),
             "mcu_s10_ts" => self.times(Reference::Phone, &read(message)?),
@@ -282,16 +271,12 @@ impl Sorter {
             "sequences_ts" => self.mark(&read(message)?),
             _ => return Ok(()),
         }
+        self.release_samples();
         if !self.published {
             self.published = true;
             self.events.push_back(BoardEvent::Published);
         }
         Ok(())
-    }
-
-    fn pulse(&mut self, train: u32, number: u64, at: BoardNanos) {
-        let pulse = PulseTime { train, number, at };
-        self.events.push_back(BoardEvent::Pulse(pulse));
     }
 
     fn mark(&mut self, times: &TimeReference) {
@@ -300,46 +285,17 @@ impl Sorter {
         self.times(Reference::Sequences, times);
     }
 
-    fn sample(&mut self, imu: &Imu) {
-        self.waiting.push_back(ImuRow {
-            at: stamp(&imu.header),
-            gyro: imu.angular_velocity,
-            accel: imu.linear_acceleration,
-            temperature: None,
-        });
-        self.release(WAITING);
-    }
-
-    fn temperature(&mut self, value: &Temperature) {
-        let at = stamp(&value.header);
-        if let Some(row) = self.waiting.iter_mut().find(|row| row.at == at) {
-            row.temperature = Some(value.temperature);
-        }
-        let complete = self
-            .waiting
-            .iter()
-            .take_while(|row| row.temperature.is_some());
-        let rows = self.waiting.drain(..complete.count());
-        self.events.extend(rows.map(BoardEvent::Imu));
-    }
-
-    /// Lets samples go on without a temperature, down to `keep` that wait.
-    fn release(&mut self, keep: usize) {
-        let go = self.waiting.len().saturating_sub(keep);
-        let rows = self.waiting.drain(..go);
-        self.events.extend(rows.map(BoardEvent::Imu));
+    fn release_samples(&mut self) {
+        let ready = std::iter::from_fn(|| self.samples.next_ready());
+        self.events.extend(ready.map(BoardEvent::Sample));
     }
 
     fn times(&mut self, of: Reference, times: &TimeReference) {
         self.pair(of, stamp(&times.header), times.time_ref.nanos());
     }
 
-    fn count(&mut self, of: &Reference) -> &mut u32 {
-        self.counts.entry(discriminant(of)).or_default()
-    }
-
     fn pair(&mut self, of: Reference, stamp: BoardNanos, other: i64) {
-        let count = self.count(&of);
+        let count = self.counts.entry(discriminant(&of)).or_default();
         let seq = *count;
         *count = seq.wrapping_add(1);
         let pair = TimePair {
@@ -352,7 +308,7 @@ impl Sorter {
     }
 }
 
-/// A message of a topic that is not one of ours, whose type the file states.
+/// Reads a message of a topic that is not one of ours, after a check of its type.
 fn read<M: RosMessage>(message: &Message<'_>) -> Result<M, String> {
     let kind = &message.channel.kind;
     if kind != M::TYPE {
@@ -362,7 +318,12 @@ fn read<M: RosMessage>(message: &Message<'_>) -> Result<M, String> {
 }
 
 fn stamp(header: &messages::Header) -> BoardNanos {
-    BoardNanos(header.stamp.nanos())
+    board_time(header.stamp)
+}
+
+/// Returns the stamp of a message as board time.
+pub(crate) fn board_time(stamp: Time) -> BoardNanos {
+    BoardNanos(stamp.nanos())
 }
 
 fn relation(model: &messages::ClockModel) -> ClockRelation {
@@ -377,9 +338,10 @@ fn relation(model: &messages::ClockModel) -> ClockRelation {
 }
 
 fn exchange_of(exchange: &messages::ClockExchange) -> BoardEvent {
-    let asked = match exchange.header.frame_id == "board" {
-        true => Asked::A,
-        false => Asked::B,
+    let asked = if exchange.header.frame_id == "board" {
+        Asked::A
+    } else {
+        Asked::B
     };
     let seconds = |nanos| PhoneNanos(nanos).seconds().0;
     let exchange = Exchange {

@@ -129,8 +129,10 @@ impl Collector {
     fn add(&mut self, event: BoardEvent) {
         let out = &mut self.out;
         match event {
-            BoardEvent::Imu(row) => out.imu.add(row.at.0),
-            BoardEvent::Marked(_) => out.imu.marked += 1,
+            BoardEvent::Sample(sample) => {
+                out.imu.add(sample.stamp.nanos());
+                out.imu.marked += u64::from(sample.is_marked);
+            }
             BoardEvent::Published => out.published = true,
             BoardEvent::Pulse(_) | BoardEvent::Times(_) | BoardEvent::Exchange(..)
                 if self.room == 0 =>

@@ -19,8 +19,7 @@ use std::path::Path;
 
 use super::noise::Noise;
 use super::offset::{moved, write_offset};
-use super::{DataSetInfo, ImageKind, ImuTable, Layout, SequenceTables, number};
-use crate::inputs::board_data::ImuRow;
+use super::{DataSetInfo, ImageKind, ImuRow, ImuTable, Layout, SequenceTables, number};
 use crate::output::whole_file::write_whole;
 use crate::time::{BoardNanos, in_name};
 

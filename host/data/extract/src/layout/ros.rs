@@ -24,8 +24,7 @@ use recording::profile::{DistortionModel, Intrinsics};
 use recording::rosbag2::{Bag, METADATA_FILE};
 
 use super::offset::{moved, write_offset};
-use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
-use crate::inputs::board_data::ImuRow;
+use super::{DataSetInfo, ImageKind, ImageRow, ImuRow, ImuTable, Layout, SequenceTables, parts};
 use crate::output::png_file::{Decoded, read_png};
 use crate::output::whole_file::{WholeFile, write_whole};
 use crate::time::BoardNanos;

@@ -17,8 +17,10 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
-use crate::inputs::board_data::{ImuRow, Reference};
+use super::{
+    DataSetInfo, ImageKind, ImageRow, ImuRow, ImuTable, Layout, SequenceTables, push_sample,
+};
+use crate::inputs::board_data::Reference;
 use crate::output::tables::write_rows;
 
 /// The layout of the published extractor.
@@ -62,7 +64,6 @@ impl Layout for Topics {
 
     fn times_name(&self, of: &Reference, _lidar: Option<&str>) -> Option<String> {
         Some(match of {
-            Reference::Cameras => String::from("/mcu_cameras_ts"),
             Reference::DepthOffset => String::from("/depth_to_mcu_offset"),
             Reference::Lidar => String::from("/mcu_lidar_ts"),
             Reference::Phone => String::from("/mcu_s10_ts"),
@@ -81,6 +82,12 @@ impl Layout for Topics {
         transformation(folder, &tables.depth)?;
         transformation(folder, &tables.infrared)?;
         transformation(folder, &tables.camera)?;
+        if !tables.pulses.is_empty() {
+            let rows = tables.pulses.iter();
+            let rows = rows.map(|(seq, pulse)| (*seq, pulse.at, pulse.phone));
+            let path = folder.join("_mcu_cameras_ts").join("time_ref.csv");
+            write_rows(&path, "", rows)?;
+        }
         for (of, name) in &tables.names {
             let pairs = tables.times.iter().filter(|pair| pair.of == **of);
             let rows = pairs.map(|pair| (pair.seq, pair.stamp, pair.other));

@@ -11,9 +11,8 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::{DataSetInfo, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
+use super::{DataSetInfo, ImageKind, ImageRow, ImuRow, ImuTable, Layout, SequenceTables};
 use crate::frames::pairs;
-use crate::inputs::board_data::ImuRow;
 use crate::output::png_file::depth_to_tum;
 use crate::output::whole_file::write_whole;
 use crate::time::{BoardNanos, SECOND, decimal_seconds, seconds_in_name};

@@ -10,8 +10,7 @@ use rayon::prelude::*;
 
 use super::sequences::Sequences;
 use super::whole_file::WholeFile;
-use crate::inputs::board_data::ImuRow;
-use crate::layout::ImuTable;
+use crate::layout::{ImuRow, ImuTable};
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap};
 use phone::samples::PhoneSample;
 

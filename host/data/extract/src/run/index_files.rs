@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::Extraction;
+use crate::depth::depth_clock::PulseTime;
 use crate::error::ExtractError;
 use crate::frames::pairs::Pair;
 use crate::frames::{CameraFrame, ColorFrame, DepthFrame};
@@ -15,6 +16,7 @@ use crate::report::SequenceReport;
 
 /// Tables and written images of all sequences.
 pub(super) struct Written<'a> {
+    pub(super) pulses: &'a [PulseTime],
     pub(super) times: &'a [TimePair],
     pub(super) color: &'a [ColorFrame],
     pub(super) depth: &'a [DepthFrame],
@@ -152,6 +154,9 @@ impl Extraction<'_> {
             color.zip(depth)
         };
         tables.pairs = written.pairs.iter().filter_map(place).collect();
+        let pulses = written.pulses.iter().enumerate();
+        let pulses = pulses.filter(|(_, pulse)| sequences.at(pulse.at) == sequence);
+        tables.pulses = pulses.collect();
         let of_this = |pair: &&TimePair| sequences.at(pair.stamp) == sequence;
         tables.times = written.times.iter().filter(of_this).collect();
         tables

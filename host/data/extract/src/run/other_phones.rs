@@ -52,6 +52,7 @@ impl Extraction<'_> {
             };
             // Depth, board and the pairs of images are with the first phone.
             let written = Written {
+                pulses: &[],
                 times: &[],
                 color,
                 depth: &[],

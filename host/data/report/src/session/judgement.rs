@@ -11,7 +11,7 @@ use board::finding::{EventKind, Finding, Severity};
 use clock::PhoneNanos;
 use phone::adb::get_files_command;
 use phone::video_files::{self, VideoFiles};
-use recording::folder::{bytes_of, depth_recordings};
+use recording::depth_files::{bytes_of, depth_recordings};
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, Span,
 };

@@ -1,10 +1,10 @@
-//! Images and what is known of a camera, for data sets.
+//! Images and intrinsics of a camera, for data sets.
 
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::{HEADER, Header, RosMessage, TIME};
 
-/// Bytes as one piece: the same form as a list of them, without a look at each.
+/// Serialises bytes in one piece, which has the same form as a list and is faster.
 fn as_bytes<S: Serializer>(bytes: &[u8], to: S) -> Result<S::Ok, S::Error> {
     to.serialize_bytes(bytes)
 }
@@ -12,19 +12,19 @@ fn as_bytes<S: Serializer>(bytes: &[u8], to: S) -> Result<S::Ok, S::Error> {
 /// `sensor_msgs/msg/Image`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
-    /// Time and camera.
+    /// Board time, and name of the camera.
     pub header: Header,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
     /// `rgb8`, `16UC1`, `mono16`.
     pub encoding: String,
-    /// 0: the low byte comes first.
+    /// 0: little-endian.
     pub is_bigendian: u8,
     /// Bytes of a row.
     pub step: u32,
-    /// The rows.
+    /// Pixels, row by row.
     #[serde(serialize_with = "as_bytes")]
     pub data: Vec<u8>,
 }
@@ -38,11 +38,11 @@ impl RosMessage for Image {
 /// `sensor_msgs/msg/CompressedImage`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CompressedImage {
-    /// Time and camera.
+    /// Board time, and name of the camera.
     pub header: Header,
     /// `jpeg`.
     pub format: String,
-    /// The file.
+    /// Content of the file.
     #[serde(serialize_with = "as_bytes")]
     pub data: Vec<u8>,
 }
@@ -59,26 +59,26 @@ pub struct RegionOfInterest {
     pub x_offset: u32,
     /// First row.
     pub y_offset: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Whether it is rectified by itself.
+    /// True if this region alone is rectified.
     pub do_rectify: bool,
 }
 
-/// `sensor_msgs/msg/CameraInfo`. A `k` of zeros: intrinsics are not known.
+/// `sensor_msgs/msg/CameraInfo`. A `k` of zeros: the intrinsics are unknown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraInfo {
-    /// Time and camera, as its image has them.
+    /// Board time and name of the camera, as in its image.
     pub header: Header,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
     /// `plumb_bob`, `rational_polynomial`, `equidistant`.
     pub distortion_model: String,
-    /// Its coefficients, in OpenCV's order.
+    /// Coefficients of the distortion, in OpenCV's order.
     pub d: Vec<f64>,
     /// Intrinsics by rows.
     pub k: [f64; 9],

@@ -1,6 +1,5 @@
-//! What the values of a profile may be.
-//!
-//! The first that is wrong is reported, in the order of the checks here.
+//! Checks the values of a profile. The first wrong value is reported, in the order of the checks
+//! here.
 
 use std::ops::RangeInclusive;
 
@@ -11,13 +10,13 @@ use crate::camera::Model;
 
 use super::{Depth, Learnt, Lidar, Phone, Profile, ProfileError, TriggerOutput};
 
-/// A key of a table, its value, what it may be at least and at most, and the unit.
+/// Key of a table, its value, the accepted range, and the unit.
 type Row = (&'static str, f64, RangeInclusive<f64>, &'static str);
 
-/// For spans of time in µs.
+/// Accepted spans of time, µs.
 const SPAN: RangeInclusive<f64> = 0.0..=1e6;
 
-/// For differences of times in µs.
+/// Accepted differences of times, µs.
 const SIGNED: RangeInclusive<f64> = -1e6..=1e6;
 
 fn check_outputs(outputs: &[TriggerOutput]) -> Result<(), ProfileError> {
@@ -187,7 +186,7 @@ fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
 }
 
 impl Profile {
-    /// Whether each value is one that it may have.
+    /// Checks that each value is within its accepted range.
     pub(crate) fn check(&self) -> Result<(), ProfileError> {
         check_outputs(&self.outputs)?;
         if let Some(lidar) = &self.lidar {
@@ -214,11 +213,11 @@ impl Profile {
         self.imu_config().map(drop)
     }
 
-    /// Settings of the board's IMU.
+    /// Returns the settings of the board's IMU.
     ///
     /// # Errors
     ///
-    /// The sensor has no such setting.
+    /// Returns an error if the sensor has no such setting.
     pub fn imu_config(&self) -> Result<ImuConfig, ProfileError> {
         let imu = &self.imu;
         let divider = Some(imu.rate_hz)
@@ -237,13 +236,13 @@ impl Profile {
     }
 }
 
-/// The sensor's setting that a number in a profile stands for.
+/// Returns the sensor's setting for a number in a profile.
 fn setting<T: Copy>(key: &str, number: u32, settings: &[(u32, T)]) -> Result<T, ProfileError> {
     let setting = board::imu::setting(number, settings);
     setting.map_err(|expected| wrong(key, number.to_string(), expected))
 }
 
-/// Refuses the first value of a table that is out of its bounds.
+/// Refuses the first value of a table that is out of its range.
 pub(super) fn within(table: &str, rows: &[Row]) -> Result<(), ProfileError> {
     for (key, value, bounds, unit) in rows {
         if !bounds.contains(value) {

@@ -1,4 +1,4 @@
-//! A profile as the text that its user wrote, to put something into it.
+//! Changes the text of a profile and keeps its comments and order.
 
 use std::path::Path;
 
@@ -7,11 +7,11 @@ use toml_edit::{DocumentMut, Item, Table, TomlError};
 use super::error::syntax;
 use super::{Profile, ProfileError};
 
-/// A profile, and its text to be written into: comments and order stay.
+/// Parses a profile, and its text as a document that keeps comments and order.
 ///
 /// # Errors
 ///
-/// The text is no valid profile.
+/// Returns an error if the text is not a valid profile.
 pub fn open(text: &str, path: &Path) -> Result<(Profile, DocumentMut), ProfileError> {
     let profile = Profile::parse(text, Some(path))?;
     let document = text
@@ -20,25 +20,25 @@ pub fn open(text: &str, path: &Path) -> Result<(Profile, DocumentMut), ProfileEr
     Ok((profile, document))
 }
 
-/// The table of the phone of this name; without one, it is `[phone]`.
+/// Returns the table of the phone with this name; without a name, `[phone]`.
 ///
 /// # Errors
 ///
-/// It is no table.
+/// Returns an error if it is not a table.
 pub fn phone_table<'a>(
     document: &'a mut DocumentMut,
     profile: &Profile,
     name: Option<&str>,
     path: &Path,
 ) -> Result<&'a mut Table, ProfileError> {
-    // One phone is meant whatever it was called at the time.
+    // A single phone is meant whatever its name was at the time.
     let name = name.filter(|_| !profile.phones.is_empty());
-    let is_it = |table: &Table| table.get("name").and_then(|name| name.as_str()) == name;
+    let has_name = |table: &Table| table.get("name").and_then(|name| name.as_str()) == name;
     let place = document
         .get("phones")
         .and_then(|phones| phones.as_array_of_tables())
         .filter(|_| name.is_some())
-        .and_then(|phones| phones.iter().position(is_it));
+        .and_then(|phones| phones.iter().position(has_name));
     match place {
         Some(place) => document
             .get_mut("phones")
@@ -49,7 +49,7 @@ pub fn phone_table<'a>(
     }
 }
 
-/// Sets a key of a table; the comments before and after its old value stay.
+/// Sets a key of a table; the comments around its old value stay.
 pub fn set(table: &mut Table, key: &str, mut new: Item) {
     let Some(old) = table.get_mut(key) else {
         table.insert(key, new);
@@ -61,11 +61,11 @@ pub fn set(table: &mut Table, key: &str, mut new: Item) {
     *old = new;
 }
 
-/// The table of this name, which is added if it is missing.
+/// Returns the table with this name, which is added if it is missing.
 ///
 /// # Errors
 ///
-/// It is no table.
+/// Returns an error if it is not a table.
 pub fn table<'a>(
     document: &'a mut DocumentMut,
     name: &str,

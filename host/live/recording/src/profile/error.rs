@@ -1,8 +1,8 @@
-//! Why a profile cannot be used, with the file and the line.
+//! Errors of a profile, with file and line.
 
 use std::path::{Path, PathBuf};
 
-/// Why a profile cannot be used.
+/// Reason why a profile cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
     /// The file cannot be read.
@@ -10,29 +10,29 @@ pub enum ProfileError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the operating system.
         reason: String,
     },
-    /// It is no profile.
+    /// The text is not a profile.
     #[error("the rig profile{} is not valid: {reason}", in_file(.path.as_deref()))]
     Syntax {
-        /// The file, if it came from one.
+        /// The file, if the text came from one.
         path: Option<PathBuf>,
-        /// Line, key, and what was expected.
+        /// Line, key, and expected content.
         reason: String,
     },
     /// A value is out of its range.
     #[error("in the rig profile{}, `{key}` is {found}, expected {expected}", place(.path.as_deref(), *.line))]
     Value {
-        /// The file, if it came from one.
+        /// The file, if the text came from one.
         path: Option<PathBuf>,
-        /// Its line, counted from 1, if the value is written there.
+        /// Line of the value, from 1, if the text has the value.
         line: Option<usize>,
-        /// The key with its tables.
+        /// Key with its tables, for example `phone.rows`.
         key: String,
         /// The value.
         found: String,
-        /// What is accepted.
+        /// Accepted values.
         expected: String,
     },
 }
@@ -49,11 +49,11 @@ pub(super) fn syntax(path: Option<&Path>, reason: String) -> ProfileError {
     }
 }
 
-/// A text that has the form of TOML but not that of a profile. What was left out has been
-/// filled in by then, so the line is looked for by the key that is wrong.
+/// Returns the error of a text that is TOML but not a profile. The defaults are filled in by then,
+/// so the line is found by the wrong key.
 pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) -> ProfileError {
-    let said = error.to_string();
-    let reason = said.trim_end();
+    let message = error.to_string();
+    let reason = message.trim_end();
     // "unknown field `rosw`, expected ...", or "... in `phone.rows`".
     let named = |start: &str| Some(reason.split_once(start)?.1.split_once('`')?.0);
     let key = match (named("in `"), named("unknown field `")) {
@@ -68,7 +68,7 @@ pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) 
     syntax(path, format!("{line}{}", reason.replace('\n', " ")))
 }
 
-/// An error with the file and the line that it is in.
+/// Adds file and line to an error.
 pub(super) fn located(mut error: ProfileError, text: &str, file: Option<&Path>) -> ProfileError {
     if let ProfileError::Value {
         path, line, key, ..
@@ -80,8 +80,8 @@ pub(super) fn located(mut error: ProfileError, text: &str, file: Option<&Path>) 
     error
 }
 
-/// The first line, counted from 1, that sets a key: its last name in the table that the
-/// names before it make, in any table if there are none.
+/// Returns the first line, from 1, that sets a key: its last name in the table of the names before
+/// it, in any table if there are none.
 fn line_of(text: &str, key: &str) -> Option<usize> {
     let (table, name) = key.rsplit_once('.').unwrap_or(("", key));
     let mut inside = String::new();

@@ -1,14 +1,14 @@
-//! Where the cameras are and how they see: intrinsics and poses of the rig profile.
+//! Intrinsics and poses of the cameras in the rig profile.
 
 use serde::{Deserialize, Serialize};
 
 use super::ProfileError;
 use super::check::{within, wrong};
 
-/// How far a rotation may be from an orthonormal one, in each product of its rows.
+/// Largest error of each product of two rows of a rotation.
 const ORTHONORMAL: f64 = 1e-3;
 
-/// A direction in an image.
+/// Direction of the readout in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {
@@ -24,7 +24,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// As the profile has it.
+    /// Returns the word in the profile.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -36,24 +36,24 @@ impl Direction {
     }
 }
 
-/// A rigid motion from one frame to another: rows of a 4 × 4 matrix, translation in m.
+/// Rigid transform from one frame to another: rows of a 4 × 4 matrix, translation in m.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose(pub [[f64; 4]; 4]);
 
 impl Pose {
-    /// Rows of the rotation.
+    /// Returns the rows of the rotation.
     #[must_use]
     pub fn rotation(&self) -> [[f64; 3]; 3] {
         [0, 1, 2].map(|row| [0, 1, 2].map(|column| self.0[row][column]))
     }
 
-    /// The translation, m.
+    /// Returns the translation, m.
     #[must_use]
     pub fn translation(&self) -> [f64; 3] {
         [0, 1, 2].map(|row| self.0[row][3])
     }
 
-    /// From rotation and translation.
+    /// Creates a transform from the rows of a rotation and a translation, m.
     #[must_use]
     pub fn new(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Self {
         let row = |row: usize| {
@@ -63,7 +63,7 @@ impl Pose {
         Self([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
     }
 
-    /// The way back.
+    /// Returns the inverse transform.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation();
@@ -73,7 +73,7 @@ impl Pose {
         Self::new(back, turned)
     }
 
-    /// First `other`, then this one.
+    /// Returns the transform that applies `other` first and then this one.
     #[must_use]
     pub fn after(&self, other: &Self) -> Self {
         let cell =
@@ -103,11 +103,11 @@ impl Pose {
     }
 }
 
-/// How a lens bends.
+/// Model of the distortion of a lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DistortionModel {
-    /// Not at all.
+    /// No distortion.
     None,
     /// k1, k2, p1, p2 (Kalibr, OpenCV).
     Radtan,
@@ -118,7 +118,7 @@ pub enum DistortionModel {
 }
 
 impl DistortionModel {
-    /// How many coefficients it has.
+    /// Returns the number of coefficients.
     #[must_use]
     pub const fn coefficients(self) -> usize {
         match self {
@@ -128,7 +128,7 @@ impl DistortionModel {
         }
     }
 
-    /// As the profile has it.
+    /// Returns the word in the profile.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -153,14 +153,14 @@ pub struct Intrinsics {
     pub focal: [f64; 2],
     /// Principal point, pixels.
     pub center: [f64; 2],
-    /// How the lens bends.
+    /// Model of the distortion.
     pub distortion: DistortionModel,
-    /// As many as the distortion has.
+    /// Coefficients of the distortion, in the order of its model.
     pub coefficients: Vec<f64>,
 }
 
 impl Intrinsics {
-    /// Width and height.
+    /// Returns width and height, pixels.
     #[must_use]
     pub const fn size(&self) -> (u32, u32) {
         (self.width, self.height)

@@ -40,7 +40,7 @@ fn the_commented_examples_are_valid_too() {
 }
 
 #[test]
-fn what_is_left_out_has_its_default_and_what_is_unknown_is_an_error() {
+fn missing_keys_have_defaults_and_unknown_keys_are_errors() {
     let profile = Profile::parse("[phone]\naddress = \"10.0.0.7\"\n", None).unwrap();
     assert_eq!(profile.phone.address, "10.0.0.7");
     assert_eq!(profile.phone.rows, 1080);
@@ -113,10 +113,10 @@ fn values_out_of_range_name_their_key_and_what_is_expected() {
 }
 
 #[test]
-fn what_is_expected_is_told_with_its_unit() {
+fn expected_values_are_stated_with_their_unit() {
     let learnt = "[phone.learnt]\nlearnt = 2024-05-17\nframe_period_ns = 33e6\n\
                   frame_period_sigma_ns = 1\nskew = 0.1\n";
-    for (text, told) in [
+    for (text, expected) in [
         (
             "[depth]\npulse_width_us = 5\n",
             "`depth.pulse_width_us` is 5, expected 8 to 10000 (µs)",
@@ -140,7 +140,7 @@ fn what_is_expected_is_told_with_its_unit() {
     ] {
         let error = Profile::parse(text, None).unwrap_err().to_string();
         let (place, error) = error.split_once(", `").unwrap();
-        assert_eq!(format!("`{error}"), told);
+        assert_eq!(format!("`{error}"), expected);
         assert!(place.starts_with("in the rig profile, line "), "{place}");
     }
 }

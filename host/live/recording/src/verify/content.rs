@@ -108,7 +108,7 @@ impl Content {
             }
             Item::ImuFlags(flags) => self.numbers.flags(at, flags),
             Item::Status(status) => {
-                if let Some(counters) = BoardCounters::of(status) {
+                if let Some(counters) = BoardCounters::from_message(status) {
                     self.numbers.status(counters, at, findings);
                 }
             }

@@ -27,6 +27,7 @@ fn train(count: u64, slew: Option<(u64, i64, i64)>) -> Vec<PulseTime> {
             train: 1,
             number,
             at: BoardNanos(at),
+            phone: 0,
         }
     };
     (0..count).map(pulse).collect()
@@ -328,6 +329,7 @@ fn hostile_times_do_not_panic() {
         train: 0,
         number: u64::MAX,
         at: BoardNanos(at),
+        phone: 0,
     })
     .collect();
     let mut sorted = pulses.clone();
