@@ -33,7 +33,7 @@ pub struct Model {
     /// Maker's name of the setting in which it follows the trigger.
     pub sync_mode: String,
     /// The pulse that it follows.
-    pub pulse: Pulse,
+    pub pulse: TriggerPulse,
     /// Rates of the trigger that it accepts beside a phone at 30 frames a second, pulses per
     /// second.
     pub rates: Vec<u32>,
@@ -51,7 +51,7 @@ pub struct Model {
 /// A trigger pulse; all of them are active high, and the rising edge counts.
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Pulse {
+pub struct TriggerPulse {
     /// Length that a new profile gets, µs.
     pub width_us: f64,
     /// Shortest length that the maker allows, µs.

@@ -52,7 +52,7 @@ pub struct Profile {
     /// The depth camera.
     pub depth: Depth,
     /// The board's IMU.
-    pub imu: Imu,
+    pub imu: ImuSettings,
     /// Settings of the alignment.
     pub align: Align,
     /// The measured constant bias.
@@ -294,7 +294,7 @@ pub enum StopSignal {
 /// Settings of the board's IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Imu {
+pub struct ImuSettings {
     /// Samples per second.
     pub rate_hz: u32,
     /// Cut-off frequency of the low-pass filter, Hz.

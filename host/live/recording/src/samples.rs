@@ -3,7 +3,7 @@
 //! A sample is written as up to three messages with one stamp, each of a standard ROS type where
 //! there is one: flags ([`ImuFlags`], only if the sample is unusual), rates and accelerations
 //! ([`Imu`]), and [`Temperature`]. They follow each other in the file, but damage may take any of
-//! them: a sample without a temperature is released once [`WAITING`] later ones have come.
+//! them: a sample without a temperature is released once 64 others wait after it.
 
 use std::collections::VecDeque;
 

@@ -1,7 +1,7 @@
 //! Compares a profile with the model of its depth camera.
 
 use super::Profile;
-use crate::camera::{Center, Mode, Model, Pulse};
+use crate::camera::{Center, Mode, Model, TriggerPulse};
 
 /// Distance, in sigmas, from which a profile's middle of exposure is taken for that of another
 /// mode or camera. The published rig's hand-tuned constant was 8 sigmas of the Azure Kinect's
@@ -26,7 +26,7 @@ impl Profile {
         let mut object = |found: String, next_step: String| {
             objections.push(Objection { found, next_step });
         };
-        let Pulse {
+        let TriggerPulse {
             width_us,
             shortest_us,
             ..
