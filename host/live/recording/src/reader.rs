@@ -44,7 +44,7 @@ impl Reader {
     ///
     /// # Errors
     ///
-    /// The file cannot be read.
+    /// As [`Reader::open`].
     pub fn with_monitor(
         folder_or_file: &Path,
         monitor: &ReadMonitor,
