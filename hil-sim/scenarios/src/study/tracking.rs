@@ -373,11 +373,11 @@ fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
         };
         if let Some(exchange) = exchange {
             let asked = if which == 0 { Asked::A } else { Asked::B };
-            tracker.take(asked, exchange);
+            tracker.add(asked, exchange);
         }
         // A twist is worked out some seconds after it.
         if !knows && at > begin + TO_TWIST_S + 5.0 {
-            knows = tracker.take_relation(&twist);
+            knows = tracker.add_relation(&twist);
         }
         if at < end && at < (steered + STEP_EVERY_S).min(judged + JUDGED_EVERY_S) {
             continue;

@@ -31,7 +31,7 @@ fn a_step_of_a_clock_is_found_with_its_time_and_size() {
         let from = (twist.b.len() as f64 * at) as usize;
         twist.b.t[from..].iter_mut().for_each(|t| *t += by_s);
         let step_s = twist.a.epoch_s + 100.0 * at;
-        let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::of_windows()).unwrap();
+        let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::for_windows()).unwrap();
         let [step] = clock.course.steps[..] else {
             panic!("{at} {by_s}: {:?}", clock.course.steps);
         };
@@ -66,7 +66,7 @@ fn a_jump_below_a_millisecond_is_found_or_in_the_sigma() {
         let jump_s = twist.b.t[0] + after_s;
         let after = twist.b.t.partition_point(|t| *t <= jump_s);
         twist.b.t[after..].iter_mut().for_each(|t| *t += by_s);
-        let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::of_windows()).unwrap();
+        let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::for_windows()).unwrap();
         let course = &clock.course;
         assert!(
             after_s < 20.0 || course.steps.len() == 1,
@@ -102,11 +102,11 @@ fn a_jump_below_a_millisecond_is_found_or_in_the_sigma() {
 fn weak_windows_add_up() {
     for trial in 0..3 {
         let twist = carried(31_000 + 1000 * trial, 100.0, 0.2);
-        let whole = estimate_offset(&twist.a, &twist.b, &Options::of_windows()).unwrap();
+        let whole = estimate_offset(&twist.a, &twist.b, &Options::for_windows()).unwrap();
         // A tenth of it has 3.2 times its sigma: most windows alone are above the limit.
         let options = Options {
             sigma_limit_s: 2.5 * whole.offset_sigma_s(),
-            ..Options::of_windows()
+            ..Options::for_windows()
         };
         let clock = course_of_tracks(&twist.a, &twist.b, None, &options).unwrap();
         let refused: usize = clock.refused.iter().map(|own| own.count).sum();
@@ -128,7 +128,7 @@ fn a_stretch_without_a_relation_is_named_and_widens_the_sigma() {
     let other = carried(61_000, 120.0, 0.8).b;
     let apart = 4000..8000;
     twist.b.w[apart.clone()].copy_from_slice(&other.w[apart]);
-    let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::of_windows()).unwrap();
+    let clock = course_of_tracks(&twist.a, &twist.b, None, &Options::for_windows()).unwrap();
     let refused: usize = clock.refused.iter().map(|own| own.count).sum();
     assert!(refused >= 3, "{:?}", clock.refused);
     let [stretch] = clock.course.unsupported[..] else {
@@ -165,9 +165,9 @@ fn recordings_that_do_not_belong_together_are_refused() {
     assert_eq!(pairs.len(), 600);
     let is_accepted = |&&(i, j): &&(usize, usize)| {
         let (a, b): (&GyroTrack, &GyroTrack) = (&tracks[i].a, &tracks[j].b);
-        estimate_offset(a, b, &Options::of_windows()).is_ok()
+        estimate_offset(a, b, &Options::for_windows()).is_ok()
             || (i + j).is_multiple_of(10)
-                && course_of_tracks(a, b, None, &Options::of_windows()).is_ok()
+                && course_of_tracks(a, b, None, &Options::for_windows()).is_ok()
     };
     let accepted: Vec<_> = pairs.par_iter().filter(is_accepted).collect();
     assert!(accepted.is_empty(), "{accepted:?}");

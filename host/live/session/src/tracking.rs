@@ -191,7 +191,7 @@ impl Tracking {
             self.asking.asked(board.board.ask_time(), now);
         }
         if let Some(clock) = file.clock().filter(|clock| self.known != Some(*clock))
-            && self.tracker.take_relation(&clock)
+            && self.tracker.add_relation(&clock)
         {
             self.known = Some(clock);
         }
@@ -243,7 +243,7 @@ impl Tracking {
         clock_ns: i64,
         monotonic_ns: i64,
     ) -> Result<(), Stop> {
-        self.tracker.take(
+        self.tracker.add(
             asked,
             Exchange {
                 sent: sent.as_secs_f64(),

@@ -60,7 +60,7 @@ impl Link {
 #[must_use]
 pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
     [Asked::A, Asked::B].into_iter().all(|clock| {
-        let last = tracker.last_of(clock);
+        let last = tracker.last_window(clock);
         last.is_some_and(|last| computer - last <= link.patience_s())
     })
 }

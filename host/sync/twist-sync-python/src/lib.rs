@@ -259,7 +259,7 @@ fn course(
     settings: Settings,
 ) -> PyResult<(Option<Course>, String)> {
     let (a, b) = (track(a)?, track(b)?);
-    let options = settings.over(Options::of_windows())?;
+    let options = settings.over(Options::for_windows())?;
     let prior = options
         .search
         .map(|(offset, width)| Prior::Offset(offset, width));

@@ -16,19 +16,21 @@ use nalgebra::{Matrix2, Vector2};
 
 /// Wander of the relative rate of two clocks: the rms change of the skew
 /// within one minute (dimensionless; 10⁻⁸ is 0.01 ppm).
+///
+/// The skew is modelled as a random walk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(transparent))]
 pub struct Wander(pub f64);
 
 impl Wander {
-    /// From parts per million a minute.
+    /// Creates a wander from the rms change of the skew in one minute, in ppm.
     #[must_use]
     pub const fn from_ppm(ppm: f64) -> Self {
         Self(ppm * 1e-6)
     }
 
-    /// Variance of the skew's change per second, 1/s.
+    /// Returns the variance of the skew's change per second, in 1/s.
     #[must_use]
     pub fn diffusion(self) -> f64 {
         self.0 * self.0 / 60.0
@@ -36,7 +38,7 @@ impl Wander {
 }
 
 impl Default for Wander {
-    /// 0.05 ppm a minute: two uncompensated crystals at room temperature, with a margin.
+    /// Returns 0.05 ppm a minute: two uncompensated crystals at room temperature, with a margin.
     fn default() -> Self {
         Self::from_ppm(0.05)
     }
@@ -52,24 +54,25 @@ pub struct WithSigma {
     pub sigma: f64,
 }
 
-/// The relation of two clocks with its uncertainty.
+/// The relation of two clocks with its uncertainty:
+/// `b = a + offset + skew · (a − reference)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ClockRelation {
-    /// The time of clock a at which `offset` holds, in seconds.
+    /// Time of clock a at which `offset` holds, in seconds.
     pub reference: f64,
     /// Clock b minus clock a at the reference, in seconds.
     pub offset: f64,
-    /// Rate of clock b relative to clock a, minus one.
+    /// Rate of clock b relative to clock a, minus one (dimensionless).
     pub skew: f64,
-    /// Covariance of (offset, skew): s², s; s, 1.
+    /// Covariance of (offset, skew) at the reference, in s², s; s, 1.
     pub covariance: [[f64; 2]; 2],
-    /// Wander of the skew from the reference on.
+    /// Wander of the skew away from the reference.
     pub wander: Wander,
 }
 
 impl ClockRelation {
-    /// The same relation where all times of clock a are later by `a_s` and offsets larger
+    /// Returns the relation for a clock a that reads `a_s` more and an offset that is larger
     /// by `between_s`.
     pub(crate) fn moved(self, a_s: f64, between_s: f64) -> Self {
         Self {
@@ -79,14 +82,14 @@ impl ClockRelation {
         }
     }
 
-    /// The offset (b − a) at a time of clock a, with a sigma that grows with the
+    /// Returns the offset (b − a) at a time of clock a in seconds. Its sigma grows with the
     /// distance from the reference.
     #[must_use]
     pub fn offset_at(&self, a: f64) -> WithSigma {
         self.referenced_at(a).offset_here()
     }
 
-    /// The offset at the reference.
+    /// Returns the offset at the reference.
     pub(crate) fn offset_here(&self) -> WithSigma {
         WithSigma {
             value: self.offset,
@@ -94,34 +97,36 @@ impl ClockRelation {
         }
     }
 
-    /// Sigma of the skew at a time of clock a, with the wander since the reference.
+    /// Returns the 1-sigma of the skew at a time of clock a, which includes the wander since
+    /// the reference.
     #[must_use]
     pub fn skew_sigma_at(&self, a: f64) -> f64 {
         self.referenced_at(a).covariance[1][1].max(0.0).sqrt()
     }
 
-    /// The time of clock b at a time of clock a, both in seconds.
+    /// Converts a time of clock a to clock b, both in seconds.
     #[must_use]
     pub fn a_to_b(&self, a: f64) -> f64 {
         a + (self.offset + self.skew * (a - self.reference))
     }
 
-    /// The time of clock a at a time of clock b (exact inverse of [`Self::a_to_b`]).
+    /// Converts a time of clock b to clock a, both in seconds: the exact inverse of
+    /// [`Self::a_to_b`].
     #[must_use]
     pub fn b_to_a(&self, b: f64) -> f64 {
         self.reference + (b - self.reference - self.offset) / (1.0 + self.skew)
     }
 
-    /// The same relation with its reference moved to `a`: a prediction, with
-    /// the covariance grown by the wander over the distance.
+    /// Returns the same relation with its reference moved to `a`, in seconds of clock a: a
+    /// prediction, whose covariance grows by the wander over the distance.
     #[must_use]
     pub fn referenced_at(&self, a: f64) -> Self {
-        State::of(self, self.offset)
+        State::from_relation(self, self.offset)
             .predicted(a - self.reference, self.wander)
             .relation(self.offset, a, self.wander)
     }
 
-    /// The relation seen from the other clock: a and b change roles.
+    /// Returns the relation as seen from the other clock: a and b change roles.
     ///
     /// The offset changes its sign at the same instant.
     #[must_use]
@@ -141,8 +146,8 @@ impl ClockRelation {
     }
 
     /// Joins two estimates of the same pair of clocks taken at different times
-    /// (two twists): the baseline between them gives a skew far better than
-    /// either has.
+    /// (two twists). The time between them gives a far better skew than either has
+    /// by itself.
     ///
     /// The result is the minimum-variance combination under the wander of
     /// `self`, referenced at the later estimate: the state to predict from.
@@ -154,16 +159,16 @@ impl ClockRelation {
             (other, self)
         };
         let base = late.offset;
-        let predicted =
-            State::of(early, base).predicted(late.reference - early.reference, early.wander);
+        let predicted = State::from_relation(early, base)
+            .predicted(late.reference - early.reference, early.wander);
         predicted
-            .updated(&State::of(late, base))
+            .updated(&State::from_relation(late, base))
             .map_or(predicted, |(joined, _)| joined)
             .relation(base, late.reference, self.wander)
     }
 }
 
-/// Carries (offset, skew) over `dt` seconds.
+/// Transition matrix of (offset, skew) over `dt` seconds.
 pub(crate) fn transition(dt: f64) -> Matrix2<f64> {
     Matrix2::new(1.0, dt, 0.0, 1.0)
 }
@@ -176,8 +181,8 @@ fn diffusion(dt: f64, wander: Wander) -> Matrix2<f64> {
     Matrix2::new(q * span.powi(3) / 3.0, cross, cross, q * span)
 }
 
-/// Offset (less a base, so that no digits are lost) and skew with their covariance,
-/// as a Kalman filter takes them.
+/// State of a Kalman filter: offset (relative to a base, so that no digits are lost) and skew,
+/// with their covariance.
 #[derive(Clone, Copy)]
 pub(crate) struct State {
     mean: Vector2<f64>,
@@ -185,7 +190,7 @@ pub(crate) struct State {
 }
 
 impl State {
-    pub(crate) fn of(relation: &ClockRelation, base: f64) -> Self {
+    pub(crate) fn from_relation(relation: &ClockRelation, base: f64) -> Self {
         Self {
             mean: Vector2::new(relation.offset - base, relation.skew),
             covariance: Matrix2::from(relation.covariance).transpose(),
@@ -203,7 +208,7 @@ impl State {
         }
     }
 
-    /// The state `dt` seconds later (or earlier).
+    /// Predicts the state `dt` seconds later (or earlier, if negative).
     pub(crate) fn predicted(&self, dt: f64, wander: Wander) -> Self {
         let f = transition(dt);
         Self {
@@ -212,8 +217,8 @@ impl State {
         }
     }
 
-    /// The state with a measurement at the same time, and the square of the
-    /// innovation in sigmas; `None` if nothing is uncertain.
+    /// Updates the state with a measurement at the same time. Returns the square of the
+    /// innovation in sigmas as well, and `None` if nothing is uncertain.
     pub(crate) fn updated(&self, measured: &Self) -> Option<(Self, f64)> {
         let inverse = (self.covariance + measured.covariance).try_inverse()?;
         let innovation = measured.mean - self.mean;

@@ -1,4 +1,4 @@
-//! Accuracy of a twist, predicted while it is made.
+//! Prediction of a twist's accuracy while the twist is made.
 
 /// Noise of both gyroscopes together in one sample of the board, rad/s: the
 /// MPU-9150's 0.005 °/s/√Hz over 188 Hz, and the same of the phone's.
@@ -7,12 +7,12 @@ const NOISE: f64 = 1.7e-3;
 /// Samples that are averaged before the slope of the motion is taken.
 const BLOCK: usize = 10;
 
-/// Expected uncertainty of a twist, which falls as motion comes in.
+/// Predictor of a twist's uncertainty, fed with the gyroscope's samples as they arrive.
 ///
 /// For a known motion ω(t) the bound of the offset is `σ² = n² / Σ |ω′|²` over the
 /// samples, with `n` the noise of both gyroscopes in one sample (see the book,
 /// "Sync math"). The slope is taken between means of ten samples, so that noise
-/// adds little to it; what noise adds on the average is taken off.
+/// adds little to it; the mean contribution of noise is subtracted.
 #[derive(Clone, Debug, Default)]
 pub struct Coach {
     block: Vec<(f64, [f64; 3])>,
@@ -25,7 +25,7 @@ pub struct Coach {
 }
 
 impl Coach {
-    /// A sample of the gyroscope: its time in s, rad/s.
+    /// Adds a sample: its time in seconds and the angular rate about x, y, z in rad/s.
     pub fn add(&mut self, at: f64, rate: [f64; 3]) {
         self.first.get_or_insert(at);
         self.latest = at;
@@ -62,20 +62,21 @@ impl Coach {
         self.last = Some((time, mean));
     }
 
-    /// Expected 1-sigma of the offset from the motion so far, s.
+    /// Returns the expected 1-sigma of the offset from the motion so far, in seconds, or `None`
+    /// if there was no motion yet.
     #[must_use]
     pub fn sigma_s(&self) -> Option<f64> {
-        // Below this there is no motion at all: a millisecond.
+        // Less information than this (a sigma of a millisecond) is no motion at all.
         (self.information > 1e6).then(|| self.information.sqrt().recip())
     }
 
-    /// Time from the first sample to the last, s.
+    /// Returns the time from the first sample to the last, in seconds.
     #[must_use]
     pub fn elapsed_s(&self) -> f64 {
         self.first.map_or(0.0, |first| self.latest - first)
     }
 
-    /// Root mean square of each axis, rad/s.
+    /// Returns the root mean square of each axis so far, in rad/s.
     #[must_use]
     pub fn rms(&self) -> [f64; 3] {
         let count = self.count.max(1) as f64;

@@ -13,7 +13,7 @@ pub(crate) struct Correlator {
 }
 
 impl Correlator {
-    /// For two signals that have `length` values together, so that no lag wraps.
+    /// Plans for two signals that have `length` values together, so that no lag wraps.
     pub(crate) fn new(length: usize) -> Self {
         let plan = |direction| Radix4::new(length.next_power_of_two(), direction);
         Self {
@@ -30,7 +30,7 @@ impl Correlator {
         signal
     }
 
-    /// `Σ first[i] · second[i + lag]` of two spectra; negative lags at the end.
+    /// Computes `Σ first[i] · second[i + lag]` from two spectra; negative lags are at the end.
     pub(crate) fn correlation(&self, first: &Spectrum, second: &Spectrum) -> Vec<f64> {
         let both = second.iter().zip(first);
         let mut product: Spectrum = both

@@ -3,54 +3,56 @@
 //! at random with the given [`Wander`].
 //!
 //! A clock may step, and an estimate may be wrong. So the estimates are cut into segments,
-//! each with a relation of its own, such that as little as possible stays unexplained: the
-//! squares of the innovations, [`CONTRADICTION`]² for an estimate that is left out, and
+//! each with a relation of its own, such that the total cost is least: the squares of the
+//! innovations, [`CONTRADICTION`]² for an estimate that is left out, and
 //! [`STEP_COST`] for a segment (optimal partitioning, Jackson et al. 2005). A segment has
-//! two estimates at least; what only one estimate says is not believed against the rest.
+//! at least two estimates: a single one that contradicts the rest counts as wrong.
 
+mod error;
 mod recording;
 mod search;
 
+pub use self::error::RecordingError;
 pub use self::recording::{
-    GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows, course_of_tracks,
-    estimate_course,
+    Prior, RecordingClock, RefusedWindows, course_of_tracks, estimate_course,
 };
 use crate::clock::{ClockRelation, State, Wander, WithSigma};
 
 /// Innovation beyond which an estimate is left out, in sigmas.
 pub(crate) const CONTRADICTION: f64 = 6.0;
-/// Cost of a segment, as a sum of squares: more than one estimate that is left out, less than
-/// two.
+/// Cost of a segment, as a sum of squares: more than leaving out one estimate, less than
+/// leaving out two.
 const STEP_COST: f64 = 60.0;
-/// With more estimates than this a segment begins only where one contradicts the one before
-/// it by [`NOTABLE`], a square.
+/// With more estimates than this, a segment begins only where the squared innovation from one
+/// estimate to the next is above [`NOTABLE`].
 const MOST_BEGINNINGS: usize = 1000;
 const NOTABLE: f64 = 6.0;
 
 /// A step of one clock against the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockStep {
-    /// It is no earlier than this time of clock a, seconds.
+    /// Earliest time of the step, in seconds of clock a.
     pub from_s: f64,
-    /// It is no later than this time of clock a, seconds.
+    /// Latest time of the step, in seconds of clock a.
     pub to_s: f64,
-    /// Change of b − a, seconds.
+    /// Change of the offset (b − a) in seconds.
     pub by: WithSigma,
 }
 
-/// A stretch that contradicts the relation, or in which there is motion but nothing that
-/// could be related.
+/// A stretch whose data contradict the relation, or in which there is motion but no accepted
+/// estimate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Unsupported {
-    /// Begin in time of clock a, seconds.
+    /// Begin, in seconds of clock a.
     pub from_s: f64,
-    /// End, likewise.
+    /// End, in seconds of clock a.
     pub to_s: f64,
-    /// What is added to the 1-sigma of the offset within it, in squares, seconds.
+    /// 1-sigma in seconds that is added to that of the offset within the stretch, as a root of
+    /// the sum of squares.
     pub sigma_s: f64,
 }
 
-/// Estimates of a stretch of time in which no clock stepped, at least one.
+/// A stretch of time in which no clock stepped, with its estimates (at least one).
 #[derive(Debug, Clone, PartialEq)]
 struct Segment {
     /// Filtered (past only) states at the estimates, in time order.
@@ -59,7 +61,7 @@ struct Segment {
     smoothed: Vec<ClockRelation>,
 }
 
-/// The clock relation over a whole recording.
+/// The clock relation over a whole recording: offset and skew at every instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClockCourse {
     segments: Vec<Segment>,
@@ -67,15 +69,16 @@ pub struct ClockCourse {
     pub steps: Vec<ClockStep>,
     /// Stretches over which the relation is not supported, with a larger sigma.
     pub unsupported: Vec<Unsupported>,
-    /// Part of the offset's 1-sigma that all estimates share, seconds: it is in every sigma.
+    /// Part of the offset's 1-sigma that all estimates share, in seconds. Every sigma of the
+    /// course includes it.
     pub common_s: f64,
-    /// Number of estimates that are used.
+    /// Number of estimates in the segments.
     pub used: usize,
-    /// Number of estimates that contradict the rest.
+    /// Number of estimates left out because they contradict the rest.
     pub contradicting: usize,
 }
 
-/// A segment while it grows, from the estimate `begin` on.
+/// A segment under construction, from the estimate `begin` on.
 struct Growing {
     begin: usize,
     /// Cost of all before it.
@@ -92,15 +95,16 @@ impl Growing {
             before,
             cost: STEP_COST,
             used: 1,
-            last: (estimate.reference, State::of(estimate, base)),
+            last: (estimate.reference, State::from_relation(estimate, base)),
         }
     }
 
-    /// Takes the next estimate; false if it contradicts.
-    fn take(&mut self, estimate: &ClockRelation, base: f64, wander: Wander) -> bool {
+    /// Extends the segment by the next estimate. Returns false if that contradicts the segment
+    /// and is left out.
+    fn extend(&mut self, estimate: &ClockRelation, base: f64, wander: Wander) -> bool {
         let (at, state) = self.last;
         let forward = state.predicted(estimate.reference - at, wander);
-        let updated = forward.updated(&State::of(estimate, base));
+        let updated = forward.updated(&State::from_relation(estimate, base));
         let limit = CONTRADICTION * CONTRADICTION;
         match updated.filter(|(_, square)| *square <= limit) {
             Some((next, square)) => {
@@ -117,14 +121,14 @@ impl Growing {
     }
 }
 
-/// Cuts estimates, in order of time, into segments: begin and end of each.
+/// Cuts estimates, in order of time, into segments; returns begin and end of each.
 fn partition(sorted: &[ClockRelation], base: f64, wander: Wander) -> Vec<(usize, usize)> {
     let may_begin = |k: usize| {
         k == 0 || sorted.len() <= MOST_BEGINNINGS || {
             let before = Growing::new(k - 1, 0.0, &sorted[k - 1], base);
             let (at, state) = before.last;
             let forward = state.predicted(sorted[k].reference - at, wander);
-            let updated = forward.updated(&State::of(&sorted[k], base));
+            let updated = forward.updated(&State::from_relation(&sorted[k], base));
             updated.is_none_or(|(_, square)| square > NOTABLE)
         }
     };
@@ -133,10 +137,10 @@ fn partition(sorted: &[ClockRelation], base: f64, wander: Wander) -> Vec<(usize,
     let mut growing: Vec<Growing> = Vec::new();
     for (k, estimate) in sorted.iter().enumerate() {
         let before = cheapest[k].0;
-        // Whoever costs more already will not become cheaper than a segment from here.
+        // One that costs more already will not become cheaper than a segment from here.
         growing.retain(|own| own.before + own.cost <= before + 2.0 * STEP_COST);
         for own in &mut growing {
-            own.take(estimate, base, wander);
+            own.extend(estimate, base, wander);
         }
         if may_begin(k) {
             growing.push(Growing::new(k, before, estimate, base));
@@ -165,7 +169,7 @@ impl Segment {
         let mut growing = Growing::new(0, 0.0, estimates.first()?, base);
         let mut filtered = vec![growing.last];
         for estimate in &estimates[1..] {
-            if growing.take(estimate, base, wander) {
+            if growing.extend(estimate, base, wander) {
                 filtered.push(growing.last);
             }
         }
@@ -201,18 +205,22 @@ impl Segment {
             (Some(last), None) => self.smoothed[last].referenced_at(at),
             (Some(before), Some(next)) => {
                 let (base, wander) = (next.offset, next.wander);
-                let here = State::of(&self.filtered[before].referenced_at(at), base);
-                here.improved(&State::of(next, base), next.reference - at, wander)
-                    .relation(base, at, wander)
+                let here = State::from_relation(&self.filtered[before].referenced_at(at), base);
+                here.improved(
+                    &State::from_relation(next, base),
+                    next.reference - at,
+                    wander,
+                )
+                .relation(base, at, wander)
             }
         }
     }
 }
 
 impl ClockCourse {
-    /// Joins estimates of one pair of clocks (windows, or a few twists).
+    /// Joins estimates of one pair of clocks (of windows of a recording, or of a few twists).
     ///
-    /// `None` if there are none, or if half as many contradict as agree.
+    /// Returns `None` without estimates, or if at least half as many contradict as agree.
     #[must_use]
     pub fn from_estimates(estimates: &[ClockRelation], wander: Wander) -> Option<Self> {
         let mut sorted = estimates.to_vec();
@@ -255,7 +263,8 @@ impl ClockCourse {
         Some(course)
     }
 
-    /// From one used estimate to the next, where another is in between.
+    /// Returns the stretches from one used estimate to the next that contain an estimate which
+    /// was left out.
     fn contradicted(&self, sorted: &[ClockRelation]) -> Vec<Unsupported> {
         let used: Vec<f64> = self
             .segments
@@ -273,14 +282,14 @@ impl ClockCourse {
             Unsupported {
                 from_s: own.reference - before.unwrap_or(to),
                 to_s: own.reference + to,
-                // A step amid a window moves its estimate by about half of itself.
+                // A step in the middle of a window moves its estimate by about half the step.
                 sigma_s: 2.0 * (own.offset - self.at(own.reference).offset).abs(),
             }
         };
         others.map(stretch).collect()
     }
 
-    /// The same of estimates whose 1-sigma has a part, in seconds, that all share.
+    /// Joins estimates, each with the part of its 1-sigma that all of them share, in seconds.
     pub(crate) fn with_common(estimates: &[(ClockRelation, f64)], wander: Wander) -> Option<Self> {
         let alone = estimates.iter().map(|&(mut own, common_s)| {
             own.covariance[0][0] -= common_s * common_s;
@@ -291,9 +300,9 @@ impl ClockCourse {
         Some(course)
     }
 
-    /// The same course, but where the clocks were followed ([`crate::tracker::followed`]):
-    /// there it is what came of that, which knows all estimates. Steps are not followed: with
-    /// one, the course stays what it is.
+    /// Replaces the course, over the time of `knots`, by the relations found from exchanges with
+    /// the clocks ([`crate::tracker::followed`]), which include all estimates. A course with
+    /// steps is returned unchanged, because tracking does not follow steps.
     #[must_use]
     pub fn with_followed(mut self, knots: &[ClockRelation]) -> Self {
         let (Some(first), Some(last), [segment]) =
@@ -311,8 +320,9 @@ impl ClockCourse {
         self
     }
 
-    /// The relation at a time of clock a, from all data: between the estimates the
-    /// bridge of the two nearest, outside a prediction. Amid a step that of the nearer side.
+    /// Returns the relation at a time of clock a in seconds, from all data: between estimates an
+    /// interpolation of the two nearest, outside of them a prediction. Within a step it is the
+    /// relation of the nearer side.
     #[must_use]
     pub fn at(&self, at: f64) -> ClockRelation {
         let middle = |step: &ClockStep| 0.5 * (step.from_s + step.to_s);
@@ -323,7 +333,7 @@ impl ClockCourse {
         for own in self.unsupported.iter().filter(inside) {
             relation.covariance[0][0] += own.sigma_s * own.sigma_s;
         }
-        // A step may as well be on the other side of `at`: it is between two estimates, or amid
+        // The step may be on the other side of `at`: it is between two estimates, or within
         // one of them, which reach half as far as they are apart.
         for step in &self.steps {
             let part = 0.25 + 0.5 * (at - step.from_s) / (step.to_s - step.from_s);
@@ -333,7 +343,7 @@ impl ClockCourse {
         relation
     }
 
-    /// The same course where all times of clock a are later by `a_s` and offsets larger by
+    /// Returns the course for a clock a that reads `a_s` more and offsets that are larger by
     /// `between_s`.
     pub(crate) fn moved(mut self, a_s: f64, between_s: f64) -> Self {
         for segment in &mut self.segments {
@@ -355,16 +365,16 @@ impl ClockCourse {
         self
     }
 
-    /// The time of clock a at a time of clock b, both in seconds.
+    /// Converts a time of clock b to clock a, both in seconds.
     #[must_use]
     pub fn b_to_a(&self, b: f64) -> f64 {
-        // Twice: the offset changes by the skew, at most 10⁻³, times the first one's error.
+        // Two rounds: each reduces the error by the skew, which is at most 10⁻³.
         let near = self.segments[0].first().b_to_a(b);
         let near = b - self.at(near).offset;
         b - self.at(near).offset
     }
 
-    /// First and last time of clock a with data.
+    /// Returns the times of the first and the last estimate, in seconds of clock a.
     #[must_use]
     pub fn span(&self) -> (f64, f64) {
         let last = &self.segments[self.segments.len() - 1];

@@ -12,11 +12,11 @@ mod crosscheck;
 mod fit;
 mod gates;
 mod lag;
+mod options;
 mod pair;
+mod report;
 mod rigid;
 mod wander;
-
-use std::fmt;
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 
@@ -24,261 +24,35 @@ use self::axes::LateAxis;
 use self::calibration::Calibration;
 use self::fit::Fit;
 pub use self::gates::Gate;
+pub use self::options::Options;
 use self::pair::{Pair, Settings};
+pub use self::report::{Estimate, Refusal, Report, Warning};
 use self::rigid::Stretch;
-use crate::clock::{ClockRelation, Wander, WithSigma, transition};
-use crate::faults::{Fault, LeftOut, Stream, Why};
+use crate::clock::{ClockRelation, Wander, transition};
+use crate::faults::{Stream, Why};
 use crate::signal::Signal;
-use crate::signal::interpolant::Vec3;
 use crate::stream::{CheckedStream, Made};
 use crate::track::GyroTrack;
 
-/// Bytes that an estimate allocates and frees at once, untouched: glibc then keeps as much at the
-/// end of its heap. It would give each vector's pages back, and taking them again costs a fifth
-/// of the time (clean twists 23 %, faulty ones 18 %: 8 runs with and without, by turns).
+/// Bytes that an estimate allocates and frees at its start, untouched, so that glibc keeps that
+/// much at the end of its heap. Otherwise it returns each vector's pages to the system, and
+/// getting them back costs a fifth of the time (clean twists 23 %, faulty ones 18 %: 8 runs with
+/// and without it, in alternation).
 const MEMORY: usize = 4 << 20;
 /// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
-/// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
+/// Longest delay of a filter, seconds: that of a Butterworth filter of 56 Hz. What a configured
+/// delay exceeds it by is transport.
 const LONGEST_FILTER_S: f64 = 4e-3;
-/// Probability of a late axis beyond which its samples are taken for late.
+/// Probability of a late axis above which its samples are moved.
 const BEYOND_DOUBT: f64 = 0.99;
-/// An axis that is later than this has its samples moved, seconds.
+/// Lateness of an axis above which its samples are moved, seconds.
 const MUCH_LATER_S: f64 = 0.3e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: f64 = 8.0;
-/// Motion about the second axis, as a part of the power about the first, below
-/// which it is motion about one axis.
+/// Power of the motion about the second axis over that about the first, below which the motion
+/// counts as being about one axis.
 const SECOND_AXIS: f64 = 0.01;
-
-/// Settings of [`estimate_offset`]. The defaults are right for a twist by hand.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
-    /// −3 dB frequency of the zero-phase low-pass, Hz.
-    pub low_pass_hz: f64,
-    /// Delay of the low-pass of gyroscope a in seconds, subtracted from its timestamps.
-    pub a_delay_s: f64,
-    /// Delay of the low-pass of gyroscope b in seconds, subtracted from its timestamps.
-    pub b_delay_s: f64,
-    /// Jump of a sawtooth which the timestamps of b are known to have, seconds, as an earlier
-    /// estimate gave it ([`FaultKind::TimestampSawtooth`]); 0: none is known. Where it does not
-    /// jump in these recordings, what it leaves open is part of the sigmas.
-    pub b_jump_s: f64,
-    /// Estimates with a larger 1-sigma are refused, seconds.
-    pub sigma_limit_s: f64,
-    /// Least time that both recordings must have in common, seconds.
-    pub min_overlap_s: f64,
-    /// Finds faults and leaves them out. Off only to see their effect.
-    pub handle_faults: bool,
-    /// Wander of the clocks, for the prediction from the result.
-    pub wander: Wander,
-    /// Range of the offset (b − a), if it is known: centre and half-width in seconds.
-    pub search: Option<(f64, f64)>,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            low_pass_hz: 25.0,
-            a_delay_s: 0.0,
-            b_delay_s: 0.0,
-            b_jump_s: 0.0,
-            sigma_limit_s: 100e-6,
-            min_overlap_s: 1.5,
-            handle_faults: true,
-            wander: Wander::default(),
-            search: None,
-        }
-    }
-}
-
-/// An accepted estimate.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Estimate {
-    /// The relation of the clocks with its covariance; its reference is the
-    /// centroid of the motion's information.
-    pub clock: ClockRelation,
-    /// `rate of b = calibration · rate of a + bias`.
-    pub calibration: [[f64; 3]; 3],
-    /// Difference of the gyroscopes' biases in the axes of b, rad/s.
-    pub bias: Vec3,
-    /// Figures, faults and gates.
-    pub report: Report,
-}
-
-impl Estimate {
-    /// 1-sigma of the offset at the reference, seconds.
-    #[must_use]
-    pub fn offset_sigma_s(&self) -> f64 {
-        self.clock.covariance[0][0].sqrt()
-    }
-
-    /// 1-sigma of the skew.
-    #[must_use]
-    pub fn skew_sigma(&self) -> f64 {
-        self.clock.covariance[1][1].sqrt()
-    }
-}
-
-/// Why there is no estimate.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("no trustworthy clock relation: {}", .report.failures())]
-pub struct Refusal {
-    /// Figures and gates; at least one gate is not passed.
-    pub report: Report,
-}
-
-impl Refusal {
-    /// True if the two move, but were not found to belong together at any lag.
-    pub(crate) fn is_of_lag(&self) -> bool {
-        let of_lag = |gate: &Gate| !gate.passed && Gate::OF_LAG.contains(&gate.name);
-        self.report.gates.iter().any(of_lag)
-    }
-}
-
-/// Figures on which an estimate or a refusal is based.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Report {
-    /// Rms of the in-band residual over the overlap and the axes, rad/s.
-    pub residual_rms: Option<f64>,
-    /// Rms of the motion over the overlap and the axes, rad/s.
-    pub motion_rms: Option<f64>,
-    /// Part of the offset's 1-sigma that all estimates of these streams share, seconds: what
-    /// the filters' dispersion and the resolution of coarse stamps leave open.
-    pub common_s: f64,
-    /// Time both recordings have in common and that was used, seconds.
-    pub overlap_s: Option<f64>,
-    /// Faults of both streams, those of a first.
-    pub faults: Vec<Fault>,
-    /// Stretches (from, to) in which the two moved as one body and that the estimate is
-    /// from, in seconds from the first sample of a.
-    pub together: Vec<(f64, f64)>,
-    /// Stretches of both that were left out.
-    pub left_out: Vec<LeftOut>,
-    /// All gates that could be judged.
-    pub gates: Vec<Gate>,
-    /// Things to know about an estimate that is accepted nevertheless.
-    pub warnings: Vec<Warning>,
-}
-
-impl Report {
-    /// The reasons of the gates that were not passed, with their figures.
-    #[must_use]
-    pub fn failures(&self) -> String {
-        let reasons: Vec<String> = self
-            .gates
-            .iter()
-            .filter(|gate| !gate.passed)
-            .map(Gate::to_string)
-            .collect();
-        reasons.join("; ")
-    }
-
-    /// Notes a gate; `None` if it is not passed.
-    pub(crate) fn judge(&mut self, gate: Gate) -> Option<()> {
-        let passed = gate.passed;
-        self.gates.push(gate);
-        passed.then_some(())
-    }
-
-    fn is_passed(&self) -> bool {
-        self.gates.iter().all(|gate| gate.passed)
-    }
-}
-
-/// A thing to know about an estimate.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Warning {
-    /// The motion was about one axis.
-    OneAxis,
-    /// The timestamps leave some time open, which is part of the sigma.
-    TimeLeftOpen {
-        /// Its 1-sigma in seconds.
-        sigma_s: f64,
-    },
-    /// The timestamps of a stream have steps; rounded or cut off, half a step is part of the sigma.
-    CoarseStamps {
-        /// The stream.
-        stream: Stream,
-        /// A step in seconds.
-        resolution_s: f64,
-    },
-    /// The samples of a stream lie on straight lines between slower ones.
-    Interpolated {
-        /// The stream.
-        stream: Stream,
-        /// Rate of the slower ones, Hz.
-        rate_hz: f64,
-    },
-    /// The samples of a stream are slower ones, each held for a while.
-    Held {
-        /// The stream.
-        stream: Stream,
-        /// Rate of the slower ones, Hz.
-        rate_hz: f64,
-    },
-    /// An axis comes late against the other two, to which the offset belongs.
-    LateAxis {
-        /// The stream.
-        stream: Stream,
-        /// 0 to 2 for x to z.
-        axis: usize,
-        /// By so much.
-        by: WithSigma,
-    },
-}
-
-impl Warning {
-    /// Returns the sentence with these names in place of "stream a" and "stream b".
-    #[must_use]
-    pub fn named(&self, a: &str, b: &str) -> String {
-        let name = |stream: &Stream| match stream {
-            Stream::A => a,
-            Stream::B => b,
-        };
-        match self {
-            Self::OneAxis => String::from(
-                "motion about one axis only: the offset is good, the calibration is known for \
-                 that axis alone",
-            ),
-            Self::TimeLeftOpen { sigma_s } => format!(
-                "the timestamps leave {:.1} µs open (few resets of a sawtooth, or two equal \
-                 classes of samples); it is part of the sigma",
-                sigma_s * 1e6
-            ),
-            Self::CoarseStamps {
-                stream,
-                resolution_s,
-            } => format!(
-                "the timestamps of {} have steps of {} ms; half a step is part of the sigma",
-                name(stream),
-                resolution_s * 1e3
-            ),
-            Self::Interpolated { stream, rate_hz } => format!(
-                "{} is interpolated between samples of about {rate_hz:.0} Hz",
-                name(stream)
-            ),
-            Self::Held { stream, rate_hz } => format!(
-                "{} holds samples of about {rate_hz:.0} Hz; only the first of each is used",
-                name(stream)
-            ),
-            Self::LateAxis { stream, axis, by } => format!(
-                "axis {} of {} comes {:.0} ± {:.0} µs later than its other two, to which \
-                 the offset belongs",
-                ["x", "y", "z"][*axis % 3],
-                name(stream),
-                by.value * 1e6,
-                by.sigma * 1e6
-            ),
-        }
-    }
-}
-
-impl fmt::Display for Warning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.named("stream a", "stream b"))
-    }
-}
 
 /// Relates the two clocks.
 ///
@@ -287,8 +61,8 @@ impl fmt::Display for Warning {
 ///
 /// # Errors
 ///
-/// A [`Refusal`] with the gates that were not passed: what was found is not good
-/// enough to be called the relation of these clocks.
+/// Returns a [`Refusal`] with the gates that were not passed if the recordings do not give a
+/// trustworthy relation.
 pub fn estimate_offset(
     a: &GyroTrack,
     b: &GyroTrack,
@@ -328,7 +102,7 @@ pub fn estimate_offset(
             if found.is_none() && report.is_passed() {
                 report.gates.push(Gate::unsolvable());
             }
-            // What explains the other reasons comes first.
+            // The causes of other failures come first.
             let causes = causes([&pair.model, &pair.data]);
             report
                 .gates
@@ -338,7 +112,7 @@ pub fn estimate_offset(
     }
 }
 
-/// Faults of recordings as a whole that make all else fail.
+/// Judges faults of whole recordings that make all other gates fail.
 fn causes(streams: [&CheckedStream<'_>; 2]) -> [Gate; 2] {
     let used = |s: &CheckedStream<'_>| -> Vec<Vector3<f64>> {
         let kept = (0..s.w.len()).filter(|&k| s.usable[k]);
@@ -391,7 +165,7 @@ fn related(
     let first = fit.link;
     let mut late = axes::found(&fit, settings.fit.oversampling);
     if options.handle_faults {
-        // What is late beyond doubt would be taken for faults.
+        // A surely late axis would look like faults of its samples.
         late_axis = late
             .as_ref()
             .and_then(|late| late.axis)
@@ -451,17 +225,17 @@ fn rms(signal: &Signal) -> f64 {
     (3.0 * variance).sqrt()
 }
 
-/// 1-sigma of time that the faults of both streams leave open, seconds.
+/// 1-sigma of the offset due to unresolved faults of both streams, seconds.
 fn unresolved_s(pair: &Pair<'_>) -> f64 {
     pair.model.unresolved_s.hypot(pair.data.unresolved_s)
 }
 
-/// 1-sigma of the offset that the filters' dispersion leaves open, seconds.
+/// 1-sigma of the offset due to the filters' dispersion, seconds.
 ///
 /// A low-pass delays fast motion by another time than slow motion, and only the latter
-/// delay `D` is configured. The difference is `k·D³·ω²`, with `k` 1/12 of two equal
-/// poles, −1/6 of a Butterworth filter of second order, 0 of a symmetric kernel; `ω²` is
-/// the motion's, weighted as the fit weighs it.
+/// delay `D` is configured. The difference is `k·D³·ω²`, where `k` is 1/12 for two equal
+/// poles, −1/6 for a Butterworth filter of second order and 0 for a symmetric kernel; `ω²` is
+/// that of the motion, with the weights of the fit.
 fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
     let cube = |delay_s: f64| delay_s.abs().min(LONGEST_FILTER_S).powi(3) / 6.0;
     let step = fit.nodes.windows(2).map(|p| p[1].t - p[0].t);
@@ -480,14 +254,14 @@ fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
     }
 }
 
-/// 1-sigma of the offset that every estimate of these streams shares, seconds: of the
+/// Part of the offset's 1-sigma that all estimates of these streams share, seconds: that of the
 /// filters' dispersion, and half a step of coarse stamps.
 fn common_s(pair: &Pair<'_>, fit: &Fit, options: &Options) -> f64 {
     let coarse = pair.model.resolution_s.hypot(pair.data.resolution_s);
     dispersion_s(fit, options).hypot(0.5 * coarse)
 }
 
-/// The relation of clock b to clock a, at the reference at which offset and skew
+/// Returns the relation of clock b to clock a, at the reference at which offset and skew
 /// are independent.
 fn clock_of(pair: &Pair<'_>, fit: &Fit, common_s: f64, wander: Wander) -> ClockRelation {
     let ideal = &fit.ideal_covariance;
@@ -527,7 +301,7 @@ fn clock_of(pair: &Pair<'_>, fit: &Fit, common_s: f64, wander: Wander) -> ClockR
     }
 }
 
-/// The relation of sensor b to sensor a, with what it leaves of the motion.
+/// Returns the relation of sensor b to sensor a, and reports the residual that it leaves.
 fn calibration(
     pair: &Pair<'_>,
     fit: &Fit,

@@ -1,13 +1,13 @@
-//! Faults of a gyroscope's stream, and their report.
+//! Types that report faults of a gyroscope's stream.
 
 use std::fmt;
 
 /// One of the two recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Stream {
-    /// The first.
+    /// Recording a, the first argument.
     A,
-    /// The second.
+    /// Recording b, the second argument.
     B,
 }
 
@@ -25,42 +25,43 @@ impl fmt::Display for Stream {
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum FaultKind {
-    /// Time or rate is not a finite number.
+    /// Times or rates that are not finite numbers.
     NotFinite,
     /// Timestamps that go back or repeat.
     TimestampOrder,
-    /// Single timestamps that stand off from the regular sequence.
+    /// Single timestamps that deviate from the regular sequence.
     TimestampOutlier,
-    /// Small jumps of the timestamps that a slow drift in between undoes.
+    /// Small jumps of the timestamps, undone by a slow drift between them.
     TimestampSawtooth,
     /// A stretch of timestamps displaced against the rest.
     TimestampStep,
     /// Missing samples.
     Gap,
-    /// The sensor was at the end of its range.
+    /// Samples at the end of the sensor's range.
     Clipped,
-    /// A sample that is an exact copy of its neighbour.
+    /// Samples that are exact copies of their neighbours.
     CopiedSample,
-    /// Samples that recur with a fixed period and belong to another time than stated.
+    /// Samples that recur with a fixed period and belong to another time than their timestamps
+    /// say.
     DisplacedClass,
-    /// Single samples that do not fit to the motion.
+    /// Single samples that do not fit the motion.
     Outlier,
     /// Timestamps far from all others.
     TimestampFar,
-    /// A stretch in which the two gyroscopes did not move as one body, or were turned against
-    /// each other.
+    /// A stretch in which the two gyroscopes did not move as one body, or one was turned
+    /// relative to the other.
     NotOneBody,
 }
 
-/// Why a stretch of both recordings is left out.
+/// Reason for leaving out a stretch of both recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum Why {
-    /// The two did not move as one body, or one was turned against the other.
+    /// The two did not move as one body, or one was turned relative to the other.
     Apart,
-    /// The clocks are related otherwise, by so many seconds (b − a); the two are fixed
-    /// to each other as before.
+    /// The offset (b − a) is larger than in the rest by this time in seconds; the two are fixed
+    /// to each other as in the rest.
     TimeStep(f64),
 }
 
@@ -70,9 +71,9 @@ pub enum Why {
 pub struct LeftOut {
     /// Begin, in seconds from the first sample of recording a.
     pub from_s: f64,
-    /// End, likewise.
+    /// End, in seconds from the first sample of recording a.
     pub to_s: f64,
-    /// The reason.
+    /// Reason for leaving it out.
     pub why: Why,
 }
 
@@ -94,7 +95,7 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// Treatment of a fault.
+/// Treatment of a fault by the estimator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
@@ -103,32 +104,32 @@ pub enum Action {
     LeftOut,
     /// The timestamps were corrected, keeping their mean and their rate.
     Corrected,
-    /// Nothing was done; for information.
+    /// Nothing was changed; the fault is reported for information.
     Noted,
 }
 
 /// One fault of one stream.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fault {
-    /// The stream.
+    /// Stream with the fault.
     pub stream: Stream,
-    /// The kind.
+    /// Kind of the fault.
     pub kind: FaultKind,
-    /// Number of samples (of a sawtooth: jumps).
+    /// Number of affected samples; for a sawtooth, the number of its jumps.
     pub count: usize,
-    /// Period of the recurrence in samples, if it recurs.
+    /// Period of its recurrence in samples, if it recurs.
     pub period: Option<f64>,
-    /// By how much the samples' content or time is displaced, in seconds
-    /// (positive: the timestamp is later than the content).
+    /// Displacement of the timestamps against the content in seconds, if the fault has one
+    /// (positive: timestamps are later than the content).
     pub displacement_s: Option<f64>,
-    /// Its treatment.
+    /// Treatment of the fault.
     pub action: Action,
-    /// Indices of the samples in the recording as given.
+    /// Indices of the affected samples in the recording as given.
     pub samples: Vec<usize>,
 }
 
 impl Fault {
-    /// A fault of `samples` that shows neither a period nor a displacement.
+    /// Creates a fault of `samples` that has neither a period nor a displacement.
     pub(crate) fn new(
         stream: Stream,
         kind: FaultKind,
@@ -147,14 +148,14 @@ impl Fault {
     }
 }
 
-/// The period, in samples, at which most of the indices recur: at least four
-/// fifths on one residue class, which chance would fill to `1/period` only.
+/// Returns the period, in samples, at which most of the indices recur: at least four
+/// fifths are in one residue class, which chance would fill to `1/period` only.
 pub(crate) fn recurrence(indices: &[usize]) -> Option<f64> {
     if indices.len() < 8 {
         return None;
     }
     let mut counts = [0_usize; 100];
-    // The largest period that still holds them; its divisors hold them as well.
+    // The largest such period; its divisors hold them as well.
     let period = (2..=100_usize).rev().find(|&p| {
         counts[..p].fill(0);
         for &k in indices {

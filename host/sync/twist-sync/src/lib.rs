@@ -18,7 +18,7 @@
 #![warn(missing_docs)]
 // Axes and rows of 3-vectors and small matrices are indices by nature.
 #![allow(clippy::needless_range_loop)]
-// A refusal carries its report, and there is one a twist.
+// A refusal carries its report; there is only one for each twist.
 #![allow(clippy::result_large_err)]
 
 mod clock;
@@ -27,9 +27,9 @@ mod correlate;
 mod course;
 mod estimate;
 mod faults;
-#[doc(hidden)] // of the workspace: no part of the interface
+#[doc(hidden)] // for the workspace only: not part of the interface
 pub mod mixture;
-#[doc(hidden)] // of the workspace: no part of the interface
+#[doc(hidden)] // for the workspace only: not part of the interface
 pub mod robust;
 mod signal;
 mod stream;
@@ -38,11 +38,11 @@ pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::{
-    ClockCourse, ClockStep, GyroOpener, Prior, RecordingClock, RecordingError, RefusedWindows,
-    Unsupported, course_of_tracks, estimate_course,
+    ClockCourse, ClockStep, Prior, RecordingClock, RecordingError, RefusedWindows, Unsupported,
+    course_of_tracks, estimate_course,
 };
 pub use estimate::{Estimate, Gate, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
-#[doc(hidden)] // of the workspace: no part of the interface
+#[doc(hidden)] // for the workspace only: not part of the interface
 pub use signal::interpolant;
-pub use track::{GyroSample, GyroStream, GyroTrack};
+pub use track::{GyroOpener, GyroSample, GyroStream, GyroTrack};

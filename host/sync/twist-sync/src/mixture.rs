@@ -1,21 +1,22 @@
-//! Mixture of hypotheses, each with its Gaussian.
+//! Mixtures of hypotheses, each with a Gaussian of its own.
 
 use nalgebra::{SMatrix, SVector};
 
 /// State under one hypothesis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Supposed<const N: usize> {
-    /// Its prior probability, or a multiple of it.
+    /// Prior probability of the hypothesis, up to a factor common to all.
     pub prior: f64,
-    /// Logarithm of its likelihood, less a constant.
+    /// Logarithm of its likelihood, up to a constant common to all.
     pub likelihood_ln: f64,
-    /// Mean under it.
+    /// Mean of the state if the hypothesis is true.
     pub mean: SVector<f64, N>,
-    /// Covariance under it.
+    /// Covariance of the state if the hypothesis is true.
     pub covariance: SMatrix<f64, N, N>,
 }
 
-/// Mean and covariance of all together, each by its probability.
+/// Returns mean and covariance of the mixture, in which each hypothesis has its posterior
+/// probability as weight.
 #[must_use]
 pub fn mixed<const N: usize>(all: &[Supposed<N>]) -> (SVector<f64, N>, SMatrix<f64, N, N>) {
     let best = all.iter().map(|supposed| supposed.likelihood_ln);

@@ -1,12 +1,13 @@
 //! Small robust statistics, and the straight line through points.
 
-/// Median (mean of the middle two); `None` without values.
+/// Returns the median (of an even number of values the mean of the middle two), or `None`
+/// without values.
 #[must_use]
 pub fn median(values: &[f64]) -> Option<f64> {
     median_in_place(&mut values.to_vec())
 }
 
-/// [`median`] without a copy; the order of the values is lost.
+/// Returns the [`median`] without a copy; the order of the values is lost.
 #[must_use]
 pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
     let n = values.len();
@@ -23,10 +24,10 @@ pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
     })
 }
 
-/// Values on each side that have a part in the local median.
+/// Values on each side that contribute to the local median.
 const AROUND: usize = 4;
 
-/// The values less the median of each and its neighbours, four on either side.
+/// Subtracts from each value the median of itself and four neighbours on either side.
 pub(crate) fn without_local_median(values: &[f64]) -> Vec<f64> {
     // Sorted threes, each of which is in three windows.
     let threes: Vec<[f64; 3]> = values
@@ -62,7 +63,7 @@ fn sorted(a: f64, b: f64, c: f64) -> [f64; 3] {
     [lower(low, c), higher(low, lower(high, c)), higher(high, c)]
 }
 
-/// One instruction, where `f64::min` has several for what is no number.
+/// Minimum in one instruction, where `f64::min` needs several to treat NaN.
 fn lower(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
@@ -71,7 +72,7 @@ pub(crate) fn higher(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// Standard deviation from the median absolute deviation, as for a normal
+/// Estimates the standard deviation from the median absolute deviation, scaled for a normal
 /// distribution; `None` without values.
 #[must_use]
 pub fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
@@ -79,30 +80,31 @@ pub fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
     mad_sigma_about_zero(values.into_iter().map(|value| value - centre))
 }
 
-/// The same of values about zero.
+/// Like [`mad_sigma`], for values whose centre is known to be zero.
 pub(crate) fn mad_sigma_about_zero(values: impl Iterator<Item = f64>) -> Option<f64> {
-    // Of numbers that are not negative, the bits are in the same order, and compared faster.
+    // The bits of non-negative numbers are in the same order and compare faster.
     let mut bits: Vec<u64> = values.map(|v| v.abs().to_bits()).collect();
     let middle = bits.len() / 2;
     let median = (!bits.is_empty()).then(|| *bits.select_nth_unstable(middle).1)?;
     Some(1.482_602_218_505_602 * f64::from_bits(median))
 }
 
-/// A least-squares line.
+/// A straight line fitted by least squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
-    /// Mean of `x`.
+    /// Mean of the points' `x`.
     pub centre: f64,
-    /// Value there.
+    /// Value of the line at the centre: the mean of the points' `y`.
     pub mean: f64,
-    /// Slope; 0 where `x` is the same everywhere.
+    /// Slope; 0 if all `x` are equal.
     pub slope: f64,
-    /// Sum of the squares of `x` about the centre.
+    /// Sum of the squares of `x − centre`.
     pub squares: f64,
 }
 
 impl Line {
-    /// Through points (x, y), about their means, so that large times cost no precision.
+    /// Fits a line through points (x, y), about their means, so that large times cost no
+    /// precision.
     #[must_use]
     pub fn through(points: &[(f64, f64)]) -> Self {
         let n = points.len().max(1) as f64;
@@ -125,7 +127,7 @@ impl Line {
         }
     }
 
-    /// Value at `x`.
+    /// Returns the value of the line at `x`.
     #[must_use]
     pub fn at(&self, x: f64) -> f64 {
         self.mean + self.slope * (x - self.centre)

@@ -1,4 +1,4 @@
-//! From samples at uneven times to a continuous, low-passed angular rate.
+//! Conversion of samples at uneven times to a continuous, low-passed angular rate.
 //!
 //! 1. The usable samples are cut into pieces wherever the distance between
 //!    neighbours is too long to be bridged.
@@ -11,8 +11,8 @@
 //!    rate and its derivative at any time.
 //!
 //! The filter costs no information about the offset: only noise inside the band
-//! of the motion's derivative matters for it. What the filter removes is the
-//! noise in the derivative.
+//! of the motion's derivative matters for it. The filter removes the noise of the derivative
+//! outside of that band.
 
 pub mod interpolant;
 pub(crate) mod neighbours;
@@ -25,17 +25,18 @@ use self::interpolant::{Uneven, Uniform, Vec3};
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.
 const KERNEL_REACH: f64 = 4.5;
 
-/// Nodes in a standard deviation of the kernel, at least.
+/// Least number of nodes in a standard deviation of the kernel.
 const NODES: f64 = 2.5;
 
-/// Pieces of fewer nodes are left out.
+/// Least number of nodes of a piece; shorter ones are left out.
 const LEAST_NODES: usize = 10;
 
-/// The grid is fine enough for this low-pass, Hz, whatever the fit's is: single samples are
-/// looked for with a wider one.
+/// Low-pass for which the grid is fine enough at least, Hz: outliers are searched for with a
+/// wider low-pass than the fit's.
 const GRID_LOW_PASS_HZ: f64 = 25.0;
 
-/// Neighbours are bridged up to this distance, in steps, and up to this one, seconds.
+/// Largest distance of neighbours that is bridged: the larger of this number of steps and this
+/// time in seconds.
 const BRIDGED_STEPS: f64 = 3.6;
 const BRIDGED_S: f64 = 0.01;
 
@@ -58,7 +59,7 @@ pub(crate) struct Resampled {
 }
 
 impl Resampled {
-    /// Of the samples with `usable[k]`, in increasing time, for filters as narrow as
+    /// Resamples the samples with `usable[k]`, in increasing time, for filters as narrow as
     /// one of `low_pass_hz`.
     ///
     /// `sample_step_s` is the typical distance between neighbours.
@@ -94,7 +95,7 @@ impl Resampled {
         Self { pieces, grid }
     }
 
-    /// Low-passed and continuous.
+    /// Returns the low-passed, continuous rate.
     ///
     /// The kernel may be narrower than that of `low_pass_hz`: at 1.4 steps of the grid, that of
     /// 45 Hz, its samples still are a Gaussian to 10⁻¹⁷.
@@ -116,7 +117,7 @@ impl Resampled {
     }
 }
 
-/// A stream low-passed and continuous.
+/// A stream with its low-passed, continuous rate.
 pub(crate) struct Smooth {
     pub(crate) signal: Signal,
     resampled: Resampled,
@@ -132,7 +133,7 @@ impl Smooth {
         }
     }
 
-    /// With another low-pass, which is the same at each call.
+    /// Returns the rate with another low-pass, which must be the same at each call.
     pub(crate) fn wide(&self, low_pass_hz: f64) -> &Signal {
         self.wide
             .get_or_init(|| self.resampled.smoothed(low_pass_hz))
@@ -152,17 +153,17 @@ impl Signal {
         (t <= piece.domain().1).then_some(piece)
     }
 
-    /// Smooth value at `t`, or `None` outside of the pieces.
+    /// Returns the smooth value at `t`, or `None` outside of the pieces.
     pub(crate) fn value(&self, t: f64) -> Option<Vec3> {
         Some(self.piece_at(t)?.value(t))
     }
 
-    /// Smooth value and rate of change at `t`, or `None` outside of the pieces.
+    /// Returns the smooth value and its rate of change at `t`, or `None` outside of the pieces.
     pub(crate) fn at(&self, t: f64) -> Option<(Vec3, Vec3)> {
         Some(self.piece_at(t)?.value_and_rate(t))
     }
 
-    /// The signal sampled every `step` seconds on all its pieces.
+    /// Samples the signal every `step` seconds on all its pieces.
     pub(crate) fn sampled(&self, step: f64) -> Vec<(f64, Vec3)> {
         let mut out = Vec::new();
         for piece in &self.pieces {

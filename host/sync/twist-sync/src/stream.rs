@@ -1,4 +1,4 @@
-//! One stream after the checks that need no other.
+//! One stream, after the checks that do not need the other.
 
 mod classes;
 mod samples;
@@ -14,7 +14,7 @@ use crate::signal::interpolant::{Uneven, Vec3};
 use crate::signal::neighbours::{self, Samples};
 use crate::signal::{self, Resampled, Smooth};
 
-/// Rates above this are no rates, rad/s.
+/// Largest angular rate that counts as valid, rad/s.
 const LARGEST_RATE: f64 = 1e4;
 
 /// A stream whose timestamps and samples were checked.
@@ -28,23 +28,24 @@ pub(crate) struct CheckedStream<'a> {
     /// Typical distance of samples, seconds.
     pub(crate) step_s: f64,
     noise: Vec3,
-    /// 1-sigma of time that the faults leave open, seconds; of its rate.
+    /// 1-sigma of the stream's time due to its faults, seconds.
     pub(crate) unresolved_s: f64,
+    /// 1-sigma of the stream's rate due to its faults.
     pub(crate) unresolved_skew: f64,
-    /// Step of coarse stamps, seconds; 0 of fine ones.
+    /// Step of coarse stamps, seconds; 0 for fine ones.
     pub(crate) resolution_s: f64,
     /// Deviation of the stamps that may be the samples' own.
     pub(crate) pattern: Option<Pattern>,
-    /// Rate of the samples from which the stream was made, Hz, and how.
+    /// Origin of a stream that was made from slower samples.
     pub(crate) made: Option<Made>,
     pub(crate) faults: Vec<Fault>,
-    /// Times, rates or what is usable changed since the stream was smoothed.
+    /// True if times, rates or the usable samples changed since the stream was smoothed.
     pub(crate) is_changed: bool,
 }
 
 impl<'a> CheckedStream<'a> {
-    /// `None` with fewer than eight usable samples. With `handle_faults` off only
-    /// what cannot be computed with is left out.
+    /// Checks a stream; `None` with fewer than eight usable samples. Without `handle_faults`,
+    /// only values that cannot be computed with are left out.
     pub(crate) fn new(
         stream: Stream,
         track: &'a GyroTrack,
@@ -108,7 +109,8 @@ impl<'a> CheckedStream<'a> {
         Some(out)
     }
 
-    /// Removes the sawtooth of the stamps by the part that is its probability, which is given.
+    /// Removes the sawtooth of the stamps, scaled by its posterior probability, which
+    /// `probability` computes from the prior one. Returns that scale.
     pub(crate) fn correct_sawtooth(&mut self, probability: impl Fn(f64) -> f64) -> f64 {
         let Some(Pattern { later_s, sawtooth }) = self.pattern.take() else {
             return 0.0;
@@ -133,7 +135,7 @@ impl<'a> CheckedStream<'a> {
         part
     }
 
-    /// Gives an axis the rates that it shows `later_s` later.
+    /// Replaces the rates of an axis by those that it shows `later_s` later.
     pub(crate) fn advance_axis(&mut self, axis: usize, later_s: f64) {
         let kept = neighbours::kept(&self.usable);
         let times: Vec<f64> = kept.iter().map(|&k| self.t[k]).collect();
@@ -166,7 +168,7 @@ impl<'a> CheckedStream<'a> {
         self.usable.iter().filter(|&&u| u).count()
     }
 
-    /// The usable samples from one time to another.
+    /// Returns the usable samples from one time to another.
     pub(crate) fn usable_within(&self, (from, to): (f64, f64)) -> Vec<usize> {
         let within = from..=to;
         (0..self.t.len())
@@ -174,9 +176,9 @@ impl<'a> CheckedStream<'a> {
             .collect()
     }
 
-    /// Part of the samples that can be used. A sample that the sensor held over
-    /// from the one before is no sample, and what is left out because the two
-    /// gyroscopes were not one body is no fault of the stream.
+    /// Returns the part of the samples that can be used. Samples that the sensor repeated do
+    /// not count, nor do those left out because the two gyroscopes were not one body, which is
+    /// no fault of the stream.
     pub(crate) fn usable_part(&self) -> f64 {
         let is_none = |f: &&Fault| match f.kind {
             FaultKind::CopiedSample => f.count * 5 > self.t.len(),
@@ -187,8 +189,8 @@ impl<'a> CheckedStream<'a> {
         self.usable_count() as f64 / (self.t.len() - none.sum::<usize>()).max(1) as f64
     }
 
-    /// Distance of a step between neighbours near `t` from a whole number of
-    /// sampling steps, as a part of one.
+    /// Returns the largest deviation of the steps between neighbours near `t` from a whole
+    /// number of sampling steps, as a part of one step.
     pub(crate) fn odd_step_near(&self, t: f64) -> f64 {
         let from = self.t.partition_point(|&x| x < t - 0.2);
         let to = self.t.partition_point(|&x| x <= t + 0.2);
@@ -199,12 +201,12 @@ impl<'a> CheckedStream<'a> {
             .fold(0.0, f64::max)
     }
 
-    /// White noise of one sample, mean of the axes, (rad/s)².
+    /// Returns the variance of the white noise of one sample, mean of the axes, (rad/s)².
     pub(crate) fn noise_variance(&self) -> f64 {
         self.noise.iter().map(|n| n * n).sum::<f64>() / 3.0
     }
 
-    /// 1-sigma of what a low-pass leaves of it, rad/s.
+    /// Returns the 1-sigma of that noise after a low-pass, rad/s.
     pub(crate) fn smooth_noise(&self, low_pass_hz: f64) -> f64 {
         (self.noise_variance() * self.step_s / signal::kernel_length_s(low_pass_hz)).sqrt()
     }

@@ -1,24 +1,31 @@
-//! A gyroscope's recording as the sync math takes it.
+//! A gyroscope's recording, in memory ([`GyroTrack`]) or streamed ([`GyroStream`]).
 
 use crate::signal::interpolant::Vec3;
 
-/// One sample of a gyroscope in its own clock.
+/// One sample of a gyroscope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroSample {
-    /// Nanoseconds.
+    /// Time in nanoseconds of the device's clock.
     pub at: i64,
     /// Angular rate about x, y, z in rad/s.
     pub rate: Vec3,
 }
 
-/// Samples in order of time.
+/// A gyroscope's samples in order of time, read one by one; reading may fail with `E`.
 pub type GyroStream<'a, E> = Box<dyn Iterator<Item = Result<GyroSample, E>> + 'a>;
 
-/// Angular rates over time.
+/// Opens a gyroscope's recording at its beginning; opening may fail with `E`.
+pub type GyroOpener<'a, E> = &'a dyn Fn() -> Result<GyroStream<'a, E>, E>;
+
+/// Most samples of a recording that are read into one track: a stream with more of them within
+/// some seconds is damaged.
+pub(crate) const MOST_SAMPLES: usize = 200_000;
+
+/// A gyroscope's recording in memory: angular rates over time.
 ///
 /// Times are kept relative to `epoch_s`, so that a clock that reads 10⁶ s costs
-/// no precision. They need not be equidistant or even sorted: what is wrong
-/// with them is found and named by [`crate::estimate_offset`].
+/// no precision. They need not be equidistant or even sorted:
+/// [`crate::estimate_offset`] finds and reports faults of timestamps.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GyroTrack {
     /// The clock's reading at relative time zero, in seconds.
@@ -29,8 +36,8 @@ pub struct GyroTrack {
     pub w: Vec<Vec3>,
 }
 
-/// The first time that is no more than `near` from the median: one wild value at the
-/// beginning must not cost the others their digits.
+/// Returns the first time within `near` of the median, so that one wild value at the
+/// beginning does not cost the others their precision.
 fn first_of_the_bulk<T: Copy + PartialOrd + Default, D: PartialOrd>(
     times: &[T],
     near: D,
@@ -51,7 +58,7 @@ fn first_of_the_bulk<T: Copy + PartialOrd + Default, D: PartialOrd>(
 }
 
 impl GyroTrack {
-    /// From times in seconds of the device's clock.
+    /// Creates a track from times in seconds of the device's clock and as many rates in rad/s.
     #[must_use]
     pub fn from_seconds(times_s: &[f64], w: Vec<Vec3>) -> Self {
         let epoch_s = first_of_the_bulk(times_s, 86_400.0, |x, y| (x - y).abs());
@@ -62,8 +69,8 @@ impl GyroTrack {
         }
     }
 
-    /// From times in nanoseconds of the device's clock and as many rates; their
-    /// differences are taken in integers.
+    /// Creates a track from times in nanoseconds of the device's clock and as many rates in
+    /// rad/s. Differences of times are computed in integers.
     #[must_use]
     pub fn from_nanos(times: &[i64], w: Vec<Vec3>) -> Self {
         let day = 86_400_000_000_000;
@@ -86,7 +93,8 @@ impl GyroTrack {
         Self::from_nanos(&times, samples.iter().map(|sample| sample.rate).collect())
     }
 
-    /// The samples in order of time, in nanoseconds from the epoch.
+    /// Streams the samples with times in nanoseconds since the epoch. Samples whose time is no
+    /// later than that of an earlier one are left out.
     pub(crate) fn stream<'a, E: 'a>(&'a self) -> GyroStream<'a, E> {
         let mut last = i64::MIN;
         let samples = self.t.iter().zip(&self.w).filter(|(t, _)| t.is_finite());
@@ -105,7 +113,7 @@ impl GyroTrack {
         )
     }
 
-    /// This track and what a later one has after its end.
+    /// Appends the samples of a later track that lie after the end of this one.
     pub(crate) fn followed_by(&self, later: &Self) -> Self {
         let mut out = self.clone();
         let between_s = later.epoch_s - self.epoch_s;
@@ -119,20 +127,20 @@ impl GyroTrack {
         out
     }
 
-    /// Number of samples.
+    /// Returns the number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
         self.t.len()
     }
 
-    /// True without any sample.
+    /// Returns true if there are no samples.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.t.is_empty()
     }
 
-    /// The samples with `from_s <= time < to_s` (clock readings in seconds);
-    /// the epoch stays.
+    /// Returns the samples with `from_s <= time < to_s`, in seconds of the device's clock, with
+    /// the same epoch.
     #[must_use]
     pub fn between(&self, from_s: f64, to_s: f64) -> Self {
         let (from, to) = (from_s - self.epoch_s, to_s - self.epoch_s);

@@ -1,19 +1,19 @@
 //! The offset of two clocks, followed by exchanges after it was measured.
 //!
-//! A computer asks both clocks, a and b, for their time, again and again. Of an exchange
-//! it knows when it asked and when the answer came, by its own clock h, and what the clock
-//! read in between. The way there and the way back take unequal times, so that one exchange
-//! is wrong by half of their difference: by some constant, and by what each way took longer
-//! than it can. A twist knows the offset; here only its *change* is wanted, and the constant
+//! A computer asks both clocks, a and b, for their time, again and again. For each exchange
+//! it knows when it asked and when the answer came, by its own clock h, and the clock's
+//! reading in between. The way there and the way back take unequal times, so that one exchange
+//! is wrong by half of their difference: a constant, plus the random delays of the two ways.
+//! A twist gives the offset itself; the exchanges give its *change*, in which the constant
 //! cancels.
 //!
-//! **Windows.** Delays are one-sided and heavy-tailed, so of each two seconds only the
-//! quickest way there and the quickest way back count, whichever exchanges they are of
-//! ([`Leg`]): one of the two is often quick, both of one exchange hardly ever. What they take
-//! together is nearly always the same; the farther it is from its usual value, the less
+//! **Windows.** Delays are one-sided and heavy-tailed. So of each two seconds only the
+//! quickest way there and the quickest way back count, even if they belong to different
+//! exchanges ([`Leg`]): a single way is often quick, both ways of one exchange rarely. Their
+//! sum is nearly always the same; the farther it is from its usual value, the less
 //! their offset counts.
 //!
-//! **Filter.** A Kalman filter takes one such offset of either clock at a time:
+//! **Filter.** A Kalman filter is updated with one such offset of either clock at a time:
 //!
 //! ```text
 //! state        x = a − h, its rate, A = asymmetry of a's exchanges: a constant, and what wanders,
@@ -23,21 +23,21 @@
 //! known        d, and its rate
 //! ```
 //!
-//! `d` is what is wanted. The computer's clock is in `x` alone, whose rate may move by ppm
-//! within seconds; so the chain needs no good clock in the computer. The constants of A and B may
-//! step: where the usual round trip of a window steps, or offsets jump (a crystal cannot), only
-//! their variance grows; `d` goes on by its rate meanwhile, and is as certain as that. Beside
-//! them A and B wander: by half of what round trips do, which the two ways move by
-//! themselves.
+//! `d` is the result. The computer's clock affects `x` alone, whose rate may move by ppm
+//! within seconds; so the computer needs no good clock. The constants of A and B may
+//! step: if the usual round trip of a window steps, or offsets jump (a crystal cannot), only
+//! their variance grows; `d` is then predicted from its rate, with the uncertainty of that.
+//! In addition A and B wander, with half the variance of the round trip's wander, because the
+//! two ways wander independently.
 //!
-//! **Warming.** The rate of `d` walks, and its change dies away, as crystals do that warm
-//! up. By how much is not known: there are three hypotheses, weighed by their
+//! **Warming.** The rate of `d` walks, and its change decays, as with crystals that warm
+//! up. The size of both is unknown: there are three hypotheses, weighted by their
 //! predictions ([`MOVES`]).
 //!
-//! Limits: an asymmetry that moves slowly, without any change of the round trip, is
-//! taken for the clocks'. A jump of the computer's rate by tens of ppm looks like a step of
-//! both asymmetries: the 1-sigma grows with it. Temperatures are not used: a rate is measured within seconds to
-//! minutes, which is faster than a crystal follows a sensor beside it.
+//! Limits: an asymmetry that moves slowly, without any change of the round trip, counts as a
+//! change of the clocks. A jump of the computer's rate by tens of ppm looks like a step of
+//! both asymmetries: the 1-sigma grows with it. Temperatures are not used: a rate is measured
+//! within seconds to minutes, which is faster than a crystal follows a sensor beside it.
 
 mod followed;
 mod leg;
@@ -49,14 +49,14 @@ use self::leg::{Leg, Seen};
 use crate::clock::{ClockRelation, Wander, WithSigma};
 use crate::mixture::{Supposed, mixed};
 
-/// One exchange with a clock, s. `sent` and `received` are of the computer's clock.
+/// One exchange with a clock: a question for its time, and the answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exchange {
-    /// When it was asked.
+    /// Time of the question, in seconds of the computer's clock.
     pub sent: f64,
-    /// When its answer came.
+    /// Arrival of the answer, in seconds of the computer's clock.
     pub received: f64,
-    /// The clock's reading in between.
+    /// Reading of the clock between the two, in seconds of that clock.
     pub stamp: f64,
 }
 
@@ -71,32 +71,32 @@ impl Exchange {
     }
 }
 
-/// The clock that was asked.
+/// The clock of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
-    /// The first.
+    /// Clock a.
     A,
-    /// The second.
+    /// Clock b.
     B,
 }
 
 /// Innovation from which an offset is odd, in sigmas.
 const ODD_SIGMAS: f64 = 5.0;
 
-/// So many odd offsets in a row are a step.
+/// Odd offsets in a row that count as a step.
 const ODD_WINDOWS: u32 = 3;
 
-/// The ways there and back differ by so much, 1-sigma, before anything is known, s.
+/// Prior 1-sigma of the asymmetry of the ways there and back, s.
 const ASYMMETRY: f64 = 0.05;
 
-/// Rates of the clocks differ by so much, 1-sigma, before anything is known.
+/// Prior 1-sigma of the difference in rate of two clocks.
 const RATES: f64 = 1e-4;
 
 /// Walk of the rate of the computer's clock in one second: time servers steer it by
 /// some ppm at a time.
 const COMPUTER_WALK: f64 = 3e-6;
 
-/// Time in which a rig warms up, s. A guess.
+/// Time constant with which a rig warms up, in seconds. A guess.
 pub const WARMING_S: f64 = 300.0;
 
 /// Hypotheses of the rate between the two clocks: its walk in one second, and the 1-sigma of
@@ -131,7 +131,8 @@ struct Filter {
 }
 
 impl Filter {
-    /// To `dt` seconds later; `wanders` are variances of the asymmetries'.
+    /// Predicts the state `dt` seconds later; `wanders` are the variances of the two
+    /// asymmetries' wander.
     fn predict(&mut self, dt: f64, wanders: [f64; 2]) {
         let mut step = Covariance::identity();
         step[(X, X_RATE)] = dt;
@@ -161,7 +162,7 @@ impl Filter {
         }
     }
 
-    /// Measurement less its prediction, and the variance of that.
+    /// Returns the measurement minus its prediction, and the variance of that difference.
     fn innovation(&self, of: &State, value: f64, variance: f64) -> (f64, f64) {
         let expected = of.dot(&self.mean);
         (value - expected, of.dot(&(self.covariance * of)) + variance)
@@ -180,12 +181,13 @@ impl Filter {
     }
 }
 
-/// Follows the offset of clock b against clock a. Pure: exchanges are passed in.
+/// Filter that follows the offset of clock b against clock a. It does no I/O: the caller adds
+/// exchanges and relations.
 #[derive(Clone, Debug, Default)]
 pub struct Tracker {
     filters: Option<Filters>,
     legs: [Leg; 2],
-    /// First stamps, s: no digits are lost.
+    /// First offset of each clock from the computer's, s, so that no digits are lost.
     base: [Option<f64>; 2],
 }
 
@@ -197,9 +199,12 @@ struct Filters {
 }
 
 impl Tracker {
-    /// Takes an exchange, and gives whether it has ended a window. Those of one clock come in
-    /// the order in which they were asked; what is not a number is left.
-    pub fn take(&mut self, asked: Asked, exchange: Exchange) -> bool {
+    /// Adds an exchange with the clock `asked`. Returns true if it has ended a window, so that
+    /// the estimates have changed.
+    ///
+    /// The exchanges of one clock must be in the order in which they were asked for. Exchanges
+    /// with values that are not finite, or that end before they begin, are ignored.
+    pub fn add(&mut self, asked: Asked, exchange: Exchange) -> bool {
         if !exchange.is_valid() {
             return false;
         }
@@ -207,14 +212,14 @@ impl Tracker {
         let base = *self.base[place].get_or_insert(exchange.stamp - exchange.middle());
         let filters = self.filters.as_ref();
         let rate = || filters.map_or(0.0, |filters| filters.rate_of(asked));
-        let seen = self.legs[place].take(&exchange, base, rate);
+        let seen = self.legs[place].add(&exchange, base, rate);
         if let Some(seen) = &seen {
-            self.see(asked, seen);
+            self.update(asked, seen);
         }
         seen.is_some()
     }
 
-    fn see(&mut self, asked: Asked, seen: &Seen) {
+    fn update(&mut self, asked: Asked, seen: &Seen) {
         let wanders = self.wanders();
         let filters = self.filters.get_or_insert_with(|| Filters::new(seen.at));
         filters.predict(seen.at, wanders);
@@ -246,11 +251,11 @@ impl Tracker {
         }
     }
 
-    /// Takes a relation of the two clocks from elsewhere: a twist.
+    /// Adds an independent measurement of the relation of the two clocks, such as a twist,
+    /// which may be some seconds old.
     ///
-    /// It may be some seconds old. Before the first window of either clock nothing comes
-    /// of it, and `false` is given.
-    pub fn take_relation(&mut self, relation: &ClockRelation) -> bool {
+    /// Returns false, and ignores the relation, before the first window of each clock has ended.
+    pub fn add_relation(&mut self, relation: &ClockRelation) -> bool {
         let ([Some(base_a), Some(base_b)], Some(filters)) = (self.base, &mut self.filters) else {
             return false;
         };
@@ -268,7 +273,7 @@ impl Tracker {
         of_rate[D_CHANGE] = -since;
         let value = relation.offset - (base_b - base_a);
         let wandered = relation.wander.diffusion() * since.abs().powi(3) / 3.0;
-        // What the skew says beside the offset, with which its error goes.
+        // The skew without the part of its error that goes with the offset's.
         let with_offset = both / offset;
         let alone = of_rate - with_offset * of_offset;
         let skew_alone = (skew - both * both / offset).max(0.0);
@@ -280,14 +285,15 @@ impl Tracker {
         true
     }
 
-    /// Clock b minus clock a at a time of the computer, and the 1-sigma; nothing before
-    /// both clocks have answered.
+    /// Returns clock b minus clock a at a time of the computer's clock (all in seconds), with
+    /// its 1-sigma, or `None` before both clocks have a complete window.
     #[must_use]
     pub fn offset_at(&self, computer: f64) -> Option<WithSigma> {
         Some(self.relation_at(computer)?.offset_here())
     }
 
-    /// The relation of the clocks at a time of the computer, to go on from there.
+    /// Returns the relation of the clocks, referenced at a time of the computer's clock in
+    /// seconds, or `None` before both clocks have a complete window.
     #[must_use]
     pub fn relation_at(&self, computer: f64) -> Option<ClockRelation> {
         let (mean, p) = self.at(computer)?;
@@ -304,9 +310,10 @@ impl Tracker {
         })
     }
 
-    /// When a window of the clock was last taken, by the computer's clock.
+    /// Returns the time of the latest complete window of a clock, in seconds of the computer's
+    /// clock.
     #[must_use]
-    pub fn last_of(&self, asked: Asked) -> Option<f64> {
+    pub fn last_window(&self, asked: Asked) -> Option<f64> {
         self.legs[asked as usize].last
     }
 
@@ -325,8 +332,8 @@ impl Tracker {
     }
 }
 
-/// Observation matrix of a window's offset, for the state `late` seconds later, and the
-/// place of its asymmetry.
+/// Returns the observation vector of a window's offset, for the state `late` seconds later, and
+/// the index of its asymmetry in the state.
 fn observed(asked: Asked, late: f64) -> (State, usize) {
     let mut of = State::zeros();
     of[X] = 1.0;
@@ -343,7 +350,7 @@ fn observed(asked: Asked, late: f64) -> (State, usize) {
 }
 
 impl Filters {
-    /// Knowing nothing.
+    /// Creates the filters with the prior of each hypothesis.
     fn new(at: f64) -> Self {
         let each = MOVES.map(|(walk, change)| {
             let mut covariance = Covariance::zeros();
@@ -367,7 +374,8 @@ impl Filters {
         Self { at, each }
     }
 
-    /// To a time that is not before theirs; windows of the two clocks overlap.
+    /// Predicts all filters to a time, unless they are there already: windows of the two
+    /// clocks overlap.
     fn predict(&mut self, at: f64, wanders: [f64; 2]) {
         let dt = at - self.at;
         if dt > 0.0 {
@@ -378,7 +386,7 @@ impl Filters {
         }
     }
 
-    /// Rate of a clock against the computer's, less one.
+    /// Returns the rate of a clock against the computer's, minus one.
     fn rate_of(&self, asked: Asked) -> f64 {
         let (mean, _) = self.mixed();
         match asked {
@@ -387,7 +395,7 @@ impl Filters {
         }
     }
 
-    /// Mixture of all hypotheses.
+    /// Returns mean and covariance of the mixture of all hypotheses.
     fn mixed(&self) -> (State, Covariance) {
         mixed(&self.each.each_ref().map(|filter| Supposed {
             prior: 1.0,

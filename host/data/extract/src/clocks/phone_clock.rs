@@ -83,7 +83,7 @@ pub(crate) fn find(
                 options: Options {
                     a_delay_s: input.constants.board_imu_delay_ns as f64 * 1e-9,
                     b_delay_s: input.constants.phone_imu_delay_ns as f64 * 1e-9,
-                    ..Options::of_windows()
+                    ..Options::for_windows()
                 },
                 prior,
             };

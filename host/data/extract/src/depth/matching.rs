@@ -121,7 +121,7 @@ impl Matching<'_> {
             open: &|| streams::camera(self.input, self.monitor),
             options: Options {
                 a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
-                ..Options::of_windows()
+                ..Options::for_windows()
             },
             prior: None,
         };

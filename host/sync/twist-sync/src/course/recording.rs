@@ -1,17 +1,17 @@
 //! The relation over whole recordings, from windows of natural motion.
 //!
-//! Any motion tells about the offset, not only a twist. Recording a is cut into
+//! Any motion contains information about the offset, not only a twist. Recording a is cut into
 //! windows; each with enough motion gives an estimate by [`estimate_offset`], with
 //! all its gates, and the estimates are joined to a [`ClockCourse`]. Both recordings
 //! are *streamed*: a few windows are in memory at a time, so that a recording of
 //! hours needs no more than one of minutes. The windows of a batch are estimated in
 //! parallel.
 //!
-//! A window that is refused is looked at again over a wide range of offsets, because a clock
-//! may have stepped. Two neighbours that are refused are estimated together, and two of
-//! those again, up to [`LONGEST`]: what is too weak alone adds up.
+//! A refused window is estimated again over a wide range of offsets, because a clock
+//! may have stepped. Two refused neighbours are estimated together, and two of
+//! those again, up to [`LONGEST`]: weak motion adds up.
 //!
-//! The offset is expected somewhere ([`Prior`]), or a first one is found by
+//! The caller gives an expected offset ([`Prior`]), or a first one is found by
 //! [`search`](super::search).
 
 use std::collections::VecDeque;
@@ -22,12 +22,12 @@ use std::mem::discriminant;
 use std::num::NonZero;
 use std::{panic, thread};
 
-use super::search;
+use super::error::RecordingError;
+use super::{ClockCourse, Unsupported, search};
 use crate::clock::ClockRelation;
-use crate::course::{ClockCourse, Unsupported};
 use crate::estimate::{Estimate, Gate, Options, Refusal, Warning, estimate_offset};
 use crate::faults::Why;
-use crate::track::{GyroSample, GyroStream, GyroTrack};
+use crate::track::{GyroOpener, GyroSample, GyroStream, GyroTrack, MOST_SAMPLES};
 
 /// Length of a window, ns.
 const WINDOW: i64 = 10_000_000_000;
@@ -39,73 +39,56 @@ const BATCH: usize = 8;
 const LEAST_MARGIN_S: f64 = 0.1;
 /// Largest half-width, seconds.
 const MOST_MARGIN_S: f64 = 5.0;
-/// So many windows are estimated as one at most, which is 320 s.
+/// Most windows that are estimated as one: 320 s.
 const LONGEST: usize = 32;
-/// Windows that are no farther apart follow each other, seconds.
+/// Largest distance of windows that follow each other, seconds.
 const FOLLOWS_S: f64 = 0.5;
-/// A stretch of motion without any estimate that is as long is not supported, seconds.
+/// Length beyond which a stretch with motion but without estimates is reported as unsupported,
+/// seconds.
 const UNSUPPORTED_S: f64 = 25.0;
-/// 1-sigma of the offset there, in seconds for each second of its length: a clock may be steered
-/// or step.
+/// 1-sigma of the offset in such a stretch, in seconds for each second of its length: a clock
+/// may be steered or step.
 const UNSUPPORTED_RATE: f64 = 100e-6;
-/// Two clocks are this far apart in rate at most.
+/// Largest difference in rate of two clocks.
 const MOST_SKEW: f64 = 500e-6;
-/// Most samples of one window: a stream with more of them in that time is damaged.
-pub(crate) const MOST_SAMPLES: usize = 200_000;
-
-/// Opens a gyroscope's recording at its beginning.
-pub type GyroOpener<'a, E> = &'a dyn Fn() -> Result<GyroStream<'a, E>, E>;
-
-/// Knowledge about the relation beforehand.
+/// Prior knowledge about the relation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prior {
-    /// An estimate of it.
+    /// An earlier estimate of the relation.
     Relation(ClockRelation),
-    /// b − a in seconds, within a half-width in seconds.
+    /// The offset (b − a) in seconds, and the half-width of its range in seconds.
     Offset(f64, f64),
 }
 
-/// The relation over a recording.
+/// Result of [`estimate_course`]: the relation over a recording, and the windows it is from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordingClock {
     /// Offset and skew over time.
     pub course: ClockCourse,
-    /// Windows of recording a.
+    /// Number of windows of recording a.
     pub windows: usize,
-    /// The estimates that were accepted; one may be of several windows.
+    /// Accepted estimates; one may be of several windows.
     pub estimates: Vec<ClockRelation>,
-    /// Windows that are in no estimate, by the gate that refused them.
+    /// Windows without an estimate, by the gate that refused them.
     pub refused: Vec<RefusedWindows>,
-    /// Warnings of the estimates, the first of each kind, and of how many estimates.
+    /// Warnings of the estimates: the first of each kind, and the number of estimates with it.
     pub warnings: Vec<(Warning, usize)>,
 }
 
 /// Windows of a recording that one gate refused.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefusedWindows {
-    /// The gate, with the figures of the first of them.
+    /// The gate, with the figures of the first refused window.
     pub gate: Gate,
-    /// Their number.
+    /// Number of windows.
     pub count: usize,
 }
 
-/// Why there is no relation over a recording.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordingError<E: Error + 'static> {
-    /// Reading one of the recordings failed.
-    #[error(transparent)]
-    Read(#[from] E),
-    /// No part of the recordings can be related.
-    #[error(
-        "the two gyroscopes cannot be related: {0}; twist the rig by hand at the beginning of a recording"
-    )]
-    NoRelation(String),
-}
-
 impl Options {
-    /// Settings of windows of natural motion: a larger sigma is accepted of each.
+    /// Returns the settings for windows of natural motion, which accept a larger sigma of each
+    /// window.
     #[must_use]
-    pub fn of_windows() -> Self {
+    pub fn for_windows() -> Self {
         Self {
             sigma_limit_s: WINDOW_SIGMA_S,
             ..Self::default()
@@ -113,12 +96,13 @@ impl Options {
     }
 }
 
-/// Relates the clocks over whole recordings. `options` are of each window
-/// ([`Options::of_windows`]), its `wander` also of the course.
+/// Relates the clocks over whole recordings. `options` apply to each window
+/// ([`Options::for_windows`]), their `wander` also to the course. Each recording is opened
+/// once, and several times more where `prior` is `None`.
 ///
 /// # Errors
 ///
-/// Reading fails, or no window can be related.
+/// Fails if a recording cannot be read, or no window can be related.
 pub fn estimate_course<E: Error + Send + 'static>(
     a: GyroOpener<'_, E>,
     b: GyroOpener<'_, E>,
@@ -143,7 +127,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
         let (batch, ended) = windows.batch(size, &expected)?;
         let results = estimated(&batch, options);
         for (window, result) in batch.into_iter().zip(results) {
-            found.take(window, result, options);
+            found.add(window, result, options);
         }
         if let Some((latest, _)) = found.estimates.last() {
             expected = Prior::Relation(*latest);
@@ -156,12 +140,13 @@ pub fn estimate_course<E: Error + Send + 'static>(
     found.clock(windows.taken, options)
 }
 
-/// [`estimate_course`] of recordings in memory. Times are taken to the
-/// nanosecond, samples whose time is no later than that of the one before are left out.
+/// Relates the clocks over whole recordings in memory, like [`estimate_course`]. Times are
+/// rounded to nanoseconds; samples whose time is no later than that of the one before are left
+/// out.
 ///
 /// # Errors
 ///
-/// No window can be related.
+/// Fails if no window can be related.
 pub fn course_of_tracks(
     a: &GyroTrack,
     b: &GyroTrack,
@@ -184,7 +169,7 @@ pub fn course_of_tracks(
 }
 
 impl Prior {
-    /// Offset and half-width of the search at a window.
+    /// Returns offset and half-width of the search at a window, in seconds.
     fn at(&self, window: &GyroTrack) -> (f64, f64) {
         let middle = window.epoch_s + 0.5 * window.t.last().copied().unwrap_or(0.0);
         match self {
@@ -201,19 +186,19 @@ impl Prior {
     }
 }
 
-/// A window of a, and what of b may belong to it.
+/// A window of a, and the samples of b that may belong to it.
 struct Window {
     a: GyroTrack,
-    /// Of [`MOST_MARGIN_S`] on either side of the search, or more.
+    /// With at least [`MOST_MARGIN_S`] on either side of the expected offset.
     b: GyroTrack,
     /// Expected offset and half-width of the search, seconds.
     search: (f64, f64),
-    /// So many windows are joined in it.
+    /// Number of windows that were joined to this one.
     count: usize,
 }
 
 impl Window {
-    /// First and last time of a, seconds.
+    /// Returns first and last time of a, in seconds.
     fn span(&self) -> (f64, f64) {
         let last = self.a.t.last().copied().unwrap_or(0.0);
         (self.a.epoch_s, self.a.epoch_s + last)
@@ -229,15 +214,15 @@ impl Window {
         };
         let narrow = within(self.search.1);
         match &narrow {
-            // Where a clock has stepped, the lag is another one.
-            Err(refusal) if refusal.is_of_lag() && self.search.1 < MOST_MARGIN_S => {
+            // A clock that has stepped has another lag.
+            Err(refusal) if refusal.is_about_lag() && self.search.1 < MOST_MARGIN_S => {
                 within(MOST_MARGIN_S).or(narrow)
             }
             _ => narrow,
         }
     }
 
-    /// This one and a later one; `None` if that does not follow.
+    /// Joins this window and a later one; `None` if that does not follow.
     fn joined(&self, later: &Self) -> Option<Self> {
         let follows = later.span().0 - self.span().1 < FOLLOWS_S;
         follows.then(|| Self {
@@ -252,20 +237,20 @@ impl Window {
 /// Estimates, and windows that wait for their neighbours.
 #[derive(Default)]
 struct Found {
-    /// With the part of the 1-sigma that all of them share, seconds.
+    /// Each with the part of its 1-sigma that all of them share, seconds.
     estimates: Vec<(ClockRelation, f64)>,
-    /// Refused windows, and why; each waits for another one of its size.
+    /// Refused windows with their refusals; each waits for another one of its size.
     waiting: Vec<(Window, Refusal)>,
     refused: Vec<RefusedWindows>,
-    /// Stretches of a with motion that nothing could relate.
+    /// Stretches of a with motion that could not be related.
     unrelated: Vec<(f64, f64)>,
-    /// Parts of windows that were left out because the relation is another one there.
+    /// Parts of windows that were left out because the offset differs there.
     stepped: Vec<Unsupported>,
     warnings: Vec<(Warning, usize)>,
 }
 
 impl Found {
-    fn take(&mut self, window: Window, result: Result<Estimate, Refusal>, options: &Options) {
+    fn add(&mut self, window: Window, result: Result<Estimate, Refusal>, options: &Options) {
         match result {
             Ok(estimate) => self.accept(&window, &estimate),
             Err(refusal) => {
@@ -296,7 +281,7 @@ impl Found {
         }
     }
 
-    /// Estimates waiting neighbours together: those of one size, or all.
+    /// Estimates waiting neighbours together: those of equal size, or with `all` any.
     fn join(&mut self, all: bool, options: &Options) {
         while let [.., (early, _), (late, _)] = &self.waiting[..]
             && (all || early.count == late.count)
@@ -313,7 +298,7 @@ impl Found {
             let first = self.waiting.pop();
             match both.estimated(options) {
                 Ok(estimate) => self.accept(&both, &estimate),
-                // Of two refusals the one of more data says more.
+                // The refusal of the longer window has more data.
                 Err(refusal) => {
                     drop((first, last));
                     self.waiting.push((both, refusal));
@@ -334,7 +319,7 @@ impl Found {
         let Some(gate) = failed else {
             return;
         };
-        if refusal.is_of_lag() {
+        if refusal.is_about_lag() {
             self.unrelated.push(window.span());
         }
         let mut known = self.refused.iter_mut();
@@ -384,7 +369,7 @@ impl Found {
     }
 }
 
-/// Long stretches of windows that could not be related, without any estimate in them.
+/// Returns the long stretches of unrelated windows that contain no estimate.
 fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> Vec<Unsupported> {
     unrelated.sort_by(|x, y| x.0.total_cmp(&y.0));
     let is_parted = |from: f64, to: f64| {
@@ -410,9 +395,8 @@ fn unsupported(mut unrelated: Vec<(f64, f64)>, estimates: &[ClockRelation]) -> V
     .collect()
 }
 
-/// The estimates of a batch, on all cores. One estimate stays on one thread: it takes some
-/// milliseconds, and on a busy machine threads that wait for each other wait longer than
-/// that.
+/// Estimates the windows of a batch on all cores. One estimate stays on one thread: it takes
+/// some milliseconds, and on a busy machine threads that wait for each other wait longer.
 fn estimated(batch: &[Window], options: &Options) -> Vec<Result<Estimate, Refusal>> {
     let all =
         |windows: &[Window]| -> Vec<_> { windows.iter().map(|w| w.estimated(options)).collect() };
@@ -438,12 +422,12 @@ struct Windows<'a, E> {
     b: Fuse<GyroStream<'a, E>>,
     /// Samples of b that a window may still need.
     b_waiting: VecDeque<GyroSample>,
-    /// Windows of a so far.
+    /// Number of windows of a so far.
     taken: usize,
 }
 
 impl<E> Windows<'_, E> {
-    /// The next `size` windows, and whether a has ended.
+    /// Returns the next `size` windows, and true if a has ended.
     fn batch(&mut self, size: usize, expected: &Prior) -> Result<(Vec<Window>, bool), E> {
         let mut batch = Vec::with_capacity(size);
         while batch.len() < size {
@@ -478,7 +462,7 @@ impl<E> Windows<'_, E> {
         Ok(Some(GyroTrack::from_samples(&samples)))
     }
 
-    /// The samples of b around a window. Windows come in order of time.
+    /// Returns the samples of b around a window. Windows come in order of time.
     fn b_around(
         &mut self,
         window: &GyroTrack,

@@ -1,24 +1,24 @@
-//! The first relation of two clocks about which nothing is known.
+//! Search for a first relation of two clocks whose offset is unknown.
 //!
-//! How fast a rigid body turns is the same for every gyroscope on it, whatever its
-//! axes. So the rates of both recordings, averaged over [`BIN`], are correlated
+//! All gyroscopes on a rigid body measure the same magnitude of the angular rate, whatever
+//! their axes. So the magnitudes of both recordings, averaged over [`BIN`], are correlated
 //! over all lags (an FFT over the whole recording: 100 kB an hour). The best lags
-//! are then tried on the parts with the most motion by the sync math, which has
-//! the last word.
+//! are then tried with [`estimate_offset`] on the parts with the most motion; the first that
+//! passes its gates is the relation.
 
 use std::error::Error;
 
-use super::recording::{GyroOpener, MOST_SAMPLES, RecordingError};
+use super::error::RecordingError;
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
 use crate::estimate::{Options, estimate_offset};
-use crate::track::{GyroSample, GyroTrack};
+use crate::track::{GyroOpener, GyroSample, GyroTrack, MOST_SAMPLES};
 
 /// Length of an average, ns: 40 ms.
 const BIN: i64 = 40_000_000;
 /// Longest recording that is searched: 48 hours.
 const MAX_BINS: usize = 48 * 3600 * 25;
-/// Pause of a recording beyond which its length alone does not carry, in bins: a minute.
+/// Longest pause of a recording that its timestamps may show by themselves, in bins: a minute.
 const PAUSE: usize = 1500;
 /// Length of the parts on which lags are tried, in bins: 12 s.
 const PART: usize = 300;
@@ -32,13 +32,13 @@ const MARGIN: f64 = 0.3;
 /// Largest 1-sigma of the first relation, s: it only says where to look.
 const FIRST_SIGMA_S: f64 = 10e-3;
 
-/// Turning rate over time, in bins.
+/// Magnitude of the angular rate over time, in bins.
 struct Profile {
     start: i64,
     bins: Vec<f64>,
 }
 
-/// Relates two recordings without any knowledge of their offset.
+/// Relates two recordings whose offset is unknown.
 pub(crate) fn first_relation<E: Error + 'static>(
     a: GyroOpener<'_, E>,
     b: GyroOpener<'_, E>,
@@ -88,8 +88,8 @@ fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Opt
         let sample = sample?;
         let start = *begin.get_or_insert(sample.at);
         let since = usize::try_from(sample.at.saturating_sub(start) / BIN).ok();
-        // Far ahead is a wild timestamp, or, if most are there, the others were: so the
-        // bins are no more than the samples and a pause.
+        // A timestamp far ahead is wild, unless most are there: then the earlier ones were. So
+        // there are no more bins than samples and a pause.
         let bin = match since.filter(|bin| *bin <= sums.len() + taken + PAUSE) {
             Some(bin) => bin,
             None if skipped < taken => {
@@ -130,7 +130,7 @@ fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Opt
     }))
 }
 
-/// Lags (in bins: place in b = place in a + lag) by falling correlation.
+/// Lags in bins (bin `i` of a is bin `i + lag` of b), the highest correlation first.
 fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
     let correlator = Correlator::new(a.len() + b.len());
     let spectrum = |bins: &[f64]| {
@@ -152,7 +152,7 @@ fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
     first_apart(order.into_iter().take(100_000).map(lag), APART, LAGS)
 }
 
-/// The first `most` values that are so far apart from each other.
+/// The first `most` values that are at least `apart` from each other.
 fn first_apart(values: impl Iterator<Item = i64>, apart: u64, most: usize) -> Vec<i64> {
     let mut chosen: Vec<i64> = Vec::new();
     for value in values {

@@ -1,15 +1,15 @@
 //! One axis of a gyroscope that comes late against its other two.
 //!
-//! Some phones read their axes one after the other, or take one from an older sample. The
-//! offset would be some mean of the axes' delays, weighted by the motion about each. So each
+//! Some phones read their axes one after the other, or report one from an older sample. The
+//! offset would be a mean of the axes' delays, weighted by the motion about each. So each
 //! axis of one stream gets a shift of its own: with `S` the slopes of the prediction by axis of
 //! that stream, the residual is `S·η + u·s·ρ + noise`. Hypotheses are that all shifts are the
 //! same, and, of each axis of either stream, that it is late: then the relation is that of the
-//! other two. All are averaged by their probability, so that an axis that cannot be decided on
-//! is part of the sigma.
+//! other two. All are averaged by their probability, so that an undecided axis is part of the
+//! sigma.
 //!
-//! Limits: with two axes that are late by the same, the third is called early. Of motion about
-//! one axis alone it is often not known which stream's axis it is.
+//! Limits: if two axes are late by the same, the third is reported as early. With motion about
+//! one axis alone it is often unknown which stream's axis is late.
 
 use nalgebra::{Matrix3, Matrix4, SMatrix, Vector1, Vector2, Vector4};
 
@@ -19,9 +19,9 @@ use crate::mixture::{Supposed, mixed};
 
 /// Probability beforehand that a given axis is late.
 const LATE: f64 = 0.01;
-/// By how much it may be, seconds: the range over which that probability spreads.
+/// Range of its lateness over which that probability is spread, seconds.
 const RANGE_S: f64 = 1e-3;
-/// Logarithm of a likelihood beyond which it says no more about which axis it is.
+/// Largest logarithm of a likelihood: beyond it the axis is certain.
 const MOST_LN: f64 = 500.0;
 /// 1-sigma of the prior of an axis' shift, seconds.
 const LATEST_S: f64 = 1e-3;

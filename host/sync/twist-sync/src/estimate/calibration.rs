@@ -22,7 +22,7 @@ impl Calibration {
         }
     }
 
-    /// Residual of `y` at `x`.
+    /// Returns the residual of `y` at `x`.
     pub(crate) fn residual(&self, x: &Vector3<f64>, y: &Vector3<f64>) -> Vector3<f64> {
         y - self.matrix * x - self.bias
     }
@@ -31,7 +31,7 @@ impl Calibration {
 /// The rates of both at each node: `x` and `y`.
 pub(crate) type Rates = (Vector3<f64>, Vector3<f64>);
 
-/// Best orthogonal `C` and bias at a given relation of the clocks.
+/// Returns the best orthogonal `C` and bias at a given relation of the clocks.
 pub(crate) fn rotation(rates: impl Iterator<Item = Rates> + Clone) -> Calibration {
     let (mut n, mut mean_x, mut mean_y) = (0.0, Vector3::zeros(), Vector3::zeros());
     for (x, y) in rates.clone() {
@@ -75,7 +75,7 @@ pub(crate) fn regress(
     regress_about(rotation(rates.clone()), rates, noise_variance)
 }
 
-/// The same with a prior that is known.
+/// Like [`regress`], with a given prior.
 pub(crate) fn regress_about(
     prior: Calibration,
     rates: impl Iterator<Item = Rates>,

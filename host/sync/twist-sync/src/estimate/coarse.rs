@@ -18,7 +18,7 @@ const BIN_S: f64 = 0.02;
 /// Peaks of each of the two scores that the fit tries.
 const PEAKS: usize = 6;
 
-/// Peaks whose correlation is below this part of the best are no rivals: they leave more
+/// Peaks whose correlation is below this part of the best are not tried: they leave more
 /// than half of the motion's power.
 const WEAK: f64 = 0.6;
 
@@ -100,10 +100,10 @@ fn nuclear_norm(m: &[[f64; 3]; 3]) -> f64 {
         .sum()
 }
 
-/// The lags at which two recordings x and y may belong together, best first: the
+/// Returns the lags at which two recordings x and y may belong together, best first: the
 /// relative time of y minus that of x, in seconds.
 ///
-/// Lags with less than `min_overlap_s` in common are not looked at.
+/// Lags with less than `min_overlap_s` in common are ignored.
 pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Vec<f64> {
     let (Some((start_x, x)), Some((start_y, y))) = (binned(x), binned(y)) else {
         return Vec::new();
@@ -130,8 +130,8 @@ pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Ve
     found
 }
 
-/// The norm, and the norm over the energies in the overlap, at each lag of at
-/// least `min_bins` in common; and the first of these lags. Lag l pairs `x[i]`
+/// Returns the norm, and the norm over the energies in the overlap, at each lag with at
+/// least `min_bins` in common, and the first of these lags. Lag l pairs `x[i]`
 /// with `y[i + l]`.
 fn scores(x: &[Vec3], y: &[Vec3], min_bins: i64) -> ([Vec<f64>; 2], i64) {
     let correlator = Correlator::new(x.len() + y.len());
@@ -162,7 +162,7 @@ fn scores(x: &[Vec3], y: &[Vec3], min_bins: i64) -> ([Vec<f64>; 2], i64) {
     ([norms, normalised], first_lag)
 }
 
-/// Energy of all bins before each, and of all in the end.
+/// Energy of all bins before each, and of all bins as the last value.
 fn energies(values: &[Vec3]) -> Vec<f64> {
     let mut sums = vec![0.0];
     let mut total = 0.0;
@@ -173,7 +173,7 @@ fn energies(values: &[Vec3]) -> Vec<f64> {
     sums
 }
 
-/// The places of the highest local maxima, to a part of a bin (parabola).
+/// Returns the places of the highest local maxima, interpolated between bins by a parabola.
 fn peaks(score: &[f64]) -> Vec<f64> {
     let at = |i: usize| score.get(i).copied();
     let before = |i: usize| i.checked_sub(1).and_then(at);

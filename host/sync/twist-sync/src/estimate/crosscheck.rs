@@ -7,7 +7,7 @@
 //! right stream.
 //!
 //! Slow differences (filters, nonlinearity, flexing) are not faults of samples;
-//! the local median of the difference is taken away before judging.
+//! the local median of the difference is subtracted before judging.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 
@@ -25,7 +25,7 @@ const LEAST_NOISE: f64 = 1e-4;
 /// Samples of a block for the local scale.
 const SCALE_BLOCK: usize = 48;
 
-/// A sample that does not fit to the other stream.
+/// A sample that does not fit the other stream.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Misfit {
     /// Its index in the recording.
@@ -96,17 +96,17 @@ pub(crate) fn outliers(
         .collect()
 }
 
-/// Evidence of the other stream about a deviation of some stamps.
+/// Evidence from the other stream about a deviation of some stamps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Evidence {
     /// Odds that the content is earlier than its stamps by the deviation, and not at its stamps.
     odds: f64,
-    /// Shift (s) and rate that the deviation makes where it is taken for the clocks'.
+    /// Shift (s) and rate that the deviation causes if it counts as the clocks'.
     pub(crate) effect: Vector2<f64>,
 }
 
 impl Evidence {
-    /// Probability that the content is earlier by the deviation, from that beforehand.
+    /// Returns the posterior probability that the content is earlier by the deviation.
     pub(crate) fn probability(&self, prior: f64) -> f64 {
         let odds = self.odds * prior / (1.0 - prior);
         if odds.is_finite() {
@@ -116,7 +116,7 @@ impl Evidence {
         }
     }
 
-    /// A part of the covariance of (shift, rate) if the deviation may be in them.
+    /// Returns the covariance of (shift, rate) that is due to an undecided deviation.
     pub(crate) fn open(&self, weight: f64) -> Matrix2<f64> {
         self.effect * self.effect.transpose() * weight
     }
@@ -125,8 +125,9 @@ impl Evidence {
 /// Least 1-sigma of a deviation, as a part of it.
 const LEAST_SIGMA: f64 = 0.05;
 
-/// Compares samples with the smooth rate of the other stream: is their content earlier than
-/// their stamps by `later_s`, or not? Arguments as of [`outliers`]; the effect is at `reference`.
+/// Compares samples with the smooth rate of the other stream, to decide if their content is
+/// earlier than their stamps by `later_s`. Arguments are those of [`outliers`]; the effect is
+/// given at `reference`.
 ///
 /// With `s` the slope of the other's rate, sample minus prediction is
 /// `−s·(η + u·ρ + θ·later)`; shift η and rate ρ are free, and θ is 1 or 0.
@@ -152,7 +153,7 @@ pub(crate) fn evidence(
         sigma.max(LEAST_NOISE).powi(-2)
     });
     let weights = Vector3::from(weights);
-    // Of each sample its row, information and score.
+    // Row, information and score of each sample.
     let each = seen.into_iter().map(|(k, slope, error)| {
         let row = Vector3::new(1.0, t[k] - reference, later_s(k));
         let weighed = slope.component_mul(&weights);
@@ -184,9 +185,9 @@ pub(crate) fn evidence(
 /// A stretch of time with a common displacement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stretch {
-    /// First and last time (the data's clock).
+    /// Begin, by the data's clock.
     pub(crate) from: f64,
-    /// End of the stretch.
+    /// End, by the data's clock.
     pub(crate) to: f64,
     /// Displacement against the fit, seconds.
     pub(crate) shift_s: f64,
@@ -194,7 +195,7 @@ pub(crate) struct Stretch {
     pub(crate) share: f64,
 }
 
-/// Least step of the relation that is looked for, seconds.
+/// Least step of the relation that is searched for, seconds.
 const LEAST_STEP_S: f64 = 100e-6;
 /// Its least significance.
 const STEP_Z: f64 = 8.0;
@@ -263,18 +264,18 @@ pub(crate) fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
     levels.stretches(steps, total)
 }
 
-/// Most steps that are looked for.
+/// Most steps that are searched for.
 const MOST_STEPS: usize = 8;
 
-/// A block at which a new level begins, and by how much it is above the one before,
+/// Index of the block at which a new level begins, and its height above the level before,
 /// seconds.
 type Step = (usize, f64);
 
-/// Levels of the relation, fitted together with a rate, which the fit has bent to lessen
-/// their steps.
+/// Levels of the relation, fitted together with a rate, because the fit's rate has absorbed a
+/// part of their steps.
 struct Levels<'a> {
     blocks: &'a [Block],
-    /// Of each block the time from the middle.
+    /// Time of each block from the middle.
     u: Vec<f64>,
     /// Sums over each block and all later ones: `Σ information·(1, u, u²)`, `Σ score·(1, u)`.
     tails: Vec<[f64; 5]>,
@@ -328,7 +329,7 @@ impl<'a> Levels<'a> {
         self.blocks.iter().enumerate().map(variance).sum()
     }
 
-    /// The steps with one more, the most significant; `None` if none is.
+    /// Adds the most significant further step; `None` if none is significant.
     fn with_best_cut(&self, steps: &[Step], sigma: f64) -> Option<Vec<Step>> {
         let mut best: Option<(f64, Vec<Step>)> = None;
         let mut cuts: Vec<usize> = steps.iter().map(|s| s.0).collect();

@@ -10,13 +10,16 @@
 //! `s` (η), `u·s` (ρ), `xₚ` (Cᵢₚ) and 1 (bᵢ).
 //!
 //! The residual's 3×3 covariance weights the axes. Two weak priors keep the
-//! problem solvable where the motion does not: the rate (crystals: 300 ppm) and
+//! problem solvable where the motion does not: of the rate (crystals: 300 ppm) and of
 //! `C` (near the best rotation, so that axes without motion are not fitted to
-//! noise). Neither is felt where there is motion.
+//! noise). Neither has an effect where there is motion.
 //!
-//! The shift's sigma comes from the residual itself: each node's influence on
-//! (η, ρ) is formed and its long-run covariance taken (Newey–West with a Parzen
-//! kernel), so that coloured noise and unmodelled parts count as what they are.
+//! The shift's sigma comes from the residual itself: it is the long-run covariance
+//! (Newey–West with a Parzen kernel) of the nodes' influences on (η, ρ), so that coloured
+//! noise and unmodelled parts count as they appear in the data. The evaluation of strobes
+//! has an estimator of this family for one variable with Bartlett weights; the Parzen
+//! kernel, which is smooth at its end, suits the correlation of a low-passed signal, and
+//! published results are by it.
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
@@ -25,8 +28,8 @@ use crate::robust::median;
 use crate::signal::Signal;
 use crate::signal::interpolant::Vec3;
 
-/// So far, in seconds, the slope of the model carries: what bends off is `½·x″·t²`, below
-/// 10⁻⁶ rad/s at 4 rad/s and 10 Hz, and mean-free in the shift's score.
+/// Longest time, in seconds, over which the model is extrapolated by its slope: the error
+/// `½·x″·t²` is below 10⁻⁶ rad/s at 4 rad/s and 10 Hz, and mean-free in the shift's score.
 const CARRIES_S: f64 = 10e-6;
 
 /// 1-sigma of the prior of the rate: two crystals.
@@ -48,22 +51,22 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    /// The model's time at the data's `t`.
+    /// Converts a time of the data to the model's.
     pub(crate) fn model_time(&self, t: f64) -> f64 {
         self.at_model + (t - self.at_data) * self.rate
     }
 
-    /// The data's time at the model's `t`.
+    /// Converts a time of the model to the data's.
     pub(crate) fn data_time(&self, t: f64) -> f64 {
         self.at_data + (t - self.at_model) / self.rate
     }
 
-    /// The data's time less the model's, at the reference.
+    /// Returns the data's time minus the model's, at the reference.
     pub(crate) fn lag_s(&self) -> f64 {
         self.at_data - self.at_model
     }
 
-    /// The same relation with another reference.
+    /// Returns the same relation with another reference.
     pub(crate) fn moved_to(&self, at_data: f64) -> Self {
         Self {
             at_model: self.model_time(at_data),
@@ -76,7 +79,7 @@ impl Link {
 /// Settings of a fit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FitOptions {
-    /// Iterations at most.
+    /// Largest number of iterations.
     pub(crate) iterations: usize,
     /// Steps of the shift below which the iteration has settled, seconds; of the rate
     /// likewise.
@@ -85,7 +88,7 @@ pub(crate) struct FitOptions {
     pub(crate) oversampling: f64,
     /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
     pub(crate) noise_variance: f64,
-    /// Bandwidth of the long-run covariance, seconds; 0 of a trial whose sigma is not asked.
+    /// Bandwidth of the long-run covariance, seconds; 0 for a trial whose sigma is not used.
     pub(crate) memory_s: f64,
 }
 
@@ -102,8 +105,8 @@ pub(crate) struct Node {
     pub(crate) residual: Vector3<f64>,
     /// Derivative of the prediction with respect to the shift, rad/s².
     pub(crate) slope: Vector3<f64>,
-    /// Weight of the node, 1 where the residual is as everywhere, less where the
-    /// rig is knocked or vibrates.
+    /// Weight of the node: 1, or less where the residual is large because the rig is knocked
+    /// or vibrates.
     pub(crate) weight: f64,
 }
 
@@ -112,7 +115,7 @@ impl Node {
         (self.x, self.y)
     }
 
-    /// Score and information about the shift.
+    /// Returns score and information about the shift.
     pub(crate) fn evidence(&self, weights: &Matrix3<f64>) -> (f64, f64) {
         let weighed = weights * self.slope * self.weight;
         (weighed.dot(&self.residual), weighed.dot(&self.slope))
@@ -139,17 +142,17 @@ pub(crate) struct Fit {
 }
 
 impl Fit {
-    /// Mean square of the residual over nodes and axes, (rad/s)².
+    /// Returns the mean square of the residual over nodes and axes, (rad/s)².
     pub(crate) fn residual_variance(&self) -> f64 {
         mean_square(self.nodes.iter().map(|n| n.residual))
     }
 
-    /// Mean square of the data about their mean, (rad/s)².
+    /// Returns the mean square of the data about their mean, (rad/s)².
     pub(crate) fn motion_variance(&self) -> f64 {
         variance(self.nodes.iter().map(|n| n.y))
     }
 
-    /// The overlap in so many parts of equal information, and what is left at its end.
+    /// Divides the overlap into `count` parts of equal information, and a remainder at its end.
     pub(crate) fn parts(&self, count: f64) -> Vec<Part> {
         let evidence = |n: &Node| n.evidence(&self.weights);
         let share = self.nodes.iter().map(|n| evidence(n).1).sum::<f64>() / count;
@@ -178,7 +181,7 @@ pub(crate) struct Part {
     pub(crate) information: f64,
     /// Information times the time from the reference.
     pub(crate) moment: f64,
-    /// False of the rest at the end.
+    /// False for the remainder at the end.
     pub(crate) is_whole: bool,
 }
 
@@ -188,7 +191,7 @@ pub(crate) fn variance(values: impl Iterator<Item = Vector3<f64>> + Clone) -> f6
     mean_square(values.map(|v| v - mean))
 }
 
-/// Zero without values.
+/// Mean of the vectors; zero without any.
 pub(crate) fn mean(values: impl Iterator<Item = Vector3<f64>> + Clone) -> Vector3<f64> {
     let n = values.clone().count().max(1) as f64;
     values.sum::<Vector3<f64>>() / n
@@ -214,7 +217,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// The node with the model's time later by `by_s`, which must be short.
+    /// Returns the node with the model's time later by `by_s`, which must be short.
     fn node(&self, by_s: f64, calibration: &Calibration) -> Node {
         let x = self.x + self.dx * by_s;
         Node {
@@ -228,7 +231,7 @@ impl Seen {
     }
 }
 
-/// `None` if they are too few for a fit.
+/// Nodes of the data on which the model exists; `None` if they are too few for a fit.
 fn seen(model: &Signal, data: &[(f64, Vec3)], link: &Link) -> Option<Vec<Seen>> {
     let mut seen = Vec::with_capacity(data.len());
     seen.extend(data.iter().filter_map(|&(t, y)| {
@@ -248,9 +251,9 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    /// Nodes at another relation with the same reference. The model is evaluated again
-    /// only where its slope does not carry so far.
-    fn look(
+    /// Writes the nodes at another relation with the same reference. The model is evaluated
+    /// again only if it is too far for an extrapolation by its slope.
+    fn update_nodes(
         &mut self,
         link: &Link,
         calibration: &Calibration,
@@ -294,7 +297,7 @@ pub(crate) fn fit(
     options: &FitOptions,
 ) -> Option<Fit> {
     let seen = seen(model, data, &start)?;
-    // Put the reference amid the data, or rate and shift trade.
+    // The reference is in the middle of the data, or rate and shift would be correlated.
     let middle = seen.iter().map(|s| s.t).sum::<f64>() / seen.len() as f64;
     let start = start.moved_to(middle);
     let mut link = start;
@@ -314,7 +317,7 @@ pub(crate) fn fit(
     let mut solved = None;
     let mut last_s = f64::INFINITY;
     for iteration in 0..options.iterations {
-        view.look(&link, &calibration, &mut nodes)?;
+        view.update_nodes(&link, &calibration, &mut nodes)?;
         if weights.is_none() && (1..WEIGHTS_FROZEN).contains(&iteration) {
             (weights_now, quiet) = residual_weights(&mut nodes, options.oversampling);
         } else {
@@ -335,7 +338,7 @@ pub(crate) fn fit(
             break;
         }
     }
-    view.look(&link, &calibration, &mut nodes)?;
+    view.update_nodes(&link, &calibration, &mut nodes)?;
     quiet.apply(&mut nodes);
     // Of the equations before the last step, which was tiny if the fit has settled.
     let inverse = solved?.inverse();
@@ -362,8 +365,8 @@ pub(crate) fn fit(
     })
 }
 
-/// The long-run covariance scatters when little time is in common; what white
-/// noise alone would give is the least that is stated.
+/// Returns the covariance, but no less than that of white noise: the long-run covariance
+/// scatters when little time is in common.
 pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
     let size = |k: usize| covariance[(k, k)].max(ideal[(k, k)]);
     let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
@@ -376,7 +379,7 @@ pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix
     Matrix2::new(size(0), mixed, mixed, size(1))
 }
 
-/// A last step of so many sigmas does no harm.
+/// Largest last step of a fit that counts as settled, in sigmas.
 const SETTLED_SIGMAS: f64 = 0.02;
 
 /// Iteration from which the weights stay, so that the fit settles.
@@ -403,14 +406,14 @@ impl LocalWeights {
 /// Length of the stretches over which the residual's power is judged, seconds.
 const STRETCH_S: f64 = 0.25;
 /// Power of the residual, in multiples of the median, above which a stretch
-/// weighs less.
+/// counts less.
 const LOUD: f64 = 3.0;
 
-/// Inverse covariance of the residual where it is as usual, and the weights of
-/// the stretches where it is not, which the nodes are given.
+/// Returns the inverse covariance of the usual residual, and the weights of the stretches,
+/// which are applied to the nodes.
 ///
-/// A knock or a vibration makes residuals that are no noise (filters that differ,
-/// flexing); with even weights a quarter of a second of it can outweigh the rest.
+/// A knock or a vibration causes residuals that are no noise (filters that differ,
+/// flexing); with equal weights a quarter of a second of it can outweigh the rest.
 pub(crate) fn residual_weights(
     nodes: &mut [Node],
     oversampling: f64,
@@ -449,7 +452,7 @@ pub(crate) fn residual_weights(
     (inverse_covariance(nodes), weights)
 }
 
-/// Inverse of the residual's covariance, bounded so that no axis is trusted blindly.
+/// Inverse of the residual's covariance, bounded so that no axis dominates.
 fn inverse_covariance(nodes: &[Node]) -> Matrix3<f64> {
     let mut s = Matrix3::zeros();
     let mut sum = 0.0;

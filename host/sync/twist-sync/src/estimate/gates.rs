@@ -1,4 +1,4 @@
-//! The quality gates: what an estimate must pass, each with its limit and reason.
+//! The quality gates that an estimate must pass, each with its limit, reason and advice.
 
 use std::fmt;
 
@@ -11,11 +11,9 @@ const LEAST_MOTION: f64 = 0.05;
 /// Largest part of the motion's rms that the quick fit may leave unexplained,
 /// faults not yet removed. Unrelated twists leave more than half.
 const UNEXPLAINED_AT_FIRST: f64 = 0.2;
-/// By how much worse the best rival among the time shifts must explain the motion,
-/// as a ratio of the residual power.
+/// Least residual power of the best rival among the time shifts, over that of the best.
 const WORSE_RIVAL: f64 = 4.0;
-/// Residual that is allowed: this part of the motion's rms, and so many times the
-/// in-band noise.
+/// Largest residual: this part of the motion's rms plus this multiple of the in-band noise.
 const RESIDUAL_OF_MOTION: f64 = 0.03;
 const RESIDUAL_OF_NOISE: f64 = 3.0;
 /// Least part of a stream's samples that must be usable.
@@ -24,18 +22,18 @@ const LEAST_USABLE: f64 = 0.5;
 const LEAST_ONE_BODY: f64 = 1.0 / 3.0;
 /// Least part of the information that one relation of the clocks must hold.
 const LEAST_SHARE: f64 = 0.6;
-/// Largest rms disagreement between parts of the overlap, seconds; or so many times what noise
-/// explains: of eight parts, by chance one twist in a million.
+/// Largest rms disagreement between parts of the overlap, seconds, or as a multiple of what
+/// noise explains: with eight parts, chance exceeds it in one twist of a million.
 const LOCAL_SCATTER_S: f64 = 400e-6;
 const TIMES_BY_NOISE: f64 = 2.5;
 /// Largest plausible rate difference of two crystal clocks.
 const LARGEST_SKEW: f64 = 500e-6;
 
-/// One gate.
+/// One judged quality gate: a measured value against its limit.
 #[derive(Debug, Clone, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Gate {
-    /// Short stable name.
+    /// Short stable name, such as `unique_peak`.
     pub name: &'static str,
     /// True if the measured value is within the limit.
     pub passed: bool,
@@ -43,24 +41,24 @@ pub struct Gate {
     pub value: f64,
     /// Limit of the value, in `unit`.
     pub limit: f64,
-    /// Unit of value and limit, and of what they are; empty of a gate that says yes
-    /// (1) or no (0).
+    /// Unit of value and limit, followed by the quantity where it is not obvious; empty for a
+    /// gate whose value is yes (1) or no (0).
     pub unit: &'static str,
     /// Meaning of a failure.
     pub reason: &'static str,
-    /// Next step after a failure; empty where the reason says it.
+    /// Next step after a failure; empty if the reason implies it.
     pub advice: &'static str,
 }
 
 impl Gate {
     /// Largest ratio of the motions of two recordings, one of which may be mostly at rest.
     const LARGEST_RATIO: f64 = 20.0;
-    /// Part of the motion's rms below which the unexplained rest does not put the
+    /// Part of the motion's rms below which an unexplained residual does not put the
     /// lag in doubt.
     pub(crate) const MOSTLY_EXPLAINED: f64 = UNEXPLAINED_AT_FIRST;
 
-    /// Gates that fail where the lag is another one than those that were looked at.
-    pub(crate) const OF_LAG: [&'static str; 5] = [
+    /// Gates that fail if the true lag is outside of the search.
+    pub(crate) const ABOUT_LAG: [&'static str; 5] = [
         "overlap",
         "explained",
         "unique_peak",
@@ -87,7 +85,7 @@ impl Gate {
         }
     }
 
-    /// Both in percent, from parts of one.
+    /// Like [`Self::at_least`], with value and limit as fractions that are shown in percent.
     fn part_at_least(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
         Self::at_least(name, 100.0 * value, 100.0 * limit, unit)
     }
@@ -227,7 +225,7 @@ impl Gate {
 const SAME_TWIST: &str =
     "fix the gyroscopes rigidly to each other, and give recordings of the same twist";
 
-/// Reason, value and limit, advice.
+/// Writes reason, value and limit, advice.
 impl fmt::Display for Gate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.reason)?;
@@ -244,7 +242,7 @@ impl fmt::Display for Gate {
     }
 }
 
-/// Two quantities, rounded to as few digits (two at least) as show that they differ.
+/// Formats two quantities with as few digits (at least two) as show that they differ.
 fn apart(value: f64, limit: f64, unit: &str) -> (String, String) {
     let both = |digits| (quantity(value, digits, unit), quantity(limit, digits, unit));
     (2..6)
@@ -253,7 +251,7 @@ fn apart(value: f64, limit: f64, unit: &str) -> (String, String) {
         .unwrap_or_else(|| both(6))
 }
 
-/// A number with its unit; long times in ms or s.
+/// Formats a number with its unit; long times in ms or s.
 fn quantity(x: f64, digits: u8, unit: &str) -> String {
     match unit {
         "µs" if x.abs() >= 1e6 => rounded(x * 1e-6, digits) + " s",
@@ -262,7 +260,7 @@ fn quantity(x: f64, digits: u8, unit: &str) -> String {
     }
 }
 
-/// A number with so many significant digits, or all those before its point, and
+/// Formats a number with `digits` significant digits, or all those before its point, and
 /// without an exponent.
 fn rounded(x: f64, digits: u8) -> String {
     let decimals = f64::from(digits) - 1.0 - x.abs().log10().floor();

@@ -5,22 +5,22 @@ use nalgebra::Matrix3;
 use super::coarse;
 use super::fit::{self, Fit, FitOptions, Link};
 use super::gates::Gate;
+use super::options::Options;
 use super::pair::{Pair, Settings, Signals};
+use super::report::Report;
 use super::rigid::{self, Stretch};
-use crate::Options;
-use crate::estimate::Report;
 use crate::signal::interpolant::Vec3;
 
-/// Quick fits whose lags are closer than this are one, seconds.
+/// Distance below which the lags of two quick fits count as one, seconds.
 const SAME_LAG_S: f64 = 0.02;
-/// Distance of the nodes of a quick fit, seconds, or more.
+/// Least distance of the nodes of a quick fit, seconds.
 const NODE_S: f64 = 0.01;
-/// Nodes of a quick fit at most: those of a minute.
+/// Most nodes of a quick fit: those of a minute.
 const MOST_NODES: usize = 6000;
 
 /// A lag that was tried.
 struct Tried {
-    /// `n · ln(unexplained)`: the smaller, the stronger.
+    /// `n · ln(unexplained)`: smaller is stronger.
     evidence: f64,
     /// Residual power over the motion's.
     unexplained: f64,
@@ -42,12 +42,12 @@ impl Tried {
     }
 }
 
-/// Distance of the lags of two fits, seconds.
+/// Distance between the lags of two fits, seconds.
 fn apart_s(one: &Fit, other: &Fit) -> f64 {
     (one.link.lag_s() - other.link.lag_s()).abs()
 }
 
-/// The lag that explains the motion best, and the stretches that it does not explain
+/// Returns the lag that explains the motion best, and the stretches that it does not explain
 /// (in the data's time); `None` if a gate is not passed.
 pub(crate) fn chosen(
     pair: &Pair<'_>,
@@ -93,7 +93,7 @@ pub(crate) fn chosen(
     };
     let lags: Vec<f64> = tried.iter().map(|t| t.fit.link.lag_s()).collect();
     let whole = rigid::is_whole(&best.fit, settings.fit.noise_variance);
-    // No part is looked for where the best explains all, or faults are not handled. Where it
+    // There is no search for a part if the best explains all, or faults are not handled. If it
     // explains most, it is the lag; otherwise the largest part that any lag explains decides.
     let parts_of = if whole || !options.handle_faults {
         &[]
@@ -126,7 +126,7 @@ pub(crate) fn chosen(
     Some((part.fit.link, part.stretches))
 }
 
-/// Factor by which the best rival explains the motion worse. Rivals whose evidence is far
+/// Factor by which the residual power of the best rival is larger. Rivals whose evidence is far
 /// weaker (short overlaps, where anything fits) do not count.
 fn rival(best: &Tried, others: &[Tried]) -> f64 {
     others
@@ -136,7 +136,7 @@ fn rival(best: &Tried, others: &[Tried]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Lags in seconds, the data's time minus the model's.
+/// Candidate lags in seconds, the data's time minus the model's.
 fn candidates(pair: &Pair<'_>, options: &Options) -> Vec<f64> {
     let (model, data) = (&pair.model, &pair.data);
     let mut candidates = coarse::candidates(
@@ -152,7 +152,7 @@ fn candidates(pair: &Pair<'_>, options: &Options) -> Vec<f64> {
     candidates
 }
 
-/// Quick fits at the candidates, the strongest first, one of each lag.
+/// Quick fits at the candidates, the strongest first, one for each lag.
 fn distinct(candidates: &[f64], fitted: impl Fn(f64) -> Option<Tried>) -> Vec<Tried> {
     let mut tried: Vec<Tried> = Vec::new();
     for &lag_s in candidates {

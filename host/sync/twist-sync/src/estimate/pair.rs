@@ -1,9 +1,9 @@
-//! The two streams in their roles in the fit, and the samples of each that do not fit
-//! the other.
+//! The two streams in their roles in the fit, and removal of the samples of each that do not
+//! fit the other.
 //!
-//! The fit is not symmetric: one stream is the model, the other the data. Which is
-//! which is decided by the recordings themselves, not by the order in which they
-//! are given: exchanging them negates the offset at the same instant.
+//! The fit is not symmetric: one stream is the model, the other the data. The recordings
+//! themselves determine the roles, not the order in which they are given: exchanging them
+//! negates the offset at the same instant.
 
 use nalgebra::Matrix2;
 
@@ -17,11 +17,12 @@ use crate::signal::neighbours;
 use crate::signal::{Smooth, kernel_length_s, kernel_sigma_s};
 use crate::stream::CheckedStream;
 
-/// Left out on either side of a displaced stretch: its ends are known to a block.
+/// Time that is left out on either side of a displaced stretch, seconds: its ends are known to
+/// one block.
 const STRETCH_MARGIN_S: f64 = 0.15;
-/// Stretches closer than this belong together, seconds.
+/// Largest difference of the displacements of stretches that belong together, seconds.
 const SAME_SHIFT_S: f64 = 50e-6;
-/// Blocks in which a jump of the relation is looked for, seconds.
+/// Length of the blocks in the search for jumps of the relation, seconds.
 const STRETCH_BLOCK_S: f64 = 0.1;
 /// Least low-pass for the search of single samples, Hz: wider than the fit's, so
 /// that knocks look alike in both streams.
@@ -76,7 +77,7 @@ impl Settings {
 }
 
 impl<'a> Pair<'a> {
-    /// The better sampled stream is the model.
+    /// Assigns the roles: the better sampled stream is the model.
     pub(crate) fn new(a: CheckedStream<'a>, b: CheckedStream<'a>) -> Self {
         let key = |s: &CheckedStream<'_>| (s.usable_count() as f64, -s.noise_variance(), s.w[0][0]);
         let a_is_model = key(&a) >= key(&b);
@@ -106,7 +107,7 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// Brings the model's and the data's into the order of a and b.
+    /// Brings a value of the model and one of the data into the order of a and b.
     pub(crate) fn a_and_b<T>(&self, of_model: T, of_data: T) -> (T, T) {
         if self.a_is_model {
             (of_model, of_data)
@@ -119,12 +120,12 @@ impl<'a> Pair<'a> {
         self.a_and_b(&self.model, &self.data).0
     }
 
-    /// A time of the data in seconds from the first sample of a.
+    /// Converts a time of the data to seconds from the first sample of a.
     pub(crate) fn since_first_of_a(&self, link: &Link, t: f64) -> f64 {
         self.a_and_b(link.model_time(t), t).0 - self.a().t[0]
     }
 
-    /// Notes a stretch of the data's time that is left out.
+    /// Records a stretch of the data's time that is left out.
     fn note(&mut self, link: &Link, (from, to): (f64, f64), why: Why) {
         let a = self.a();
         let usable = neighbours::kept(&a.usable);
@@ -144,7 +145,7 @@ impl<'a> Pair<'a> {
         self.left_out.push(left_out);
     }
 
-    /// All faults, those of a first.
+    /// Returns all faults, those of a first.
     pub(crate) fn faults(&self) -> Vec<Fault> {
         let (a, b) = self.a_and_b(&self.model.faults, &self.data.faults);
         [&a[..], b].concat()
@@ -157,12 +158,12 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// True if a stream is no longer the one that was smoothed.
+    /// Returns true if a stream has changed since it was smoothed.
     pub(crate) fn is_changed(&self) -> bool {
         self.model.is_changed || self.data.is_changed
     }
 
-    /// The full fit, to the streams as they are now.
+    /// Runs the full fit on the current streams.
     pub(crate) fn fitted(
         &mut self,
         signals: &mut Signals,
@@ -180,8 +181,8 @@ impl<'a> Pair<'a> {
     }
 
     /// Leaves out samples that do not fit the other stream and fits again, until none
-    /// are found or four times. Gives the part of the information that is kept when
-    /// the relation jumps, too.
+    /// are found or four times. Returns the fit and the share of the information that is kept
+    /// if the relation jumps.
     pub(crate) fn without_faults(
         &mut self,
         mut fit: Fit,
@@ -207,9 +208,9 @@ impl<'a> Pair<'a> {
         Some((fit, kept_share))
     }
 
-    /// Looks at the faults that each stream shows alone with the eyes of the other, and takes
-    /// back those that the content does not bear out. Gives the covariance of (shift, rate) that
-    /// stays open.
+    /// Compares the faults that each stream shows by itself with the other stream, and revokes
+    /// those that the content does not confirm. Returns the covariance of (shift, rate) due to
+    /// what remains undecided.
     pub(crate) fn review(
         &mut self,
         fit: &Fit,
@@ -237,7 +238,7 @@ impl<'a> Pair<'a> {
                 continue;
             }
             let evidence = self.evidence_of(of_data, fit, signals, settings);
-            let is_borne_out = |class: &Fault| {
+            let is_confirmed = |class: &Fault| {
                 let mut usable = stream.usable.clone();
                 let mut later = vec![0.0; stream.t.len()];
                 for &k in &class.samples {
@@ -247,11 +248,11 @@ impl<'a> Pair<'a> {
                 let found = evidence(&usable, &|k| later[k]);
                 found.is_none_or(|found| found.probability(0.5) > 0.5)
             };
-            let denied = classes.into_iter().filter(|class| !is_borne_out(class));
-            let denied: Vec<Fault> = denied.collect();
+            let revoked = classes.into_iter().filter(|class| !is_confirmed(class));
+            let revoked: Vec<Fault> = revoked.collect();
             drop(evidence);
             let stream = self.stream_mut(of_data);
-            for class in denied {
+            for class in revoked {
                 if class.action == Action::LeftOut {
                     class.samples.iter().for_each(|&k| stream.usable[k] = true);
                     stream.is_changed = true;
@@ -264,8 +265,8 @@ impl<'a> Pair<'a> {
         open
     }
 
-    /// Covariance of (shift, rate) by lone jumps of the stamps that are in what is used: if the
-    /// clock jumped, nobody knows which side is right.
+    /// Returns the covariance of (shift, rate) due to single jumps of the stamps within the used
+    /// samples: if the clock jumped, it is unknown which side is right.
     pub(crate) fn open_jumps(
         &self,
         fit: &Fit,
@@ -285,7 +286,7 @@ impl<'a> Pair<'a> {
         open
     }
 
-    /// Takes back the lateness of an axis.
+    /// Undoes the lateness of an axis.
     pub(crate) fn advance(&mut self, late: &LateAxis) {
         let stream = self.stream_mut(late.of_data);
         stream.advance_axis(late.axis, late.by.value);
@@ -303,8 +304,8 @@ impl<'a> Pair<'a> {
         if of_data { &self.data } else { &self.model }
     }
 
-    /// Asks one stream about the stamps of the other: which samples, and by how much each may
-    /// be stamped too late.
+    /// Returns a function that compares the stamps of one stream with the other stream. Its
+    /// arguments are the samples to use, and the lateness of each stamp that is to be judged.
     fn evidence_of(
         &self,
         of_data: bool,
@@ -344,13 +345,13 @@ impl<'a> Pair<'a> {
         }
     }
 
-    /// The model's rate from the data's.
+    /// Returns the calibration that gives the model's rate from the data's.
     fn backwards(&self, fit: &Fit, settings: &Settings) -> Calibration {
         let rates = fit.nodes.iter().map(|n| (n.y, n.x));
         calibration::regress(rates, settings.fit.noise_variance)
     }
 
-    /// Leaves out single samples of either stream; whether there were any.
+    /// Leaves out single samples of either stream; returns true if there were any.
     fn leave_out_outliers(&mut self, fit: &Fit, signals: &Signals, settings: &Settings) -> bool {
         let wide_hz = settings.wide_hz();
         let (model, data, link) = (&self.model, &self.data, fit.link);
@@ -426,8 +427,8 @@ impl<'a> Pair<'a> {
         share_near(main.shift_s)
     }
 
-    /// Leaves out a stretch of the data's time that is displaced by so many seconds of
-    /// the model's, of the stream whose timestamps are odd at its ends.
+    /// Leaves out a stretch of the data's time that is displaced by `displacement_s`, in the
+    /// model's time, from the stream whose timestamps are odd at its ends.
     fn leave_out_step(&mut self, link: &Link, in_data: (f64, f64), displacement_s: f64) {
         let by_s = if self.a_is_model {
             -displacement_s

@@ -1,15 +1,15 @@
-//! Stretches in which the two gyroscopes are not one body, or not on one pair of clocks.
+//! Stretches in which the two gyroscopes do not move as one body, or a clock has stepped.
 //!
 //! People press record first and take a firm hold a moment later, let go before the end,
 //! or knock a mount out of its place. The rest is as good as any twist. So the relation
-//! of clocks and sensors is looked for in the largest part of the overlap that one
-//! relation explains: it is fitted to a short window, then to all blocks of time that
-//! this explains, with a tolerance that becomes narrower round by round; of all windows
-//! the one counts from which most is explained.
+//! of clocks and sensors is fitted to the largest part of the overlap that one
+//! relation explains: to a short window at first, then to all blocks of time that
+//! this explains, with a tolerance that becomes narrower round by round. Of all windows,
+//! the one that leads to the largest part counts.
 //!
 //! Stretches that are left out are classified by their cause: another relation of the clocks
-//! at the same rotation between the sensors ([`Why::TimeStep`]), or anything else
-//! ([`Why::Apart`]), as a slip.
+//! at the same rotation between the sensors ([`Why::TimeStep`]), or anything else, such as a
+//! slip ([`Why::Apart`]).
 //!
 //! Limits: a turn by less than about a degree cannot be distinguished from an error of the sensors.
 
@@ -21,7 +21,7 @@ use crate::faults::Why;
 use crate::signal::Signal;
 use crate::signal::interpolant::Vec3;
 
-/// Blocks of time that are explained or not, seconds; longer ones where that would be more
+/// Length of the blocks of time that are judged, seconds; longer if there would be more
 /// than [`MOST_BLOCKS`].
 const BLOCK_S: f64 = 0.25;
 const MOST_BLOCKS: f64 = 240.0;
@@ -29,8 +29,8 @@ const MOST_BLOCKS: f64 = 240.0;
 const MOST_WINDOWS: usize = 20;
 /// Blocks of a window from which the search starts: 1.5 s.
 const WINDOW: usize = 6;
-/// Part of the motion's rms that may stay unexplained in a block: so many times what a
-/// block usually leaves, within these bounds.
+/// Part of the motion's rms that may stay unexplained in a block: this multiple of the usual
+/// part, within these bounds.
 const TIMES_USUAL: f64 = 5.0;
 const LEAST_TOLERANCE: f64 = 0.006;
 const MOST_TOLERANCE: f64 = 0.03;
@@ -38,9 +38,9 @@ const MOST_TOLERANCE: f64 = 0.03;
 const WIDER: [f64; 2] = [4.0, 2.0];
 /// In-band noise that is allowed on top, in multiples of its rms.
 const NOISE: f64 = 3.0;
-/// A residual below this part of the motion is not looked into.
+/// Part of the motion below which a residual is not examined.
 const EXPLAINED: f64 = 0.004;
-/// A window must explain so much better than the whole does to be preferred.
+/// Factor by which the usual unexplained part of a window's relation may exceed the best one.
 const MUCH_BETTER: f64 = 2.5;
 /// A block counts as moving above this part of the largest block's rms.
 const MOVING: f64 = 0.15;
@@ -61,7 +61,7 @@ const STEP_GRID_S: f64 = 5e-3;
 pub(crate) struct Stretch {
     pub(crate) from: f64,
     pub(crate) to: f64,
-    /// Time steps: the data's time, later than where the rest has it.
+    /// Cause; the time of a [`Why::TimeStep`] is the data's time, later than in the rest.
     pub(crate) why: Why,
     /// Its part of the motion's power.
     power: f64,
@@ -89,7 +89,7 @@ pub(crate) struct Part {
 }
 
 impl Part {
-    /// Those of the nodes that are in the kept blocks.
+    /// Returns the nodes in the kept blocks.
     pub(crate) fn kept(&self, data: &[(f64, Vec3)]) -> Vec<(f64, Vec3)> {
         self.blocks.kept(data, &self.kept)
     }
@@ -110,7 +110,7 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn of(self, t: f64) -> Option<usize> {
+    fn index_at(self, t: f64) -> Option<usize> {
         let at = (t - self.from) / self.length;
         (at >= 0.0 && at < self.count as f64).then_some(at as usize)
     }
@@ -120,16 +120,17 @@ impl Blocks {
     }
 
     fn kept(self, data: &[(f64, Vec3)], kept: &[bool]) -> Vec<(f64, Vec3)> {
-        let is_kept = |t| self.of(t).is_some_and(|block| kept[block]);
+        let is_kept = |t| self.index_at(t).is_some_and(|block| kept[block]);
         data.iter().filter(|(t, _)| is_kept(*t)).copied().collect()
     }
 
-    /// Rms of a length per axis in each block; 0 in an empty one. From the 80 %
-    /// quantile of the squares, so that a spike does not count, and a turn of 50 ms does.
+    /// Returns the rms per axis of the vectors in each block, and 0 for an empty one. It is
+    /// derived from the 80 % quantile of the squares, so that a spike does not count, and a
+    /// turn of 50 ms does.
     fn rms(self, values: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<f64> {
         let mut squares: Vec<Vec<f64>> = vec![Vec::new(); self.count];
         for (t, value) in values {
-            if let Some(block) = self.of(t) {
+            if let Some(block) = self.index_at(t) {
                 squares[block].push(value.norm_squared());
             }
         }
@@ -139,7 +140,7 @@ impl Blocks {
                 0 => 0.0,
                 _ => *squares.select_nth_unstable_by(at, f64::total_cmp).1,
             };
-            // Of three normal axes of variance 1 that quantile is 4.64.
+            // For three normal axes of variance 1 that quantile is 4.64.
             (square / 4.64).sqrt()
         };
         squares.iter_mut().map(typical).collect()
@@ -150,7 +151,7 @@ impl Blocks {
 struct Search<'a> {
     model: &'a Signal,
     data: &'a [(f64, Vec3)],
-    /// Other lags at which the two may belong together, seconds.
+    /// Other lags at which the two streams may belong together, seconds.
     rivals: &'a [f64],
     options: FitOptions,
     blocks: Blocks,
@@ -169,7 +170,8 @@ struct Consensus {
     power: f64,
 }
 
-/// True if a quick fit explains the whole overlap, so that no part is looked for.
+/// Returns true if a quick fit explains the whole overlap, so that no search for a part is
+/// needed.
 pub(crate) fn is_whole(fit: &Fit, noise_variance: f64) -> bool {
     let motion = fit.motion_variance();
     let residual = fit.residual_variance();
@@ -190,9 +192,9 @@ fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
     })
 }
 
-/// The largest part of the overlap that one relation near that of `whole` explains;
-/// `data` are nodes of the data, `rivals` other lags (s, data minus model) that are
-/// thought of. `None` if no window leads to one.
+/// Returns the largest part of the overlap that one relation near that of `whole` explains;
+/// `data` are nodes of the data, `rivals` other possible lags (s, data minus model). `None` if
+/// no window leads to one.
 pub(crate) fn part(
     model: &Signal,
     data: &[(f64, Vec3)],
@@ -253,7 +255,7 @@ impl Search<'_> {
     fn consensus(&self, start: Link, mut kept: Vec<bool>) -> Option<Consensus> {
         let mut fit = self.fitted(start, &kept)?;
         let mut usual = self.usual(&fit, &kept);
-        // What a window cannot explain of itself is no place to start from.
+        // A window that no relation explains is no place to start from.
         if usual > WIDER[0] * MOST_TOLERANCE {
             return None;
         }
@@ -286,7 +288,7 @@ impl Search<'_> {
         fit::fit(self.model, &data, start, even, &self.options)
     }
 
-    /// Power of the motion in the blocks that are chosen.
+    /// Returns the power of the motion in the chosen blocks.
     fn power(&self, chosen: impl Fn(usize) -> bool) -> f64 {
         let chosen = (0..self.blocks.count).filter(|&block| chosen(block));
         chosen.map(|block| self.motion[block].powi(2)).sum()
@@ -298,7 +300,7 @@ impl Search<'_> {
         self.blocks.rms(nodes.iter().map(|n| (n.t, n.residual)))
     }
 
-    /// The blocks that a relation explains; `None` if hardly any of them moves.
+    /// Returns the blocks that a relation explains; `None` if hardly any of them moves.
     fn explained(&self, fit: &Fit, tolerance: f64) -> Option<Vec<bool>> {
         let noise = NOISE * self.options.noise_variance.sqrt();
         let kept: Vec<bool> = self
@@ -311,7 +313,7 @@ impl Search<'_> {
         (2 * moving.count() > WINDOW).then_some(kept)
     }
 
-    /// Median, over the kept blocks that move, of the unexplained part.
+    /// Returns the median unexplained part over the kept blocks that move.
     fn usual(&self, fit: &Fit, kept: &[bool]) -> f64 {
         let errors = self.errors(fit);
         let chosen = (0..kept.len()).filter(|&k| kept[k] && self.moving[k]);
@@ -355,7 +357,7 @@ impl Search<'_> {
         stretches.retain(|stretch| {
             let block = self
                 .blocks
-                .of(stretch.to - MARGIN_S - 0.5 * self.blocks.length);
+                .index_at(stretch.to - MARGIN_S - 0.5 * self.blocks.length);
             let is_loud = |block: usize| {
                 errors[block] > 3.0 * (found.usual * TIMES_USUAL * self.motion[block] + noise)
             };
@@ -429,18 +431,18 @@ impl Search<'_> {
         }
     }
 
-    /// Rms of the residual in each block that has one.
+    /// Returns the rms of the residual in each block.
     fn residuals(&self, nodes: &[Node], calibration: &Calibration) -> Vec<f64> {
         let residual = |n: &Node| calibration.residual(&n.x, &n.y);
         self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))))
     }
 
-    /// Its median: the moments in which one slips are not what it is before and after.
+    /// Returns the median rms of the blocks: the moments of a slip itself do not count.
     fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
         usual(self.residuals(nodes, calibration))
     }
 
-    /// The sensors' relation in most of the nodes.
+    /// Returns the sensors' relation that most of the nodes follow.
     fn regressed(&self, nodes: &[Node]) -> Calibration {
         let regressed = |nodes: &[Node]| {
             calibration::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
@@ -449,7 +451,7 @@ impl Search<'_> {
         for _ in 0..3 {
             let each = self.residuals(nodes, &calibration);
             let limit = 2.0 * usual(each.clone());
-            let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
+            let is_usual = |n: &&Node| self.blocks.index_at(n.t).is_some_and(|b| each[b] <= limit);
             let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
             calibration = regressed(&most);
         }
@@ -457,7 +459,7 @@ impl Search<'_> {
     }
 }
 
-/// Median of the blocks' residuals that are there.
+/// Median of the residuals that are not zero, as in empty blocks.
 fn usual(mut each: Vec<f64>) -> f64 {
     each.retain(|&rms| rms > 0.0);
     crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)

@@ -2,18 +2,18 @@
 //!
 //! The timestamps of a phone wander against the content: residuals of the one real twist have
 //! 2.5 µs, correlated by 0.68 at 0.1 s and by 0.20 at 1 s. The long-run covariance of the fit
-//! reaches over 0.3 s only and takes a slow wander for a part of the relation. So the local
+//! reaches over 0.3 s only and mistakes a slow wander for a part of the relation. So the local
 //! displacements `d` of the overlap, each from the same information, are taken once more as
 //! `d = shift + rate·u + g(u) + noise`, with `g` a stationary process of rms τ and the
 //! covariance `τ²·exp(−distance/T)`.
 //!
-//! The data alone do not decide on τ and T: the estimates for all (τ, T) of a grid, for noise that
-//! is white and for noise of the colour that the fit has found, are averaged, each weighted by its
-//! restricted likelihood (Harville 1974) and by the prior. That is honest where a wander cannot be
-//! seen, and exact where it can.
+//! The data alone do not determine τ and T. So the estimates for all (τ, T) of a grid, for white
+//! noise and for noise of the colour that the fit has found, are averaged, each weighted by its
+//! restricted likelihood (Harville 1974) and by the prior: the sigma is right on average where
+//! a wander cannot be seen, and exact where it can.
 //!
-//! Limits: what is small or slow hardly shows within a twist, and its uncertainty is the
-//! prior's: right on the average over streams with and without.
+//! Limits: a small or slow wander hardly shows within a twist, and its uncertainty is the
+//! prior's: right on average over streams with and without a wander.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -25,8 +25,8 @@ const PARTS: f64 = 32.0;
 /// Rms of a wander, seconds, and the times over which it is correlated.
 const SIZES_S: [f64; 6] = [2.5e-6, 5e-6, 10e-6, 20e-6, 40e-6, 80e-6];
 const MEMORIES_S: [f64; 3] = [0.25, 0.7, 2.0];
-/// Prior probability that there is none, of noise that is white and of coloured noise (a mount
-/// that gives way); all others are as likely as each other.
+/// Prior probability that there is no wander, with white noise and with coloured noise (a mount
+/// that gives way); all wanders are equally likely.
 const NONE: [f64; 2] = [0.8, 0.05];
 
 /// A part of the overlap.
@@ -77,14 +77,14 @@ fn locals(fit: &Fit, noise: f64) -> Vec<Local> {
 }
 
 /// Generalised least squares of the displacements on shift and rate under a wander, which a
-/// Kalman filter takes out of them.
+/// Kalman filter removes from them.
 fn given(locals: &[Local], size_s: f64, memory_s: f64, prior: f64) -> Option<Supposed<2>> {
     let n = locals.len() as f64;
     // In units of the mean variance, so that no figure is tiny.
     let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n;
     let stationary = size_s * size_s / unit;
     let (mut variance, mut ln_volume) = (stationary, 0.0);
-    // Of shift, rate and displacement what the filter expects, and products of what it does not.
+    // The filter's expectation of shift, rate and displacement; products of the innovations.
     let mut expected = Vector3::zeros();
     let mut products = Matrix3::zeros();
     let mut before = locals.first()?.u;
@@ -117,31 +117,31 @@ fn given(locals: &[Local], size_s: f64, memory_s: f64, prior: f64) -> Option<Sup
 
 #[cfg(test)]
 mod tests {
-    use rand::{RngExt as _, SeedableRng as _};
+    use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
 
     use super::*;
 
     /// Parts of a twist of nine seconds, each with 13.7 µs of white noise as in the base scenario,
     /// under a wander.
-    fn twist(size_s: f64, memory_s: f64, random: &mut impl FnMut() -> f64) -> Vec<Local> {
+    fn twist(size_s: f64, memory_s: f64, normal: &mut impl FnMut() -> f64) -> Vec<Local> {
         let step = 9.0 / PARTS;
         let kept = (-step / memory_s).exp();
-        let mut wander = size_s * random();
+        let mut wander = size_s * normal();
         let part = |n| {
-            wander = kept * wander + size_s * (1.0 - kept * kept).sqrt() * random();
+            wander = kept * wander + size_s * (1.0 - kept * kept).sqrt() * normal();
             Local {
                 u: f64::from(n) * step - 4.5,
-                shift_s: wander + 13.7e-6 * random(),
+                shift_s: wander + 13.7e-6 * normal(),
                 variance: 13.7e-6 * 13.7e-6,
             }
         };
         (0..PARTS as u32).map(part).collect()
     }
 
-    /// Share of twists, half of them without a wander, of which the likelihoods of both say which
-    /// it is, where size and memory are known.
-    fn told(size_s: f64, memory_s: f64) -> f64 {
+    /// Share of twists, half of them without a wander, that the likelihoods classify correctly
+    /// if size and memory are known.
+    fn classified(size_s: f64, memory_s: f64) -> f64 {
         let mut random = Pcg64::seed_from_u64(1);
         let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
         let trials = 2_000;
@@ -156,11 +156,12 @@ mod tests {
         right.count() as f64 / f64::from(trials)
     }
 
-    /// Why a slow wander is stated too narrowly: not even who knows all of it sees it in a twist.
+    /// The reason why the sigma under a slow wander is too small: even with all parameters
+    /// known, a twist does not show the wander.
     #[test]
-    fn a_slow_wander_is_hardly_told_from_none_and_a_large_one_is() {
-        let slow = told(5e-6, 2.0);
-        let large = told(20e-6, 0.5);
+    fn a_large_wander_is_recognised_and_a_slow_one_hardly() {
+        let slow = classified(5e-6, 2.0);
+        let large = classified(20e-6, 0.5);
         println!("5 µs over 2 s: {slow:.3}, 20 µs over 0.5 s: {large:.3}");
         assert!((0.53..0.63).contains(&slow), "{slow}");
         assert!(large > 0.92, "{large}");

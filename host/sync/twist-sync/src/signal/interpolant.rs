@@ -1,18 +1,18 @@
 //! Interpolation by local polynomials, three channels at once.
 //!
-//! Between two neighbours runs the polynomial through them and the samples on either side
-//! (Lagrange); at the ends the nearest samples that there are. Interpolation, not smoothing:
-//! noise passes at full height, and the low-pass of [`crate::signal`] deals with it. Of samples
-//! as they were taken it is of degree 5: at 500 Hz it follows motion up to 10 Hz to better than
-//! one part in 10⁷. Of even, smooth ones it is of degree 3: at 2 ms two parts in 10⁷ at 4 Hz, and
-//! what it is off by is the same before and after, so that it moves no time.
+//! Between two neighbours runs the polynomial through them and the nearest samples on either
+//! side (Lagrange). This is interpolation, not smoothing: noise passes at full height, and the
+//! low-pass of [`crate::signal`] deals with it. For raw samples the degree is 5: at 500 Hz it
+//! follows motion up to 10 Hz to better than one part in 10⁷. For even, smooth ones the degree
+//! is 3: at 2 ms the error is two parts in 10⁷ at 4 Hz, and symmetric in time, so that it does
+//! not shift anything.
 
-/// Three angular rates, x, y, z.
+/// Three components, x, y, z; angular rates in rad/s.
 pub type Vec3 = [f64; 3];
 
-/// Samples of a polynomial.
+/// Samples of a polynomial through uneven samples.
 const POINTS: usize = 6;
-/// The same of even, smooth ones.
+/// Samples of a polynomial through even, smooth ones.
 const EVEN_POINTS: usize = 4;
 
 /// First of the `points` samples whose polynomial runs between sample `left` and the next.
@@ -20,7 +20,7 @@ fn window(left: usize, samples: usize, points: usize) -> usize {
     left.saturating_sub(points / 2 - 1).min(samples - points)
 }
 
-/// Samples at uneven times.
+/// A piecewise polynomial through samples at uneven times.
 #[derive(Debug, Clone, Copy)]
 pub struct Uneven<'a> {
     t: &'a [f64],
@@ -28,7 +28,8 @@ pub struct Uneven<'a> {
 }
 
 impl<'a> Uneven<'a> {
-    /// `None` if the times do not increase strictly, or there are fewer than six samples.
+    /// Interpolates samples `y` at times `t` in seconds. Returns `None` if the times do not
+    /// increase strictly, or there are fewer than six samples.
     pub fn new(t: &'a [f64], y: &'a [Vec3]) -> Option<Self> {
         let increases = |w: &[f64]| w[1].partial_cmp(&w[0]) == Some(std::cmp::Ordering::Greater);
         let sound = t.len() == y.len() && t.windows(2).all(increases);
@@ -48,7 +49,7 @@ impl<'a> Uneven<'a> {
         value
     }
 
-    /// Values at `count` times from the first on, `step` apart.
+    /// Returns the values at `count` times from the first sample on, `step` seconds apart.
     pub fn on_grid(&self, step: f64, count: usize) -> Vec<Vec3> {
         let mut values = Vec::with_capacity(count);
         let times = (0..count).map(|k| self.t[0] + k as f64 * step);
@@ -56,7 +57,8 @@ impl<'a> Uneven<'a> {
         values
     }
 
-    /// Values at rising times, of which the first is not before sample `left`.
+    /// Calls `each` with the values at increasing times, the first of which is not before
+    /// sample `left`.
     fn swept(&self, mut left: usize, times: impl Iterator<Item = f64>, mut each: impl FnMut(Vec3)) {
         let samples = self.t.len();
         let first = window(left, samples, POINTS);
@@ -66,15 +68,15 @@ impl<'a> Uneven<'a> {
                 left += 1;
             }
             while newton.next < window(left, samples, POINTS) + POINTS {
-                newton.take(first, self.t, self.y);
+                newton.add(first, self.t, self.y);
             }
             each(newton.value(self.t, t));
         }
     }
 }
 
-/// The polynomial through the last samples that were taken, in Newton's form: the
-/// next sample costs one row of the divided differences.
+/// The polynomial through the latest samples in Newton's form: the next sample costs one
+/// row of the divided differences.
 struct Newton {
     next: usize,
     /// Divided differences of the last 1, 2 .. [`POINTS`] samples.
@@ -89,8 +91,8 @@ impl Newton {
         }
     }
 
-    /// Takes the next sample; the first one was number `first`.
-    fn take(&mut self, first: usize, t: &[f64], y: &[Vec3]) {
+    /// Adds the next sample; the first one was number `first`.
+    fn add(&mut self, first: usize, t: &[f64], y: &[Vec3]) {
         let k = self.next;
         self.next += 1;
         let mut now = y[k];
@@ -132,7 +134,8 @@ pub struct Uniform {
 type Basis = [[f64; EVEN_POINTS]; EVEN_POINTS];
 
 impl Uniform {
-    /// Through the samples `start + k · step`; `None` if they are fewer than four.
+    /// Interpolates samples `y` at the times `start + k · step` in seconds. Returns `None` if
+    /// there are fewer than four.
     pub fn new(start: f64, step: f64, y: Vec<Vec3>) -> Option<Self> {
         (y.len() >= EVEN_POINTS).then(|| Self {
             start,
@@ -150,12 +153,12 @@ impl Uniform {
         )
     }
 
-    /// Value at `t`; outside of the samples the end polynomial is continued.
+    /// Returns the value at `t`; outside of the samples the end polynomial is continued.
     pub fn value(&self, t: f64) -> Vec3 {
         self.near(t).value()
     }
 
-    /// Value and first derivative at `t`.
+    /// Returns the value and its first derivative at `t`.
     pub fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
         let (value, rate) = self.near(t).value_and_rate();
         (value, rate.map(|d| d / self.step))

@@ -1,4 +1,4 @@
-//! Each sample against the prediction from its neighbours: Lagrange interpolation
+//! Comparison of each sample with its prediction from its neighbours: Lagrange interpolation
 //! at the true times, three samples on each side.
 
 use super::interpolant::Vec3;
@@ -31,7 +31,7 @@ pub(crate) struct Against {
 }
 
 impl Against {
-    /// Contribution to a displacement: score and information.
+    /// Returns score and information about a displacement of the sample.
     pub(crate) fn score(&self, variance: &Vec3) -> (f64, f64) {
         let (mut score, mut information) = (0.0, 0.0);
         for axis in 0..3 {
@@ -44,7 +44,7 @@ impl Against {
 }
 
 impl Samples<'_> {
-    /// Predicts each usable sample that has its neighbours.
+    /// Predicts each usable sample that has enough neighbours.
     pub(crate) fn predictions(self, usable: &[bool]) -> Vec<Against> {
         let kept = kept(usable);
         let mut out = Vec::with_capacity(kept.len());
@@ -53,8 +53,8 @@ impl Samples<'_> {
         out
     }
 
-    /// Predicts the first sample of each pair without the help of the second, and the second
-    /// without that of the first.
+    /// Predicts the first sample of each pair without the second, and the second without the
+    /// first.
     pub(crate) fn predictions_without(
         self,
         usable: &[bool],
@@ -81,14 +81,14 @@ impl Samples<'_> {
     ) -> Option<Against> {
         let near = neighbours(kept, at, partner)?;
         let (t, w, k) = (self.t, self.w, kept[at]);
-        // The nearest on each side close, all six not far: across a gap the
+        // The nearest on each side must be close, and all six not far: across a gap the
         // prediction errs in proportion to the rate of any vibration.
         let close = |i: usize| (t[k] - t[i]).abs() < 2.6 * self.step_s;
         let length = t[near[2 * SIDE]] - t[near[SIDE]];
         if !close(near[1]) || !close(near[1 + SIDE]) || length > 4.0 * SIDE as f64 * self.step_s {
             return None;
         }
-        // Sample minus prediction is the divided difference of all seven, but for a factor.
+        // Sample minus prediction is the divided difference of all seven, up to a factor.
         let times = near.map(|n| t[n]);
         let mut products = [1.0; NEAR];
         for i in 0..NEAR {
@@ -127,7 +127,7 @@ impl Samples<'_> {
         let mut about = 0.0;
         let (mut from, mut to) = (0, 0);
         kept.iter().map(move |&k| {
-            near.look_from(t[k] - about);
+            near.move_origin(t[k] - about);
             about = t[k];
             while t[kept[from]] < about - reach_s {
                 near.count(-1.0, t[kept[from]] - about, &w[kept[from]]);
@@ -156,7 +156,7 @@ struct Near {
 }
 
 impl Near {
-    /// Takes a sample in (`sign` 1) or out (−1).
+    /// Adds a sample (`sign` 1) or removes it (−1).
     fn count(&mut self, sign: f64, x: f64, w: &Vec3) {
         self.n += sign;
         self.x += sign * x;
@@ -167,8 +167,8 @@ impl Near {
         }
     }
 
-    /// The same samples from a time that is later.
-    fn look_from(&mut self, later: f64) {
+    /// Moves the origin of `x` to a time that is later.
+    fn move_origin(&mut self, later: f64) {
         self.xx += later * (self.n * later - 2.0 * self.x);
         self.x -= self.n * later;
         for axis in 0..3 {
@@ -176,7 +176,7 @@ impl Near {
         }
     }
 
-    /// Of the least-squares line; 0 of a single sample.
+    /// Returns the slope of the least-squares line; 0 for a single sample.
     fn slope(&self) -> Vec3 {
         let centre = self.x / self.n;
         let spread = self.xx - centre * self.x;
@@ -192,15 +192,15 @@ pub(crate) fn kept(usable: &[bool]) -> Vec<usize> {
     kept
 }
 
-/// Marks samples as not to be used.
+/// Marks samples as not usable.
 pub(crate) fn leave_out(usable: &mut [bool], samples: &[usize]) {
     for &k in samples {
         usable[k] = false;
     }
 }
 
-/// `kept[at]` and the kept samples around it without `partner`, which is next to it:
-/// before it, then after it, each the nearest first.
+/// Returns `kept[at]` and the kept samples around it without `partner`, which is next to it:
+/// those before it, then those after it, each the nearest first.
 fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usize; NEAR]> {
     let before = at.saturating_sub(usize::from(kept[..at].last().copied() == partner));
     let after = at + 1 + usize::from(kept.get(at + 1).copied() == partner);

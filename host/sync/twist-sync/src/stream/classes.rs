@@ -7,13 +7,13 @@ use crate::robust;
 use crate::signal::interpolant::Vec3;
 use crate::signal::neighbours::{Against, Samples, local_variances, noise_of};
 
-/// Longest period that is looked for, in samples.
+/// Longest period that is searched for, in samples.
 const LONGEST_PERIOD: usize = 64;
 /// Significance that a displaced class must have.
 const CLASS_Z: f64 = 8.0;
-/// The same against the scatter of its members.
+/// Significance that it must have against the scatter of its members.
 const CLASS_Z_SCATTER: f64 = 6.0;
-/// So many of the most significant hypotheses are looked at.
+/// Number of the most significant hypotheses that are examined.
 const MOST_TRIED: usize = 8;
 /// Least displacement of a class, as a part of the sampling step.
 const CLASS_STEP: f64 = 0.04;
@@ -26,8 +26,8 @@ pub(crate) struct Class {
     pub(crate) displacement_s: f64,
 }
 
-/// The most significant displaced class among the usable samples, whose predictions are
-/// `against` and have this noise.
+/// Returns the most significant displaced class among the usable samples, whose predictions
+/// are `against` and have this noise.
 pub(crate) fn most_displaced(
     samples: Samples<'_>,
     usable: &[bool],
@@ -71,8 +71,8 @@ fn by_phase<const N: usize>(rows: &[[f64; N]], period: usize) -> Vec<[f64; N]> {
     sums
 }
 
-/// Of each class of these periods its period, its phase, and the sums of its rows; one row
-/// for each sample.
+/// Period, phase and sums of the rows of each class of these periods; `rows` has one row for
+/// each sample.
 fn summed<const N: usize>(
     rows: &[[f64; N]],
     periods: RangeInclusive<usize>,
@@ -105,7 +105,7 @@ fn displaced_class(
         score * score > CLASS_Z * CLASS_Z * information
             && score.abs() > CLASS_STEP * step_s * information
     };
-    // Of a good stream no class stands out, and this is all.
+    // In a good stream no class stands out, and this is all.
     if !summed(&rows, periods.clone()).any(is_clear) {
         return None;
     }
@@ -146,7 +146,7 @@ fn displaced_class(
     best.iter().take(MOST_TRIED).find(earned).map(|f| f.2)
 }
 
-/// Significance against even noise, against the scatter of the members; the class.
+/// Significance against even noise, significance against the scatter of the members, class.
 type Hypothesis = (f64, f64, Class);
 
 /// Scatter of the significance that the data show by chance, at least 1: that of the

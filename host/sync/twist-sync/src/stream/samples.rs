@@ -1,25 +1,25 @@
-//! Faults of a stream that its own samples show, without the other gyroscope.
+//! Faults that a stream's own samples show, without the other gyroscope.
 //!
 //! Motion is smooth over a few samples, so each sample can be predicted from its
 //! neighbours (Lagrange interpolation at the true times, three on each side).
-//! A sample whose content belongs to another time stands off by `−d · rate`,
-//! where `d` is its displacement; summed over a class of samples that recurs
+//! A sample whose content belongs to another time deviates by `−d · rate`,
+//! where `d` is its displacement. Summed over a class of samples that recurs
 //! with a fixed period, displacements far below the noise of one sample show.
 //!
 //! * **Spikes**: single samples far off all around them.
 //! * **Clipping**: a plateau at which the motion, by its slope before and after, would have
 //!   gone on. A peak of the motion that falls on one step of a coarse sensor has none.
 //! * **Copies**: neighbours that agree to the bit in all three axes while noise
-//!   or motion makes that implausible. Which of the two is stale is decided by
-//!   their displacements; if that cannot be seen, both are left out.
+//!   or motion makes that implausible. Their displacements show which of the two is
+//!   stale; if they do not, both are left out.
 //! * **Displaced class**: the period and phase with the most significant
 //!   displacement, found one after the other, since a faulty class also spoils
 //!   the predictions of its neighbours.
 //! * **Interpolated streams** ([`Made`]): samples that lie on straight lines between others.
 //!   Nothing is left out of them.
 //!
-//! Limits: of two classes of equal size (period 2) nobody can tell from this
-//! alone which one is right; it is reported as unresolved time.
+//! Limits: with two classes of equal size (period 2), nothing shows which of them is
+//! right; that is reported as unresolved time.
 
 use super::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
@@ -27,25 +27,25 @@ use crate::robust;
 use crate::signal::interpolant::Vec3;
 use crate::signal::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
 
-/// A sample is a spike only beyond this distance from those around it, rad/s, and so many
-/// times their own deviation.
+/// Least distance of a spike from the samples around it: in rad/s, and in multiples of their
+/// own deviation.
 const SPIKE: f64 = 1.0;
 const SPIKE_SIGMAS: f64 = 15.0;
-/// The motion would have gone on beyond a clipped plateau by so many steps of the sensor and
-/// sigmas of its noise.
+/// Least distance by which the motion would have gone on beyond a clipped plateau: in steps of
+/// the sensor, plus sigmas of its noise.
 const CLIPPED_STEPS: f64 = 6.0;
 const CLIPPED_SIGMAS: f64 = 4.0;
-/// Straight lines between samples are looked for in stretches of so many samples, and in about
-/// so many in all.
+/// Samples of a stretch in the search for straight lines between samples, and approximate
+/// number of samples in all stretches.
 const LOOKED_AT: usize = 64;
 const LOOKED_AT_IN_ALL: usize = 1024;
 
-/// Samples that were not taken one by one, and the rate of those that were, Hz.
+/// Origin of samples that were made from slower ones, with the rate of those in Hz.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Made {
-    /// By straight lines between them.
+    /// Straight lines between the slower samples.
     Interpolated(f64),
-    /// By holding each for a while.
+    /// Each slower sample held for a while.
     Held(f64),
 }
 
@@ -54,14 +54,15 @@ pub(crate) enum Made {
 pub(crate) struct SampleCheck {
     /// White noise of one sample, rad/s, per axis.
     pub(crate) noise: Vec3,
-    /// Uncertainty of the stream's time that a fault leaves open, seconds.
+    /// 1-sigma of the stream's time due to an unresolved fault, seconds.
     pub(crate) unresolved_s: f64,
     pub(crate) made: Option<Made>,
     /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
 }
 
-/// Checks the samples, whose stamps have steps of `resolution_s`, and clears `usable` where they are to be left out.
+/// Checks the samples, whose stamps have steps of `resolution_s`, and clears `usable` for those
+/// to leave out.
 pub(crate) fn check(
     stream: Stream,
     samples: Samples<'_>,
@@ -159,7 +160,7 @@ fn leave_out_displaced(
     }
 }
 
-/// Single samples, or a few, far off those around them.
+/// Single samples, or a few, far from those around them.
 fn spikes(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
     let kept = kept(usable);
     let mut hit = vec![false; w.len()];
@@ -217,8 +218,8 @@ fn clipped(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<usize> {
     (0..w.len()).filter(|&k| hit[k]).collect()
 }
 
-/// The rate in Hz of the samples between which all others are interpolated on straight lines;
-/// `None` of a stream that is not made so.
+/// Rate in Hz of the samples between which all others are interpolated on straight lines;
+/// `None` for any other stream.
 fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
     let Samples { t, w, step_s } = samples;
     let is_near = |k: usize| usable[k - 1] && usable[k] && usable[k + 1];
@@ -263,10 +264,10 @@ fn interpolated(samples: Samples<'_>, usable: &[bool]) -> Option<f64> {
 
 /// Neighbours that are equal to the bit where they should not be: (first, second).
 ///
-/// A coarse or silent sensor gives equal neighbours by chance. How often is
-/// estimated from how often single axes agree where the sample as a whole does
-/// not. Only if there are clearly more equal neighbours than that, all of them
-/// count; otherwise only those during motion that must have shown.
+/// A coarse or silent sensor gives equal neighbours by chance. The expected number of those is
+/// estimated from the agreement of single axes in samples that differ as a whole. If there are
+/// clearly more equal neighbours, all of them count; otherwise only those during motion that
+/// must have changed the sample.
 fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
     let pairs = || {
         (1..w.len())
@@ -309,7 +310,7 @@ fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
     short.into_iter().filter(|p| all || moving(p)).collect()
 }
 
-/// Samples of the copied pairs to leave out, and their staleness.
+/// Returns the samples of the copied pairs to leave out, and their staleness.
 fn stale_copies(
     samples: Samples<'_>,
     usable: &[bool],

@@ -1,4 +1,4 @@
-//! Faults of a stream that its timestamps alone show.
+//! Faults that a stream's timestamps alone show.
 //!
 //! * **Far from the rest**: a gap of a minute parts a recording, and only the part with
 //!   the most samples is used. Shorter gaps part it too where the samples would be fewer
@@ -10,7 +10,7 @@
 //!   costs one sample, not the rest of the recording.
 //! * **Outliers**: one timestamp late or early between regular neighbours.
 //! * **Coarse stamps**: all are whole multiples of a step, which is decimal or the period of a
-//!   counter, and their distances are not equal. If they are rounded or cut off is not known:
+//!   counter, and their distances are not equal. They may be rounded or truncated, so
 //!   half a step remains as an uncertainty.
 //! * **Sawtooth**: a device whose sensor clock is steered in steps shows small
 //!   jumps of one size and sign with a slow drift in between. Jumps and drift
@@ -18,10 +18,11 @@
 //!   distance; of a single one only the least distance is known ([`LONE_DRIFT`]), and that is
 //!   an uncertainty of the skew. With fewer than [`FEW_RESETS`] jumps the phase of the
 //!   sawtooth is not known, and its height over √12 remains as an uncertainty
-//!   ([`Timestamps::unresolved_s`]). If the stamps jump or the samples do, only
-//!   the other stream can tell ([`Pattern`]).
-//!   A sawtooth that is known from elsewhere and does not jump here cannot be seen: its drift is
-//!   that of another clock. Mean and spread of all that do not jump are taken ([`UNSEEN_DRIFT`]).
+//!   ([`Timestamps::unresolved_s`]). Only the other stream shows whether the stamps
+//!   jump or the samples do ([`Pattern`]).
+//!   A sawtooth that is known from elsewhere and does not jump here cannot be seen: its drift
+//!   looks like that of another clock. The mean and spread of all sawtooths that do not jump
+//!   are used ([`UNSEEN_DRIFT`]).
 //! * **A jump** of another kind is left as it is, and passed to the comparison with the other
 //!   stream.
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
@@ -33,37 +34,38 @@ use crate::signal::neighbours::{self, leave_out};
 /// Below this number of jumps a sawtooth's mean is uncertain.
 const FEW_RESETS: usize = 3;
 
-/// Least jump that is taken for a sawtooth's reset.
+/// Least jump that counts as a sawtooth's reset.
 const LEAST_RESET_S: f64 = 8e-6;
-/// Largest jump that is taken for one with fewer of them.
+/// Largest jump that counts as a reset if there are fewer than [`FEW_RESETS`].
 const LARGEST_LONE_RESET_S: f64 = 100e-6;
 
 /// Drift of a sawtooth of which a single jump is seen, mean and 1-sigma, in jumps over the
 /// longer part of the recording before or after it: of periods evenly over their logarithm,
 /// weighted by the probability that one jump is seen.
 const LONE_DRIFT: (f64, f64) = (0.52, 0.25);
-/// The same where a sawtooth is known of and no jump is seen: in jumps over the length of the
-/// recording, of periods up to five lengths. The last is the 1-sigma of its mean, in jumps.
+/// Drift of a known sawtooth of which no jump is seen, mean and 1-sigma, in jumps over the
+/// length of the recording, for periods up to five lengths; and the 1-sigma of its mean, in
+/// jumps.
 const UNSEEN_DRIFT: (f64, f64, f64) = (0.40, 0.17, 0.18);
-/// The drift between jumps that are seen, 1-sigma as a part of it: devices do not jump evenly.
+/// 1-sigma of the drift between visible jumps, as a part of it: devices do not jump evenly.
 const UNEVEN_DRIFT: f64 = 0.02;
-/// The mean of a sawtooth of several jumps, 1-sigma as a part of a jump: where between two
-/// samples it jumps is not known.
+/// 1-sigma of the mean of a sawtooth of several jumps, as a part of a jump: the instant of a
+/// jump between two samples is unknown.
 const UNEVEN_MEAN: f64 = 0.01;
 
-/// A sawtooth does not jump more often than at each tenth sample: rounded stamps do.
+/// Least number of samples between the jumps of a sawtooth: rounded stamps jump more often.
 const MOST_OFTEN: usize = 10;
 
-/// No sampling jumps by less than this part of its step, but stamps do.
+/// Least jump of the sampling itself, as a part of its step; those of stamps may be smaller.
 const OWN_JUMP: f64 = 0.1;
 
-/// Decimal resolutions of stamps that are looked for, seconds, the coarsest first.
+/// Decimal resolutions of stamps that are searched for, seconds, the coarsest first.
 const RESOLUTIONS_S: [f64; 9] = [20e-3, 10e-3, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5];
 /// Distance of a stamp from a multiple, as a part of the resolution.
 const NEAR_MULTIPLE: f64 = 0.02;
-/// Least other resolution that is looked for, seconds: half of it is less than a twist can tell.
+/// Least other resolution that is searched for, seconds: a twist does not resolve half of it.
 const LEAST_RESOLUTION_S: f64 = 3e-6;
-/// Stamps are rounded to so many seconds on the way.
+/// Rounding of the stamps on their way here, seconds.
 const ROUNDING_S: f64 = 2e-9;
 
 /// Longest gap within a recording, seconds.
@@ -79,11 +81,11 @@ pub(crate) struct Timestamps {
     pub(crate) usable: Vec<bool>,
     /// Median distance of neighbours in seconds.
     pub(crate) step_s: f64,
-    /// 1-sigma of the mean of the timestamps that the faults leave open, seconds.
+    /// 1-sigma of the mean of the timestamps due to faults, seconds.
     pub(crate) unresolved_s: f64,
-    /// The same of their rate.
+    /// 1-sigma of their rate due to faults.
     pub(crate) unresolved_skew: f64,
-    /// Step of coarse stamps, seconds; 0 of fine ones.
+    /// Step of coarse stamps, seconds; 0 for fine ones.
     pub(crate) resolution_s: f64,
     /// Deviation of the stamps that may be the samples' own.
     pub(crate) pattern: Option<Pattern>,
@@ -91,22 +93,22 @@ pub(crate) struct Timestamps {
     pub(crate) faults: Vec<Fault>,
 }
 
-/// Deviation of stamps from a regular course: either the stamps deviate, or the samples were
-/// taken so.
+/// Deviation of stamps from a regular sequence: either the stamps deviate, or the sampling
+/// did.
 pub(crate) struct Pattern {
-    /// Of each stamp, seconds.
+    /// Deviation of each stamp, seconds.
     pub(crate) later_s: Vec<f64>,
-    /// A sawtooth, whose size, if it is the stamps', leaves time and skew open.
+    /// The sawtooth, if the deviation is one.
     pub(crate) sawtooth: Option<Sawtooth>,
 }
 
-/// What a sawtooth leaves open where it is the stamps'.
+/// Uncertainty due to a sawtooth, if it is one of the stamps.
 pub(crate) struct Sawtooth {
     /// 1-sigma of the mean of the stamps, seconds.
     pub(crate) open_s: f64,
-    /// The same of their rate.
+    /// 1-sigma of their rate.
     pub(crate) open_skew: f64,
-    /// Probability, before the content is looked at, that the stamps jump and not the samples.
+    /// Prior probability that the stamps jump and not the samples.
     pub(crate) prior: f64,
     pub(crate) fault: Fault,
 }
@@ -123,8 +125,8 @@ impl Timestamps {
 }
 
 /// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is finite;
-/// `known_jump_s` is that of a sawtooth which the stamps are known to have, or 0. `None` if
-/// fewer than eight usable samples remain.
+/// `known_jump_s` is the jump of a sawtooth that the stamps are known to have, or 0. Returns
+/// `None` if fewer than eight usable samples remain.
 pub(crate) fn check(
     stream: Stream,
     t: &[f64],
@@ -184,7 +186,7 @@ pub(crate) fn check(
             out.unresolved_skew = (drift_sigma * each_s).abs();
         }
     } else {
-        // Where few stamps step otherwise, the error is as long as the recording.
+        // If few stamps have another step, the error lasts as long as the recording.
         let q = out.resolution_s;
         let odd = steps.iter().filter(|d| (*d - step).abs() > 0.5 * q);
         let odd = odd.count();
@@ -233,7 +235,7 @@ fn far(t: &[f64], kept: &[usize]) -> Vec<usize> {
     kept.iter().copied().filter(|&k| !is_near[k]).collect()
 }
 
-/// The fewest samples to remove so that the rest increases strictly.
+/// Returns the fewest samples whose removal leaves strictly increasing times.
 fn out_of_order(t: &[f64], kept: &[usize]) -> Vec<usize> {
     if kept.windows(2).all(|p| t[p[1]] > t[p[0]]) {
         return Vec::new();
@@ -259,7 +261,7 @@ fn out_of_order(t: &[f64], kept: &[usize]) -> Vec<usize> {
     kept.iter().copied().filter(|&k| !in_order[k]).collect()
 }
 
-/// Samples whose timestamp alone stands off: late and then early, or the reverse.
+/// Samples whose timestamp alone deviates: late and then early, or the reverse.
 fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     let deviation: Vec<f64> = steps.iter().map(|d| d - step).collect();
     let least = 0.12 * step;
@@ -279,14 +281,14 @@ fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
             out.push(kept[i]);
         }
     }
-    // So many that they are the rule: jitter, not faults.
+    // Frequent deviations are jitter, not faults.
     if out.len() * 4 > kept.len() {
         out.clear();
     }
     out
 }
 
-/// Step of coarse stamps, of which `equal` repeated the one before; 0 of fine ones.
+/// Step of coarse stamps, of which `equal` repeated the one before; 0 for fine ones.
 fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize) -> f64 {
     let first = t[kept[0]];
     let is_multiple = |q: f64| {
@@ -324,7 +326,7 @@ fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize)
     if is_coarse { q } else { 0.0 }
 }
 
-/// Period of the counter that the stamps may be of: the least by which their distances differ.
+/// Period of the counter that may have made the stamps: the least difference of their distances.
 fn counter_period(t: &[f64], kept: &[usize], steps: &[f64], step: f64) -> Option<f64> {
     let uneven = steps.iter().map(|d| (d - step).abs());
     let mut uneven: Vec<f64> = uneven.filter(|d| *d > 2.0 * ROUNDING_S).collect();
@@ -349,8 +351,8 @@ fn counter_period(t: &[f64], kept: &[usize], steps: &[f64], step: f64) -> Option
     ((period - rough).abs() < ROUNDING_S).then_some(period)
 }
 
-/// The jumps with those that fall on a sample that was left out, where the distance is a
-/// multiple of the usual one, and without those that follow too soon.
+/// Adds the jumps that fall on samples that were left out, where the distance of two is a
+/// multiple of the usual one, and removes those that follow too soon.
 fn with_missed(
     jumps: Vec<(usize, f64)>,
     size: f64,
@@ -382,7 +384,7 @@ fn with_missed(
     all
 }
 
-/// Removes a sawtooth, or passes a lone jump to the comparison with the other stream.
+/// Finds a sawtooth, or a single jump, for the comparison with the other stream.
 fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let step = out.step_s;
     let adjacent = kept
@@ -526,7 +528,7 @@ mod tests {
             .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
             .collect();
         let checked = check(Stream::B, &t, &vec![true; 4500], 0.0).unwrap();
-        // It is for the other stream to say that it is the stamps'.
+        // The comparison with the other stream decides; until then the stamps stay.
         assert_eq!((checked.faults.len(), &checked.t), (0, &t));
         let pattern = checked.pattern.unwrap();
         let sawtooth = pattern.sawtooth.unwrap();
@@ -545,9 +547,9 @@ mod tests {
     }
 
     #[test]
-    fn coarse_stamps_are_told_from_even_ones() {
+    fn coarse_stamps_are_distinguished_from_even_ones() {
         let cases = [
-            // Step of the samples, resolution of the stamps, what is to be found.
+            // Step of the samples, resolution of the stamps, expected result.
             (8.333e-3, 1e-3, 1e-3),
             (11.86e-3, 10e-3, 10e-3),
             (3.497e-3, 1e-3, 1e-3),

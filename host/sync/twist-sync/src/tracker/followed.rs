@@ -1,22 +1,22 @@
-//! The relation of two clocks over a recording that is over: what twists and motion say at
-//! some times, and exchanges between them.
+//! The relation of two clocks over a completed recording, from estimates at some times (twists,
+//! windows of motion) and from exchanges with the clocks between them.
 //!
-//! A [`Tracker`] goes over all of it forwards, and another one backwards: time turned round,
-//! a question is an answer and the other way about. At an instant the two use different
+//! One [`Tracker`] runs over all of it forwards, and another one backwards: with time reversed,
+//! a question becomes an answer and vice versa. At each instant the two use different
 //! data, and their best combination uses all of it.
 //!
-//! Limits: those of the tracker, but for a step of an asymmetry, which both come upon from
-//! their own side.
+//! Limits: those of the tracker, except for a step of an asymmetry, which each of the two meets
+//! from its own side.
 
 use super::{Asked, Exchange, Tracker};
 use crate::clock::ClockRelation;
 use crate::course::CONTRADICTION;
 
-/// The relation is given so often, s.
+/// Distance of the relations that are returned, s.
 const KNOT_S: f64 = 10.0;
 
 impl Exchange {
-    fn turned_round(&self) -> Self {
+    fn reversed(&self) -> Self {
         Self {
             sent: -self.received,
             received: -self.sent,
@@ -25,7 +25,7 @@ impl Exchange {
     }
 }
 
-fn turned_round(relation: &ClockRelation) -> ClockRelation {
+fn reversed(relation: &ClockRelation) -> ClockRelation {
     let [[offset, both], [_, skew]] = relation.covariance;
     ClockRelation {
         reference: -relation.reference,
@@ -35,7 +35,7 @@ fn turned_round(relation: &ClockRelation) -> ClockRelation {
     }
 }
 
-/// Relation at each of some times of the computer, from all data before it.
+/// Returns the relation at each of the `knots`, times of the computer, from all data before it.
 fn pass(
     exchanges: impl Iterator<Item = (Asked, Exchange)>,
     known: impl Iterator<Item = ClockRelation>,
@@ -49,7 +49,7 @@ fn pass(
         while let Some(knot) = knots.next_if(|knot| *knot <= exchange.sent) {
             found.push(tracker.relation_at(knot).filter(|_| is_related));
         }
-        if !tracker.take(asked, exchange) {
+        if !tracker.add(asked, exchange) {
             continue;
         }
         let Some(now) = tracker.relation_at(exchange.sent) else {
@@ -59,7 +59,7 @@ fn pass(
             let expected = now.offset_at(next.reference);
             let sigma = expected.sigma.hypot(next.offset_here().sigma);
             if !is_related || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
-                is_related |= tracker.take_relation(&next);
+                is_related |= tracker.add_relation(&next);
             }
         }
     }
@@ -67,9 +67,10 @@ fn pass(
     found
 }
 
-/// The relation every ten seconds from the first exchange to the last, from `known`
-/// relations (of twists, of windows of motion) in order of time and all exchanges. Those of
-/// one clock come in the order in which they were asked.
+/// Returns the relation every ten seconds from the first exchange to the last.
+///
+/// `known` are relations of twists or windows of motion in order of time. The exchanges of each
+/// clock are in the order in which they were asked for; those of the two may be interleaved.
 #[must_use]
 pub fn followed(exchanges: &[(Asked, Exchange)], known: &[ClockRelation]) -> Vec<ClockRelation> {
     let (Some((_, first)), Some((_, last))) = (exchanges.first(), exchanges.last()) else {
@@ -86,12 +87,12 @@ pub fn followed(exchanges: &[(Asked, Exchange)], known: &[ClockRelation]) -> Vec
         exchanges
             .iter()
             .rev()
-            .map(|(asked, each)| (*asked, each.turned_round())),
-        known.iter().rev().map(turned_round),
+            .map(|(asked, each)| (*asked, each.reversed())),
+        known.iter().rev().map(reversed),
         (0..=count).rev().map(|place| -knot(place)),
     );
     let backwards = backwards.iter().rev();
-    let backwards = backwards.map(|relation| relation.as_ref().map(turned_round));
+    let backwards = backwards.map(|relation| relation.as_ref().map(reversed));
     let both = forwards.into_iter().zip(backwards);
     both.filter_map(|(before, after)| match (before, after) {
         (Some(before), Some(after)) => Some(before.joined(&after)),

@@ -1,4 +1,4 @@
-//! One clock's exchanges: the quickest of each window, their noise, and steps of the
+//! The exchanges with one clock: the quickest of each window, their noise, and steps of the
 //! round trip.
 
 use std::collections::VecDeque;
@@ -6,41 +6,41 @@ use std::collections::VecDeque;
 use super::Exchange;
 use crate::robust::median_in_place;
 
-/// Length of a window, s. Those of both clocks begin and end together: so the computer's
-/// clock has little time to move between what they give.
+/// Length of a window, s. Windows of both clocks begin and end together, so that the
+/// computer's clock has little time to move between their measurements.
 const WINDOW_S: f64 = 2.0;
 
-/// What a round trip takes has stepped where the median of so many windows, the last ones,
+/// Latest windows whose median round trip is compared with that of earlier ones.
 const RECENT_WINDOWS: usize = 3;
 
-/// is elsewhere than that of so many before, once there are the least of them,
+/// Most and fewest earlier windows for that comparison.
 const SETTLED_WINDOWS: usize = 15;
 const LEAST_WINDOWS: usize = 5;
 
-/// by so many of its sigmas.
+/// Difference of the two medians that is a step of the round trip, in sigmas.
 const STEP_SIGMAS: f64 = 5.0;
 
-/// A window whose round trip is more sigmas away counts less.
+/// Distance of a window's round trip from the usual one beyond which the window counts less, in
+/// sigmas.
 const SLOW_SIGMAS: f64 = 2.0;
 
-/// Of the round trips of so many windows, the first ones, nothing is learnt: the rate of the
-/// clock is not known yet.
+/// First windows whose round trips are ignored, because the rate of the clock is not known yet.
 const RATED_WINDOWS: u32 = 5;
 
-/// Differences of round trips so many windows apart tell the noise of one, and how both
-/// ways wander.
+/// Lags, in windows, of the differences of round trips that give the noise of one window, and
+/// the wander of both ways.
 const LAGS: [usize; 2] = [1, 64];
 
-/// They are averaged over about so many windows.
+/// Windows over which those differences are averaged, for each lag.
 const MEMORY_WINDOWS: [f64; 2] = [60.0, 600.0];
 
-/// Before anything is learnt: the noise is this part of a round trip, and what wanders so
-/// many times as much (of variances), as if of so many windows.
+/// Values before any round trip was seen: noise as a part of a round trip, variance of the
+/// wander as a multiple of that of the noise, and the number of windows that each counts for.
 const FIRST_NOISE: f64 = 0.005;
 const FIRST_WANDER: f64 = 4.0;
 const FIRST_WINDOWS: [f64; 2] = [5.0, 60.0];
 
-/// The noise is never below this, s: what the stamps themselves are good for.
+/// Least noise, s: that of the stamps themselves.
 const LEAST_NOISE: f64 = 1e-6;
 
 /// Time constant of the wander of a way's delay, s. A guess: the middle of half a minute and ten.
@@ -51,12 +51,13 @@ fn median<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
     median_in_place(&mut values).unwrap_or(0.0)
 }
 
-/// The quickest of one way in a window.
+/// The quickest passage one way in a window.
 #[derive(Clone, Copy, Debug)]
 struct Quickest {
-    /// The clock less the computer's, or the other way about, as it came, s.
+    /// Time stamped at the end of the way minus time stamped at its start, each by its own
+    /// clock, s.
     apart: f64,
-    /// The same without what the rate of the clock made of it since the window's begin.
+    /// The same without the clock's drift since the begin of the window.
     least: f64,
     at: f64,
 }
@@ -64,7 +65,7 @@ struct Quickest {
 #[derive(Clone, Copy, Debug)]
 struct Window {
     begin: f64,
-    /// Rate of the clock against the computer's, less one, as it was known then.
+    /// Rate of the clock against the computer's, minus one, as known when the window began.
     rate: f64,
     ways: [Quickest; 2],
 }
@@ -88,7 +89,7 @@ impl Window {
         })
     }
 
-    fn take(&mut self, exchange: &Exchange, base: f64) {
+    fn add(&mut self, exchange: &Exchange, base: f64) {
         let ways = Self::ways(exchange, base, (self.begin, self.rate));
         for (best, way) in self.ways.iter_mut().zip(ways) {
             if way.least < best.least {
@@ -98,37 +99,37 @@ impl Window {
     }
 }
 
-/// One clock's exchanges.
+/// State of the exchanges with one clock.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Leg {
     window: Option<Window>,
-    /// Round trips of the last windows since the last step, s: the quickest way there and
-    /// the quickest back.
+    /// Round trips of the latest windows since the last step, s: the quickest way there plus
+    /// the quickest way back.
     trips: VecDeque<f64>,
-    /// Variance of half the differences of half the round trips at each lag, s²; and of
-    /// how many windows.
+    /// Half the variance of the differences of half the round trips at each lag, s², and the
+    /// number of windows in each.
     noise: [f64; LAGS.len()],
     windows: [f64; LAGS.len()],
-    /// Windows that have ended.
+    /// Number of windows that have ended.
     ended: u32,
     pub(super) odd: u32,
     pub(super) last: Option<f64>,
 }
 
-/// Measurement that a window gives.
+/// Measurement from one window.
 pub(super) struct Seen {
     pub(super) at: f64,
-    /// The clock less the computer's, and half of what the way there takes longer.
+    /// The clock minus the computer's, plus half the difference of the ways there and back, s.
     pub(super) offset: f64,
     pub(super) variance: f64,
-    /// By how much the round trip has stepped, s; mostly zero.
+    /// Step of the round trip, s; mostly zero.
     pub(super) stepped: f64,
 }
 
 impl Leg {
-    /// Takes an exchange; gives the window that it ends, if it ends one. `rate` is asked
-    /// for where a window begins.
-    pub(super) fn take(
+    /// Adds an exchange and returns the measurement of the window that it ends, if it ends one.
+    /// `rate` is called if a window begins.
+    pub(super) fn add(
         &mut self,
         exchange: &Exchange,
         base: f64,
@@ -136,7 +137,7 @@ impl Leg {
     ) -> Option<Seen> {
         let begin = Window::begin_of(exchange.sent);
         if let Some(window) = self.window.as_mut().filter(|window| window.begin >= begin) {
-            window.take(exchange, base);
+            window.add(exchange, base);
             return None;
         }
         let rate = rate();
@@ -147,13 +148,13 @@ impl Leg {
         };
         let ended = self.window.replace(fresh)?;
         self.ended = self.ended.saturating_add(1);
-        // The first one began anywhere.
+        // The first window is incomplete.
         (self.ended > 1).then(|| self.end(&ended))
     }
 
     fn end(&mut self, window: &Window) -> Seen {
         let [there, back] = window.ways;
-        // Whatever the rate was thought to be, this is the offset in the middle of both.
+        // An error of the rate does not matter: this is the offset midway between both.
         let at = 0.5 * (there.at + back.at);
         let offset = 0.5 * (there.apart - back.apart);
         let trip = there.apart + back.apart - window.rate * (there.at - back.at);
@@ -162,15 +163,17 @@ impl Leg {
             self.noise[0] = (FIRST_NOISE * trip).powi(2);
             self.windows[0] = FIRST_WINDOWS[0];
         }
-        let stepped = match self.ended < RATED_WINDOWS {
-            true => 0.0,
-            false => self.settle(trip),
+        let stepped = if self.ended < RATED_WINDOWS {
+            0.0
+        } else {
+            self.settle(trip)
         };
         let sigma = self.trip_sigma();
         let apart = trip - self.settled().unwrap_or(trip);
-        let late = match apart.abs() > SLOW_SIGMAS * sigma {
-            true => apart,
-            false => 0.0,
+        let late = if apart.abs() > SLOW_SIGMAS * sigma {
+            apart
+        } else {
+            0.0
         };
         Seen {
             at,
@@ -180,7 +183,7 @@ impl Leg {
         }
     }
 
-    /// Takes the round trip of a window; gives by how much they have stepped, s.
+    /// Adds the round trip of a window; returns the step of the round trips, s.
     fn settle(&mut self, trip: f64) -> f64 {
         self.trips.push_back(trip);
         if self.trips.len() > LAGS[1] + 1 {
@@ -197,12 +200,13 @@ impl Leg {
         0.0
     }
 
-    /// Usual round trip before the last ones, s; after a step, that of those since.
+    /// Returns the usual round trip before the latest windows, s, since the last step.
     pub(super) fn settled(&self) -> Option<f64> {
         let count = self.trips.len();
-        let last = match count >= RECENT_WINDOWS + LEAST_WINDOWS {
-            true => count - RECENT_WINDOWS,
-            false => count,
+        let last = if count >= RECENT_WINDOWS + LEAST_WINDOWS {
+            count - RECENT_WINDOWS
+        } else {
+            count
         };
         let first = last.saturating_sub(SETTLED_WINDOWS);
         (count > 0).then(|| median(self.trips.range(first..last)))
@@ -225,8 +229,8 @@ impl Leg {
         }
     }
 
-    /// Variance of the offset of a good window, s². Both ways scatter by themselves: by half
-    /// of what the round trip does.
+    /// Returns the variance of the offset of a good window, s². The two ways scatter
+    /// independently, each with half the variance of the round trip.
     fn noise(&self) -> f64 {
         self.noise[0].max(LEAST_NOISE * LEAST_NOISE)
     }
@@ -236,21 +240,23 @@ impl Leg {
         -(-(LAGS[1] as f64) * WINDOW_S / WANDER_S).exp_m1()
     }
 
-    /// Variance of the slow wander of the asymmetry, s²: by half of what the round trip's
-    /// is.
+    /// Returns the variance of the slow wander of the asymmetry, s²: half that of the round
+    /// trip.
     pub(super) fn wander(&self) -> f64 {
-        match self.windows[1] > 0.0 {
-            true => (self.noise[1] - self.noise[0]).max(0.0) / Self::wandered(),
-            false => FIRST_WANDER * self.noise(),
+        if self.windows[1] > 0.0 {
+            (self.noise[1] - self.noise[0]).max(0.0) / Self::wandered()
+        } else {
+            FIRST_WANDER * self.noise()
         }
     }
 
-    /// Factor by which a wander has faded after some seconds.
+    /// Returns the factor by which a wander fades within `dt` seconds.
     pub(super) fn fade(dt: f64) -> f64 {
         (-dt / WANDER_S).exp()
     }
 
-    /// 1-sigma of the median of the last round trips about that of those before, s.
+    /// Returns the 1-sigma of the difference between the medians of the latest and of earlier
+    /// round trips, s.
     fn trip_sigma(&self) -> f64 {
         2.0 * (0.6 * self.noise() + 0.25 * self.wander()).sqrt()
     }

@@ -1,18 +1,18 @@
-use rand::{RngExt as _, SeedableRng as _};
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
 use crate::course::ClockCourse;
 
-/// Clocks, links and their delays: its own little model, not the filter's.
+/// Model of the clocks, the links and their delays, independent of the filter's.
 struct World {
     random: Pcg64,
     /// Least time there and back to either clock, s.
     least: [[f64; 2]; 2],
     tracker: Tracker,
-    heard: Vec<(Asked, Exchange)>,
+    exchanges: Vec<(Asked, Exchange)>,
     at: f64,
-    /// The computer's clock is fast by so much, and has gained so much until a time.
+    /// The computer's clock: its rate minus one since a time, that time, and its gain until then.
     computer: (f64, f64, f64),
 }
 
@@ -38,13 +38,13 @@ impl World {
             random: Pcg64::seed_from_u64(7),
             least: [[2e-4, 3e-4], [3e-4, 5e-4]],
             tracker: Tracker::default(),
-            heard: Vec::new(),
+            exchanges: Vec::new(),
             at: 0.0,
             computer: (30e-6, 0.0, 0.0),
         }
     }
 
-    /// Even, from 0 to 1.
+    /// Draws a value from 0 to 1, uniformly.
     fn draw(&mut self) -> f64 {
         self.random.random()
     }
@@ -61,7 +61,7 @@ impl World {
         self.least[clock][way] + 20e-6 * scatter + waiting + tail
     }
 
-    /// Asks both clocks until a true time.
+    /// Asks both clocks for their time until a true time.
     fn run(&mut self, until: f64) {
         while self.at < until {
             self.at += 0.02 * (0.5 + self.draw());
@@ -78,17 +78,17 @@ impl World {
                     received: self.host(read + back),
                     stamp,
                 };
-                self.tracker.take(asked, exchange);
-                self.heard.push((asked, exchange));
+                self.tracker.add(asked, exchange);
+                self.exchanges.push((asked, exchange));
             }
         }
     }
 
     fn twist(&mut self, at: f64) {
-        assert!(self.tracker.take_relation(&twist(at, 3e-6)));
+        assert!(self.tracker.add_relation(&twist(at, 3e-6)));
     }
 
-    /// Error now, and its 1-sigma, µs.
+    /// Returns the current error and its 1-sigma, µs.
     fn error_us(&self) -> (f64, f64) {
         let found = self.tracker.offset_at(self.host(self.at)).unwrap();
         ((found.value - offset(self.at)) * 1e6, found.sigma * 1e6)
@@ -159,7 +159,7 @@ fn in_a_gap_it_becomes_less_certain_and_finds_back() {
         sigma > 1.5 * before && error.abs() < 3.0 * sigma,
         "{error} ± {sigma}"
     );
-    let last = world.tracker.last_of(Asked::B).unwrap();
+    let last = world.tracker.last_window(Asked::B).unwrap();
     assert!(world.host(world.at) - last > 119.0);
     world.run(260.0);
     let (error, sigma) = world.error_us();
@@ -172,13 +172,13 @@ fn in_a_gap_it_becomes_less_certain_and_finds_back() {
 /// Two twists ten minutes apart; a step of the asymmetry between them, and another twist
 /// that contradicts.
 #[test]
-fn afterwards_the_exchanges_join_the_twists_and_a_wrong_one_is_left() {
+fn exchanges_join_the_twists_afterwards_and_a_wrong_twist_is_ignored() {
     let mut world = World::new();
     world.run(300.0);
     world.least[1][0] += 4e-4;
     world.run(640.0);
     let known = [twist(35.0, 3e-6), twist(400.0, 5e-4), twist(620.0, -3e-6)];
-    let knots = followed(&world.heard, &known);
+    let knots = followed(&world.exchanges, &known);
     assert_eq!(knots.len(), 65);
     let mut squares = 0.0;
     for knot in &knots {
@@ -197,7 +197,7 @@ fn afterwards_the_exchanges_join_the_twists_and_a_wrong_one_is_left() {
 }
 
 #[test]
-fn what_is_no_exchange_is_left() {
+fn invalid_exchanges_are_ignored() {
     let mut tracker = Tracker::default();
     let nothing = format!("{tracker:?}");
     let good = Exchange {
@@ -219,10 +219,10 @@ fn what_is_no_exchange_is_left() {
             ..good
         },
     ] {
-        assert!(!tracker.take(Asked::B, bad));
+        assert!(!tracker.add(Asked::B, bad));
         assert_eq!(format!("{tracker:?}"), nothing);
     }
-    assert!(!tracker.take(Asked::B, good));
+    assert!(!tracker.add(Asked::B, good));
     assert_ne!(format!("{tracker:?}"), nothing);
     assert_eq!(tracker.offset_at(1.0), None);
 }
