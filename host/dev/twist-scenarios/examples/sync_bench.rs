@@ -28,14 +28,14 @@ struct Args {
     /// Equal clock rates
     #[arg(long)]
     no_skew: bool,
-    /// Tell of each trial what was found
+    /// Print the result of each trial
     #[arg(long)]
     verbose: bool,
     /// Five twists over an hour instead, of some scenarios
     #[arg(long)]
     hour: bool,
-    /// Write the recordings as CSV and our results beside the ground truth to this folder; of all
-    /// scenarios to folders in it
+    /// Write the recordings as CSV, and the results beside the ground truth, to this folder; for
+    /// all scenarios to subfolders
     #[arg(long)]
     export: Option<PathBuf>,
 }
@@ -55,7 +55,7 @@ fn csv(track: &GyroTrack) -> String {
     out
 }
 
-/// So many times the trials of what must be refused.
+/// Factor of the number of trials for scenarios that must be refused.
 const REFUSALS: u64 = 5;
 
 /// Recordings of which five are taken over an hour.
@@ -140,11 +140,10 @@ fn row(args: &Args, scenario: &Scenario) {
 
 /// Twists of a row that are timed, one after the other.
 const TIMED: u64 = 15;
-/// The fastest of so many runs counts: other work on the machine only adds to the time.
+/// Runs of each estimate, of which the fastest counts: other work on the machine only adds time.
 const RUNS: usize = 5;
 
-/// Time of the processor that this thread has had, ms. Linux brings its figure up to date
-/// when the thread yields.
+/// Processor time of this thread, ms. Linux updates the figure when the thread yields.
 fn processor_ms() -> f64 {
     std::thread::yield_now();
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
@@ -152,8 +151,7 @@ fn processor_ms() -> f64 {
     nanos.parse::<f64>().unwrap() * 1e-6
 }
 
-/// Time of one estimate alone, ms: in the trials a thread that waits takes up another's
-/// work.
+/// Time of one estimate by itself, ms: in the trials a waiting thread takes on other work.
 fn fastest_ms(a: &GyroTrack, b: &GyroTrack, options: &Options) -> f64 {
     let run = |_| {
         let start = processor_ms();
@@ -165,7 +163,7 @@ fn fastest_ms(a: &GyroTrack, b: &GyroTrack, options: &Options) -> f64 {
     (0..RUNS).map(run).fold(f64::INFINITY, f64::min)
 }
 
-/// Its median over the twists of a row.
+/// Median of that time over the twists of a row.
 fn median_ms(args: &Args, scenario: &Scenario) -> f64 {
     let options = options(&scenario.spec);
     let each: Vec<f64> = (0..TIMED.min(args.trials))
@@ -302,7 +300,8 @@ fn about_a_line(clocks: &[ClockRelation]) -> f64 {
         .sum()
 }
 
-/// Recordings and a table of the ground truth, our results (all digits) and settings, and the time.
+/// Writes the recordings, and a table of the ground truth, our results (all digits), the
+/// settings and the time.
 fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
     std::fs::create_dir_all(folder).unwrap();
     let options = options(&scenario.spec);

@@ -73,7 +73,7 @@ fn relation(twist: &Twist, wander: f64) -> Option<ClockRelation> {
     Some(estimate.clock)
 }
 
-/// Of what a relation predicts, `from_s` after the beginning and later.
+/// Errors of a relation's predictions, `from_s` after the beginning and later.
 fn judge_ahead(clock: &ClockRelation, twist: &Twist, from_s: f64) -> Errors {
     judge(|t| clock.referenced_at(t), twist, from_s, &AHEAD_S)
 }

@@ -22,8 +22,8 @@ struct Pair {
     b: [f64; 3],
 }
 
-/// All samples of the phone for which the rate of the board is known: between its samples
-/// that were not left out.
+/// All samples of the phone that lie between used samples of the board, whose rate is known
+/// there.
 fn pairs(mcu: &GyroTrack, phone: &GyroTrack, estimate: &Estimate) -> Vec<Pair> {
     let faults = estimate.report.faults.iter();
     let of_mcu = faults.filter(|f| f.stream == Stream::A && f.action == Action::LeftOut);

@@ -1,10 +1,10 @@
 //! Grip of two gyroscopes while they are twisted.
 //!
 //! Gyroscope b sees `Q(t)·ω(t)` and the rate of `Q` itself, where `Q` is the rotation of
-//! one body against the other. While they are held, `Q` is constant; while they are
-//! not, b moves by itself in part. All draws come from the seed.
+//! one body against the other. While they are held firmly, `Q` is constant; otherwise b moves
+//! in part by itself. All draws come from the seed.
 //!
-//! The sizes are ranges, not measurements: nobody has published how people hold a rig.
+//! The sizes are guessed ranges: there are no published measurements of how people hold a rig.
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -13,21 +13,21 @@ use twist_sync::interpolant::Uniform;
 
 use super::{Rates, direction, second_order};
 
-/// Grip of the two. Ranges are drawn from.
+/// Grip of the two gyroscopes. Values are drawn from the given ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Grip {
-    /// All the time.
+    /// Firm from beginning to end.
     #[default]
     Firm,
-    /// Only so many seconds after the motion begins.
+    /// Firm from this many seconds after the begin of the motion.
     Late(f64, f64),
-    /// Until so many seconds before the motion ends.
+    /// Firm until this many seconds before the end of the motion.
     LetGo(f64, f64),
-    /// They turn against each other by so many degrees, once, in the middle third.
+    /// One turn against each other by this many degrees, in the middle third.
     Slip(f64, f64),
-    /// For so many seconds in the middle b is gripped otherwise, turned by 5° to 20°.
+    /// Another grip of b, turned by 5° to 20°, for this many seconds in the middle.
     Wrong(f64, f64),
-    /// The mount is a spring: resonance in Hz, damping ratio 0.03 to 0.15.
+    /// A springy mount with a resonance at this many Hz and a damping ratio of 0.03 to 0.15.
     Flexing(f64, f64),
 }
 
@@ -35,11 +35,11 @@ pub enum Grip {
 pub(super) struct Held<'a> {
     rates: &'a Rates,
     other: &'a Rates,
-    /// Begin and end of the time in which b moves by itself, and its share then.
+    /// Begin and end of the time in which b moves by itself, and the share of its own motion.
     loose: Option<(f64, f64, f64)>,
-    /// Axis, angle in rad, time and duration of a turn; another takes it back.
+    /// Axis, angle in rad, time and duration of each turn.
     turns: Vec<(Unit<Vector3<f64>>, f64, f64, f64)>,
-    /// The motion after a mount that gives way.
+    /// The motion behind a springy mount.
     flexing: Option<Uniform>,
     /// Stretches in which the two are not one body, seconds of true time.
     pub(super) stretches: Vec<(f64, f64)>,
@@ -48,7 +48,7 @@ pub(super) struct Held<'a> {
 /// Duration of taking hold or letting go, seconds.
 const HANDLING_S: f64 = 0.15;
 
-/// From 0 to 1 between 0 and 1, smooth.
+/// Smooth step from 0 to 1, for `x` from 0 to 1.
 pub(super) fn rise(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
@@ -116,7 +116,7 @@ impl<'a> Held<'a> {
         out
     }
 
-    /// The rate of body b in its own axes.
+    /// Returns the rate of body b in its own axes.
     pub(super) fn at(&self, t: f64) -> Vector3<f64> {
         let carried = self.flexing.as_ref().map(|carried| carried.value(t).into());
         let mut rate: Vector3<f64> = carried.unwrap_or_else(|| self.rates.at(t));

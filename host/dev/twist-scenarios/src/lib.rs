@@ -29,72 +29,73 @@ pub use views::RealMotion;
 /// Motion of the rig.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
-    /// A twist by hand about changing axes; peak rate in this range, rad/s.
+    /// A twist by hand about changing axes, with a peak rate in this range, rad/s.
     Twist(f64, f64),
-    /// The same about one fixed axis.
+    /// A twist about one fixed axis, with a peak rate in this range, rad/s.
     SingleAxis(f64, f64),
     /// A twist with these peaks about the three axes, rad/s.
     Axes([f64; 3]),
-    /// Carried around and panned slowly; peak rate in this range, rad/s.
+    /// Carrying around and slow panning, with a peak rate in this range, rad/s.
     Natural(f64, f64),
-    /// Lying on the table.
+    /// Rest on a table.
     Still,
 }
 
-/// One gyroscope.
+/// Properties of one simulated gyroscope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sensor {
-    /// Samples per second of its own clock.
+    /// Samples in one second of its own clock.
     pub rate_hz: f64,
     /// Rms of the white noise of a sample, rad/s.
     pub noise: f64,
-    /// Least significant bit, rad/s; 0: none.
+    /// Least significant bit, rad/s; 0 for no quantisation.
     pub lsb: f64,
-    /// Two-pole low-pass: −3 dB frequency in Hz.
+    /// −3 dB frequency of its two-pole low-pass in Hz, if it has one.
     pub filter_hz: Option<f64>,
-    /// Its damping ratio: 1 for two equal poles, 1/√2 for Butterworth.
+    /// Damping ratio of the low-pass: 1 for two equal poles, 1/√2 for Butterworth.
     pub filter_damping: f64,
-    /// End of the range, rad/s.
+    /// End of the range, rad/s, if it can clip.
     pub range: Option<f64>,
-    /// Rms of the deviation of the sampling instants from the regular grid,
-    /// truly stamped, seconds.
+    /// Rms of the deviation of the sampling instants from the regular grid, seconds. The stamps
+    /// follow it.
     pub jitter_s: f64,
     /// Height and period of a zero-mean sawtooth error of the stamps, seconds.
     pub sawtooth_s: Option<(f64, f64)>,
-    /// The longest period, where each recording has its own; 0: the same in all.
+    /// Longest period of the sawtooth, seconds: each recording draws its own, from the period on.
+    /// 0 for the same period in all.
     pub longest_sawtooth_s: f64,
     /// Rms and correlation time of a wander of the stamps, seconds.
     pub wander_s: Option<(f64, f64)>,
-    /// Step to which the stamps are cut, seconds; 0: none.
+    /// Step to which the stamps are truncated, seconds; 0 for none.
     pub resolution_s: f64,
     /// Factor of the noise about z.
     pub noisy_z: f64,
     /// Share of the samples that are lost, in bursts of 1 to 20.
     pub lost: f64,
-    /// Copies and displaced samples as phones show them.
+    /// True for copies and displaced samples like those of phones.
     pub faulty: bool,
-    /// After how many samples those recur.
+    /// Period of those faults in samples.
     pub faulty_period: f64,
-    /// By how much the sample after a displaced one is early, seconds.
+    /// Lead of the content of the sample after a displaced one, seconds.
     pub faulty_next_s: f64,
 }
 
-/// A pair of recordings to be made.
+/// Specification of a pair of recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TwistSpec {
-    /// The motion.
+    /// Motion of the rig.
     pub motion: Motion,
     /// Length of each recording, seconds.
     pub duration_s: f64,
     /// Rest before and after a twist, seconds.
     pub rest_s: f64,
-    /// Recording b starts this much later, seconds.
+    /// Start of recording b after that of a, seconds.
     pub b_starts_s: f64,
-    /// Gyroscope b sees another motion altogether.
+    /// True if gyroscope b sees an unrelated motion.
     pub unrelated: bool,
-    /// Grip of the two.
+    /// Grip of the two gyroscopes.
     pub grip: Grip,
-    /// Skew of the clocks in ppm, drawn between minus this and this.
+    /// Largest magnitude of the clocks' skew, ppm; the skew is drawn uniformly.
     pub skew_ppm: f64,
     /// Gyroscope a.
     pub a: Sensor,
@@ -131,7 +132,7 @@ pub const SENSOR_B: Sensor = Sensor {
 };
 
 impl Sensor {
-    /// A time as this sensor's stamps give it.
+    /// Returns the stamp of a time, truncated to the sensor's resolution.
     fn stamp(&self, t: f64) -> f64 {
         if self.resolution_s > 0.0 {
             (t / self.resolution_s).floor() * self.resolution_s
@@ -158,8 +159,8 @@ impl Default for TwistSpec {
     }
 }
 
-/// What is known of the two sensors: their filters, and of a sawtooth of long periods, which may not
-/// jump in a single twist, its jump.
+/// Returns the options with everything that a user knows about the two sensors: the delays of
+/// their filters, and the jump of a sawtooth whose period is so long that a twist may not show it.
 #[must_use]
 pub fn options(spec: &TwistSpec) -> Options {
     let is_long = |sawtooth: &(f64, f64)| sawtooth.1 > 3.0;
@@ -183,9 +184,8 @@ fn natural_frequency(hz: f64, damping: f64) -> f64 {
     std::f64::consts::TAU * hz / (half + (half * half + 1.0).sqrt()).sqrt()
 }
 
-/// A signal through `ω₀² / (s² + 2ζω₀s + ω₀²)`, whose −3 dB frequency is `hz`; or, of
-/// a mount (`carried`) with its resonance there, through
-/// `(2ζω₀s + ω₀²) / (s² + 2ζω₀s + ω₀²)`.
+/// Filters a signal by `ω₀² / (s² + 2ζω₀s + ω₀²)`, whose −3 dB frequency is `hz`; or, for
+/// a mount (`carried`) with its resonance at `hz`, by `(2ζω₀s + ω₀²) / (s² + 2ζω₀s + ω₀²)`.
 ///
 /// Trapezoidal rule in steps of 0.1 ms: at 60 Hz exact to 10⁻⁴, at the motion's few Hz
 /// to 10⁻⁶.
@@ -226,7 +226,7 @@ fn second_order(
     Uniform::new(from, 5.0 * step, nodes)
 }
 
-/// The true course of clock b against clock a: a skew that walks at random.
+/// The ground truth of clock b against clock a: a skew that walks at random.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClockPath {
     /// Accumulated difference, b − a, at whole seconds from the start.
@@ -236,9 +236,9 @@ pub struct ClockPath {
 }
 
 impl ClockPath {
-    /// A skew of `skew` at the start that walks by `wander` rms in a minute
-    /// (dimensionless, see [`twist_sync::Wander`]), for `length_s`; the difference is
-    /// zero at `zero_s`.
+    /// Creates a path of `length_s` seconds with a skew of `skew` at the start that walks by
+    /// `wander` rms in a minute (dimensionless, see [`twist_sync::Wander`]). The accumulated
+    /// difference is zero at `zero_s`.
     #[must_use]
     pub fn new(seed: u64, skew: f64, wander: f64, length_s: f64, zero_s: f64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed ^ 0x5eed_c10c);
@@ -261,7 +261,8 @@ impl ClockPath {
         out
     }
 
-    /// b − a since the zero, seconds, at a time since the start.
+    /// Returns the accumulated difference b − a at `t`, both in seconds; `t` counts from the
+    /// start.
     #[must_use]
     pub fn drift_at(&self, t: f64) -> f64 {
         let last = self.drift.len() - 2;
@@ -272,7 +273,7 @@ impl ClockPath {
         self.drift[k] + self.skew[k] * x + 0.5 * slope * x * x
     }
 
-    /// Skew at a time since the start.
+    /// Returns the skew at `t` seconds from the start.
     #[must_use]
     pub fn skew_at(&self, t: f64) -> f64 {
         let last = self.skew.len() - 2;
@@ -288,20 +289,20 @@ pub struct Twist {
     pub a: GyroTrack,
     /// Recording b.
     pub b: GyroTrack,
-    /// True skew in the middle.
+    /// True skew in the middle of the recordings.
     pub skew: f64,
-    /// Time of clock a at the start of the clocks' path.
+    /// Reading of clock a at the start of the clocks' path, seconds.
     pub boot_s: f64,
-    /// True b − a where the path is zero.
+    /// True b − a where the path is zero, seconds.
     pub offset_s: f64,
-    /// The course of the clocks.
+    /// Path of the clocks.
     pub path: ClockPath,
-    /// Stretches in which the two are not one body, in seconds of clock a.
+    /// Stretches (from, to) in which the two are not one body, in seconds of clock a.
     pub loose_s: Vec<(f64, f64)>,
 }
 
 impl Twist {
-    /// True offset at a time of clock a.
+    /// Returns the true offset (b − a) at a time of clock a, both in seconds.
     #[must_use]
     pub fn offset_at(&self, a_s: f64) -> f64 {
         self.offset_s + self.path.drift_at(a_s - self.boot_s)
@@ -395,7 +396,7 @@ fn direction(rng: &mut Pcg64) -> Vector3<f64> {
     Unit::new_normalize(v).into_inner()
 }
 
-/// About any axis, by up to half a turn.
+/// Draws a rotation about any axis by up to half a turn.
 fn rotation(rng: &mut Pcg64) -> Rotation3<f64> {
     let axis = Unit::new_normalize(direction(rng));
     Rotation3::from_axis_angle(&axis, rng.random_range(0.0..std::f64::consts::PI))
@@ -423,7 +424,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// Samples of one sensor: true content times and stamps in true time, and rates.
+/// Samples one sensor: returns stamps in true time, and rates.
 fn record(
     rng: &mut Pcg64,
     sensor: &Sensor,
@@ -438,7 +439,7 @@ fn record(
     let scale = Vector3::from_fn(|_, _| 1.0 + rng.random_range(-0.005..0.005));
     let class = rng.random_range(0..10_usize);
     let phase = rng.random_range(0.0..1.0);
-    // Draws of their own: what has none of these stays as it is.
+    // A separate generator, so that these effects do not change the draws of other sensors.
     let mut own = Pcg64::seed_from_u64(class as u64 + (phase * 1e15) as u64);
     let mut wander = 0.0;
     let sawtooth = sensor.sawtooth_s.map(|(height, period)| {
@@ -511,7 +512,7 @@ fn record(
     (times, rates)
 }
 
-/// Makes the pair of recordings of one seed.
+/// Generates the pair of recordings of one seed.
 #[must_use]
 pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
     let mut rng = Pcg64::seed_from_u64(seed ^ 0x0a11_c10c);
@@ -521,7 +522,7 @@ pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
     twist_on(spec, seed, &path, 0.0)
 }
 
-/// Makes a pair of recordings on given clocks, starting `start_s` into their path.
+/// Generates a pair of recordings on given clocks, starting `start_s` into their path.
 ///
 /// The clocks' boot times depend on `seed / 1000` only: seeds 1000·n to
 /// 1000·n + 999 on one path are recordings of one session.
@@ -561,9 +562,9 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
         spec.duration_s,
     );
 
-    // Clock a is true time plus its boot; clock b takes the path.
-    let cut = |t: &f64| spec.a.stamp(t + start_s) + a_boot;
-    let a_s: Vec<f64> = a_t.iter().map(cut).collect();
+    // Clock a is true time plus its boot; clock b follows the path.
+    let stamp = |t: &f64| spec.a.stamp(t + start_s) + a_boot;
+    let a_s: Vec<f64> = a_t.iter().map(stamp).collect();
     Twist {
         a: GyroTrack::from_seconds(&a_s, a_w),
         b: on_path(
@@ -585,8 +586,8 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     }
 }
 
-/// Recording in true time, stamped by a clock that reads `zero_s` when true time
-/// is zero, and is on a path of which `start_s` have gone by then.
+/// Stamps a recording in true time by a clock that reads `zero_s` when true time
+/// is zero, `start_s` into the path.
 fn on_path(
     sensor: &Sensor,
     zero_s: f64,
@@ -603,8 +604,8 @@ fn on_path(
     }
 }
 
-/// The envelope ends with the recording that ends first, unless the overlap is partial on
-/// purpose.
+/// End of the motion, seconds: that of the recording that ends first, unless the overlap is
+/// partial on purpose.
 fn moving_until(spec: &TwistSpec) -> f64 {
     if spec.b_starts_s > 1.0 {
         spec.duration_s + spec.b_starts_s
@@ -613,8 +614,7 @@ fn moving_until(spec: &TwistSpec) -> f64 {
     }
 }
 
-/// Gives the chosen samples of a recording the content of another time, `by_s`
-/// seconds earlier.
+/// Replaces the content of the chosen samples of a recording by that of `by_s` seconds earlier.
 pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
     let recorded = track.w.clone();
     if let Some(rates) = Uneven::new(&track.t, &recorded) {
@@ -624,11 +624,11 @@ pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool
     }
 }
 
-/// Reads a table with a header of times in s and rates about x, y and z in rad/s.
+/// Reads a CSV table with a header line, times in s and rates about x, y and z in rad/s.
 ///
 /// # Errors
 ///
-/// The file cannot be read, or is no such table.
+/// Fails if the file cannot be read, or is not such a table.
 pub fn read_csv(path: &std::path::Path) -> std::io::Result<GyroTrack> {
     let wrong = || std::io::Error::new(std::io::ErrorKind::InvalidData, "not a table t, x, y, z");
     let mut times = Vec::new();

@@ -1,26 +1,26 @@
-//! The simulated recordings of the tests and the bench, and what is demanded of each.
+//! The simulated scenarios of the tests and the bench, with the requirements for each.
 
 use super::{Grip, Motion, SENSOR_B, Sensor, TwistSpec};
 
-/// A scenario with the error that is demanded of it.
+/// A scenario with the requirements for its estimates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scenario {
-    /// Name.
+    /// Name of the scenario.
     pub name: &'static str,
-    /// The recordings.
+    /// Recordings of the scenario.
     pub spec: TwistSpec,
-    /// Largest rms error of the offset, µs; `None`: a refusal is demanded.
+    /// Largest rms error of the offset, µs; `None` if a refusal is required.
     pub rmse_us: Option<f64>,
-    /// Requires that error over sigma of the offset is near one: the model of the noise holds.
+    /// True if the offset's error over its sigma must be near one: the model of the noise holds.
     pub honest: bool,
-    /// The same of the skew.
+    /// True if the skew's error over its sigma must be near one.
     pub honest_skew: bool,
-    /// Part of the twists that must be accepted; of the rest the faults may be too many.
+    /// Least part of the twists that must be accepted; the others may have too many faults.
     pub accepted: f64,
 }
 
 impl Scenario {
-    /// Twists of the base scenario with a change, whose errors are this large at most.
+    /// Creates a scenario of changed base twists with a largest rms error.
     fn new(name: &'static str, rmse_us: f64, change: impl FnOnce(&mut TwistSpec)) -> Self {
         Self {
             rmse_us: Some(rmse_us),
@@ -31,7 +31,7 @@ impl Scenario {
         }
     }
 
-    /// Twists that must be refused.
+    /// Creates a scenario of twists that must be refused.
     fn refused(name: &'static str, change: impl FnOnce(&mut TwistSpec)) -> Self {
         let mut spec = TwistSpec::default();
         change(&mut spec);
@@ -45,27 +45,27 @@ impl Scenario {
         }
     }
 
-    /// The same, but this part of the twists must be accepted.
+    /// Lowers the required part of accepted twists.
     const fn mostly(mut self, accepted: f64) -> Self {
         self.accepted = accepted;
         self
     }
 
-    /// Something else than noise makes the sigma: the numerical floor, or faults.
+    /// Marks a sigma that is not due to noise, but to the numerical floor or to faults.
     const fn not_by_noise(mut self) -> Self {
         self.honest = false;
         self.honest_skew = false;
         self
     }
 
-    /// The offset's sigma is wider: a sawtooth that jumps once has no known zero.
+    /// Marks a wider sigma of the offset: the zero of a sawtooth that jumps once is unknown.
     const fn of_unknown_zero(mut self) -> Self {
         self.honest = false;
         self
     }
 }
 
-/// A phone as bad as they come: copies and displaced samples every 10, a sawtooth of the
+/// A phone with all known faults: copies and displaced samples every 10, a sawtooth of the
 /// stamps.
 const SEVERAL_FAULTS: Sensor = Sensor {
     faulty: true,
@@ -121,7 +121,7 @@ pub fn scenarios() -> Vec<Scenario> {
         Scenario::new("sawtooth 57 µs", 6.0, |s| {
             s.b.sawtooth_s = Some((57e-6, 0.9));
         }),
-        // As the published rig's twist, which has one reset in 9.8 s.
+        // Like the published rig's twist, which has one reset in 9.8 s.
         Scenario::new("sawtooth 57 µs, 5 to 20 s", 20.0, |s| {
             s.b.sawtooth_s = Some((57e-6, 5.0));
             s.b.longest_sawtooth_s = 20.0;
@@ -130,7 +130,7 @@ pub fn scenarios() -> Vec<Scenario> {
         wandering("wander 2 µs, 0.5 s", 4.0, 2e-6, 0.5),
         wandering("wander 2 µs, 2 s", 4.0, 2e-6, 2.0),
         wandering("wander 5 µs, 0.5 s", 5.0, 5e-6, 0.5),
-        // It hardly shows within a twist, and is stated too narrowly.
+        // It hardly shows within a twist, and the sigma is too small.
         wandering("wander 5 µs, 2 s", 6.0, 5e-6, 2.0).not_by_noise(),
         wandering("wander 20 µs, 0.5 s", 12.0, 20e-6, 0.5),
         // A counter of 32,768 Hz, and one at which a step of the samples is nearly whole.
@@ -180,7 +180,7 @@ pub fn scenarios() -> Vec<Scenario> {
         held("let go 1 s early", Grip::LetGo(0.5, 1.5)),
         held("slip of 2° to 15°", Grip::Slip(2.0, 15.0)),
         held("wrong grip for 0.3 to 1 s", Grip::Wrong(0.3, 1.0)),
-        // What the mount delays is no noise.
+        // A delay by the mount is no noise.
         Scenario::new("mount flexes, 15 to 40 Hz", 35.0, |s| {
             s.grip = Grip::Flexing(15.0, 40.0);
         })

@@ -1,6 +1,6 @@
-//! Views of one real motion: the board's recording of the real twist that the Python package ships, smoothed, as
-//! other gyroscopes would have seen it, each with a mounting, samples, noise and a clock of
-//! its own. The motion is real; the rest is simulated, so that the true offset is known.
+//! Views of one real motion: the board's recording of the real twist in the Python package,
+//! smoothed, as other gyroscopes would have recorded it, each with its own mounting, samples,
+//! noise and clock. The motion is real; the rest is simulated, so that the true offset is known.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -17,7 +17,7 @@ const RECORDED: &str =
 /// Samples of each of three moving averages: −3 dB at 11 Hz, above the motion of a hand.
 const AVERAGED: usize = 15;
 
-/// A real motion.
+/// A real motion: angular rates over time.
 #[derive(Debug, Clone)]
 pub struct RealMotion {
     t: Vec<f64>,
@@ -25,7 +25,7 @@ pub struct RealMotion {
 }
 
 impl RealMotion {
-    /// The twist, from its first sample on.
+    /// Returns the real twist, from its first sample on.
     #[must_use]
     pub fn twist() -> Self {
         let row = |line: &str| -> Option<[f64; 4]> {
@@ -47,13 +47,14 @@ impl RealMotion {
         Self { t, w }
     }
 
-    /// Seconds of the motion.
+    /// Returns the length of the motion in seconds.
     #[must_use]
     pub fn length_s(&self) -> f64 {
         self.t[self.t.len() - 1] - self.t[0]
     }
 
-    /// The rates at times since its begin, in order; those beyond its end are left out.
+    /// Returns the rates at times in seconds from its begin, in order. Times beyond its end are
+    /// left out.
     #[must_use]
     pub fn at(&self, times: &[f64]) -> Vec<Vec3> {
         let motion = Uneven::new(&self.t, &self.w);
@@ -65,8 +66,8 @@ impl RealMotion {
         })
     }
 
-    /// What a gyroscope of this seed sees at these times of the motion, whose clock has its zero
-    /// at the motion's begin: turned, with a bias, and noise of `noise` rad/s.
+    /// Simulates the recording of a gyroscope at these times of the motion, with a mounting and
+    /// bias of this seed and noise of `noise` rad/s. Its clock is zero at the motion's begin.
     #[must_use]
     pub fn view(&self, seed: u64, times: &[f64], noise: f64) -> GyroTrack {
         let (turn, bias) = mounting(seed);
@@ -81,7 +82,7 @@ impl RealMotion {
         GyroTrack::from_seconds(&times[..w.len()], w)
     }
 
-    /// Times of regular sampling over the motion, from a random phase on.
+    /// Returns times of regular sampling over the motion, with a random phase.
     #[must_use]
     pub fn regular(&self, seed: u64, rate_hz: f64) -> Vec<f64> {
         let mut rng = Pcg64::seed_from_u64(seed ^ 0x5a3b);

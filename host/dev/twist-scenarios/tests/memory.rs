@@ -1,6 +1,6 @@
 //! Peak memory of an estimate, as a multiple of its input.
 //!
-//! The allocator counts for the whole process, so each figure is taken in one of its own.
+//! The allocator counts for the whole process, so each figure is measured in a separate one.
 
 use peak_alloc::PeakAlloc;
 use std::process::Command;
@@ -11,11 +11,11 @@ use twist_sync::{GyroTrack, Options, estimate_offset};
 #[global_allocator]
 static ALLOCATED: PeakAlloc = PeakAlloc;
 
-/// Peak over input, as stated in "Sync math", of samples without gaps.
+/// Peak over input for samples without gaps, as stated in "Sync math".
 const MULTIPLE: f64 = 24.0;
-/// The same where gaps leave 10 samples a second on the average.
+/// Peak over input if gaps leave 10 samples a second on average.
 const MULTIPLE_SPARSE: f64 = 110.0;
-/// On top whatever the input, bytes: threads, plans of the Fourier transform.
+/// Constant part of the peak, bytes: threads, plans of the Fourier transform.
 const BASE: f64 = 2e6;
 
 /// Bytes of a track's times and rates.
@@ -23,7 +23,7 @@ fn size(track: &GyroTrack) -> usize {
     track.t.len() * size_of::<f64>() + track.w.len() * size_of::<[f64; 3]>()
 }
 
-/// Peak of one estimate above what was there before, less the base, over the input.
+/// Peak of one estimate above the usage before it, minus the constant part, over the input.
 fn multiple(a: &GyroTrack, b: &GyroTrack) -> f64 {
     let before = ALLOCATED.current_usage();
     ALLOCATED.reset_peak_usage();
@@ -33,7 +33,7 @@ fn multiple(a: &GyroTrack, b: &GyroTrack) -> f64 {
     (peak as f64 - BASE) / (size(a) + size(b)) as f64
 }
 
-/// The twist whose stamps are `stamp(k)` instead.
+/// Returns the recordings of the twist with the stamps `stamp(k)`.
 fn stamped(twist: &Twist, stamp: impl Fn(usize) -> f64) -> (GyroTrack, GyroTrack) {
     [&twist.a, &twist.b]
         .map(|track| GyroTrack {

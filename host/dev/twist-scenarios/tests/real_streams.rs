@@ -1,25 +1,25 @@
 //! Traits of real streams, imposed on views of the real twist: each is found and named, and
-//! what is stated is honest in spite of it.
+//! the stated sigma is honest in spite of it.
 
 use rayon::prelude::*;
 use twist_scenarios::{RealMotion, TwistSpec};
 use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Stream, Warning, estimate_offset};
 
-/// Noise of a sample of either, rad/s.
+/// Noise of a sample of either gyroscope, rad/s.
 const NOISE: f64 = 1.4e-3;
-/// Trials of each trait.
+/// Trials for each trait.
 const TRIALS: u64 = 24;
 
 type Trait = Box<dyn Fn(&RealMotion, u64) -> GyroTrack + Sync>;
 
 struct Case {
     name: &'static str,
-    /// Recording b of a seed.
+    /// Creates recording b for a seed.
     b: Trait,
-    /// Rms of the offset's error, µs, and of error over sigma, of the offset and of the skew, at
-    /// most: of 24 trials 1.3 and 1.5 are two and 3.5 sigmas above one.
+    /// Largest rms of the offset's error, µs, of the offset's error over its sigma, and of the
+    /// skew's. With 24 trials, 1.3 and 1.5 are two and 3.5 sigmas above one.
     limits: (f64, f64, f64),
-    /// Required of each estimate.
+    /// Condition that each estimate must meet.
     is_found: fn(&Estimate) -> bool,
 }
 
@@ -59,7 +59,7 @@ fn has_no(estimate: &Estimate, kind: FaultKind) -> bool {
         .all(|fault| fault.kind != kind)
 }
 
-/// What is sampled at `sampled`, stamped by `stamps`.
+/// A recording sampled at `sampled` and stamped with `stamps`.
 fn stamped(
     motion: &RealMotion,
     seed: u64,
@@ -270,7 +270,8 @@ fn traits_of_real_streams_are_found_and_the_sigma_is_honest() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Simulated twists about all axes: about one alone it is often open which stream's axis is late.
+/// With simulated twists about all axes: a twist about one axis often leaves it undecided which
+/// stream's axis is late.
 #[test]
 fn an_axis_that_is_late_is_found_or_in_the_sigma() {
     for (by_s, is_clear) in [
@@ -315,7 +316,7 @@ fn an_axis_that_is_late_is_found_or_in_the_sigma() {
     }
 }
 
-/// Where the clock jumped, nobody can say which side of the jump is right.
+/// If the clock jumped, it is unknown which side of the jump is right.
 #[test]
 fn a_jump_of_the_stamps_is_found_or_in_the_sigma() {
     let (mut accepted, mut squares) = (0.0, 0.0);
@@ -378,7 +379,7 @@ fn exact_data_are_right_to_a_tenth_of_a_microsecond() {
 }
 
 #[test]
-fn what_is_wrong_with_a_recording_as_a_whole_is_said_first() {
+fn faults_of_a_whole_recording_are_reported_first() {
     let first = |change: fn(&mut [f64; 3])| {
         let mut twist = twist_scenarios::twist(&TwistSpec::default(), 71_000);
         twist.b.w.iter_mut().for_each(change);

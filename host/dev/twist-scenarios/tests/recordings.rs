@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use twist_scenarios::{Motion, Twist, TwistSpec};
 use twist_sync::{ClockRelation, GyroTrack, Options, course_of_tracks, estimate_offset};
 
-/// Minutes of being carried around, at 100 Hz.
+/// Recordings of minutes of carrying the rig around, at 100 Hz.
 fn carried(seed: u64, seconds: f64, peak: f64) -> Twist {
     let mut spec = TwistSpec {
         motion: Motion::Natural(peak, 2.0 * peak),
@@ -57,7 +57,7 @@ fn a_step_of_a_clock_is_found_with_its_time_and_size() {
     }
 }
 
-/// Half a sampling step at 3 s, where one window has seen the clock before, and in the middle.
+/// Jumps by half a sampling step: at 3 s, within the first window, and in the middle.
 #[test]
 fn a_jump_below_a_millisecond_is_found_or_in_the_sigma() {
     let by_s = 0.6e-3;

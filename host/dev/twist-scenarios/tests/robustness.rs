@@ -1,12 +1,11 @@
-//! The clock estimate on faulty, odd and hopeless streams: whatever is wrong with
-//! them, a result is either right within its sigma or refused.
+//! The clock estimate on faulty, odd and hopeless streams: each result is either right within
+//! its sigma or refused.
 //!
-//! Each case takes a simulated twist and damages it in one way. What must be
-//! refused is refused always; of the rest neither offset nor skew may be wrong by more than 5.5
-//! of its own sigmas, nor the offset by more than 0.4 ms, and those marked so must be accepted
-//! every time.
+//! Each case damages a simulated twist in one way. Cases marked [`Refused`] must be refused
+//! every time, those marked [`Accepted`] accepted every time. The error of an accepted offset
+//! or skew must be below 5.5 of its own sigmas, and that of the offset below 0.4 ms.
 
-use rand::{RngExt as _, SeedableRng as _};
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use twist_scenarios::{Motion, Twist, TwistSpec, displace};
@@ -14,10 +13,10 @@ use twist_sync::estimate_offset;
 
 /// Twists per case.
 const TRIALS: u64 = 5;
-/// An error beyond so many sigmas is wrong.
+/// Largest error of an accepted estimate, in its own sigmas.
 const WRONG: f64 = 5.5;
-/// A larger error of what is accepted is wrong whatever is stated, seconds: four times the
-/// 100 µs beyond which an estimate is refused for its sigma.
+/// Largest error of an accepted offset, seconds: four times the 100 µs beyond which an estimate
+/// is refused for its sigma.
 const CAP_S: f64 = 400e-6;
 
 /// Required outcome of a case.
@@ -53,7 +52,7 @@ fn damaged(
     }
 }
 
-/// Another twist than that of the base scenario.
+/// An undamaged twist that differs from the base scenario.
 fn other(name: &'static str, expect: Expect, change: fn(&mut TwistSpec)) -> Case {
     let mut spec = TwistSpec::default();
     change(&mut spec);
@@ -65,7 +64,7 @@ fn other(name: &'static str, expect: Expect, change: fn(&mut TwistSpec)) -> Case
     }
 }
 
-/// Returns a number in [0, 1) that is the same for the same key.
+/// Returns a random number in [0, 1) that depends on the key alone.
 fn random(key: u64) -> f64 {
     Pcg64::seed_from_u64(key).random()
 }
@@ -349,7 +348,7 @@ fn motions() -> Vec<Case> {
     ]
 }
 
-/// Runs a case; what is wrong with its results.
+/// Runs a case and returns its violations.
 fn judge(case: &Case) -> Vec<String> {
     let options = twist_scenarios::options(&case.spec);
     let mut wrong = Vec::new();

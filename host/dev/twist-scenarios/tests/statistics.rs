@@ -18,7 +18,7 @@ fn error_s(estimate: &Estimate, twist: &Twist) -> f64 {
     estimate.clock.offset - twist.offset_at(estimate.clock.reference)
 }
 
-/// Trials of the scenario with this place in the list.
+/// Runs the trials of the scenario at this position in the list.
 fn run(place: u64, scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
     let options = options(&scenario.spec);
     // Seeds are far apart, so that each trial has its own boot times, and each scenario its own
@@ -154,7 +154,7 @@ fn exchanging_the_inputs_negates_the_offset() {
     });
 }
 
-/// The two roles in the fit are not the same thing: the answer must be.
+/// The two roles in the fit differ, but the result must not depend on them.
 #[test]
 fn the_roles_of_the_streams_do_not_matter() {
     for trial in 0..20 {
@@ -172,7 +172,7 @@ fn the_roles_of_the_streams_do_not_matter() {
 }
 
 #[test]
-fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
+fn irrelevant_changes_move_the_offset_by_less_than_a_sigma() {
     for trial in 0..12 {
         let twist = twist_scenarios::twist(&TwistSpec::default(), 1000 * trial + 17);
         let base = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();

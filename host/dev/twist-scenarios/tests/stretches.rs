@@ -1,4 +1,4 @@
-//! Stretches in which the two are not one body: left out, and named for what they are.
+//! Stretches in which the two gyroscopes are not one body: they are left out, with their cause.
 
 use twist_scenarios::{Grip, Twist, TwistSpec};
 use twist_sync::{Estimate, LeftOut, Options, Why, estimate_offset};
@@ -11,7 +11,7 @@ fn twist(grip: Grip, seed: u64) -> Twist {
     twist_scenarios::twist(&spec, seed)
 }
 
-/// The estimate, right within five sigmas.
+/// Returns the estimate, which must be right within five sigmas.
 fn right(twist: &Twist) -> Estimate {
     let estimate = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
     let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference);
@@ -19,7 +19,7 @@ fn right(twist: &Twist) -> Estimate {
     estimate
 }
 
-/// The stretches that were left out, those for other reasons than `is` aside.
+/// Returns the stretches that were left out for reasons that `is` accepts.
 fn left_out(estimate: &Estimate, is: fn(&Why) -> bool) -> Vec<LeftOut> {
     let all = estimate.report.left_out.iter();
     all.filter(|l| is(&l.why)).copied().collect()
@@ -61,7 +61,7 @@ fn holding_late_and_letting_go_are_named_with_their_times() {
 }
 
 #[test]
-fn slips_of_rotation_and_steps_of_time_are_told_apart() {
+fn slips_of_rotation_and_steps_of_time_are_distinguished() {
     for seed in 0..10 {
         let slip = twist(Grip::Slip(6.0, 6.0), 1000 * seed + 37);
         let found = right(&slip).report.left_out;

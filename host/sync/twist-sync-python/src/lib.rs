@@ -1,9 +1,10 @@
-//! The Python package `twist-sync`: arrays in, numbers out. Everything with a name and a type
-//! is in `python/twist_sync/__init__.py`; this is the way between it and the crate.
+//! Bindings of the crate for the Python package `twist-sync`. They pass plain arrays and tuples;
+//! the classes with names and types are in `python/twist_sync/__init__.py`.
 //!
-//! Arrays come as bytes, little-endian, so that no version of numpy is built against.
+//! Arrays are passed as little-endian bytes, so that the package is not built against a version
+//! of numpy.
 
-// A refusal carries its report, and there is one a call.
+// A refusal carries its report; there is only one for each call.
 #![allow(clippy::result_large_err)]
 
 use pyo3::exceptions::PyValueError;
@@ -14,7 +15,7 @@ use twist_sync::{
     Report, Wander, Why, course_of_tracks, estimate_offset,
 };
 
-/// Times (f64 seconds, or i64 nanoseconds), rates of three axes (f64), whether the times are
+/// Times (f64 seconds, or i64 nanoseconds), rates of three axes (f64), true if the times are
 /// nanoseconds.
 type Stream<'py> = (&'py [u8], &'py [u8], bool);
 
@@ -41,7 +42,7 @@ fn track((t, w, nanos): Stream<'_>) -> PyResult<GyroTrack> {
     })
 }
 
-/// What is not given is the crate's default.
+/// Settings from Python; the crate's defaults replace those that are `None`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Settings {
@@ -56,8 +57,8 @@ struct Settings {
 }
 
 impl Settings {
-    fn over(&self, usual: Options) -> PyResult<Options> {
-        let low_pass_hz = self.low_pass_hz.unwrap_or(usual.low_pass_hz);
+    fn applied_to(&self, defaults: Options) -> PyResult<Options> {
+        let low_pass_hz = self.low_pass_hz.unwrap_or(defaults.low_pass_hz);
         if !(5.0..=100.0).contains(&low_pass_hz) {
             let message = format!("low_pass_hz is {low_pass_hz}; expected 5 to 100");
             return Err(PyValueError::new_err(message));
@@ -66,17 +67,17 @@ impl Settings {
             low_pass_hz,
             a_delay_s: self.a_delay,
             b_delay_s: self.b_delay,
-            sigma_limit_s: self.sigma_limit.unwrap_or(usual.sigma_limit_s),
-            min_overlap_s: self.min_overlap.unwrap_or(usual.min_overlap_s),
+            sigma_limit_s: self.sigma_limit.unwrap_or(defaults.sigma_limit_s),
+            min_overlap_s: self.min_overlap.unwrap_or(defaults.min_overlap_s),
             handle_faults: self.handle_faults,
-            wander: self.wander_ppm.map_or(usual.wander, Wander::from_ppm),
+            wander: self.wander_ppm.map_or(defaults.wander, Wander::from_ppm),
             search: self.search,
-            ..usual
+            ..defaults
         })
     }
 }
 
-// What goes out, in the order of the fields of the class in Python.
+// Results as tuples, in the order of the fields of the classes in Python.
 type ClockOut = (f64, f64, f64, [[f64; 2]; 2]);
 type FaultOut = (
     String,
@@ -103,7 +104,8 @@ type ReportOut = (
 fn clock_out(clock: &ClockRelation) -> ClockOut {
     (clock.reference, clock.offset, clock.skew, clock.covariance)
 }
-/// `CopiedSample` as `copied_sample`.
+
+/// Converts the name of a variant to snake case: `CopiedSample` to `copied_sample`.
 fn snake(name: impl std::fmt::Debug) -> String {
     let mut out = String::new();
     for letter in format!("{name:?}").chars() {
@@ -160,10 +162,11 @@ fn report_out(report: &Report) -> ReportOut {
     )
 }
 
-/// Clock, calibration and bias; none of them if it was refused.
+/// Clock, calibration and bias; `None` if the estimate was refused.
 type Found = Option<(ClockOut, [[f64; 3]; 3], [f64; 3])>;
 
-/// What was found, the reasons of a refusal, and the report.
+/// Estimates the relation of one twist. Returns the result, the reasons of a refusal, and the
+/// report.
 #[pyfunction]
 fn estimate(
     py: Python<'_>,
@@ -172,7 +175,7 @@ fn estimate(
     settings: Settings,
 ) -> PyResult<(Found, String, ReportOut)> {
     let (a, b) = (track(a)?, track(b)?);
-    let options = settings.over(Options::default())?;
+    let options = settings.applied_to(Options::default())?;
     Ok(match py.detach(|| estimate_offset(&a, &b, &options)) {
         Ok(e) => {
             let found = (clock_out(&e.clock), e.calibration, e.bias);
@@ -188,7 +191,7 @@ struct Course(RecordingClock);
 
 #[pymethods]
 impl Course {
-    /// Offset, skew and the three numbers of their covariance at each of these times of
+    /// Returns offset, skew and the three numbers of their covariance at each of these times of
     /// clock a: an array of shape (n, 5).
     fn at<'py>(&self, py: Python<'py>, times: &[u8]) -> Bound<'py, PyBytes> {
         let out: Vec<u8> = py.detach(|| {
@@ -202,7 +205,7 @@ impl Course {
         PyBytes::new(py, &out)
     }
 
-    /// Times of clock a at times of clock b.
+    /// Converts times of clock b to clock a.
     fn b_to_a<'py>(&self, py: Python<'py>, times: &[u8]) -> Bound<'py, PyBytes> {
         let out: Vec<u8> = py.detach(|| {
             let times = words(times).map(f64::from_le_bytes);
@@ -213,8 +216,8 @@ impl Course {
         PyBytes::new(py, &out)
     }
 
-    /// All else, in the order of the class in Python.
-    fn told(&self) -> Told {
+    /// Returns everything else, in the order of the fields of the class in Python.
+    fn details(&self) -> Details {
         let Self(RecordingClock { course, .. }) = self;
         let steps = course.steps.iter();
         let unsupported = course.unsupported.iter();
@@ -240,7 +243,7 @@ impl Course {
 
 /// Estimates; numbers of windows, of those used and of those that contradict; refusals; steps;
 /// stretches that are not supported; warnings; first and last time.
-type Told = (
+type Details = (
     Vec<ClockOut>,
     (usize, usize, usize),
     Vec<(GateOut, usize)>,
@@ -250,7 +253,7 @@ type Told = (
     (f64, f64),
 );
 
-/// The course, or the reason why there is none.
+/// Estimates the relation over whole recordings. Returns the course, or `None` and the reason.
 #[pyfunction]
 fn course(
     py: Python<'_>,
@@ -259,7 +262,7 @@ fn course(
     settings: Settings,
 ) -> PyResult<(Option<Course>, String)> {
     let (a, b) = (track(a)?, track(b)?);
-    let options = settings.over(Options::for_windows())?;
+    let options = settings.applied_to(Options::for_windows())?;
     let prior = options
         .search
         .map(|(offset, width)| Prior::Offset(offset, width));

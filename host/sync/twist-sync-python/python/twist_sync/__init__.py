@@ -3,9 +3,9 @@
 Convention: ``b = a + offset + skew * (a - reference)``, in seconds.
 
 * :func:`read` and :func:`sync` take files, :func:`estimate` and :func:`course` take arrays.
-* Times are floats in seconds, integers in nanoseconds, or ``datetime64``; what comes back is of
-  the same kind.
-* ``clock.b_to_a(t_b)`` puts times of clock b on clock a, of any array or number.
+* Times are floats in seconds, integers in nanoseconds, or ``datetime64``; results are of the
+  same kind.
+* ``clock.b_to_a(t_b)`` converts times of clock b to clock a, of any array or number.
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-#: Neighbouring samples of a gyroscope are that far apart, s: what else times are is another unit.
+#: Range of the distance between neighbouring samples of a gyroscope, s. Times beyond it are in
+#: another unit.
 _STEPS_S = (1e-6, 0.2)
 
 
 def __getattr__(name: str) -> Any:
-    # What reads files is loaded when it is asked for.
+    # The modules that read files are loaded on first use.
     if name == "read":
         from .files import read
 
@@ -60,7 +61,7 @@ def __getattr__(name: str) -> Any:
 
 
 class _Value:
-    """Equality of fields that are arrays."""
+    """Base of values with array fields, which adds equality."""
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -72,7 +73,7 @@ class _Value:
 
 
 class _Relation:
-    """Times of either clock in those of the other, whatever they are given as."""
+    """Conversion of times between two clocks, for all kinds of times."""
 
     def _offsets(self, a: Floats) -> Floats:
         raise NotImplementedError
@@ -81,7 +82,7 @@ class _Relation:
         raise NotImplementedError
 
     def a_to_b(self, a: ArrayLike) -> Any:
-        """Times of clock b at times of clock a.
+        """Converts times of clock a to clock b.
 
         Args:
             a: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
@@ -92,7 +93,7 @@ class _Relation:
         return _moved(a, self._offsets)
 
     def b_to_a(self, b: ArrayLike) -> Any:
-        """Times of clock a at times of clock b.
+        """Converts times of clock b to clock a.
 
         Args:
             b: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
@@ -122,9 +123,10 @@ class Clock(_Value, _Relation):
         reference: Time of clock a at which the offset holds, s.
         offset: Clock b minus clock a at the reference, s.
         skew: Rate of clock b relative to clock a, minus one.
-        covariance: Of (offset, skew), shape (2, 2): s², s; s, 1.
+        covariance: Covariance of (offset, skew), shape (2, 2): s², s; s, 1.
 
-    Of :meth:`Course.at` with several times all are arrays, one row a time.
+    :meth:`Course.at` with several times returns a clock whose fields are arrays, one row for
+    each time.
     """
 
     reference: float
@@ -143,7 +145,7 @@ class Clock(_Value, _Relation):
         return np.sqrt(self.covariance[..., 1, 1])
 
     def at(self, a: ArrayLike) -> Clock:
-        """The same relation with times of clock a, s, as references."""
+        """Returns the same relation with its reference at a time of clock a, s, or at several."""
         a = np.asarray(a, dtype=np.float64)
         dt = a - self.reference
         move = np.zeros((*dt.shape, 2, 2))
@@ -169,16 +171,16 @@ class Clock(_Value, _Relation):
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a stream.
+    """A fault of a stream.
 
     Attributes:
         stream: "a" or "b".
-        kind: As "gap", "clipped", "copied_sample", "timestamp_outlier".
-        count: Number of samples; of a sawtooth of the timestamps, of its jumps.
-        period: After how many samples it recurs.
-        displacement: By how much the timestamp is later than the content, s.
+        kind: Kind of fault, such as "gap", "clipped", "copied_sample", "timestamp_outlier".
+        count: Number of affected samples; for a sawtooth of the timestamps, number of its jumps.
+        period: Period in samples, if it recurs.
+        displacement: Lateness of the timestamps against the content, s, if it has one.
         action: "left_out", "corrected" or "noted".
-        samples: Indices of the samples.
+        samples: Indices of the affected samples.
     """
 
     stream: str
@@ -198,10 +200,10 @@ class LeftOut:
     """A stretch of both recordings that was left out.
 
     Attributes:
-        start: Its begin, s from the first sample of a.
-        end: Its end, s from the first sample of a.
-        why: "apart" or "time_step".
-        text: The same in words.
+        start: Begin, s from the first sample of a.
+        end: End, s from the first sample of a.
+        why: "apart" (not one body) or "time_step" (another offset of the clocks).
+        text: Description in words.
     """
 
     start: float
@@ -212,15 +214,15 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Gate:
-    """What an estimate must pass.
+    """A quality gate that an estimate must pass.
 
     Attributes:
-        name: What is judged.
-        passed: Whether it was.
-        value: What was measured, in ``unit``.
-        limit: What it may be, in ``unit``.
-        unit: Of value and limit.
-        text: The same in words.
+        name: Short stable name, such as "unique_peak".
+        passed: True if the value is within the limit.
+        value: Measured value, in ``unit``.
+        limit: Limit of the value, in ``unit``.
+        unit: Unit of value and limit.
+        text: Reason and figures in words.
     """
 
     name: str
@@ -233,17 +235,17 @@ class Gate:
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What an estimate or a refusal is based on.
+    """The basis of an estimate or a refusal.
 
     Attributes:
-        residual_rms: Rms of the residual in band, rad/s.
+        residual_rms: Rms of the in-band residual, rad/s.
         motion_rms: Rms of the motion, rad/s.
         overlap: Time in common that was used, s.
         together: Stretches in which the two moved as one body, s from the first sample of a.
-        faults: Of both streams.
+        faults: Faults of both streams.
         left_out: Stretches that were left out.
-        gates: All of them, passed or not.
-        warnings: What to know about an accepted estimate.
+        gates: All judged gates, passed or not.
+        warnings: Limitations of an accepted estimate, in words.
     """
 
     residual_rms: float | None
@@ -266,10 +268,10 @@ class Estimate(_Value):
 
     Attributes:
         clock: The relation of the clocks.
-        calibration: Rate of b = calibration @ rate of a + bias: rotation, scale and cross-axis
-            errors, shape (3, 3).
-        bias: rad/s, in the axes of b, shape (3,).
-        report: What it is based on.
+        calibration: Rotation, scale and cross-axis errors, shape (3, 3):
+            rate of b = calibration @ rate of a + bias.
+        bias: Difference of the biases in the axes of b, rad/s, shape (3,).
+        report: Figures, faults and gates on which the estimate is based.
     """
 
     clock: Clock
@@ -289,7 +291,7 @@ class Estimate(_Value):
 
     @property
     def covariance(self) -> Floats:
-        """Of (offset, skew): s², s; s, 1."""
+        """Covariance of (offset, skew): s², s; s, 1."""
         return self.clock.covariance
 
     @property
@@ -299,12 +301,12 @@ class Estimate(_Value):
 
     @property
     def faults(self) -> list[Fault]:
-        """Of both streams."""
+        """Faults of both streams."""
         return self.report.faults
 
     @property
     def gates(self) -> list[Gate]:
-        """All of them; each is passed."""
+        """All gates; each is passed."""
         return self.report.gates
 
     @property
@@ -326,7 +328,7 @@ class Refused(Exception):
     """The recordings do not give a trustworthy relation; the message says why.
 
     Attributes:
-        report: What was measured; at least one gate is not passed. None of a course.
+        report: Figures and gates, at least one of which is not passed; None for a course.
     """
 
     def __init__(self, reason: str, report: Report | None = None):
@@ -396,16 +398,17 @@ def estimate(
         w_b: Its angular rates.
         a_delay: Delay of the low-pass filter of a, s.
         b_delay: Delay of the low-pass filter of b, s.
-        sigma_limit: Refuse an offset with a larger 1-sigma, s; by default 100e-6.
+        sigma_limit: Largest 1-sigma of an accepted offset, s; by default 100e-6.
         low_pass_hz: -3 dB frequency of the zero-phase low-pass, 5 to 100 Hz; by default 25.
-        min_overlap: Refuse with less time in common, s; by default the crate's.
-        handle_faults: Look for faults of the streams and leave them out.
-        wander_ppm: By how much a clock's rate walks in one second, ppm; by default the crate's.
-        search: Expected offset b - a and the half-width to look in, s; by default anywhere.
+        min_overlap: Least time in common, s; by default 1.5.
+        handle_faults: Find faults of the streams and leave them out.
+        wander_ppm: Rms change of the clocks' relative rate within one minute, ppm; by default
+            0.05.
+        search: Expected offset b - a and half-width of the search, s; by default unlimited.
 
     Raises:
-        Refused: With the reasons and the report.
-        ValueError: Arrays of other shapes or units.
+        Refused: If there is no trustworthy relation, with the reasons and the report.
+        ValueError: If arrays have other shapes or units.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")
@@ -421,10 +424,10 @@ class Step:
     """A step of one clock against the other.
 
     Attributes:
-        start: It is no earlier than this time of clock a, s.
-        end: It is no later than this time of clock a, s.
-        by: Change of b - a, s.
-        sigma: Its 1-sigma, s.
+        start: Earliest time of the step, s of clock a.
+        end: Latest time of the step, s of clock a.
+        by: Change of the offset b - a, s.
+        sigma: 1-sigma of the change, s.
     """
 
     start: float
@@ -437,21 +440,22 @@ class Course(_Relation):
     """The relation of two clocks over whole recordings.
 
     Attributes:
-        estimates: The estimates of the windows.
-        windows: Windows of a that were looked at.
-        used: Estimates that make the course; one may be of several windows.
-        contradicting: Windows that were left out as contradicting the rest.
-        refusals: Gates that refused windows, with the figures of the first, and how many windows.
+        estimates: Estimates of the windows; one may be of several windows.
+        windows: Number of windows of a.
+        used: Number of estimates that make the course.
+        contradicting: Number of estimates that were left out because they contradict the rest.
+        refusals: Gates that refused windows, with the figures of the first refused window and the
+            number of windows.
         steps: Steps of one clock against the other.
-        unsupported: Stretches of clock a, s, whose motion could not be related, or by another
-            relation; the sigma grows within them.
-        warnings: Of the windows, and of how many.
+        unsupported: Stretches of clock a, s, without a relation or with a contradicting one; the
+            sigma grows within them.
+        warnings: Warnings of the estimates, with the number of estimates.
         span: First and last time of clock a with data, s.
     """
 
     def __init__(self, found: _twist_sync.Course):
         self._found = found
-        estimates, counts, refusals, steps, unsupported, warnings, span = found.told()
+        estimates, counts, refusals, steps, unsupported, warnings, span = found.details()
         self.estimates: list[Clock] = [_clock(e) for e in estimates]
         self.windows, self.used, self.contradicting = counts
         self.refusals: list[tuple[Gate, int]] = [(Gate(*g), n) for g, n in refusals]
@@ -462,21 +466,22 @@ class Course(_Relation):
 
     @property
     def refused(self) -> int:
-        """Windows that are in no estimate."""
+        """Number of windows that are in no estimate."""
         return sum(count for _, count in self.refusals)
 
     def _table(self, a: Floats) -> Floats:
         return np.frombuffer(self._found.at(a.astype("<f8").tobytes()), "<f8").reshape(*a.shape, 5)
 
     def at(self, a: ArrayLike) -> Clock:
-        """The relation at one time of clock a, s, or at several: then its fields are arrays."""
+        """Returns the relation at one time of clock a, s, or at several: then its fields are
+        arrays."""
         a = np.asarray(a, dtype=np.float64)
         offset, skew, oo, os, ss = np.moveaxis(self._table(a), -1, 0)
         covariance = np.moveaxis(np.array([[oo, os], [os, ss]]), (0, 1), (-2, -1))
         return Clock(a[()], offset[()], skew[()], covariance)
 
     def offsets(self, a: ArrayLike) -> tuple[Floats, Floats]:
-        """Offsets and their 1-sigma, s, at times of clock a, s."""
+        """Returns offsets and their 1-sigma, s, at times of clock a, s."""
         there = self.at(a)
         return there.offset, there.offset_sigma  # type: ignore[return-value]
 
@@ -509,12 +514,12 @@ def course(
 ) -> Course:
     """Relates the clocks over whole recordings, by any motion in them.
 
-    The arguments are those of :func:`estimate`; ``sigma_limit`` is of each window of 10 s, by
-    default 1e-3 s.
+    The arguments are those of :func:`estimate`; ``sigma_limit`` applies to each window of 10 s
+    and is 1e-3 s by default.
 
     Raises:
-        Refused: No part of the recordings can be related.
-        ValueError: Arrays of other shapes or units.
+        Refused: If no part of the recordings can be related.
+        ValueError: If arrays have other shapes or units.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")

@@ -1,4 +1,4 @@
-"""What a file gives."""
+"""The recording that a file contains."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Unreadable(Exception):
-    """A file gives no gyroscope; the message says what was expected and what to do."""
+    """A file without a readable gyroscope; the message says what was expected and what to do."""
 
 
 @dataclass(eq=False)
@@ -19,12 +19,12 @@ class Recording:
 
     Attributes:
         path: The file or folder.
-        form: What it is and which columns or topic were taken, in words.
+        form: Its format, and the columns or topic that were read, in words.
         t: Times of the device's own clock, integer nanoseconds, shape (n,).
         w: Angular rates, rad/s, shape (n, 3).
-        frames: Times of the frames of each video track by its name, integer nanoseconds.
-        notes: What could not be read of it.
-        topic: The topic that was taken, of files with topics.
+        frames: Times of the frames of each video track by the track's name, integer nanoseconds.
+        notes: Remarks about parts that could not be read.
+        topic: The topic that was read, for files with topics.
     """
 
     path: Path
@@ -44,7 +44,7 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """From the first sample to the last, s."""
+        """Time from the first sample to the last, s."""
         return float(self.t[-1] - self.t[0]) * 1e-9 if len(self.t) else 0.0
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ def course(a: Stream, b: Stream, settings: dict[str, Any]) -> tuple[Course | Non
 class Course:
     def at(self, times: bytes) -> bytes: ...
     def b_to_a(self, times: bytes) -> bytes: ...
-    def told(
+    def details(
         self,
     ) -> tuple[
         list[Row],

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 and MCAP, ours too: messages sensor_msgs/Imu, by their header's stamps."""
+"""Bags of ROS 1 and 2 and MCAP: messages sensor_msgs/Imu, with the stamps of their headers."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ HINT = 'bags and MCAP are read by rosbags and mcap: pip install "twist-sync[bags
 
 
 def stamp(raw: bytes, ros1: bool) -> tuple[str, int, int] | None:
-    """Byte order, seconds and nanoseconds of a message that begins with a header: four bytes come
-    before them, of CDR the encoding, of ROS 1 the header's sequence number."""
+    """Returns byte order, seconds and nanoseconds of a message that begins with a header. Four
+    bytes precede them: in CDR the encoding, in ROS 1 the header's sequence number."""
     if len(raw) < 16:
         return None
     order = "<" if ros1 or raw[1] & 1 else ">"
@@ -82,7 +82,7 @@ class _Topics:
 
 
 def mcap_messages(path: Path, notes: list[str], topics: list[str] | None = None) -> Iterator[Any]:
-    """Schema, channel and message of each, in the order of the file if it has no index."""
+    """Yields schema, channel and message, in the order of the file if it has no index."""
     from mcap.exceptions import McapError
     from mcap.reader import NonSeekingReader, SeekingReader
 
@@ -129,7 +129,7 @@ def _mcap(path: Path, topic: str | None) -> Recording:
 
 
 def reader(path: Path) -> Any:
-    """A reader of rosbags for a ROS 1 bag or the folder of a ROS 2 bag."""
+    """Returns a reader of rosbags for a ROS 1 bag or the folder of a ROS 2 bag."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 

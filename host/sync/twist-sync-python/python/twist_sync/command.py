@@ -21,7 +21,7 @@ from .text import RATE_UNITS, TIME_UNITS
 
 GOOD, USAGE, REFUSED, UNREADABLE = 0, 2, 3, 5
 EXAMPLE = Path(__file__).parent / "example"
-#: Loops and clocks are looked at that often over a recording.
+#: Number of times in a recording at which loops and clocks are evaluated.
 LOOKS = 61
 
 EPILOG = """\
@@ -30,7 +30,7 @@ not say it), 2 usage, 5 a file cannot be read or written."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Returns the parser of the command line."""
     out = argparse.ArgumentParser(
         "twist-sync",
         description="Puts recordings of gyroscopes that were fixed to each other on one clock.",
@@ -123,15 +123,15 @@ def _once(text: str) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; gives its exit code."""
+    """Runs the command and returns its exit code."""
     options = _arguments(arguments)
     if threading.current_thread() is threading.main_thread():
-        # As Ctrl-C: what reads for us ends with us.
+        # Like Ctrl-C, so that the readers in other processes end too.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return _run(options)
     except BrokenPipeError:
-        # Nobody reads on.
+        # The reader of the output has gone.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return GOOD
     except (Unreadable, OSError) as error:
@@ -177,7 +177,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no NaN."""
+    """Replaces NaN, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
@@ -252,7 +252,7 @@ def _pair(pair: Pair, solved: Synchronized) -> dict[str, Any]:
 
 
 def _network(solved: Synchronized) -> dict[str, Any] | None:
-    """Clocks and loops of three and more recordings."""
+    """Returns clocks and loops of three or more recordings."""
     if len(solved.recordings) < 3:
         return None
     if solved.network is None:
@@ -366,5 +366,5 @@ def _text(solved: Synchronized, found: dict[str, Any]) -> str:
 
 
 def run() -> None:
-    """What the installed command runs."""
+    """Entry point of the installed command."""
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""The gyroscope of any recording, by what the file begins with.
+"""Reads the gyroscope of any recording; the first bytes of a file select its reader.
 
 Text is read here; all else by a process of its own with limits, since bytes of a file reach
 libraries that may hang, crash or take all memory.
@@ -20,7 +20,7 @@ import numpy as np
 from . import text
 from ._recording import Recording, Unreadable
 
-#: The longest that another process may read a file, s, and the most memory, bytes.
+#: Longest time, s, and most memory, bytes, of a reader in another process.
 LIMIT_S = 600
 LIMIT_BYTES = 8 << 30
 #: Text up to this size is read in this process, bytes.
@@ -31,7 +31,7 @@ sys.path[:] = filter(None, sys.path)
 from twist_sync.files import _child
 _child()"""
 
-#: What may lie in a folder that is no bag, the best first.
+#: Files that a folder which is not a bag may contain, the best first.
 _IN_FOLDERS = (
     ("recording.mcap",),
     ("Gyroscope.csv", "gyroscope.csv", "Gyroscope.txt"),
@@ -60,7 +60,7 @@ def _only(folder: Path) -> Path:
 
 
 def kind(path: Path) -> str:
-    """Which reader takes a file: text, npz, mcap, bag, matroska or video."""
+    """Selects the reader of a file: text, npz, mcap, bag, matroska or video."""
     if path.is_dir():
         return "bag"
     with path.open("rb") as file:
@@ -93,10 +93,10 @@ def read(
 
     Args:
         path: A file or folder; ``FILE@TOPIC`` names one of several gyroscopes in it.
-        topic: The same, apart.
+        topic: The topic by itself, if it is not part of ``path``.
         columns: Names, or numbers from 1, of the columns of time, x, y, z of a text file.
-        unit: Of the rates of a text file: rad/s, mrad/s, deg/s, mdps or rpm.
-        time_unit: Of the times of a text file: s, ms, us or ns.
+        unit: Unit of the rates of a text file: rad/s, mrad/s, deg/s, mdps or rpm.
+        time_unit: Unit of the times of a text file: s, ms, us or ns.
 
     Returns:
         A :class:`Recording` with times in ns and rates in rad/s; ``form`` says what was found.
@@ -167,13 +167,13 @@ def _in_process(path: Path, how: str, more: list[Any]) -> Recording:
 
 def _child() -> None:
     path, how, more, seconds, memory = json.loads(sys.argv[1])
-    # Libraries print where they like.
+    # Libraries may print to the standard output.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     if os.name == "posix":
         import resource
 
-        # Ended by the system, whatever it is busy with, and also if nobody waits for it any more.
+        # The system ends it, even within a long call, and even if its parent has gone.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.alarm(seconds)
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]

@@ -18,12 +18,13 @@ from ._recording import Recording, Unreadable
 _ENTERED = {0x18538067, 0x1F43B675, 0xA0, 0x1549A966, 0x1654AE6B, 0xAE, 0x1254C367, 0x7373, 0x67C8}
 _BLOCKS = {0xA1, 0xA3}
 _SAMPLE = np.dtype([("acc_ns", "<u8"), ("acc", "<f4", 3), ("gyro_ns", "<u8"), ("gyro", "<f4", 3)])
-#: Other elements that are looked at are short.
+#: Longest size of other elements that are read, bytes.
 _LONGEST = 4096
 
 
 def _number(file: BinaryIO, is_id: bool) -> int | None:
-    """A number of variable length; of an ID with its marker. None at the end; -1 is an unknown size."""
+    """Reads a number of variable length, with its marker if it is an ID. None at the end of the
+    file; -1 for an unknown size."""
     first = file.read(1)
     if not first or not first[0]:
         return None
@@ -37,7 +38,7 @@ def _number(file: BinaryIO, is_id: bool) -> int | None:
 
 
 def _laced(block: bytes, at: int, lacing: int) -> bytes:
-    """The frames of a block, one behind the other; they are of one size each."""
+    """Returns the frames of a block, which are adjacent and of equal size."""
     if not lacing:
         return block[at:]
     count = block[at]

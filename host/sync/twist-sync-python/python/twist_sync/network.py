@@ -22,7 +22,7 @@ from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, cours
 from ._recording import Recording, Unreadable
 from .text import typical_rate
 
-#: A recording up to this length is taken as a twist, s, if the other is not much longer.
+#: Longest recording that is treated as one twist, s, and longest other recording beside it, s.
 LONGEST_TWIST_S = 60.0
 LONGEST_WITH_TWIST_S = 600.0
 
@@ -34,8 +34,8 @@ class Pair:
     Attributes:
         a: Number of the first, from 0.
         b: Number of the second.
-        found: What relates them, with times in s from the first sample of each; None if refused.
-        refused: Why not.
+        found: Their relation, with times in s from the first sample of each; None if refused.
+        refused: The refusal, if there is no relation.
     """
 
     a: int
@@ -45,14 +45,14 @@ class Pair:
 
     @property
     def relation(self) -> Clock | Course:
-        """Of the clocks, with times in s from the first sample of each."""
+        """Relation of the clocks, with times in s from the first sample of each."""
         if self.found is None:
             raise self.refused or Refused("no relation")
         return self.found.clock if isinstance(self.found, Estimate) else self.found
 
     @property
     def report(self) -> Report | None:
-        """Of a twist."""
+        """Report of a twist or its refusal; None for whole recordings."""
         if isinstance(self.found, Estimate):
             return self.found.report
         return self.refused.report if self.refused else None
@@ -62,8 +62,8 @@ class Network:
     """The clocks of several devices against that of the first, number 0.
 
     Args:
-        devices: How many.
-        pairs: The relation of devices a < b by their numbers.
+        devices: Number of devices.
+        pairs: Relations of devices a < b by their numbers.
 
     Raises:
         Refused: No chain of relations leads from the first to one of them.
@@ -81,7 +81,8 @@ class Network:
             )
 
     def _chains(self, a: Floats) -> tuple[Floats, Floats]:
-        """Offsets and variances along the chain of pairs with the least variance (Bellman and Ford)."""
+        """Finds the chain of pairs with the least variance to each device (Bellman and Ford);
+        returns offsets and variances along it."""
         value = np.zeros((self.devices, len(a)))
         variance = np.full_like(value, np.inf)
         variance[0] = 0
@@ -99,8 +100,8 @@ class Network:
         return value, variance
 
     def offsets(self, a: ArrayLike) -> tuple[Floats, Floats]:
-        """Clock of each device minus that of the first, s, and its 1-sigma, s, at times of the
-        first, s: arrays of shape (devices, n)."""
+        """Returns the clock of each device minus that of the first, s, and its 1-sigma, s, at
+        times of the first, s: arrays of shape (devices, n)."""
         a = np.atleast_1d(np.asarray(a, dtype=np.float64))
         value, variance = self._chains(a)
         if len(self.pairs) >= self.devices:
@@ -109,7 +110,7 @@ class Network:
             for (i, j), relation in self.pairs.items():
                 there = relation.at(a + value[i])
                 weight = 1 / np.maximum(there.covariance[..., 0, 0], 1e-300)
-                # What the pair says beyond the chains, so that no digits are lost.
+                # The pair's offset relative to the chains', so that no digits are lost.
                 more = weight * (there.offset - (value[j] - value[i]))
                 normal[:, i, i] += weight
                 normal[:, j, j] += weight
@@ -121,8 +122,8 @@ class Network:
         return value, np.sqrt(variance)
 
     def closures(self, a: ArrayLike) -> dict[tuple[int, int, int], tuple[Floats, Floats]]:
-        """Of each three devices whose pairs are all related: by how much the loop does not close
-        at times of the first, s, and the 1-sigma of the sum of its pairs' variances, s."""
+        """Returns, for each three devices whose pairs are all related, the error by which the
+        loop fails to close at times of the first, s, and its 1-sigma from the pairs, s."""
         a = np.atleast_1d(np.asarray(a, dtype=np.float64))
         value, _ = self.offsets(a)
         out = {}
@@ -157,7 +158,7 @@ class DeviceClock(_Relation):
         return a
 
     def offset(self, a: ArrayLike) -> tuple[Floats, Floats]:
-        """Offset b - a and its 1-sigma, s, at times of clock a in integer ns."""
+        """Returns the offset b - a and its 1-sigma, s, at times of clock a in integer ns."""
         local = (np.atleast_1d(np.asarray(a, dtype=np.int64)) - self._first_ns[0]) * 1e-9
         value, sigma = self._network.offsets(local)
         return value[self._device] + (self._first_ns[1] - self._first_ns[0]) * 1e-9, sigma[
@@ -165,7 +166,7 @@ class DeviceClock(_Relation):
         ]
 
     def _exact(self, t: ArrayLike, to_b: bool) -> Any:
-        """By times from each one's first sample, so that no digits are lost."""
+        """Converts by times from the first sample of each, so that no digits are lost."""
         t = np.asarray(t)
         if t.dtype.kind == "M":
             return self._exact(t.astype("M8[ns]").astype(np.int64), to_b).astype("M8[ns]")
@@ -189,10 +190,10 @@ class Synchronized:
     """Recordings on one clock.
 
     Attributes:
-        recordings: As they were read.
-        pairs: Each two of them.
+        recordings: The recordings as they were read.
+        pairs: All pairs of them.
         network: The solution that fits all; None if it is refused.
-        refused: Why there is no solution.
+        refused: The refusal, if there is no solution.
     """
 
     recordings: list[Recording]
@@ -201,7 +202,8 @@ class Synchronized:
     refused: Refused | None
 
     def clock(self, number: int) -> DeviceClock:
-        """The clock of a recording (from 0), as b, against that of the first, as a."""
+        """Returns the clock of a recording (counted from 0) as b, against that of the first as
+        a."""
         if self.network is None:
             raise self.refused or Refused("no relation")
         first = self.recordings[0].t, self.recordings[number].t
@@ -209,8 +211,8 @@ class Synchronized:
 
 
 def _in_one_unit(recordings: list[Recording]) -> list[Recording]:
-    """Gyroscopes on one body turn at the same rate, so a ratio near 57 or 1000 is a unit, where no
-    unit is named."""
+    """Corrects rates in a wrong unit, where no unit is named: gyroscopes on one body turn at the
+    same rate, so a ratio near 57 or 1000 is one of units."""
     typical = [typical_rate(r.w) for r in recordings]
     known = [t for t, r in zip(typical, recordings, strict=True) if not r.unit_is_guess] or [
         min(typical)
@@ -257,7 +259,7 @@ def sync(
     """Puts two or more recordings of one rigid body on one clock.
 
     Args:
-        recordings: Files, folders, or what :func:`twist_sync.read` gives.
+        recordings: Files, folders, or results of :func:`twist_sync.read`.
         whole: Window by window (True) or as one twist (False); None: by their length.
         delays: Delay of each gyroscope's low-pass filter, s, in their order.
         settings: Those of :func:`twist_sync.estimate`.

@@ -15,7 +15,7 @@ from .network import Pair, Synchronized
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Of longer recordings this much is drawn in detail, s.
+#: Length of the part of a long recording that is drawn in detail, s.
 DETAIL_S = 10.0
 POINTS = 4000
 HINT = 'plots need matplotlib: pip install "twist-sync[plot]"'
@@ -29,7 +29,7 @@ def _seconds(t: ArrayLike) -> Floats:
 def twist(
     t_a: ArrayLike, w_a: ArrayLike, t_b: ArrayLike, w_b: ArrayLike, found: Estimate
 ) -> Figure:
-    """Both gyroscopes before and after, the residual and the offset over time, of a twist."""
+    """Draws a twist: both gyroscopes before and after, the residual, and the offset over time."""
     return _figure(
         [(_seconds(t_a), np.asarray(w_a), _seconds(t_b), np.asarray(w_b), found, ("a", "b"))]
     )
@@ -72,7 +72,7 @@ def _figure(pairs: list[tuple[Any, ...]]) -> Figure:
 
 
 def _envelope(panel: Any, t: Floats, values: Floats, **more: Any) -> None:
-    """A line, of long recordings its extremes."""
+    """Draws a line, or its extremes for long recordings."""
     step = len(t) // POINTS
     if step < 2:
         panel.plot(t, values, **more)
@@ -138,7 +138,7 @@ def _draw(
     rest = (w_b - there) * 1e3
     for k in range(3):
         _envelope(panels[4], on_a - first, rest[:, k], lw=0.5, label="xyz"[k])
-    # What was left out must not press the rest flat.
+    # Stretches that were left out must not flatten the rest.
     panels[4].set_ylim(*(np.nanquantile(np.abs(rest), 0.99) * 3 * np.array([-1, 1])))
     panels[4].set(ylabel="residual, mrad/s")
     panels[4].legend(loc="upper left")
@@ -161,7 +161,7 @@ def _draw(
 def _offset(
     panel: Any, found: Estimate | Course, span: tuple[float, float], zero: float, name: str = "a"
 ) -> None:
-    """The offset over time with its sigma, less a straight line."""
+    """Draws the offset over time with its sigma, minus a straight line."""
     first, last = span
     t = np.linspace(first, last, 300)
     relation: Clock | Course = found.clock if isinstance(found, Estimate) else found

@@ -94,7 +94,8 @@ class Layout:
 
 
 def _words(name: str) -> list[str]:
-    """Of a column's name, small, units in brackets taken off: `gyro_rad[0]` is gyro, rad, x."""
+    """Splits a column's name into lower-case words without units in brackets: `gyro_rad[0]` is
+    gyro, rad, x."""
     name = re.sub(r"\[([012])\]", lambda m: f" {'xyz'[int(m[1])]} ", name)
     name = re.sub(r"[\[(].*", "", name)
     name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
@@ -102,7 +103,8 @@ def _words(name: str) -> list[str]:
 
 
 def _axis(words: list[str]) -> tuple[str, str] | None:
-    """The axis of a column and the rest of its name: `wx` and `gyro_x` give x and `w`, `gyro`."""
+    """Returns the axis of a column and the rest of its name: x and `w`, `gyro` of `wx`,
+    `gyro_x`."""
     for at in range(len(words) - 1, -1, -1):
         found = re.fullmatch(r"(w|g|gf|gyro|gyr|omega|rot|av|a|m|acc|mag|)([xyz])", words[at])
         if found:
@@ -124,7 +126,7 @@ def _gyroscopes(names: list[str]) -> dict[str, list[int]]:
 
 
 def _is_time(name: str) -> int | None:
-    """How well a column's name says that it is the time; the less the better."""
+    """Rank of a column's name as one of times; lower is better."""
     words = _words(name)
     if _axis(words):
         return None
@@ -304,7 +306,7 @@ def iso_nanos(text: str) -> int:
 
 
 def rows(file: IO[str], layout: Layout) -> Iterator[tuple[int, str, list[str] | None]]:
-    """Number and text of each line, and the fields of those with samples; none of a cut last line."""
+    """Yields number and text of each line, and its fields if it has samples and is complete."""
     width = len(layout.names)
     for number, line in enumerate(file, 1):
         text = line.strip("\r\n\ufeff")
@@ -373,7 +375,7 @@ def _slow(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]
 
 
 def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
-    """What :func:`_slow` gives, of files without anything out of the ordinary; else None."""
+    """Returns the result of :func:`_slow` for regular files, else None."""
     if layout.is_iso or layout.decimal_comma or len(layout.columns) > 4:
         return None
     for kind in (np.int64, np.float64):
@@ -406,7 +408,7 @@ def open_text(path: Path) -> IO[str]:
 
 
 def plausible_time(times: np.ndarray) -> str:
-    """The unit in which the samples are as far apart as those of a gyroscope."""
+    """Returns the unit in which the samples are as far apart as those of a gyroscope."""
     step = abs(float(times[-1]) - float(times[0])) / max(len(times) - 1, 1)
     return next(
         (unit for unit in ("s", "ms", "us") if step * TIME_UNITS[unit] <= LONGEST_STEP_S * 1e9),
@@ -428,7 +430,7 @@ def to_nanos(times: np.ndarray, unit: str) -> np.ndarray:
 
 
 def typical_rate(rates: np.ndarray) -> float:
-    """A large rate of the motion, without the largest: nine of ten are slower."""
+    """Returns a large rate of the motion that outliers do not affect: nine of ten are slower."""
     return float(np.quantile(np.linalg.norm(rates, axis=1), 0.9))
 
 
@@ -444,7 +446,7 @@ def read(
     unit: str | None,
     time_unit: str | None,
 ) -> Recording:
-    """Reads a text file; what is None is found by names, else by plausibility."""
+    """Reads a text file; arguments that are None are found by names, else by plausibility."""
     with open_text(path) as file:
         head = file.read(HEAD)
     if not head.strip():

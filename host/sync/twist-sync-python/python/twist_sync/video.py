@@ -30,7 +30,7 @@ def _orientations(parser: Any) -> Iterator[tuple[float, dict[str, float]]]:
 
 
 def turning(samples: Iterable[tuple[float, dict[str, float]]]) -> Iterator[tuple[float, ...]]:
-    """The rates that turn each orientation into the next, in the middle between them: videos of
+    """Returns the rates that turn each orientation into the next, midway between them: videos of
     DJI have no gyroscope, <https://github.com/gyroflow/gyroflow/issues/1139>."""
     last = None
     for t, q in samples:
@@ -91,8 +91,8 @@ def _inside(data: bytes, *names: bytes) -> bytes:
 
 
 def mp4_frames(file: BinaryIO) -> np.ndarray:
-    """When each frame of the first video track is shown, ns from the beginning of the video, by
-    the tables of ISO/IEC 14496-12; in order, empty where there are none."""
+    """Returns the display times of the frames of the first video track, ns from the beginning of
+    the video, in order, from the tables of ISO/IEC 14496-12; empty without those."""
     none = np.zeros(0, dtype=np.int64)
     while head := file.read(8):
         size, kind = int.from_bytes(head[:4], "big"), head[4:]

@@ -1,4 +1,4 @@
-"""Recordings again, with their times on the clock of the first one."""
+"""Writes recordings again, with their times on the clock of the first one."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from . import bags, files, text
 from ._recording import Recording, Unreadable
 from .network import DeviceClock, Synchronized
 
-#: A log's times that are farther from the stamps are of another clock, ns.
+#: Distance from the stamps beyond which a log's times are of another clock, ns.
 _ANOTHER_CLOCK = 60 * 10**9
-#: Stamps of other topics are of the gyroscope's clock if they lie that near its samples, ns.
+#: Distance from the gyroscope's samples within which stamps of other topics are of its clock, ns.
 _NEAR = 600 * 10**9
 
 
