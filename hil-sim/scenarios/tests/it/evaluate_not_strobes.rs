@@ -5,9 +5,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use evaluate::evidence::Evidence;
 use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
+use evaluate::track::Evidence;
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, SessionFile};

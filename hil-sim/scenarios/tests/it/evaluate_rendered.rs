@@ -1,8 +1,8 @@
 //! The evaluation on rendered frames with a ground truth. All figures are simulated.
 
 use crate::strobes::Scene;
-use evaluate::classify::Reference;
 use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::track::Reference;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings, drift};
 use recording::profile::Direction;

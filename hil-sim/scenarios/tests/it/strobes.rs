@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use evaluate::footage::Footage;
-use evaluate::frame::GreyView;
+use evaluate::footage::{FrameSource, FrameTimes, GreyView, SourceInfo};
 use evaluate::precision::{RecordingResult, evaluate_recording};
-use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
 use evaluate::{EvaluateError, Settings};
 use rig::picture::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
 use rig::picture::video_writer::{Mp4Writer, Quality, VideoSettings};

@@ -13,8 +13,8 @@ use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
-use evaluate::frame::Region;
-use evaluate::precision::{self, Precision, RecordingResult, Spread};
+use evaluate::footage::Region;
+use evaluate::precision::{self, BiasStatistics, Precision, RecordingResult};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, Settings};
@@ -336,7 +336,7 @@ fn calibrate(
         .map(|(r, applied)| r.bias_us + applied)
         .collect();
     let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
-    let bias = Spread::of(&whole, &sigmas)
+    let bias = BiasStatistics::from_values(&whole, &sigmas)
         .ok_or_else(|| Failure::new(ExitStatus::Error, "no bias was measured"))?;
     let open = result.recordings.iter().any(|r| !r.identity.unique);
     if open && args.common.near.is_none() {

@@ -18,15 +18,24 @@ use recording::profile::edit::{open, set, table};
 use recording::profile::{MAX_LENGTH, Profile};
 use toml_edit::{Datetime, value};
 
-use super::EvaluateError;
+use crate::EvaluateError;
 
-/// Bias that the profile holds now; zero when it holds none.
+/// Reads the bias in the profile, µs; zero if there is none.
+///
+/// # Errors
+///
+/// Fails if the profile cannot be read or is not valid.
 pub fn read_bias(path: &Path) -> Result<f64, EvaluateError> {
     Ok(Profile::load(path)?.frame_sync.bias_us)
 }
 
-/// Writes bias, its standard uncertainty and the date of the measurement into the
-/// profile's table `[frame_sync]`, which is added when it is missing.
+/// Writes the bias, its standard uncertainty (both in µs) and the date of the measurement into
+/// the profile's table `[frame_sync]`, which is added if it is missing.
+///
+/// # Errors
+///
+/// Fails, and leaves the file as it is, if the profile is not valid before or after the change,
+/// or cannot be read or written.
 pub fn write_bias(
     path: &Path,
     bias_us: f64,
@@ -86,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_profile_is_left_alone() {
+    fn an_invalid_profile_is_left_alone() {
         for text in ["frame_sync = 3\n", "[frame_sync\n"] {
             let (_dir, path) = profile(text);
             let e = write_bias(&path, 1.0, 0.5, date(2024, 5, 17)).unwrap_err();

@@ -1,55 +1,53 @@
-//! Drift: the train's place against time over a long recording.
+//! Drift: the line of the train's position over the time of a long recording.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 use twist_sync::robust::mad_sigma;
 
-use super::classify::{FrameCounts, Reference};
-use super::evidence;
-use super::footage::Footage;
-use super::identity::Identity;
-use super::shown::Shown;
-use super::stats::{COVERAGE_99, Line, median};
-use super::track::{Choice, FramePoint, track};
-use super::window::still;
-use super::{EvaluateError, Settings};
+use crate::footage::Footage;
+use crate::shown::Shown;
+use crate::stats::{COVERAGE_99, Line, median};
+use crate::track::window::still;
+use crate::track::{Choice, FrameCounts, FramePoint, Identity, Reference, evidence, track};
+use crate::{EvaluateError, Settings};
 
-/// Fewer frames give no regression.
+/// Least number of frames for a regression.
 pub(crate) const MIN_FRAMES: usize = 10;
 /// Frames over which errors may be correlated: two seconds, two key frames.
 const FRAME_LAG: usize = 64;
-/// Robust standard deviations beyond which a frame does not belong to the line.
+/// Distance from the line beyond which a frame is an outlier, in robust standard deviations.
 const OUTLIER: f64 = 6.0;
-/// Rounds in which such frames are taken out.
+/// Rounds in which outliers are removed.
 const OUTLIER_ROUNDS: usize = 4;
 
-/// By how much the stated uncertainty of an encoded video is larger than its
-/// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds). See
-/// [`super::precision`].
+/// Factor of the stated uncertainty of an encoded video over that of its residuals. Simulated
+/// videos of the whole rig scatter by 1.4 times that (29 seeds). See [`crate::precision`].
 const ENCODED: f64 = 1.5;
 
 /// Result of a long recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Drift {
+    /// Video that was measured.
     pub path: PathBuf,
-    /// Drift of depth minus phone, µs/min; positive: the depth camera falls behind.
+    /// Drift of depth minus phone, µs/min; positive: the depth camera becomes later.
     pub drift_us_per_min: f64,
     /// Standard uncertainty of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,
     /// Half width of the drift's 99 % interval, µs/min.
     pub drift_uncertainty_99_us_per_min: f64,
-    /// Bias of the line in the middle of the used frames, µs; nothing if it is open which flash
-    /// is which.
+    /// Bias of the line in the middle of the used frames, µs; null if the assignment of flashes
+    /// is ambiguous.
     pub bias_us: Option<f64>,
-    /// The same at the first used frame, µs.
+    /// Bias of the line at the first used frame, µs; null as above.
     pub bias_at_start_us: Option<f64>,
-    /// The same at the last used frame, µs.
+    /// Bias of the line at the last used frame, µs; null as above.
     pub bias_at_end_us: Option<f64>,
     /// Seconds from the first to the last used frame.
     pub span_s: f64,
-    /// From and to, in seconds of the recording, where the train moves by its drift
-    /// alone: found by itself, because no other was chosen and it moves outside.
+    /// Begin and end, in seconds of the recording, of the window that was found automatically;
+    /// null if the user chose one, or all frames are used. Outside of it the train does not move
+    /// by its drift alone.
     pub window_s: Option<[f64; 2]>,
     /// Standard deviation of the frames about the line, µs.
     pub residual_sd_us: f64,
@@ -59,39 +57,48 @@ pub struct Drift {
     pub row_time_sigma_us: f64,
     /// Exposure that fits the flashes, µs.
     pub exposure_us: f64,
-    /// Frames far off the line, left out of it.
+    /// Number of frames that were left out because they are far from the line.
     pub outliers: usize,
     /// Assignment of flashes to bands.
     pub identity: Identity,
     /// Counts of the frames.
     pub frames: FrameCounts,
-    /// Source of the smooth part.
+    /// Source of the scene's brightness without flashes.
     pub reference: Reference,
+    /// Remarks for the user.
     pub notes: Vec<String>,
 }
 
-/// The result of a long recording with what a report draws of it.
+/// Result of a long recording, with the data that a report draws.
 #[derive(Debug, Clone)]
 pub struct EvaluatedDrift {
+    /// The result.
     pub result: Drift,
-    /// Seconds and bias, µs, of the used frames on the line.
+    /// Time in seconds and bias in µs of the used frames.
     pub points: Vec<(f64, f64)>,
-    /// Bias of the line at the first and the last of them, µs, by the reading that was taken.
+    /// Bias of the line at the first and at the last of them, µs, for the chosen assignment of
+    /// flashes.
     pub line_us: [f64; 2],
+    /// Profiles and a frame for the report.
     pub shown: Shown,
 }
 
-/// Evaluates the drift over all frames of a recording.
+/// Measures the drift over all frames of a recording.
+///
+/// # Errors
+///
+/// Fails without flashes, with too few frames, or if nothing shows that the bands are flashes of
+/// a camera in step with the phone.
 pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift, EvaluateError> {
     let settings = &settings.with_session(&footage);
     let mut seen = track(&footage, settings, Choice::All)?;
     let chosen = settings.from_s.is_some() || settings.to_s.is_some();
     let window = if chosen { None } else { still(&seen.points) };
     let window = window.and_then(|window| seen.points.get(window));
-    let window_s = window.and_then(|it| Some([it.first()?.time_s, it.last()?.time_s]));
+    let window_s = window.and_then(|used| Some([used.first()?.time_s, used.last()?.time_s]));
     if let Some([from, to]) = window_s {
-        // A train that is moved between two frames by a pitch is lost: which flash is which is
-        // for the frames to say that are used.
+        // A train that moves by a pitch between two frames is lost, so the flashes are assigned
+        // by the used frames alone.
         seen = track(&footage, settings, Choice::Within(from, to))?;
     }
     let track = seen;
@@ -107,7 +114,7 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
         _ => return Err(too_few(0)),
     };
 
-    let evidence = evidence::of(&track, &footage, settings);
+    let evidence = track.evidence_or_earlier(&footage, settings);
     if let Some(doubt) = evidence::doubt(evidence, &footage, settings) {
         return Err(doubt);
     }
@@ -160,8 +167,8 @@ pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift,
     })
 }
 
-/// The line through the frames, without those that lie far off it. If they are too few,
-/// their number.
+/// Fits the line through the frames without outliers. Fails with the number of frames if there
+/// are too few.
 fn regression(mut points: Vec<FramePoint>) -> Result<(Line, Vec<FramePoint>), usize> {
     for round in 0.. {
         let places: Vec<(f64, f64)> = points.iter().map(|p| (p.time_s, p.bias_us)).collect();

@@ -1,4 +1,4 @@
-//! Errors of an evaluation. Each message says what was expected and what to do.
+//! Errors of a measurement. Each message says what was expected and what to do.
 
 use std::path::{Path, PathBuf};
 
@@ -6,10 +6,11 @@ use phone::video::VideoError;
 use recording::RecordingError;
 use recording::profile::ProfileError;
 
-use super::drift::MIN_FRAMES;
-use super::frame::{MAX_SIDE, MIN_ROWS, Region};
+use crate::drift::MIN_FRAMES;
+use crate::footage::Region;
+use crate::footage::frame::{MAX_SIDE, MIN_ROWS};
 
-/// An evaluation that could not be made.
+/// Failure of a measurement.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
     /// The region is not inside the image.
@@ -23,15 +24,15 @@ pub enum EvaluateError {
         /// Height of the image.
         height: usize,
     },
-    /// Too small a picture.
+    /// The image or region has too few rows.
     #[error(
         "only {rows} sensor rows to look at, at least {MIN_ROWS} are needed: give a larger region or a larger video, and check --rotation"
     )]
     TooFewRows { rows: usize },
-    /// A setting that is none, or out of range.
+    /// A setting cannot be parsed, or is out of range.
     #[error("{0}")]
     Setting(String),
-    /// A frame of another size than those before it.
+    /// A frame has another size than those before it.
     #[error(
         "a frame of {got_width}x{got_height} pixels after frames of {width}x{height}: all frames of a recording, and all recordings of one evaluation, must have one size"
     )]
@@ -43,7 +44,7 @@ pub enum EvaluateError {
         width: usize,
         height: usize,
     },
-    /// A side of the picture is beyond any sensor.
+    /// A side of the picture is longer than that of any sensor.
     #[error(
         "{path}: pictures of {width}x{height} pixels are not supported (1 to {MAX_SIDE} a side)"
     )]
@@ -55,7 +56,7 @@ pub enum EvaluateError {
     /// `ffmpeg` or `ffprobe` is missing, or cannot be run.
     #[error(transparent)]
     Ffmpeg(VideoError),
-    /// Not a readable video.
+    /// The file is not a readable video.
     #[error("{path}: not a readable video: {message}")]
     NotAVideo {
         path: PathBuf,
@@ -68,7 +69,7 @@ pub enum EvaluateError {
         path: PathBuf,
         source: std::io::Error,
     },
-    /// A timestamp file with something else in it.
+    /// A timestamp file has a line that is not an integer.
     #[error("{path}: line {line}: expected one integer of nanoseconds a line, found `{found}`")]
     Timestamps {
         path: PathBuf,
@@ -76,7 +77,7 @@ pub enum EvaluateError {
         line: usize,
         found: String,
     },
-    /// No frames in the chosen time.
+    /// There are no frames in the chosen time.
     #[error("{path}: no frames between {from_s} s and {to_s}")]
     NoFrames {
         path: PathBuf,
@@ -85,24 +86,25 @@ pub enum EvaluateError {
         /// End of the window.
         to_s: String,
     },
+    /// No frame has flashes.
     #[error(
-        "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train{}", said(.lamp)
+        "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train{}", suffix(.lamp)
     )]
     NoFlashes {
         path: PathBuf,
-        /// Frames looked at.
+        /// Number of frames that were examined.
         frames: usize,
-        /// Name of what repeats in the picture instead.
+        /// Description of a periodic light that was found instead.
         lamp: Option<String>,
     },
-    /// Bands that nothing shows to be the depth camera's.
+    /// Nothing shows that the bands are flashes of the depth camera.
     #[error(
-        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the frames do not fall into some clearly with them and some clearly without, and they do not move with the trigger{}", said(.lamp)
+        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the frames do not fall into some clearly with them and some clearly without, and they do not move with the trigger{}", suffix(.lamp)
     )]
     Unproven { path: PathBuf, lamp: Option<String> },
-    /// Bands that move by themselves.
+    /// The bands move, so they are not flashes of a camera in step with the phone.
     #[error(
-        "{path}: the bands move by {motion_us_per_s:.0} µs/s, {scatter_us:.0} µs about it: not the flashes of a camera in step with the phone{}", said(.lamp)
+        "{path}: the bands move by {motion_us_per_s:.0} µs/s, {scatter_us:.0} µs about it: not the flashes of a camera in step with the phone{}", suffix(.lamp)
     )]
     NotInStep {
         path: PathBuf,
@@ -110,36 +112,36 @@ pub enum EvaluateError {
         scatter_us: f64,
         lamp: Option<String>,
     },
-    /// Flashes, but no clean frames.
+    /// All frames with flashes have changing room light.
     #[error(
         "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone"
     )]
     OnlyFlicker {
         path: PathBuf,
         flicker: usize,
-        /// Frames looked at.
+        /// Number of frames that were examined.
         frames: usize,
-        /// Size of the flicker, grey levels.
+        /// Peak-to-peak size of the flicker, grey levels.
         peak_to_peak: f64,
     },
-    /// Flashes in too few frames.
+    /// Too few frames have flashes.
     #[error("{path}: {found} frames with flashes, at least {MIN_FRAMES} are needed")]
     TooFewFrames { path: PathBuf, found: usize },
-    /// The rig profile.
+    /// The rig profile cannot be read or written.
     #[error(transparent)]
     Profile(#[from] ProfileError),
-    /// The recording's session.
+    /// The recording's session cannot be read.
     #[error(transparent)]
     Session(#[from] RecordingError),
 }
 
-fn said(lamp: &Option<String>) -> String {
+fn suffix(lamp: &Option<String>) -> String {
     lamp.as_ref()
         .map_or_else(String::new, |lamp| format!("; {lamp}"))
 }
 
 impl EvaluateError {
-    /// A file that cannot be read or written.
+    /// Returns a function that adds the path to an I/O error.
     pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + Copy {
         move |source| Self::Io {
             path: path.to_owned(),
@@ -147,7 +149,7 @@ impl EvaluateError {
         }
     }
 
-    pub(crate) fn of_video(path: &Path, error: VideoError) -> Self {
+    pub(crate) fn from_video(path: &Path, error: VideoError) -> Self {
         let not_a_video = |message| Self::NotAVideo {
             path: path.to_owned(),
             message,

@@ -1,34 +1,43 @@
-//! One recording, read: the profiles of its frames and a picture for the report.
+//! A video reduced to the row profiles of its frames and one picture for the report.
+
+pub(crate) mod frame;
+mod input;
+mod source;
+pub(crate) mod store;
 
 use std::path::{Path, PathBuf};
 
-use super::frame::{GreyView, RowProfile, RowReducer};
-use super::input::{self, Applied};
-use super::search::RowGrid;
-use super::source::{FrameSource, Video};
-use super::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
-use super::{EvaluateError, Settings};
+pub use self::frame::{GreyView, Region};
+use self::frame::{RowProfile, RowReducer};
+use self::input::Applied;
+use self::source::Video;
+pub use self::source::{FrameSource, FrameTimes, SourceInfo, read_timestamps};
+use self::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
+use crate::train::search::RowGrid;
+use crate::{EvaluateError, Settings};
 
 /// Longest side of the picture kept for the report, pixels.
 const PICTURE_SIDE: usize = 960;
 
-/// A picture is taken of every so many frames at most: one of the last 16 frames
-/// with flashes, which a precision is measured on, is among them.
+/// Least distance of the frames that become the picture: so one of the last 16 frames
+/// with flashes, on which a precision is measured, may be it.
 const PICTURE_EVERY: usize = 6;
 
-/// Contrast of a picture's frame against the strongest so far.
+/// Least contrast of the picture's frame, relative to the strongest so far.
 const PICTURE_CONTRAST: f64 = 0.7;
 
-/// A frame made smaller for the report.
+/// A frame of reduced size for the report.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Picture {
-    /// Number of the frame in its recording.
+    /// Number of the frame in its recording, from 0.
     pub index: usize,
+    /// Width, pixels.
     pub width: usize,
+    /// Height, pixels.
     pub height: usize,
-    /// Grey levels, row by row.
+    /// `width · height` grey levels, row by row.
     pub pixels: Vec<u8>,
-    /// Image pixels to one pixel of the picture.
+    /// Image pixels in one pixel of the picture, along each side.
     pub(crate) reduction: usize,
     /// Largest contrast of any frame so far.
     strongest: f64,
@@ -42,11 +51,11 @@ pub struct Footage {
     pub(crate) applied: Option<Applied>,
     /// Layout of the rows in the image.
     pub(crate) reducer: RowReducer,
-    /// The middle row's number in the sensor, from 0.
+    /// Number of the sensor's middle row, from 0.
     pub(crate) middle_row: f64,
-    /// The used rows relative to the middle row.
+    /// Used rows relative to the middle row.
     pub(crate) rows: RowGrid,
-    /// Kept frames.
+    /// Retained frames.
     pub(crate) frames: Vec<StoredFrame>,
     /// Frames read in the chosen window.
     pub(crate) read: usize,
@@ -59,9 +68,14 @@ pub struct Footage {
 }
 
 impl Footage {
-    /// Opens and reads a recording's folder, or a video.
+    /// Reads the video in a recording's folder, or a video file.
     ///
-    /// `expected` is the size of earlier recordings.
+    /// `expected` is the size (width, height) of earlier recordings, if there are any.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the video cannot be read, has another size than expected, has no frames in the
+    /// chosen time, or does not contain the region.
     pub fn read(
         path: &Path,
         settings: &Settings,
@@ -74,7 +88,8 @@ impl Footage {
         Ok(footage)
     }
 
-    /// Reads an opened source to its end; `expected` as in [`read`](Self::read).
+    /// Reads an opened source to its end. Arguments and errors are those of
+    /// [`read`](Self::read).
     pub fn from_source(
         source: &mut dyn FrameSource,
         settings: &Settings,
@@ -175,8 +190,8 @@ fn remarks(untimed: usize, one_in: u64, saturated: f32) -> Vec<String> {
 }
 
 impl Picture {
-    /// Takes a frame if it has about as much contrast as any before, and comes long
-    /// enough after the one that was taken last.
+    /// Replaces the picture by a frame if that has about as much contrast as any before, and
+    /// comes long enough after the current one.
     fn offer(&mut self, frame: GreyView<'_>, index: usize, contrast: f64) {
         let first = self.strongest == 0.0;
         self.strongest = self.strongest.max(contrast);
@@ -190,7 +205,7 @@ impl Picture {
     }
 }
 
-/// Mean square of differences of rows a flash apart: large with bands, small for
+/// Mean square of the differences of rows one flash apart: large with bands, small for
 /// smooth pictures.
 fn contrast(rows: &[f32]) -> f64 {
     let apart = (rows.len() / 90).max(1);
@@ -202,7 +217,7 @@ fn contrast(rows: &[f32]) -> f64 {
     sum / rows.len().max(1) as f64
 }
 
-/// Every n-th pixel: enough to look at.
+/// Reduces a frame to every n-th pixel.
 fn shrink(frame: GreyView<'_>, index: usize) -> Picture {
     let reduction = frame.width.max(frame.height).div_ceil(PICTURE_SIDE).max(1);
     let lines = frame.pixels.chunks_exact(frame.width).step_by(reduction);

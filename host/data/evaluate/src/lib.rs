@@ -1,10 +1,10 @@
-//! Frame sync measured from the depth camera's own strobes.
+//! Measurement of frame sync from the depth camera's own strobes.
 //!
 //! Every exposure of a time-of-flight camera is a train of infrared flashes. A
 //! photodiode and an LED strip turn them into visible light on the phone's
-//! rolling-shutter sensor, where each flash becomes a bright band of rows. Where
-//! the bands lie says when the depth camera was exposed relative to the phone's
-//! frame.
+//! rolling-shutter sensor, where each flash becomes a bright band of rows. The
+//! position of the bands shows when the depth camera was exposed relative to the
+//! phone's frame.
 //!
 //! ## Conventions
 //!
@@ -12,95 +12,85 @@
 //!   centre of exposure of the sensor's middle row. The middle row of `n` rows is
 //!   row `(n - 1) / 2`, counted from 0; between the two middle rows for even `n`.
 //! - *Bias*: centre of the train minus centre of exposure of the middle row, in
-//!   microseconds. Positive: the depth camera comes late.
-//! - Times are in the camera's clock as far as the train's pitch is known: row
-//!   time and bias scale with the pitch. The depth camera's clock may be off by
-//!   hundreds of ppm; of a bias of 100 µs that is 0.05 µs.
+//!   microseconds. Positive: the depth camera is exposed later.
+//! - Times are in the depth camera's clock, because row time and bias scale with the
+//!   train's pitch. That clock may be off by hundreds of ppm, which is 0.05 µs of a
+//!   bias of 100 µs.
 //!
 //! ## Design
 //!
-//! Frames are reduced to row profiles as they come ([`frame`], [`source`]), so
-//! memory does not depend on size or length of a video ([`footage`]). Everything
-//! after that is pure computation: a coarse matched filter (`search`), a fit of
-//! the whole train (`fit`), of several frames together (`joint`), and the steps from
-//! there to a recording's result (`track`).
+//! | module | contents |
+//! |---|---|
+//! | [`footage`] | reads a video and reduces each frame to the mean brightness of its rows, so that memory does not depend on the size or length of the video |
+//! | [`train`] | the model of the flashes in a frame: coarse search by a matched filter, fit of the whole train, fit of several frames together |
+//! | [`track`] | the train's place in every frame of a recording, classes of frames, and the evidence that the bands are flashes |
+//! | [`precision`], [`drift`] | the results: bias of each recording with its scatter over recordings, and drift over a long one |
+//! | [`shown`] | the profiles and the frame that a report draws |
+//! | [`calibrate`] | the measured bias in the rig profile |
+//! | [`stats`] | statistics |
 //!
 //! ## Limits
 //!
-//! - One train a frame. With a slow read-out a second train can enter at the edge
-//!   when the cameras are half a period apart; such frames fit badly.
-//! - An exposure that is a whole number of pitches hides the flashes (every row
-//!   sees the same light); the result says so.
-//! - The light path's delay is the user's to state (`path_delay_us`).
+//! - There is one train in a frame. With a slow read-out a second train can enter at the
+//!   edge when the cameras are half a period apart; such frames fit badly.
+//! - An exposure that is a whole number of pitches hides the flashes, because every row
+//!   sees the same light; a note of the result says so.
+//! - The light path's delay must be given by the user (`path_delay_us`).
 
 use serde::Serialize;
 
 pub mod calibrate;
-pub mod classify;
 pub mod drift;
 mod error;
-pub mod evidence;
-mod fit;
 pub mod footage;
-pub mod frame;
-pub mod identity;
-mod input;
-mod joint;
-mod lamp;
-mod linear;
 pub mod precision;
-mod search;
 pub mod shown;
-pub mod source;
 pub mod stats;
-mod store;
-mod track;
+pub mod track;
 pub mod train;
-mod window;
 
 pub use error::EvaluateError;
 
-use footage::Footage;
-use frame::Region;
+use footage::{Footage, Region};
 use recording::profile::Direction;
 use system::ReadMonitor;
 use train::TrainGeometry;
 
-/// Settings of the user about camera and train.
+/// Settings of a measurement: the camera, the train of flashes and the part of the recording.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Settings {
     /// Flashes of one exposure of the depth camera.
     pub train: TrainGeometry,
-    /// Which way the sensor reads out, in the image.
+    /// Direction in the image in which the sensor reads out its rows.
     pub readout: Direction,
-    /// Part of the image to look at.
+    /// Part of the image to use; the whole image if `None`.
     pub region: Option<Region>,
     /// Exposure of a row, µs, if known (to about 2 %).
     pub exposure_us: Option<f64>,
     /// Row time, µs, if known (to about 0.5 %).
     pub row_time_us: Option<f64>,
-    /// Row time found in another recording of the same camera, µs: tried first.
+    /// Row time found in another recording of the same camera, µs; it is tried first.
     #[serde(skip)]
     pub row_time_hint_us: Option<f64>,
-    /// Exposure that the phone reported, µs: tried first, and decides where whole
-    /// pitches of exposure are open.
+    /// Exposure that the phone reported, µs; it is tried first, and decides between
+    /// exposures that differ by whole pitches.
     #[serde(skip)]
     pub exposure_hint_us: Option<f64>,
-    /// Bias that is expected, µs: decides where whole pitches are open.
+    /// Expected bias, µs; it decides between biases that differ by whole pitches.
     pub near_us: f64,
-    /// Delay of the light path from strobe to LED, µs; subtracted.
+    /// Delay of the light path from strobe to LED, µs; it is subtracted from the bias.
     pub path_delay_us: f64,
     /// First second of the recording to use.
     pub from_s: Option<f64>,
     /// Second of the recording to stop at.
     pub to_s: Option<f64>,
-    /// Follows and cancels the reading of recordings.
+    /// Monitor that follows and cancels the reading of recordings.
     #[serde(skip)]
     pub monitor: ReadMonitor,
 }
 
 impl Settings {
-    /// With the exposure that the recording's session knows, as a hint.
+    /// Returns the settings with the exposure in the recording's session as a hint.
     fn with_session(&self, footage: &Footage) -> Self {
         let known = footage.applied.map(|a| a.exposure_us);
         Self {
@@ -109,7 +99,11 @@ impl Settings {
         }
     }
 
-    /// Checks that every number is one that a camera can have.
+    /// Checks that every number is possible for a camera.
+    ///
+    /// # Errors
+    ///
+    /// Returns [`EvaluateError::Setting`] for the first number that is out of range.
     pub fn check(&self) -> Result<(), EvaluateError> {
         self.train.check()?;
         let wrong = |what: &str, value: f64, expected: &str| {

@@ -1,48 +1,45 @@
-//! Bias of each recording, and its spread over recordings.
+//! Bias of each recording, and its statistics over recordings.
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::classify::{FrameCounts, Reference};
-use super::evidence::{self, Evidence};
-use super::footage::Footage;
-use super::identity::Identity;
-use super::shown::Shown;
-use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
-use super::track::{Choice, Track, track};
-use super::train::TrainGeometry;
-use super::{EvaluateError, Settings};
+use crate::footage::Footage;
+use crate::shown::Shown;
+use crate::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
+use crate::track::{Choice, Evidence, FrameCounts, Identity, Reference, Track, evidence, track};
+use crate::train::TrainGeometry;
+use crate::{EvaluateError, Settings};
 
-/// Motion of the train within a recording's frames that is noted, µs.
+/// Motion of the train within a recording's frames above which there is a note, µs.
 const NOTABLE_MOTION_US: f64 = 20.0;
 
-/// By how much the stated uncertainty of an encoded video is larger than its
-/// residuals say.
+/// Factor of the stated uncertainty of an encoded video over that of its residuals.
 ///
 /// An encoder's errors follow the picture: a part of them looks like a shift of the
-/// flashes' edges, which the fit takes for one and which leaves no residual.
-/// Simulated videos (x264 at constant quality 18) scatter by 1.7 times what the
-/// residuals say, over 29 seeds of the whole rig.
+/// flashes' edges, which the fit follows and which leaves no residual.
+/// Simulated videos (x264 at constant quality 18) scatter by 1.7 times the uncertainty of
+/// their residuals, over 29 seeds of the whole rig.
 const ENCODED: f64 = 2.0;
 
 /// Result of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingResult {
+    /// Video that was measured.
     pub path: PathBuf,
     /// Width of the image, pixels.
     pub width: usize,
     /// Height of the image, pixels.
     pub height: usize,
-    /// Bias in µs that the recording's session says was subtracted.
+    /// Bias that the session of the recording subtracted, µs.
     pub applied_bias_us: Option<f64>,
-    /// Bias from perfect sync, µs; positive: the depth camera comes late.
+    /// Bias from perfect sync, µs; positive: the depth camera is exposed later.
     pub bias_us: f64,
     /// Standard uncertainty of the bias, µs.
     pub sigma_us: f64,
     /// Half width of the 99 % interval, µs.
     pub uncertainty_99_us: f64,
-    /// Row, from 0, that the centre of the train falls on.
+    /// Row, counted from 0, on which the centre of the train falls.
     pub row: f64,
     /// Row time, µs.
     pub row_time_us: f64,
@@ -50,58 +47,65 @@ pub struct RecordingResult {
     pub row_time_sigma_us: f64,
     /// Exposure that fits the flashes, µs.
     pub exposure_us: f64,
-    /// Its standard uncertainty, µs.
+    /// Standard uncertainty of the exposure, µs.
     pub exposure_sigma_us: f64,
     /// Grey levels that a whole flash adds.
     pub amplitude: f64,
-    /// Standard deviation between the frames, µs; none with one frame.
+    /// Standard deviation between the frames, µs; null with one frame.
     pub frame_sd_us: Option<f64>,
     /// Assignment of flashes to bands.
     pub identity: Identity,
-    /// What shows that they are flashes; a result without is left out.
+    /// Evidence that the bands are flashes; results without evidence are left out.
     pub evidence: Option<Evidence>,
     /// Counts of the frames.
     pub frames: FrameCounts,
-    /// Source of the smooth part.
+    /// Source of the scene's brightness without flashes.
     pub reference: Reference,
+    /// Remarks for the user.
     pub notes: Vec<String>,
 }
 
 /// A recording that gave no result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct LeftOut {
+pub struct FailedRecording {
+    /// Input that was given.
     pub path: PathBuf,
+    /// Reason why there is no result.
     pub reason: String,
 }
 
-/// Spread of one quantity over recordings.
+/// Statistics of the bias over recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spread {
+pub struct BiasStatistics {
+    /// Number of recordings.
     pub count: usize,
+    /// Mean, µs.
     pub mean_us: f64,
     /// Standard uncertainty of the mean, µs.
     pub mean_sigma_us: f64,
+    /// Median, µs.
     pub median_us: f64,
-    /// Standard deviation over recordings, µs; none for a single one.
+    /// Standard deviation over recordings, µs; null for a single one.
     pub sd_us: Option<f64>,
-    /// Standard uncertainty of it, µs.
+    /// Standard uncertainty of the standard deviation, µs.
     pub sd_sigma_us: Option<f64>,
-    /// Interquartile range over recordings, µs; none for a single one.
+    /// Interquartile range over recordings, µs; null for a single one.
     pub iqr_us: Option<f64>,
-    /// Standard uncertainty of it, µs.
+    /// Standard uncertainty of the interquartile range, µs.
     pub iqr_sigma_us: Option<f64>,
 }
 
-impl Spread {
-    /// Of values with their own standard uncertainties; `None` without values.
+impl BiasStatistics {
+    /// Computes the statistics of values with their own standard uncertainties, all in µs;
+    /// `None` without values.
     ///
     /// The uncertainties of standard deviation and interquartile range are those
     /// of normally distributed launches, SD/√(2(n-1)) and 1.573·SD/√n.
-    pub fn of(values: &[f64], sigmas: &[f64]) -> Option<Self> {
+    pub fn from_values(values: &[f64], sigmas: &[f64]) -> Option<Self> {
         let n = values.len();
         let median_us = quantile(values, 0.5)?;
         let sd = standard_deviation(values);
-        // Between launches, and what each launch does not know itself.
+        // The uncertainty of each value, and the scatter between launches.
         let own = sigmas.iter().map(|s| s * s).sum::<f64>().sqrt() / n as f64;
         let between = sd.map_or(0.0, |sd| sd / (n as f64).sqrt());
         let iqr = sd.and_then(|_| Some(quantile(values, 0.75)? - quantile(values, 0.25)?));
@@ -121,34 +125,36 @@ impl Spread {
 /// Results over all recordings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Precision {
-    /// Each recording.
+    /// Results of the recordings.
     pub recordings: Vec<RecordingResult>,
     /// Inputs without a result.
-    pub left_out: Vec<LeftOut>,
-    /// Bias over recordings.
-    pub bias: Option<Spread>,
-    /// Row time, weighted mean over recordings, µs.
+    pub left_out: Vec<FailedRecording>,
+    /// Statistics of the bias over recordings; null without any result.
+    pub bias: Option<BiasStatistics>,
+    /// Weighted mean of the row time over recordings, µs.
     pub row_time_us: f64,
-    /// Its standard uncertainty, µs.
+    /// Standard uncertainty of the row time, µs.
     pub row_time_sigma_us: f64,
 }
 
-/// Called after each input: its path, and its result or why there is none.
+/// Callback after each input, with its path and its result, or the reason why there is none.
 pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>) + 'a;
 
-/// One recording's result.
+/// Result of one recording, with the data that a report draws.
 #[derive(Debug, Clone)]
 pub struct Evaluated {
+    /// The result.
     pub result: RecordingResult,
-    /// What a report draws of it.
+    /// Profiles and a frame for the report.
     pub shown: Shown,
 }
 
-/// Evaluates one recording from its last `frames` frames with flashes.
+/// Measures one recording from its last `frames` frames with flashes.
 ///
 /// # Errors
 ///
-/// No flashes, none in step with the phone, or nothing that shows them to be flashes.
+/// Fails without flashes, if they are not in step with the phone, or if nothing shows that the
+/// bands are flashes.
 pub fn evaluate_recording(
     footage: Footage,
     settings: &Settings,
@@ -158,7 +164,8 @@ pub fn evaluate_recording(
     doubt.map_or(Ok(evaluated), Err)
 }
 
-/// Measures one recording; if nothing in it shows that it has flashes, with that error.
+/// Measures one recording. If nothing in it shows that the bands are flashes, the error for that
+/// is returned beside the result.
 fn measure(
     footage: Footage,
     settings: &Settings,
@@ -169,7 +176,7 @@ fn measure(
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
     let places: Vec<(f64, f64)> = track.points.iter().map(|p| (p.time_s, p.bias_us)).collect();
     let line = Line::fit(&places, 1);
-    let evidence = evidence::of(&track, &footage, settings);
+    let evidence = track.evidence_or_earlier(&footage, settings);
     if let Some(line) = &line {
         evidence::in_step(line, &footage, settings)?;
     }
@@ -222,9 +229,9 @@ fn measure(
 /// Finds the train in the last `frames` frames with flashes.
 ///
 /// While the trigger is still being aligned the train runs through the picture,
-/// and what is learnt from there about row time and exposure may be wrong: then
-/// most frames seem to have another room light than the rest. In this case the
-/// first half is left aside, and once more.
+/// and row time and exposure from that part may be wrong: then most frames seem to
+/// have another room light than the rest. In this case the first half is left out,
+/// at most twice.
 fn settled(
     mut footage: Footage,
     settings: &Settings,
@@ -257,16 +264,20 @@ fn settled(
             }
         }
     }
-    // All frames count as evidence, those too in which the train was still moved.
+    // All frames count as evidence, including those in which the train was still moved.
     found.evidence = found.evidence.or(evidence);
     Ok((footage, found))
 }
 
-/// Evaluates recordings one after the other; only one is in memory at a time.
+/// Measures recordings of one camera, one after the other; only one is in memory at a time.
 ///
-/// Inputs that give no result are left out with the reason.
-/// `each` is called after each input. Returns the results and, for the pictures, the first
-/// recording that gave one.
+/// Inputs that give no result are left out with the reason. `each` is called after each input.
+/// Returns the results and, for the pictures, the first recording that gave one.
+///
+/// # Errors
+///
+/// Fails if the settings are wrong, for errors that concern all recordings, and if the only input
+/// gives no result.
 pub fn evaluate(
     inputs: &[PathBuf],
     settings: &Settings,
@@ -318,7 +329,7 @@ pub fn evaluate(
     Ok((summarise(results, left_out), shown))
 }
 
-/// Takes the doubt from recordings of which one was made with the trigger moved, if their
+/// Clears the doubt about recordings if the trigger was moved between two of them and their
 /// bands moved by as much.
 fn compare(measured: &mut [(Evaluated, Option<EvaluateError>)], train: &TrainGeometry) {
     let places: Vec<(f64, f64, f64)> = measured
@@ -346,11 +357,11 @@ fn leave_out(
     path: &Path,
     error: &EvaluateError,
     each: &mut Progress<'_>,
-    left_out: &mut Vec<LeftOut>,
+    left_out: &mut Vec<FailedRecording>,
 ) {
     let reason = error.to_string();
     each(path, &Err(reason.clone()));
-    left_out.push(LeftOut {
+    left_out.push(FailedRecording {
         path: path.to_owned(),
         reason,
     });
@@ -366,8 +377,8 @@ fn concerns_all(error: &EvaluateError) -> bool {
     )
 }
 
-/// Puts the recordings' results together.
-fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precision {
+/// Combines the recordings' results.
+fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<FailedRecording>) -> Precision {
     let values: Vec<f64> = recordings.iter().map(|r| r.bias_us).collect();
     let sigmas: Vec<f64> = recordings.iter().map(|r| r.sigma_us).collect();
     let weights: Vec<f64> = recordings
@@ -382,7 +393,7 @@ fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precis
         .sum::<f64>()
         / total;
     Precision {
-        bias: Spread::of(&values, &sigmas),
+        bias: BiasStatistics::from_values(&values, &sigmas),
         row_time_us,
         row_time_sigma_us: total.powf(-0.5),
         recordings,
@@ -395,15 +406,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spread_of_known_numbers() {
-        let spread = Spread::of(&[1.0, 2.0, 3.0, 4.0, 5.0], &[0.1; 5]).unwrap();
+    fn statistics_of_known_numbers() {
+        let spread = BiasStatistics::from_values(&[1.0, 2.0, 3.0, 4.0, 5.0], &[0.1; 5]).unwrap();
         assert_eq!((spread.mean_us, spread.median_us), (3.0, 3.0));
         assert_eq!(spread.iqr_us, Some(2.0));
         assert!((spread.sd_us.unwrap() - 2.5f64.sqrt()).abs() < 1e-12);
         assert!((spread.mean_sigma_us - 0.5f64.sqrt()).abs() < 1e-12);
-        let single = Spread::of(&[7.0], &[0.3]).unwrap();
+        let single = BiasStatistics::from_values(&[7.0], &[0.3]).unwrap();
         assert_eq!((single.sd_us, single.iqr_us), (None, None));
         assert_eq!(single.mean_sigma_us, 0.3);
-        assert_eq!(Spread::of(&[], &[]), None);
+        assert_eq!(BiasStatistics::from_values(&[], &[]), None);
     }
 }

@@ -1,27 +1,27 @@
-//! What a report draws of a recording.
+//! The data of a recording that a report draws.
 
-use super::Settings;
-use super::footage::{Footage, Picture};
-use super::frame::RowReducer;
-use super::track::Track;
+use crate::Settings;
+use crate::footage::frame::RowReducer;
+use crate::footage::{Footage, Picture};
+use crate::track::Track;
 
-/// Profiles of the sensor's rows, and a frame. Rows are counted from 0 in read-out order,
+/// Profiles of the sensor's rows, and one frame. Rows are counted from 0 in read-out order,
 /// flashes from 1.
 #[derive(Debug, Clone)]
 pub struct Shown {
-    /// The first row of the profiles.
+    /// First row of the profiles.
     pub first_row: f64,
-    /// The row that counts as the middle.
+    /// Middle row of the sensor.
     pub middle_row: f64,
     /// Mean brightness of each row over some of the used frames, grey levels.
     pub mean_profile: Vec<f64>,
-    /// The fitted train of flashes in the same frames, grey levels.
+    /// Fitted profile of the same frames, grey levels.
     pub fitted_profile: Vec<f64>,
-    /// Flashes in the profiles, each with its row.
+    /// Flashes in the profiles: number and row.
     pub flashes: Vec<(u32, f64)>,
-    /// A frame.
+    /// One frame.
     pub picture: Picture,
-    /// Flashes found in this frame, each with its row; none if it was not used.
+    /// Flashes in that frame: number and row; empty if it was not used.
     pub picture_flashes: Vec<(u32, f64)>,
     reducer: RowReducer,
 }
@@ -42,7 +42,7 @@ impl Shown {
                 .filter(|(_, row)| shown.contains(row))
                 .collect()
         };
-        // Where the flashes of another frame lie says nothing about this one.
+        // The flashes of another frame lie elsewhere.
         let picture = &footage.picture;
         let own = track.points.iter().find(|p| p.index == picture.index);
         Self {
@@ -57,7 +57,8 @@ impl Shown {
         }
     }
 
-    /// Centre of a row's pixels in the picture, and true if the row is upright there.
+    /// Returns the line of the picture at the centre of a sensor row, and true if rows are
+    /// columns of the picture.
     #[must_use]
     pub fn picture_line(&self, row: f64) -> (f64, bool) {
         let (line, upright) = self.reducer.image_line(row);

@@ -1,12 +1,18 @@
-//! Spread, regression, even choices, and the uncertainty of sums whose errors are correlated.
+//! Statistics: quantiles, deviations, regression, evenly chosen indices, and the uncertainty of
+//! sums whose errors are correlated.
+//!
+//! The latter is the estimator of Newey and West with Bartlett weights, for one variable over
+//! row or frame numbers. `twist-sync` has one with a Parzen kernel for pairs of variables on a
+//! time grid with gaps. They stay apart: published results are by these weights, and each is
+//! adapted to its input (this one scales for the few terms of a frame that matter).
 
 use twist_sync::robust;
 
 /// Factor from one standard deviation to the 99 % interval of a normal distribution.
 pub(crate) const COVERAGE_99: f64 = 2.576;
 
-/// Quantile by linear interpolation between order statistics (the usual default,
-/// type 7 of Hyndman and Fan). `None` without values.
+/// Returns the quantile `q` (0 to 1) of the finite values by linear interpolation between order
+/// statistics (type 7 of Hyndman and Fan), or `None` without values.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -17,12 +23,12 @@ pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     Some(below + (at - at.floor()) * (above - below))
 }
 
-/// Median; zero without values.
+/// Returns the median of the finite values; zero without values.
 pub(crate) fn median(values: &[f64]) -> f64 {
     quantile(values, 0.5).unwrap_or(0.0)
 }
 
-/// Mean; zero without values.
+/// Returns the mean; zero without values.
 pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() {
         0.0
@@ -31,7 +37,8 @@ pub fn mean(values: &[f64]) -> f64 {
     }
 }
 
-/// Standard deviation with `n - 1`; `None` for fewer than two values.
+/// Returns the standard deviation of a sample (with `n - 1`), or `None` for fewer than two
+/// values.
 pub fn standard_deviation(values: &[f64]) -> Option<f64> {
     let n = values.len();
     if n < 2 {
@@ -42,7 +49,7 @@ pub fn standard_deviation(values: &[f64]) -> Option<f64> {
     Some((sum / (n - 1) as f64).sqrt())
 }
 
-/// Variance of the sum of `terms` whose errors are correlated over up to `lag`
+/// Returns the variance of the sum of `terms`, whose errors are correlated over up to `lag`
 /// neighbours: the larger of the uncorrelated estimate `Σ e²` and the estimate of
 /// Newey and West (1987) with Bartlett weights.
 ///
@@ -63,8 +70,8 @@ pub(crate) fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
     correlated.max(white)
 }
 
-/// By how much correlation between neighbours raises the variance of a sum of
-/// `residuals` over that of independent ones; at least 1.
+/// Returns the factor, at least 1, by which the correlation between neighbours raises the
+/// variance of a sum of `residuals` over that of independent ones.
 pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
     let zero: f64 = residuals.iter().map(|e| e * e).sum();
     if zero <= 0.0 {
@@ -76,7 +83,7 @@ pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
 /// Variance that the correlation of each term with up to `lag` following ones adds to
 /// their sum, with Bartlett's weights.
 fn neighbours(terms: &[f64], lag: usize) -> f64 {
-    // All lags at once: sums that do not wait for one another.
+    // All lags in one pass, so that the sums do not depend on one another.
     let mut products = vec![0.0; lag.min(terms.len())];
     let mut later = terms;
     while let Some((first, rest)) = later.split_first() {
@@ -90,8 +97,8 @@ fn neighbours(terms: &[f64], lag: usize) -> f64 {
     weighted.map(|(i, product)| weight(i + 1) * product).sum()
 }
 
-/// At most `count` indices spread evenly over `0..len`.
-pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
+/// Returns at most `count` indices at even distances over `0..len`.
+pub(crate) fn evenly_spaced(len: usize, count: usize) -> Vec<usize> {
     if len <= count {
         return (0..len).collect();
     }
@@ -113,8 +120,8 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Through points (x, y); `None` for fewer than three or no spread in `x`.
-    /// Residuals may be correlated over `lag` neighbours.
+    /// Fits a line through points (x, y) whose residuals may be correlated over `lag` neighbours.
+    /// Returns `None` for fewer than three points or equal `x`.
     pub(crate) fn fit(points: &[(f64, f64)], lag: usize) -> Option<Self> {
         let line = robust::Line::through(points);
         if points.len() < 3 || line.squares <= 0.0 {
@@ -141,7 +148,7 @@ impl Line {
         })
     }
 
-    /// Value at `x`.
+    /// Returns the value of the line at `x`.
     pub(crate) fn at(&self, x: f64) -> f64 {
         self.line.at(x)
     }
@@ -164,17 +171,17 @@ mod tests {
 
     #[test]
     fn variance_of_white_and_of_correlated_sums() {
-        // A repeatable stand-in for noise: the fractional parts of a quadratic.
+        // Repeatable and close to white: the fractional parts of a quadratic.
         let noise = |i: usize| ((i * i) as f64 * 0.618_033_988_75).fract() - 0.5;
         let white: Vec<f64> = (0..4000).map(noise).collect();
-        let truth = 4000.0 / 12.0;
+        let expected = 4000.0 / 12.0;
         let got = variance_of_sum(&white, 16);
-        assert!((got / truth - 1.0).abs() < 0.25, "{got} against {truth}");
+        assert!((got / expected - 1.0).abs() < 0.25, "{got}, {expected}");
         // Each value four times: the sum is four times a sum of a quarter of the terms.
         let repeated: Vec<f64> = (0..4000).map(|i| noise(i / 4)).collect();
-        let truth = 16.0 * 1000.0 / 12.0;
+        let expected = 16.0 * 1000.0 / 12.0;
         let got = variance_of_sum(&repeated, 32);
-        assert!((got / truth - 1.0).abs() < 0.35, "{got} against {truth}");
+        assert!((got / expected - 1.0).abs() < 0.35, "{got}, {expected}");
         assert_eq!(variance_of_sum(&[0.0; 8], 4), 0.0);
     }
 }

@@ -1,12 +1,12 @@
-//! From the profiles of a recording to the train's place in each frame.
+//! The train's position in each frame of a recording, from the frames' profiles.
 //!
 //! 1. A few frames are searched widely: is there a train, of which row time and
 //!    exposure?
 //! 2. Every frame is searched with that shape and fitted; frames with and without
 //!    flashes are distinguished.
 //! 3. Frames without flashes become the reference, so that the scene's own
-//!    structure is no longer taken for flashes; or rows that are dark in enough
-//!    frames do. Then step 2 again.
+//!    structure no longer looks like flashes; if there are none, rows that are dark in
+//!    enough frames. Then step 2 is repeated.
 //! 4. Frames whose smooth brightness differs from the others' by more than the
 //!    room light's share allowed are left out: mains flicker, a hand, a lamp.
 //! 5. Row time and exposure are fitted over many frames together, then every
@@ -15,7 +15,13 @@
 //! Assignment of flashes to bands: with the whole train in view, its ends decide. A frame
 //! that shows only a part of it fits equally well with the train moved by whole
 //! pitches. All frames are put on one continuous track first, so that one frame
-//! with an end in view decides for all; what stays open is stated.
+//! with an end in view decides for all; the result states all possibilities that remain.
+
+pub(crate) mod classify;
+pub(crate) mod evidence;
+mod identity;
+mod lamp;
+pub(crate) mod window;
 
 use std::ops::Range;
 
@@ -23,33 +29,37 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::classify::{
-    FrameClass, FrameCounts, Reference, Seen, classify, dark_scene, frames_of, mark_flicker,
-    mean_of, recheck_dark, with_reference,
+use self::classify::{
+    FrameClass, Seen, classify, dark_scene, frames_of, mark_flicker, mean_of, recheck_dark,
+    with_reference,
 };
-use super::evidence::{self, Evidence};
-use super::fit::{FrameFit, Model};
-use super::footage::Footage;
-use super::identity::{Identity, identify, unwrap_track};
-use super::joint::{JointFit, Prior, Priors};
-use super::linear::{Basis, polynomial_columns, side_by_side};
-use super::search::{CombSearch, Found, WideSearch};
-use super::stats::{mean, quantile, spread};
-use super::store::StoredFrame;
-use super::train::Shape;
-use super::{EvaluateError, Settings, lamp};
+pub use self::classify::{FrameCounts, Reference};
+pub use self::evidence::Evidence;
+pub use self::identity::{Candidate, Identity};
+use self::identity::{identify, unwrap_track};
+use crate::footage::Footage;
+use crate::footage::store::StoredFrame;
+use crate::stats::{evenly_spaced, mean, quantile};
+use crate::train::Shape;
+use crate::train::fit::{FrameFit, Model};
+use crate::train::joint::{JointFit, Prior, Priors};
+use crate::train::linear::{Basis, polynomial_columns, side_by_side};
+use crate::train::search::{CombSearch, Found, WideSearch};
+use crate::{EvaluateError, Settings};
 
 /// Degree of the smooth part without a reference.
 const DEGREE: usize = 5;
-/// Share of a frame's structure that a train must explain where the scene is
-/// taken for a smooth curve.
+/// Share of a frame's structure that a train must explain if the scene is assumed to be a
+/// smooth curve.
 const PLAIN_SHARE: f64 = 0.6;
-/// The same where the scene is known.
+/// Share of a frame's structure that a train must explain if the scene is known.
 const REFERENCE_SHARE: f64 = 0.2;
-/// Degree of the smooth curve that a train must explain a frame better than.
+/// Degree of the smooth curve that a train must surpass in explaining a frame.
 const COMPETITOR_DEGREE: usize = 13;
-/// By how much: share of the curve's sum of squares.
+/// Margin by which it must, as a share of the curve's sum of squares.
 const SHARPER: f64 = 0.2;
+/// Time from the begin of a recording within which the session aligns the trigger, seconds.
+const BEGINNING_S: f64 = 60.0;
 /// Frames averaged for the report.
 const SHOWN_FRAMES: usize = 16;
 /// Frames fitted together for row time and exposure.
@@ -60,13 +70,13 @@ const SHARPEN_FRAMES: usize = 8;
 /// One used frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(crate) struct FramePoint {
-    /// Number in the recording.
+    /// Number of the frame in its recording, from 0.
     pub index: usize,
     /// Seconds since the recording's first frame.
     pub time_s: f64,
-    /// Centre of the train after the middle row's centre of exposure, µs.
+    /// Centre of the train minus the middle row's centre of exposure, µs.
     pub bias_us: f64,
-    /// Its standard uncertainty from this frame alone, row time held, µs.
+    /// Standard uncertainty of the bias from this frame alone at a fixed row time, µs.
     pub sigma_us: f64,
     /// Grey levels of a whole flash.
     pub amplitude: f64,
@@ -83,12 +93,12 @@ pub(crate) struct Track {
     pub(crate) joint: JointFit,
     /// Assignment of flashes to bands.
     pub identity: Identity,
-    /// What shows that they are flashes.
+    /// Evidence that the bands are flashes.
     pub evidence: Option<Evidence>,
-    /// Source of the smooth part.
+    /// Source of the scene's brightness without flashes.
     pub reference: Reference,
     /// Mean profile of at most 16 of the used frames, grey levels: the first ones, or
-    /// those in the middle where all are used.
+    /// those in the middle if all are used.
     pub mean_profile: Vec<f64>,
     /// Mean of their fitted profiles.
     pub fitted_profile: Vec<f64>,
@@ -101,14 +111,15 @@ pub(crate) struct Track {
 /// Choice among the frames with flashes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Choice {
-    /// The last so many.
+    /// This number of frames at the end.
     Last(usize),
+    /// All frames.
     All,
-    /// Those between two times, in seconds of the recording.
+    /// The frames between two times, in seconds of the recording.
     Within(f64, f64),
 }
 
-/// The train as it was seen in each frame, against one model of the scene.
+/// The train in each frame, by one model of the scene.
 struct Sighting {
     model: Model,
     shape: Shape,
@@ -116,7 +127,7 @@ struct Sighting {
     reference: Reference,
 }
 
-/// A frame to be measured on, and where the train was seen in it, µs.
+/// A frame to measure, and the bias of the train in its first fit, µs.
 type UsedFrame<'a> = (&'a StoredFrame, f64);
 
 /// Finds the train in every frame of a recording.
@@ -148,8 +159,8 @@ pub(crate) fn track(
         &sighting.shape,
         settings,
     );
-    choice.spare(&mut sighting.seen, footage);
-    let counts = FrameCounts::of(&sighting.seen, footage.read);
+    choice.mark_spare(&mut sighting.seen, footage);
+    let counts = FrameCounts::count(&sighting.seen, footage.read);
     let used = sighting.used(footage);
     if used.is_empty() {
         return Err(EvaluateError::OnlyFlicker {
@@ -162,7 +173,7 @@ pub(crate) fn track(
 
     // Row time and exposure from frames spread over the recording; then every frame's
     // centre once more.
-    let together = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
+    let together = evenly_spaced(used.len(), JOINT_FRAMES.max(choice.limit()));
     let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
     let shown = choice.shown(used.len());
     let mut fits = fit_each(&sighting.model, &used, &joint.shape());
@@ -218,6 +229,31 @@ pub(crate) fn track(
     })
 }
 
+impl Track {
+    /// Returns the evidence in the frames of this track, or, if only a later part of the
+    /// recording is used, in its beginning.
+    pub(crate) fn evidence_or_earlier(
+        &self,
+        footage: &Footage,
+        settings: &Settings,
+    ) -> Option<Evidence> {
+        self.evidence.or_else(|| earlier(footage, settings))
+    }
+}
+
+/// Returns the evidence in the beginning of a recording of which a later part is used.
+fn earlier(footage: &Footage, settings: &Settings) -> Option<Evidence> {
+    let from_s = settings.from_s?;
+    let settings = Settings {
+        from_s: None,
+        to_s: Some((from_s + 2.0).min(BEGINNING_S)),
+        ..settings.clone()
+    };
+    let mut beginning = Footage::read(&footage.path, &settings, None).ok()?;
+    beginning.applied = footage.applied;
+    track(&beginning, &settings, Choice::All).ok()?.evidence
+}
+
 impl Sighting {
     /// Searches and fits every frame with a shape of the train.
     fn new(
@@ -267,7 +303,7 @@ impl Sighting {
             .collect()
     }
 
-    /// Mean brightness of the frames without flashes, if there are any.
+    /// Returns the mean brightness of the frames without flashes, if there are any.
     fn dark_level(&self, footage: &Footage) -> Option<f64> {
         let dark = frames_of(footage, &self.seen, FrameClass::Dark);
         let mean_rows = mean_of(dark.map(|(frame, _)| frame.rows.as_slice()));
@@ -275,8 +311,8 @@ impl Sighting {
     }
 }
 
-/// Looks again with the scene as it is without flashes, where that is known and shows
-/// the train.
+/// Repeats the search with the known scene without flashes, if there is one and it shows the
+/// train.
 fn against_scene(first: Sighting, footage: &Footage, settings: &Settings) -> Sighting {
     let scene = dark_scene(footage, &first.seen, &first.shape, &settings.train);
     let Some((basis, reference)) = scene else {
@@ -287,7 +323,7 @@ fn against_scene(first: Sighting, footage: &Footage, settings: &Settings) -> Sig
     let shape = if used.is_empty() {
         first.shape
     } else {
-        let some = spread(used.len(), SHARPEN_FRAMES);
+        let some = evenly_spaced(used.len(), SHARPEN_FRAMES);
         fit_some(&model, &used, &some, &first.shape, settings).shape()
     };
     let again = Sighting::new(model, shape, reference, footage, settings);
@@ -298,7 +334,7 @@ fn against_scene(first: Sighting, footage: &Footage, settings: &Settings) -> Sig
     }
 }
 
-/// Row time and exposure from the frames of these places together.
+/// Fits row time and exposure to the frames at these indices together.
 fn fit_some(
     model: &Model,
     used: &[UsedFrame<'_>],
@@ -314,14 +350,14 @@ fn fit_some(
     model.fit_joint(&profiles, &biases, start, &priors(settings))
 }
 
-/// Each frame's centre with a common row time and exposure.
+/// Fits each frame's centre with a common row time and exposure.
 fn fit_each(model: &Model, used: &[UsedFrame<'_>], shape: &Shape) -> Vec<FrameFit> {
     used.par_iter()
         .map(|&(frame, bias_us)| model.fit_frame(&model.detrend(&frame.rows), &shape.at(bias_us)))
         .collect()
 }
 
-/// Mean profile of some frames, and of what was fitted to them.
+/// Mean profile of some frames, and mean of their fitted profiles.
 fn mean_profiles(
     model: &Model,
     frames: &[UsedFrame<'_>],
@@ -340,8 +376,8 @@ fn mean_profiles(
     (profile, fitted)
 }
 
-/// Puts the frames that were fitted together where the track was put since, by whole or
-/// half pitches, and takes the light path's delay off.
+/// Moves the frames of the joint fit by whole or half pitches, as the track has been moved since,
+/// and subtracts the light path's delay.
 fn follow(joint: &mut JointFit, together: &[usize], fits: &[FrameFit], settings: &Settings) {
     let half = 0.5 * settings.train.pitch_us;
     for (bias, &place) in joint.bias_us.iter_mut().zip(together) {
@@ -354,8 +390,8 @@ fn follow(joint: &mut JointFit, together: &[usize], fits: &[FrameFit], settings:
 }
 
 impl Choice {
-    /// Marks what is beyond the choice.
-    fn spare(self, seen: &mut [Seen], footage: &Footage) {
+    /// Marks frames that are not chosen as spare.
+    fn mark_spare(self, seen: &mut [Seen], footage: &Footage) {
         let frames = footage.frames.iter().map(|frame| frame.time_s);
         let used = seen.iter_mut().zip(frames);
         let used = used.filter(|(s, _)| s.class == FrameClass::Used);
@@ -379,8 +415,8 @@ impl Choice {
         }
     }
 
-    /// Range of the used frames that are shown. Of a long recording those in the middle: at
-    /// its begin the train may still be moved.
+    /// Returns the range of the used frames that are shown: in a long recording those in the
+    /// middle, because the train may still be moved at its begin.
     fn shown(self, used: usize) -> Range<usize> {
         let first = match self {
             Self::Last(_) => 0,
@@ -403,7 +439,7 @@ fn priors(settings: &Settings) -> Priors {
     }
 }
 
-/// A remark if the exposure hides the flashes.
+/// Returns a remark if the exposure hides the flashes.
 fn blind(joint: &JointFit, settings: &Settings) -> Option<String> {
     let pitches = joint.exposure_us / settings.train.pitch_us;
     let beside_whole = (pitches - pitches.round()).abs() * settings.train.pitch_us;
@@ -415,8 +451,8 @@ fn blind(joint: &JointFit, settings: &Settings) -> Option<String> {
     })
 }
 
-/// Finds the train somewhere in the recording, with the scene taken for a smooth curve
-/// or for the darkest frames, and looks at every frame with its shape.
+/// Finds the train somewhere in the recording, with a smooth curve or the darkest frames as the
+/// scene, and searches every frame for its shape.
 fn first_sight(footage: &Footage, settings: &Settings, plain: &Basis) -> Option<Sighting> {
     let searches = searches(footage, settings);
     [Some(plain.clone()), darkest(&footage.frames)]
@@ -425,13 +461,13 @@ fn first_sight(footage: &Footage, settings: &Settings, plain: &Basis) -> Option<
         .find_map(|basis| {
             let model = Model::new(footage.rows, settings.train, basis);
             let shape = search_some(&model, &searches, footage, settings)?;
-            // The darkest frames may hold flashes: as strict as with a smooth curve.
+            // The darkest frames may contain flashes: as strict as with a smooth curve.
             let reference = Reference::Polynomial;
             Some(Sighting::new(model, shape, reference, footage, settings))
         })
 }
 
-/// Flashes only add light: the darkest frames are the likeliest without any.
+/// Scene from the darkest frames, which are the likeliest without flashes.
 fn darkest(frames: &[StoredFrame]) -> Option<Basis> {
     let level = |frame: &StoredFrame| frame.rows.iter().map(|&v| f64::from(v)).sum::<f64>();
     let levels: Vec<f64> = frames.iter().map(level).collect();
@@ -441,7 +477,7 @@ fn darkest(frames: &[StoredFrame]) -> Option<Basis> {
     Some(with_reference(&dark))
 }
 
-/// The first train that is found in some frames of different structure.
+/// Finds a train in some frames of different structure.
 fn search_some(
     model: &Model,
     searches: &[WideSearch],
@@ -468,7 +504,7 @@ fn search_some(
     let frames: Vec<_> = frames
         .map(|(_, frame)| model.detrend(&frame.rows))
         .collect();
-    // Mostly the first is enough.
+    // The first is usually enough.
     let (first, others) = frames.split_at(frames.len().min(1));
     searches.iter().find_map(|wide| {
         [first, others].into_iter().find_map(|frames| {
@@ -482,7 +518,7 @@ fn search_some(
     })
 }
 
-/// Searches in order: near known or earlier values, then everywhere.
+/// Searches in the order of their attempts: near known or earlier values, then everywhere.
 fn searches(footage: &Footage, settings: &Settings) -> Vec<WideSearch> {
     let rows = footage.reducer.sensor_rows();
     let search = |row_time, exposure| WideSearch::new(rows, row_time, exposure, settings.near_us);
@@ -497,7 +533,7 @@ fn searches(footage: &Footage, settings: &Settings) -> Vec<WideSearch> {
     all
 }
 
-/// Fits what a search found in one frame; the best that is a train.
+/// Fits the shapes that a search found in one frame; returns the best that is a train.
 fn best_train(
     model: &Model,
     y: &DVector<f64>,

@@ -1,25 +1,30 @@
-//! The strobe train of a time-of-flight camera, and how it looks to rolling rows.
+//! The strobe train of a time-of-flight camera, and its image on a rolling shutter.
 //!
 //! Times here are microseconds relative to the centre of exposure of the image's
-//! middle row. A row whose exposure is centred at `x` sees of a flash centred at
-//! `f` the overlap of two boxes, which is a trapezoid in `x - f`:
+//! middle row. The light that a row exposed around `x` gets from a flash around
+//! `f` is the overlap of two boxes, a trapezoid in `x - f`:
 //! `min(exposure, duration, (exposure + duration)/2 - |x - f|) / duration`, never
-//! below zero. Its centre does not depend on the exposure, which is why the
-//! middle of a band can be found even when the exposure is known badly.
+//! below zero. Its centre does not depend on the exposure, so the middle of a band can be
+//! found even if the exposure is hardly known.
+
+pub(crate) mod fit;
+pub(crate) mod joint;
+pub(crate) mod linear;
+pub(crate) mod search;
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::EvaluateError;
+use crate::EvaluateError;
 
 /// Flashes of one exposure of the depth camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainGeometry {
     /// Number of flashes.
     pub count: u32,
-    /// From the start of one flash to the start of the next, µs.
+    /// Time from the start of one flash to the start of the next, µs.
     pub pitch_us: f64,
     /// Length of one flash, µs.
     pub duration_us: f64,
@@ -63,13 +68,13 @@ impl TrainGeometry {
         }
     }
 
-    /// Index of the flash at the centre of exposure; between two flashes when
+    /// Returns the index of the flash at the centre of exposure; between two flashes if
     /// their number is even.
     pub(crate) fn center_index(&self) -> f64 {
         0.5 * (f64::from(self.count) - 1.0)
     }
 
-    /// Centre of flash `k` when the train is centred at `bias_us`, µs.
+    /// Returns the centre of flash `k` of a train that is centred at `bias_us`, µs.
     pub(crate) fn flash_us(&self, k: u32, bias_us: f64) -> f64 {
         bias_us + (f64::from(k) - self.center_index()) * self.pitch_us
     }
@@ -84,7 +89,7 @@ impl fmt::Display for TrainGeometry {
 impl FromStr for TrainGeometry {
     type Err = EvaluateError;
 
-    /// `nfov`, `wfov`, a mode by the name that the camera's recorder takes, or
+    /// Parses `nfov`, `wfov`, the name of a depth mode as the camera's recorder accepts it, or
     /// `COUNT,PITCH_US,DURATION_US`.
     fn from_str(s: &str) -> Result<Self, Self::Err> {
         match s.to_ascii_lowercase().as_str() {
@@ -121,39 +126,39 @@ fn no_train(text: &str) -> EvaluateError {
 pub struct Shape {
     /// Centre of the train relative to the middle row's centre of exposure, µs.
     pub bias_us: f64,
-    /// From one row's exposure to the next row's, µs.
+    /// Time from one row's exposure to the next row's, µs.
     pub row_time_us: f64,
     /// Exposure of a row, µs.
     pub exposure_us: f64,
 }
 
 impl Shape {
-    /// The same with the train's centre elsewhere.
+    /// Returns the same shape with another centre of the train.
     pub(crate) fn at(self, bias_us: f64) -> Self {
         Self { bias_us, ..self }
     }
 }
 
-/// Light of one row and its derivatives, per whole flash.
+/// Light of one row and its derivatives, in units of one whole flash.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct RowLight {
-    /// Share of flashes seen: 1 is one whole flash.
+    /// Number of flashes that the row sees: 1 is one whole flash.
     pub value: f64,
-    /// Derivative by the train's centre, 1/µs.
+    /// Derivative with respect to the train's centre, 1/µs.
     pub by_bias: f64,
-    /// Derivative by the row time, rows/µs.
+    /// Derivative with respect to the row time, rows/µs.
     pub by_row_time: f64,
-    /// Derivative by the exposure, 1/µs.
+    /// Derivative with respect to the exposure, 1/µs.
     pub by_exposure: f64,
 }
 
-/// Share of one flash that a row sees whose exposure is centred `distance_us` away.
+/// Returns the share of one flash that a row sees whose exposure is centred `distance_us` away.
 pub(crate) fn overlap(distance_us: f64, exposure_us: f64, duration_us: f64) -> f64 {
     let ramp = 0.5 * (exposure_us + duration_us) - distance_us.abs();
     ramp.min(exposure_us).min(duration_us).max(0.0) / duration_us
 }
 
-/// Light of the row `position` rows after the middle row.
+/// Returns the light of the row that is `position` rows after the middle row.
 pub fn row_light(train: &TrainGeometry, shape: &Shape, position: f64) -> RowLight {
     let x = position * shape.row_time_us - shape.bias_us;
     let reach = 0.5 * (shape.exposure_us + train.duration_us);

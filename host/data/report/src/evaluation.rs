@@ -9,11 +9,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use evaluate::Settings;
-use evaluate::classify::FrameCounts;
 use evaluate::drift::{Drift, EvaluatedDrift};
-use evaluate::identity::Identity;
-use evaluate::precision::{Precision, Spread};
+use evaluate::precision::{BiasStatistics, Precision};
 use evaluate::shown::Shown;
+use evaluate::track::{FrameCounts, Identity};
 
 use crate::page::Page;
 use crate::session::link_to;
@@ -82,7 +81,7 @@ fn pictures(page: &mut Page, shown: &Shown) {
 pub fn precision_summary(result: &Precision) -> Summary {
     let mut facts = Facts::new();
     if let Some(bias) = &result.bias {
-        spread_facts(&mut facts, bias);
+        bias_facts(&mut facts, bias);
     }
     let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
     facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
@@ -271,7 +270,7 @@ fn short(path: &Path) -> String {
     last.display().to_string()
 }
 
-fn spread_facts(facts: &mut Facts, s: &Spread) {
+fn bias_facts(facts: &mut Facts, s: &BiasStatistics) {
     let rest = match s.count {
         1 => String::from("one recording"),
         count => format!("median {:+.3} µs, {count} recordings", s.median_us),

@@ -11,7 +11,7 @@
 use std::io::Cursor;
 
 use board::Conversation;
-use evaluate::source::read_timestamps;
+use evaluate::footage::read_timestamps;
 use extract::depth::k4a::{Content, Recording};
 use phone::answer::{self, Answer, Lines};
 use phone::file_name::safe_file_name;

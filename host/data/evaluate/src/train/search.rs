@@ -1,35 +1,36 @@
-//! The coarse search: where in the frame is the train, and of what shape?
+//! The coarse search for the position and the shape of the train in a frame.
 //!
-//! A matched filter. The brightness without its smooth part is correlated with
+//! It is a matched filter. The brightness without its smooth part is correlated with
 //! one flash's trapezoid on a grid of times; the comb of all flashes is then a sum
-//! of as many grid values. What the template would explain of the frame's
-//! variance, `(T·y)² / |T|²` with the smooth part taken off both, says how well it
-//! fits. `|T|²` comes from correlations of the trapezoid with itself on the same
-//! grid, so a whole search costs less than a millisecond a frame.
+//! of as many grid values. The part of the frame's variance that the template explains,
+//! `(T·y)² / |T|²` with the smooth part subtracted from both, measures the fit.
+//! `|T|²` comes from correlations of the trapezoid with itself on the same
+//! grid, so a whole search takes less than a millisecond for each frame.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::linear::Basis;
-use super::train::{Shape, TrainGeometry, overlap};
+use crate::train::linear::Basis;
+use crate::train::{Shape, TrainGeometry, overlap};
 
-/// Places of the used rows, counted from the middle row.
+/// Positions of the used rows, counted from the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RowGrid {
-    /// Place of the first used row, in rows.
+    /// Position of the first used row, in rows.
     pub first: f64,
     /// Rows from one sample to the next: 1, or more for binned rows.
     pub step: f64,
+    /// Number of samples.
     pub len: usize,
 }
 
 impl RowGrid {
-    /// Place of sample `i`.
+    /// Returns the position of sample `i`.
     pub(crate) fn position(&self, i: usize) -> f64 {
         self.first + i as f64 * self.step
     }
 
-    /// Neighbouring rows taken together by `factor`; rows left over at the end
+    /// Returns the grid of means of `factor` neighbouring rows; remaining rows at the end
     /// are dropped.
     pub(crate) fn binned(&self, factor: usize) -> Self {
         Self {
@@ -66,7 +67,7 @@ pub(crate) struct CombSearch {
     exposure_us: f64,
     start_us: f64,
     step_us: f64,
-    /// Rows that each grid time reaches, and the trapezoid there.
+    /// First row that each grid time reaches, and the trapezoid from there.
     reach: Vec<(usize, Vec<f64>)>,
     /// Candidates: (grid index of the first flash, may be negative; |T|²).
     candidates: Vec<(isize, f64)>,
@@ -164,10 +165,10 @@ impl CombSearch {
         }
     }
 
-    /// The best place of the train in `y`, a profile without its smooth part.
+    /// Finds the best position of the train in `y`, a profile without its smooth part.
     ///
-    /// If whole pitches more or less fit as well, the train nearest to
-    /// `near_us` is taken. `None` when no bright comb fits at all.
+    /// If positions whole pitches away fit equally well, the one nearest to `near_us` is
+    /// returned; `None` if no bright comb fits at all.
     pub(crate) fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
         debug_assert_eq!(y.len(), self.rows.len);
         let count = self.train.count as usize;
@@ -207,7 +208,7 @@ impl CombSearch {
     }
 }
 
-/// The grid's values at a comb's flashes; those that are not on the grid are left out.
+/// Returns the grid's values at a comb's flashes; flashes outside of the grid are left out.
 fn comb(
     values: &[f64],
     first: isize,
@@ -233,8 +234,8 @@ fn shared(a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)) -> f64 {
     both.map(|(a, b)| a * b).sum()
 }
 
-/// Shapes that a wide search hands on.
-const KEEP: usize = 4;
+/// Most shapes that a wide search returns.
+const MOST_SHAPES: usize = 4;
 
 /// Shapes that a wide search tries.
 #[derive(Debug, Clone, PartialEq)]
@@ -243,13 +244,13 @@ pub(crate) struct WideSearch {
     pub(crate) row_times_us: Vec<f64>,
     /// Exposures, µs.
     pub(crate) exposures_us: Vec<f64>,
-    /// Expected place of the train, µs.
+    /// Expected position of the train, µs.
     pub(crate) near_us: f64,
 }
 
 impl WideSearch {
-    /// All row times with which `sensor_rows` take 4 to 40 ms, and exposures from
-    /// 60 µs to 4.5 ms; or near what is known.
+    /// Creates a search over all row times with which `sensor_rows` take 4 to 40 ms, and over
+    /// exposures from 60 µs to 4.5 ms; a known value replaces the range.
     pub(crate) fn new(
         sensor_rows: usize,
         row_time_us: Option<f64>,
@@ -272,8 +273,8 @@ impl WideSearch {
         }
     }
 
-    /// The best few distinct shapes for each profile without its smooth part, on
-    /// `rows`, best first. What is prepared for a shape serves all profiles.
+    /// Returns the best few distinct shapes for each profile, best first. Profiles are on `rows`
+    /// and without their smooth part.
     pub(crate) fn run(
         &self,
         rows: RowGrid,
@@ -311,7 +312,7 @@ impl WideSearch {
     }
 }
 
-/// The best few, each of another shape.
+/// Returns the best few of distinct shapes.
 fn distinct(mut found: Vec<Found>) -> Vec<Found> {
     found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
     let mut kept: Vec<Found> = Vec::new();
@@ -323,7 +324,7 @@ fn distinct(mut found: Vec<Found>) -> Vec<Found> {
         if !known {
             kept.push(f);
         }
-        if kept.len() == KEEP {
+        if kept.len() == MOST_SHAPES {
             break;
         }
     }
@@ -332,8 +333,8 @@ fn distinct(mut found: Vec<Found>) -> Vec<Found> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::train::row_light;
     use super::*;
+    use crate::train::row_light;
 
     const ROWS: RowGrid = RowGrid {
         first: -539.5,

@@ -1,5 +1,5 @@
-//! Videos, of which only the luma as it was coded is looked at: no conversion of its
-//! range, and the sensor's rows, not a picture turned upright.
+//! Videos, of which only the luma is read as it was coded: without a conversion of its
+//! range, and in the sensor's orientation.
 
 use std::path::Path;
 
@@ -9,9 +9,9 @@ use system::ReadMonitor;
 use super::timestamps::beside;
 use super::{FrameSource, FrameTimes, SourceInfo, read_timestamps};
 use crate::EvaluateError;
-use crate::frame::GreyView;
+use crate::footage::frame::GreyView;
 
-/// Rate taken when the file does not say one, frames per second.
+/// Frame rate if the file does not state one, frames per second.
 const DEFAULT_RATE: f64 = 30.0;
 
 pub(crate) struct Video {
@@ -24,7 +24,7 @@ pub(crate) struct Video {
 impl Video {
     pub(crate) fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, EvaluateError> {
         let decoder = phone::video::Video::open(path, Pixels::Luma, monitor)
-            .map_err(|error| EvaluateError::of_video(path, error))?;
+            .map_err(|error| EvaluateError::from_video(path, error))?;
         let stated = decoder.info();
         let mut notes = Vec::new();
         let times = match beside(path) {
@@ -76,7 +76,7 @@ impl FrameSource for Video {
                 self.info.notes.push(format!("damaged video: {error}"));
                 false
             }
-            Err(error) => return Err(EvaluateError::of_video(&self.info.path, error)),
+            Err(error) => return Err(EvaluateError::from_video(&self.info.path, error)),
         };
         if more {
             self.read += 1;
@@ -87,7 +87,7 @@ impl FrameSource for Video {
             }));
         }
         if self.read == 0 {
-            return Err(EvaluateError::of_video(
+            return Err(EvaluateError::from_video(
                 &self.info.path,
                 VideoError::Decode("nothing".to_owned()),
             ));

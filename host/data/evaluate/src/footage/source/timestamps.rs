@@ -1,7 +1,7 @@
-//! When each frame was taken.
+//! Times of the frames.
 //!
 //! The phone's app writes them beside the video ([`phone::frame_timestamps`]).
-//! Without such a file frames are taken to come at a constant rate. Only differences
+//! Without such a file a constant frame rate is assumed. Only differences
 //! of these times are used.
 
 use std::path::{Path, PathBuf};
@@ -15,14 +15,15 @@ use crate::EvaluateError;
 /// Times of the frames of one input.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FrameTimes {
-    /// One time a frame, nanoseconds of the camera's clock, ascending.
+    /// One time for each frame in nanoseconds of the camera's clock, ascending.
     Listed(Vec<i64>),
-    /// Constant rate, frames per second.
+    /// A constant rate in frames per second.
     Rate(f64),
 }
 
 impl FrameTimes {
-    /// Seconds from the first frame to frame `index`; `None` beyond a list's end.
+    /// Returns the seconds from the first frame to frame `index`, or `None` beyond the end of a
+    /// list.
     pub fn seconds(&self, index: usize) -> Option<f64> {
         match self {
             Self::Listed(times) => {
@@ -34,7 +35,13 @@ impl FrameTimes {
     }
 }
 
-/// Reads the times of the frames: see [`phone::frame_timestamps`].
+/// Reads a file of frame times in nanoseconds, one integer on each line, ascending: see
+/// [`phone::frame_timestamps`].
+///
+/// # Errors
+///
+/// Fails if the file cannot be read, or has a line that is no integer or not later than the one
+/// before.
 pub fn read_timestamps(path: &Path, monitor: &ReadMonitor) -> Result<Vec<i64>, EvaluateError> {
     let times = frame_timestamps::read(path, monitor).map_err(|error| match error {
         RowError::Io(source) => EvaluateError::io(path)(source),
@@ -50,7 +57,7 @@ pub fn read_timestamps(path: &Path, monitor: &ReadMonitor) -> Result<Vec<i64>, E
     Ok(times.into_iter().map(|time| time.0).collect())
 }
 
-/// The app's timestamp file of a video, if there is one.
+/// Returns the app's timestamp file of a video, if there is one.
 pub(super) fn beside(video: &Path) -> Option<PathBuf> {
     video_files::of_video(video).ok().flatten()?.frames
 }

@@ -1,32 +1,30 @@
 //! The part of a recording in which the train moves by its drift alone.
 //!
-//! A recording begins while the trigger is still sent onto the phone's frames, and
-//! may end with a depth camera that streams on by its own clock: both move the
-//! train by tens of µs a second and more. A drift is measured between them. Blocks
-//! of a second are compared with their neighbours; the longest run without a move
+//! A recording begins while the trigger is still being aligned to the phone's frames, and
+//! may end with a depth camera that continues by its own clock: both move the
+//! train by tens of µs a second and more. The drift is measured between them. Blocks
+//! of a second are compared with their neighbours; the longest run without such a motion
 //! is the window.
 
 use std::ops::Range;
 
-use super::stats::median;
-use super::track::FramePoint;
+use crate::stats::median;
+use crate::track::FramePoint;
 
 /// Length of a block, seconds.
 const BLOCK_S: f64 = 1.0;
 
-/// A train that moves faster than this is being aligned, or runs free: µs/s.
-/// Two crystals without any sync are some 20 ppm (= µs/s) apart and more; the
-/// published rig drifts by 0.3 µs/s.
+/// Speed above which a train is being aligned, or runs free, µs/s. Two crystals without sync
+/// differ by some 20 ppm (= µs/s) and more; the published rig drifts by 0.3 µs/s.
 const STILL_US_PER_S: f64 = 10.0;
 
-/// A step between blocks that is this many times the uncertainty of one frame is
-/// noise at most.
+/// Largest step between blocks that may be noise, in uncertainties of one frame.
 const NOISE: f64 = 6.0;
 
-/// A shorter window is none, seconds.
+/// Length of the shortest window, seconds.
 const SHORTEST_S: f64 = 5.0;
 
-/// Places of the points within the window; `None` if that is the whole
+/// Returns the indices of the points within the window, or `None` if that is the whole
 /// recording, or no part is long enough.
 #[must_use]
 pub(crate) fn still(points: &[FramePoint]) -> Option<Range<usize>> {

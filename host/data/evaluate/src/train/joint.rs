@@ -10,16 +10,16 @@
 use nalgebra::{DVector, Matrix2, MatrixXx2, MatrixXx3, Vector2};
 use rayon::prelude::*;
 
-use super::fit::{Local, Model, ROW_LAG};
-use super::stats::{mean, variance_of_sum};
-use super::train::Shape;
+use crate::stats::{mean, variance_of_sum};
+use crate::train::Shape;
+use crate::train::fit::{Local, Model, ROW_LAG};
 
 /// Prior of a shared parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Prior {
     /// Expected value.
     pub(crate) value: f64,
-    /// Standard uncertainty of it.
+    /// Standard uncertainty of the value.
     pub(crate) sigma: f64,
 }
 
@@ -33,13 +33,13 @@ pub(crate) struct Priors {
 }
 
 impl Priors {
-    /// Weights beside residuals of this mean square; zero for what is not known.
+    /// Returns the weights for residuals of this mean square; zero for unknown parameters.
     fn weights(&self, noise: f64) -> Vector2<f64> {
         let weight = |prior: Option<Prior>| prior.map_or(0.0, |p| noise / (p.sigma * p.sigma));
         Vector2::new(weight(self.row_time_us), weight(self.exposure_us))
     }
 
-    /// From the shared parameters to what is known of them.
+    /// Returns the expected minus the current shared parameters; zero for unknown ones.
     fn distance(&self, shared: &Vector2<f64>) -> Vector2<f64> {
         let to = |prior: Option<Prior>, value| prior.map_or(0.0, |p| p.value - value);
         Vector2::new(
@@ -54,9 +54,9 @@ impl Priors {
 pub(crate) struct JointFit {
     /// Centre of the train in each frame, µs.
     pub(crate) bias_us: Vec<f64>,
-    /// Mean of them, µs.
+    /// Mean of the centres, µs.
     pub(crate) mean_us: f64,
-    /// Standard uncertainty of the mean, with those of row time and exposure, µs.
+    /// Standard uncertainty of the mean, including those of row time and exposure, µs.
     pub(crate) mean_sigma_us: f64,
     pub(crate) row_time_us: f64,
     pub(crate) row_time_sigma_us: f64,
@@ -65,7 +65,7 @@ pub(crate) struct JointFit {
 }
 
 impl JointFit {
-    /// The train at the frames' mean centre.
+    /// Returns the shape of the train at the frames' mean centre.
     pub(crate) fn shape(&self) -> Shape {
         Shape {
             bias_us: self.mean_us,
@@ -119,7 +119,7 @@ impl Model {
                 }
             }
         }
-        self.judge(&locals, state, priors)
+        self.with_uncertainties(&locals, state, priors)
     }
 
     fn locals(&self, frames: &[DVector<f64>], state: &State) -> Vec<Local> {
@@ -130,9 +130,9 @@ impl Model {
             .collect()
     }
 
-    /// Uncertainties about the solution.
-    fn judge(&self, locals: &[Local], state: State, priors: &Priors) -> JointFit {
-        let normal: Vec<FrameNormal> = locals.iter().map(FrameNormal::of).collect();
+    /// Adds the uncertainties of the solution.
+    fn with_uncertainties(&self, locals: &[Local], state: State, priors: &Priors) -> JointFit {
+        let normal: Vec<FrameNormal> = locals.iter().map(FrameNormal::new).collect();
         let noise = noise_scale(locals);
         let weights = priors.weights(noise);
         let (matrix, _) = reduced(&normal, 0.0);
@@ -163,8 +163,7 @@ impl Model {
                 terms.column_mut(k).axpy(scale, &errors, 1.0);
             }
         }
-        // `by_shared` is how a quantity follows the shared parameters, and with them
-        // the priors' values.
+        // `by_shared` is the derivative of a quantity with respect to the shared parameters.
         let sigma = |quantity: usize, by_shared: Vector2<f64>| {
             let rows: Vec<f64> = terms.column(quantity).iter().copied().collect();
             let answer = inverse * by_shared;
@@ -201,7 +200,7 @@ impl State {
 
     /// One damped Gauss-Newton step.
     fn step(&self, locals: &[Local], priors: &Priors, damping: f64) -> Option<Step> {
-        let normal: Vec<FrameNormal> = locals.iter().map(FrameNormal::of).collect();
+        let normal: Vec<FrameNormal> = locals.iter().map(FrameNormal::new).collect();
         let (matrix, right) = reduced(&normal, damping);
         let weights = priors.weights(noise_scale(locals));
         let right = right + weights.component_mul(&priors.distance(&self.shared));
@@ -233,8 +232,8 @@ struct Step {
 }
 
 impl Step {
-    /// Largest move in µs at the picture's edge, where a row time counts a
-    /// thousandfold.
+    /// Returns the largest motion at the picture's edge in µs, where a change of the row time
+    /// counts a thousandfold.
     fn largest(&self) -> f64 {
         let bias = self.bias.iter().fold(0.0f64, |m, b| m.max(b.abs()));
         bias.max(self.shared.x.abs() * 1e3).max(self.shared.y.abs())
@@ -251,7 +250,7 @@ struct FrameNormal {
 }
 
 impl FrameNormal {
-    fn of(local: &Local) -> Self {
+    fn new(local: &Local) -> Self {
         let matrix = local.by.tr_mul(&local.by);
         let right = local.by.tr_mul(&local.residuals);
         Self {
@@ -263,7 +262,8 @@ impl FrameNormal {
         }
     }
 
-    /// Zero for a frame that says nothing about its centre.
+    /// Returns the variance of the frame's own centre; zero for a frame without information
+    /// about it.
     fn own_variance(&self) -> f64 {
         if self.own > 0.0 { 1.0 / self.own } else { 0.0 }
     }
@@ -282,10 +282,9 @@ fn reduced(normal: &[FrameNormal], damping: f64) -> (Matrix2<f64>, Vector2<f64>)
     (matrix, right)
 }
 
-/// Inverse of the normal equations; `None` where the frames do not tell the parameters
-/// apart.
+/// Inverse of the normal equations; `None` if the frames do not determine the parameters.
 fn inverse(matrix: &Matrix2<f64>) -> Option<Matrix2<f64>> {
-    // Scaled, because a row time weighs a thousand times more than an exposure.
+    // Scaled, because the row time has a thousand times the weight of the exposure.
     let scale = Matrix2::from_diagonal(&matrix.diagonal().map(|d| 1.0 / d.sqrt()));
     let scaled = scale * matrix * scale;
     let apart = scaled.determinant() > 1e-10;
@@ -311,10 +310,10 @@ fn total_cost(locals: &[Local], state: &State, priors: &Priors) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::linear::Basis;
-    use super::super::search::RowGrid;
-    use super::super::train::{TrainGeometry, row_light};
     use super::*;
+    use crate::train::linear::Basis;
+    use crate::train::search::RowGrid;
+    use crate::train::{TrainGeometry, row_light};
 
     const ROWS: RowGrid = RowGrid {
         first: -539.5,
@@ -348,13 +347,13 @@ mod tests {
     fn a_frame_without_noise_is_fitted_exactly() {
         for (exposure_us, bias_us) in [(125.0, 3.21), (60.0, -512.3), (900.0, 77.7), (4000.0, 0.4)]
         {
-            let truth = Shape {
+            let shape = Shape {
                 bias_us,
                 row_time_us: 10.2,
                 exposure_us,
             };
             let model = model();
-            let y = model.detrend(&frame(&truth, 20.0, 0.0, 0));
+            let y = model.detrend(&frame(&shape, 20.0, 0.0, 0));
             let start = Shape {
                 bias_us: bias_us + 11.0,
                 row_time_us: 10.23,
@@ -371,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prior_holds_what_the_frame_does_not_say() {
+    fn a_prior_determines_what_the_frame_does_not() {
         // One flash in view alone does not give a row time.
         let rows = RowGrid {
             first: -60.0,
@@ -379,14 +378,14 @@ mod tests {
             len: 120,
         };
         let model = Model::new(rows, TrainGeometry::NFOV, Basis::polynomials(120, 2));
-        let truth = Shape {
+        let shape = Shape {
             bias_us: 5.0,
             row_time_us: 10.2,
             exposure_us: 125.0,
         };
         let profile: Vec<f32> = (0..120)
             .map(|i| {
-                let l = row_light(&TrainGeometry::NFOV, &truth, rows.position(i)).value;
+                let l = row_light(&TrainGeometry::NFOV, &shape, rows.position(i)).value;
                 (30.0 * l + 0.2 * noise(i, 3)) as f32
             })
             .collect();
@@ -401,7 +400,7 @@ mod tests {
                 sigma: 1.0,
             }),
         };
-        let fit = model.fit_joint(&[y], &[0.0], &truth, &priors);
+        let fit = model.fit_joint(&[y], &[0.0], &shape, &priors);
         assert!((fit.mean_us - 5.0).abs() < 0.5, "{fit:?}");
         assert!((fit.row_time_us - 10.2).abs() < 0.03, "{fit:?}");
         assert!(fit.row_time_sigma_us > 0.0005, "{fit:?}");

@@ -1,22 +1,22 @@
-//! Frames with flashes, without, and with other light; and what the scene looks
-//! like without flashes.
+//! Classification of frames with flashes, without, and with other light; and the scene
+//! without flashes.
 
 use nalgebra::{DMatrix, DVector, Vector4};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::fit::{FrameFit, Model};
-use super::footage::Footage;
-use super::linear::{Basis, polynomial_columns, side_by_side};
-use super::stats::{mean, median, quantile};
-use super::store::StoredFrame;
-use super::train::{Shape, TrainGeometry, row_light};
+use crate::footage::Footage;
+use crate::footage::store::StoredFrame;
+use crate::stats::{mean, median, quantile};
+use crate::train::fit::{FrameFit, Model};
+use crate::train::linear::{Basis, polynomial_columns, side_by_side};
+use crate::train::{Shape, TrainGeometry, row_light};
 
-/// Degree of what may change against the reference.
+/// Degree of the polynomial that may change against the reference.
 const REFERENCE_DEGREE: usize = 3;
-/// Below this nothing is there.
+/// Significance below which a frame has no flashes.
 const UNSEEN: f64 = 5.0;
-/// Neighbouring rows whose mean tells part of a flash from noise.
+/// Neighbouring rows whose mean distinguishes a part of a flash from noise.
 const DARK_ROWS_TOGETHER: usize = 8;
 /// Frames in which a row must be dark to be its own reference.
 const DARK_ROWS: u32 = 4;
@@ -24,50 +24,53 @@ const DARK_ROWS: u32 = 4;
 /// Class of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum FrameClass {
-    /// Flashes found, used.
+pub(crate) enum FrameClass {
+    /// Has flashes, used.
     Used,
-    /// Flashes found, not among those asked for.
+    /// Has flashes, not among the chosen frames.
     Spare,
     /// No flashes.
     Dark,
     /// Neither clearly with nor clearly without flashes.
     Unclear,
-    /// Room light differs from that of the other frames.
+    /// Has another room light than the other frames.
     Flicker,
 }
 
 /// Counts of the frames of each class.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
+    /// Frames read.
     pub read: usize,
-    /// Frames looked at (fewer than read in long recordings).
+    /// Frames examined (fewer than read in long recordings).
     pub examined: usize,
-    /// With flashes and used.
+    /// Frames with flashes that were used.
     pub used: usize,
-    /// With flashes, not needed.
+    /// Frames with flashes that were not needed.
     pub spare: usize,
-    /// Without flashes.
+    /// Frames without flashes.
     pub without_flashes: usize,
+    /// Frames that are neither clearly with nor clearly without flashes.
     pub unclear: usize,
-    /// Left out because the room light changes.
+    /// Frames left out because the room light changes.
     pub flicker: usize,
 }
 
-/// Source of the smooth part of the brightness.
+/// Source of the scene's brightness without flashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reference {
-    /// The mean of frames without flashes.
+    /// Mean of this number of frames without flashes.
     DarkFrames(usize),
-    /// Row by row, from frames in which the row saw no flash.
+    /// Mean of each row over the frames in which it saw no flash.
     DarkRows,
+    /// A smooth curve in each frame.
     Polynomial,
 }
 
 impl FrameCounts {
-    /// Of the classes of the frames that were looked at, among `read` in all.
-    pub(crate) fn of(seen: &[Seen], read: usize) -> Self {
+    /// Counts the classes of the examined frames; `read` is the number of all frames.
+    pub(crate) fn count(seen: &[Seen], read: usize) -> Self {
         let count = |class| seen.iter().filter(|s| s.class == class).count();
         Self {
             read,
@@ -88,7 +91,7 @@ pub(crate) struct Seen {
     pub(crate) class: FrameClass,
 }
 
-/// The reference, and what may change against it.
+/// Returns the basis of the reference and of the polynomials that may change against it.
 pub(crate) fn with_reference(reference: &[f64]) -> Basis {
     let rows = reference.len();
     let reference = DMatrix::from_column_slice(rows, 1, reference);
@@ -98,7 +101,7 @@ pub(crate) fn with_reference(reference: &[f64]) -> Basis {
     ))
 }
 
-/// Mean of equally long rows.
+/// Returns the mean of rows of equal length.
 pub(crate) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
     rows: impl Iterator<Item = &'a [T]>,
 ) -> Vec<f64> {
@@ -115,7 +118,7 @@ pub(crate) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
     sum
 }
 
-/// Sorts frames; a train must explain at least `share` of a frame.
+/// Classifies frames; a train must explain at least `share` of a frame.
 pub(crate) fn classify(seen: &mut [Seen], share: f64) {
     let amplitudes: Vec<f64> = seen
         .iter()
@@ -134,7 +137,7 @@ pub(crate) fn classify(seen: &mut [Seen], share: f64) {
     }
 }
 
-/// The frames of one class, with what was seen in them.
+/// Returns the frames of one class, with their fits.
 pub(crate) fn frames_of<'a>(
     footage: &'a Footage,
     seen: &'a [Seen],
@@ -144,8 +147,8 @@ pub(crate) fn frames_of<'a>(
     frames.filter(move |(_, s)| s.class == class)
 }
 
-/// Doubts frames that were taken for dark, but have light in rows that are dark in
-/// the frames with flashes: the train's end has only entered the picture. One such
+/// Reclassifies dark frames as unclear if they have light in rows that are dark in
+/// the frames with flashes: the train's end has just entered the picture. One such
 /// frame would put its flash into the scene of all.
 pub(crate) fn recheck_dark(
     footage: &Footage,
@@ -189,8 +192,8 @@ fn light_allowed(seen: &[Seen]) -> f64 {
     0.5 + 0.06 * median(&amplitudes)
 }
 
-/// The scene from what is dark: frames without flashes; or each row from the frames in
-/// which it saw no flash, when every row has some.
+/// Returns the scene from frames without flashes, or each row from the frames in
+/// which it saw no flash, if every row has enough of those.
 pub(crate) fn dark_scene(
     footage: &Footage,
     seen: &[Seen],
@@ -213,8 +216,8 @@ pub(crate) fn dark_scene(
     Some((with_reference(&rows?), Reference::DarkRows))
 }
 
-/// Each row's mean brightness over the frames in which the row saw no flash, where
-/// there are enough of them.
+/// Returns each row's mean brightness over the frames in which it saw no flash, if there are
+/// enough of them.
 fn unlit_rows(
     footage: &Footage,
     seen: &[Seen],
@@ -222,7 +225,7 @@ fn unlit_rows(
     train: &TrainGeometry,
 ) -> Vec<Option<f64>> {
     let mut sums = vec![(0.0, 0u32); footage.rows.len];
-    // A margin of one flash for what the first fit does not know well.
+    // A margin of one flash for the error of the first fit.
     let wide = Shape {
         exposure_us: shape.exposure_us + train.duration_us,
         ..*shape
@@ -241,7 +244,7 @@ fn unlit_rows(
         .collect()
 }
 
-/// Frames whose room light is not that of the others.
+/// Result of the search for frames with another room light.
 pub(crate) struct Flicker {
     pub(crate) peak_to_peak: f64,
     pub(crate) note: String,
@@ -260,14 +263,14 @@ pub(crate) fn mark_flicker(
     shape: &Shape,
 ) -> Option<Flicker> {
     let forms = smooth_forms(model, plain, frames, seen, shape);
-    // What to compare with: frames without flashes, if there are any.
+    // The comparison is with frames without flashes, if there are any.
     let dark = seen.iter().filter(|s| s.class == FrameClass::Dark).count();
     let compared = if dark >= 3 {
         FrameClass::Dark
     } else {
         FrameClass::Used
     };
-    // The median: a few frames in which a flash was missed must not make all others
+    // The median, so that a few frames in which a flash was missed do not make all others
     // look wrong.
     let usual = |k: usize| {
         let forms = forms.iter().zip(&*seen);
@@ -311,7 +314,7 @@ pub(crate) fn mark_flicker(
     })
 }
 
-/// Coefficients of each frame's smooth part, flashes taken off.
+/// Returns the coefficients of each frame's smooth part, with the flashes subtracted.
 fn smooth_forms(
     model: &Model,
     plain: &Basis,
@@ -319,9 +322,9 @@ fn smooth_forms(
     seen: &[Seen],
     shape: &Shape,
 ) -> Vec<DVector<f64>> {
-    // How the light is distributed is the same in all frames; fitted in each frame
-    // on its own it would take a part of the smooth change along when the exposure
-    // is long. Only its strength is left free.
+    // The distribution of the light is the same in all frames. Fitted in each frame
+    // separately, it would absorb a part of the smooth change when the exposure
+    // is long. Only its strength is free.
     let lit = || seen.iter().filter(|s| s.class == FrameClass::Used);
     let usual_light = Vector4::from_fn(|k, _| {
         let values: Vec<f64> = lit().map(|s| s.fit.coefficients[k]).collect();

@@ -1,22 +1,22 @@
-//! A name for bands that repeat at a rate of their own.
+//! Description of bands that repeat at a frequency of their own, like those of a lamp.
 
 use nalgebra::{Complex, DVector};
 
-use super::Settings;
-use super::footage::Footage;
-use super::linear::Basis;
-use super::stats::median;
+use crate::Settings;
+use crate::footage::Footage;
+use crate::stats::median;
+use crate::train::linear::Basis;
 
-/// Frames looked at.
+/// Frames that are examined.
 const FRAMES: usize = 48;
 /// Periods in a frame that are tried, and the step.
 const PERIODS: [f64; 3] = [2.0, 60.0, 0.25];
 /// Share of a frame's structure that the bands must be.
 const SHARE: f64 = 0.25;
-/// How evenly they must move from frame to frame, of 1.
+/// Least coherence of their motion from frame to frame, of 1.
 const COHERENT: f64 = 0.8;
-/// Part of a period by which a light's bands move from frame to frame at least; what moves
-/// less may be anything.
+/// Least motion of a lamp's bands from frame to frame, as a part of a period; slower bands may
+/// be anything.
 const MOVES: f64 = 0.01;
 
 /// Bands that repeat over the rows.
@@ -24,13 +24,13 @@ const MOVES: f64 = 0.01;
 struct Bands {
     /// Distance, in rows.
     rows: f64,
-    /// Part of a period by which they are ahead in the next frame, -0.5 to 0.5.
+    /// Motion from one frame to the next, as a part of a period from -0.5 to 0.5.
     ahead: f64,
-    /// From frame to frame, seconds.
+    /// Time from frame to frame, seconds.
     frame_s: f64,
 }
 
-/// Says how often the bands of a recording repeat, if they do.
+/// Describes the frequency at which the bands of a recording repeat, if they do.
 pub(crate) fn note(footage: &Footage, settings: &Settings) -> Option<String> {
     let bands = bands(footage)?;
     let rate = 1.0 / bands.frame_s;

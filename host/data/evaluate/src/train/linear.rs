@@ -1,20 +1,20 @@
-//! Orthonormal bases of row profiles, and what lies outside of them.
+//! Orthonormal bases of row profiles, and projections on them.
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
 
-/// Columns whose remainder is smaller than this share of them add nothing new.
+/// Least share of a column that is independent of those before it; other columns are dropped.
 const DEPENDENT: f64 = 1e-4;
 
-/// Some columns made orthonormal in turn: `q · r` are the columns of number `kept`.
+/// Result of [`orthonormal`]: `q · r` are the columns with the indices `kept`.
 pub(crate) struct Orthonormal {
     pub(crate) q: DMatrix<f64>,
     pub(crate) r: DMatrix<f64>,
     pub(crate) kept: Vec<usize>,
 }
 
-/// Leaves out each column of which not more than `least` of its own is outside of the
-/// kept columns before it.
+/// Orthonormalises columns one after the other. A column is left out if its part outside of the
+/// kept columns before it is not longer than its entry in `least`.
 pub(crate) fn orthonormal(columns: &DMatrix<f64>, least: &DVector<f64>) -> Orthonormal {
     let mut kept: Vec<usize> = (0..columns.ncols()).collect();
     loop {
@@ -58,7 +58,7 @@ impl Basis {
         &self.columns
     }
 
-    /// Takes the part inside the basis away from each column of `y`.
+    /// Subtracts from each column of `y` its part inside the basis.
     pub(crate) fn remove_from<C: Dim>(&self, y: &mut OMatrix<f64, Dyn, C>)
     where
         DefaultAllocator: Allocator<Dyn, C>,
@@ -67,24 +67,24 @@ impl Basis {
         *y -= inside;
     }
 
-    /// The part of a profile outside the basis.
+    /// Returns the part of a profile outside the basis.
     pub(crate) fn outside(&self, profile: &[f32]) -> DVector<f64> {
         let mut y = DVector::from_iterator(profile.len(), profile.iter().map(|&v| v.into()));
         self.remove_from(&mut y);
         y
     }
 
-    /// Coefficients of the part of `y` inside the basis.
+    /// Returns the coefficients of the part of `y` inside the basis.
     pub(crate) fn coefficients(&self, y: &DVector<f64>) -> DVector<f64> {
         self.columns.tr_mul(y)
     }
 
-    /// The curve with these coefficients.
+    /// Returns the curve with these coefficients.
     pub(crate) fn curve(&self, coefficients: &DVector<f64>) -> DVector<f64> {
         &self.columns * coefficients
     }
 
-    /// The basis for means of `factor` neighbouring rows.
+    /// Returns the basis for means of `factor` neighbouring rows.
     pub(crate) fn binned(&self, factor: usize) -> Self {
         let (rows, columns) = self.columns.shape();
         Self::spanning(&DMatrix::from_fn(rows / factor, columns, |row, column| {
@@ -94,7 +94,7 @@ impl Basis {
     }
 }
 
-/// The columns of both.
+/// Concatenates the columns of both.
 pub(crate) fn side_by_side(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let columns = left.ncols() + right.ncols();
     let mut both = left.clone().resize_horizontally(columns, 0.0);

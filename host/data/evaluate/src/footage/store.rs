@@ -1,17 +1,21 @@
 //! Row profiles of a recording, in bounded memory.
 //!
-//! Profiles are small, but an hour of 4K at 60 fps has many. When the store is
-//! full it drops about half of its frames and from then on keeps only such
-//! frames. Which frames stay is decided by a hash of the frame's number and not by
-//! its being even or a multiple of something: the depth camera may flash on every
-//! second or sixth frame, and a regular choice could see only those.
+//! Profiles are small, but an hour of 4K at 60 fps has many. Each frame draws a random
+//! level, with half as many frames on each level as on the one below. When the store is
+//! full it drops the frames of the lowest level, and ignores such frames from then on. The
+//! choice is random because the depth camera may flash on every second or sixth frame, and a
+//! regular choice could contain only those. The seed is fixed, so that the same recording
+//! gives the same result.
 
-use super::frame::RowProfile;
+use rand_pcg::Pcg64Mcg;
+use rand_pcg::rand_core::{Rng as _, SeedableRng as _};
+
+use crate::footage::frame::RowProfile;
 
 /// Memory for the profiles of one recording, bytes.
 pub(crate) const DEFAULT_CAPACITY: usize = 96 << 20;
 
-/// One kept frame.
+/// One retained frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StoredFrame {
     /// Number of the frame in its recording, from 0.
@@ -22,68 +26,61 @@ pub(crate) struct StoredFrame {
     pub rows: Vec<f32>,
 }
 
-/// Keeps profiles up to a given amount of memory.
+/// Store of profiles, up to a given amount of memory.
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileStore {
-    frames: Vec<StoredFrame>,
+    /// Each with its level.
+    frames: Vec<(u32, StoredFrame)>,
     capacity: usize,
     bytes: usize,
-    /// Frames are kept whose hash ends in so many zero bits.
+    /// Lowest level that is retained.
     level: u32,
+    random: Pcg64Mcg,
 }
 
 impl ProfileStore {
-    /// A store of `capacity` bytes; at least 64 frames are kept in any case.
+    /// Creates a store of `capacity` bytes; at least 64 frames are retained in any case.
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
             frames: Vec::new(),
             capacity,
             bytes: 0,
             level: 0,
+            random: Pcg64Mcg::seed_from_u64(0),
         }
     }
 
-    /// Keeps the frame, or not.
+    /// Adds the next frame, or ignores it if its level is too low.
     pub(crate) fn push(&mut self, index: usize, time_s: f64, profile: &RowProfile) {
-        if hash(index).trailing_zeros() < self.level {
+        let level = self.random.next_u64().trailing_zeros();
+        if level < self.level {
             return;
         }
         self.bytes += size_of_val(profile.rows.as_slice());
-        self.frames.push(StoredFrame {
+        let rows = profile.rows.clone();
+        let frame = StoredFrame {
             index,
             time_s,
-            rows: profile.rows.clone(),
-        });
+            rows,
+        };
+        self.frames.push((level, frame));
         while self.bytes > self.capacity && self.frames.len() > 128 {
             self.level += 1;
-            let level = self.level;
-            self.frames
-                .retain(|f| hash(f.index).trailing_zeros() >= level);
-            self.bytes = self
-                .frames
-                .iter()
-                .map(|f| size_of_val(f.rows.as_slice()))
-                .sum();
+            self.frames.retain(|(level, _)| *level >= self.level);
+            let sizes = self.frames.iter();
+            self.bytes = sizes.map(|(_, f)| size_of_val(f.rows.as_slice())).sum();
         }
     }
 
-    /// One frame in this many was kept, on average.
+    /// Returns n where one in n frames was retained, on average.
     pub(crate) fn one_in(&self) -> u64 {
         1u64.checked_shl(self.level).unwrap_or(u64::MAX)
     }
 
-    /// The kept frames, in order.
+    /// Returns the retained frames, in order.
     pub(crate) fn into_frames(self) -> Vec<StoredFrame> {
-        self.frames
+        self.frames.into_iter().map(|(_, frame)| frame).collect()
     }
-}
-
-/// SplitMix64's finaliser: neighbouring numbers give unrelated bits.
-fn hash(index: usize) -> u64 {
-    let mut z = (index as u64).wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]
@@ -106,11 +103,12 @@ mod tests {
         let frames = store.into_frames();
         assert!((300..=1000).contains(&frames.len()), "{}", frames.len());
         assert!(frames.is_sorted_by_key(|f| f.index));
-        let mut of_six = [0; 6];
+        let mut by_remainder = [0; 6];
         for f in &frames {
-            of_six[f.index % 6] += 1;
+            by_remainder[f.index % 6] += 1;
         }
-        assert!(of_six.iter().all(|&n| n > frames.len() / 12), "{of_six:?}");
+        let least = frames.len() / 12;
+        assert!(by_remainder.iter().all(|&n| n > least), "{by_remainder:?}");
     }
 
     #[test]

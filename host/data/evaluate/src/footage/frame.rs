@@ -1,6 +1,6 @@
-//! One frame, reduced to the mean brightness of its sensor rows.
+//! Reduction of a frame to the mean brightness of its sensor rows.
 //!
-//! A frame is reduced as soon as it arrives and then forgotten: a minute of 4K
+//! A frame is reduced as soon as it arrives and then dropped: a minute of 4K
 //! video needs as little memory as a second of it, apart from the profiles.
 
 use std::fmt;
@@ -10,13 +10,14 @@ use serde::Serialize;
 
 use recording::profile::Direction;
 
-use super::EvaluateError;
+use crate::EvaluateError;
 
 /// An 8-bit grey image, row by row without gaps.
 #[derive(Debug, Clone, Copy)]
 pub struct GreyView<'a> {
     /// Pixels in an image row.
     pub width: usize,
+    /// Number of image rows.
     pub height: usize,
     /// `width · height` grey levels.
     pub pixels: &'a [u8],
@@ -25,9 +26,13 @@ pub struct GreyView<'a> {
 /// A rectangle of the image, in image pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Region {
+    /// Left edge.
     pub x: usize,
+    /// Upper edge.
     pub y: usize,
+    /// Width.
     pub width: usize,
+    /// Height.
     pub height: usize,
 }
 
@@ -62,9 +67,9 @@ impl FromStr for Region {
     }
 }
 
-/// Fewer rows than this do not hold two flashes of any sensor.
+/// Least number of rows: fewer do not contain two flashes of any sensor.
 pub(crate) const MIN_ROWS: usize = 64;
-/// Larger sides are refused: a damaged header must not allocate gigabytes.
+/// Longest side of an image, so that a damaged header does not allocate gigabytes.
 pub(crate) const MAX_SIDE: usize = phone::video::MAX_SIDE as usize;
 
 /// Mean brightness of the used rows of one frame.
@@ -76,7 +81,7 @@ pub(crate) struct RowProfile {
     pub(crate) saturated: f32,
 }
 
-/// Turns frames of one size into row profiles.
+/// Reducer of frames of one size to row profiles.
 #[derive(Debug, Clone)]
 pub(crate) struct RowReducer {
     pub(crate) width: usize,
@@ -87,8 +92,8 @@ pub(crate) struct RowReducer {
 }
 
 impl RowReducer {
-    /// For frames of `width` × `height` pixels; `region` is in image pixels, and
-    /// grey levels of `white` and above count as saturated.
+    /// Creates a reducer for frames of `width` × `height` pixels; `region` is in image pixels,
+    /// and grey levels of `white` and above count as saturated.
     pub(crate) fn new(
         width: usize,
         height: usize,
@@ -134,7 +139,7 @@ impl RowReducer {
         matches!(self.readout, Direction::Left | Direction::Up)
     }
 
-    /// Rows of the whole sensor picture.
+    /// Returns the number of rows of the whole sensor.
     pub(crate) fn sensor_rows(&self) -> usize {
         if self.rows_are_columns() {
             self.width
@@ -143,7 +148,7 @@ impl RowReducer {
         }
     }
 
-    /// Rows inside the region.
+    /// Returns the number of rows inside the region.
     pub(crate) fn used_rows(&self) -> usize {
         if self.rows_are_columns() {
             self.region.width
@@ -152,7 +157,7 @@ impl RowReducer {
         }
     }
 
-    /// Number, in read-out order, of the first used row.
+    /// Returns the number, in read-out order, of the first used row.
     pub(crate) fn first_row(&self) -> usize {
         let (start, length) = if self.rows_are_columns() {
             (self.region.x, self.region.width)
@@ -166,7 +171,7 @@ impl RowReducer {
         }
     }
 
-    /// Line of a sensor row in the image, and true if rows run along columns.
+    /// Returns the line of a sensor row in the image, and true if rows are image columns.
     pub(crate) fn image_line(&self, sensor_row: f64) -> (f64, bool) {
         let line = if self.reversed() {
             self.sensor_rows() as f64 - 1.0 - sensor_row

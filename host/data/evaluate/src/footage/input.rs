@@ -1,4 +1,4 @@
-//! The video of a recording, and what its `session.json` says about the alignment.
+//! The video of a recording, and the alignment in its `session.json`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,18 +8,18 @@ use recording::depth_files::is_mkv;
 use recording::folder::entries;
 use recording::session_file::SessionFile;
 
-use super::EvaluateError;
+use crate::EvaluateError;
 
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Applied {
-    /// What was subtracted: the constant bias, and a shift on purpose, µs.
+    /// Bias that was subtracted: the constant one and the intended shift, µs.
     pub bias_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
 }
 
-/// An input made definite: a recording's folder stands for its video.
+/// The video that an input (a video, or the folder of a recording) stands for.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Input {
     pub path: PathBuf,
@@ -37,9 +37,10 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
     let session = session.map(SessionFile::load).transpose()?;
     let reference = |session: &SessionFile| session.phone_folder(&session.profile.phone.name);
     Ok(Input {
-        path: match is_folder {
-            true => video_in(&path.join(session.as_ref().map_or_else(PathBuf::new, reference)))?,
-            false => path.to_owned(),
+        path: if is_folder {
+            video_in(&path.join(session.as_ref().map_or_else(PathBuf::new, reference)))?
+        } else {
+            path.to_owned()
         },
         applied: session.and_then(|s| s.alignment).map(|alignment| Applied {
             bias_us: alignment.bias_us + alignment.shift_us,
@@ -141,7 +142,7 @@ mod tests {
         let found = resolve(dir.path()).unwrap().path;
         assert_eq!(found, video(&session.profile.phone.name));
 
-        // Nor is it below a folder of which nothing is said.
+        // Without a session, the folders of phones are not searched.
         std::fs::remove_file(dir.path().join(SESSION_FILE)).unwrap();
         let e = resolve(dir.path()).unwrap_err().to_string();
         assert!(e.contains("no video"), "{e}");

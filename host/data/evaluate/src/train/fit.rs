@@ -9,34 +9,33 @@
 //! where `T` is the light of the train ([`row_light`]) for a train centre, a row
 //! time and an exposure, and `x` the row's place in `-1..=1`. The smooth part is
 //! the reference frame and polynomials, or polynomials alone. `c1` and `c2` let
-//! the light vary over the picture, `c3` takes a camera's tone curve up: it is
-//! symmetric about each flash and moves nothing. All these enter linearly and are
+//! the light vary over the picture, `c3` models a camera's tone curve: it is
+//! symmetric about each flash and shifts nothing. All these enter linearly and are
 //! eliminated (variable projection, with Kaufman's Jacobian); what is left is one
 //! train centre per frame, and a row time and an exposure shared by all frames
-//! ([`super::joint`]).
+//! ([`crate::train::joint`]).
 //!
 //! Uncertainty comes from the residuals themselves, not from an assumed noise:
 //! each parameter's error is a known weighted sum of the rows' errors, and the
-//! variance of that sum is taken with the correlation of neighbouring rows
+//! variance of that sum includes the correlation of neighbouring rows
 //! ([`variance_of_sum`]).
 
 use nalgebra::{DMatrix, DVector, MatrixXx3, Vector4};
 
-use super::linear::{Basis, Orthonormal, orthonormal, unit_places};
-use super::search::RowGrid;
-use super::stats::{correlation_inflation, variance_of_sum};
-use super::train::{Shape, TrainGeometry, row_light};
+use crate::stats::{correlation_inflation, variance_of_sum};
+use crate::train::linear::{Basis, Orthonormal, orthonormal, unit_places};
+use crate::train::search::RowGrid;
+use crate::train::{Shape, TrainGeometry, row_light};
 
-/// Correlation length of row errors that is allowed for: one and a half blocks of
-/// a video encoder.
+/// Correlation length of row errors: one and a half blocks of a video encoder.
 pub(crate) const ROW_LAG: usize = 24;
-/// Correlation length in the test whether there are flashes at all: pictures of
-/// ordinary scenes are smooth over many rows.
+/// Correlation length in the detection of flashes: pictures of ordinary scenes are smooth over
+/// many rows.
 const DETECTION_LAG: usize = 64;
-/// Standard deviations from which a train counts as seen.
+/// Least significance of a train, in standard deviations.
 const SEEN: f64 = 8.0;
-/// A term of the light of which a smaller share is its own, beside the smooth part and
-/// the terms before, is left out.
+/// Least share of a term of the light that is independent of the smooth part and of the terms
+/// before it; other terms are left out.
 const DEPENDENT: f64 = 2e-3;
 
 /// The model of one recording's frames.
@@ -55,11 +54,11 @@ pub(crate) struct Model {
 pub(crate) struct FrameFit {
     /// Centre of the train, µs after the middle row's centre of exposure.
     pub(crate) bias_us: f64,
-    /// Sum of squares that is left.
+    /// Residual sum of squares.
     pub(crate) rss: f64,
     /// Share of the sum of squares outside the smooth part that the train explains.
     pub(crate) share: f64,
-    /// The same for differences of rows a flash apart: what is smooth but no
+    /// The same share for differences of rows one flash apart: structure that is smooth but no
     /// polynomial (ordinary scenes, lamps) is not explained by the sharp edges of
     /// flashes.
     pub(crate) edge_share: f64,
@@ -69,16 +68,16 @@ pub(crate) struct FrameFit {
     pub(crate) amplitude: f64,
     /// Coefficients of the train's light: constant, place, place², own light.
     pub(crate) coefficients: Vector4<f64>,
-    /// Standard uncertainty of `bias_us` with row time and exposure held, µs.
+    /// Standard uncertainty of `bias_us` at fixed row time and exposure, µs.
     pub(crate) sigma_us: f64,
-    /// By how much correlation between rows raises a variance.
+    /// Factor by which correlation between rows raises a variance.
     pub(crate) inflation: f64,
     /// Mean of the fitted light of the flashes, grey levels.
     pub(crate) mean_light: f64,
 }
 
 impl FrameFit {
-    /// True if it is a train of flashes that explains at least `share` of the frame.
+    /// Returns true if this is a train of flashes that explains at least `share` of the frame.
     pub(crate) fn is_train(&self, share: f64) -> bool {
         let explained = self.share.min(self.edge_share);
         self.significance >= SEEN && explained >= share && self.amplitude > 0.0
@@ -89,7 +88,7 @@ impl FrameFit {
 pub(crate) struct Local {
     pub(crate) residuals: DVector<f64>,
     pub(crate) rss: f64,
-    /// By train centre, row time and exposure.
+    /// Derivatives with respect to train centre, row time and exposure.
     pub(crate) by: MatrixXx3<f64>,
     mean_light: f64,
     amplitude: f64,
@@ -98,7 +97,7 @@ pub(crate) struct Local {
 }
 
 impl Model {
-    /// A model; `smooth` must have as many rows as `rows`.
+    /// Creates a model; `smooth` must have as many rows as `rows`.
     pub(crate) fn new(rows: RowGrid, train: TrainGeometry, smooth: Basis) -> Self {
         Self {
             rows,
@@ -108,7 +107,7 @@ impl Model {
         }
     }
 
-    /// A profile without its smooth part.
+    /// Returns a profile without its smooth part.
     pub(crate) fn detrend(&self, profile: &[f32]) -> DVector<f64> {
         self.smooth.outside(profile)
     }
@@ -160,7 +159,8 @@ impl Model {
         }
     }
 
-    /// Terms that the amplitude's coefficients multiply, for flashes seen by each row.
+    /// Returns the terms that the amplitude's coefficients multiply, for the flashes that each
+    /// row sees.
     fn terms(&self, value: &DVector<f64>) -> DMatrix<f64> {
         DMatrix::from_fn(value.len(), 4, |i, k| {
             let (t, x) = (value[i], self.places[i]);
@@ -173,7 +173,7 @@ impl Model {
         })
     }
 
-    /// Fits the train's centre in one frame, with row time and exposure held.
+    /// Fits the train's centre in one frame at fixed row time and exposure.
     pub(crate) fn fit_frame(&self, y: &DVector<f64>, start: &Shape) -> FrameFit {
         let (shape, local) = self.descend(y, start);
         let total = y.norm_squared();
@@ -213,7 +213,7 @@ impl Model {
         }
     }
 
-    /// Moves the train's centre downhill until it stays (Gauss-Newton).
+    /// Moves the train's centre to the minimum (Gauss-Newton).
     fn descend(&self, y: &DVector<f64>, start: &Shape) -> (Shape, Local) {
         let mut shape = *start;
         let mut local = self.local(y, &shape);
@@ -243,20 +243,21 @@ impl Model {
         (shape, local)
     }
 
-    /// Light of the train at `shape` with given coefficients, grey levels a row.
+    /// Returns the light of the train at `shape` with given coefficients, grey levels of each
+    /// row.
     pub(crate) fn light(&self, shape: &Shape, coefficients: &Vector4<f64>) -> DVector<f64> {
         let seen = |i| row_light(&self.train, shape, self.rows.position(i)).value;
         self.terms(&DVector::from_fn(self.rows.len, |i, _| seen(i))) * coefficients
     }
 
-    /// Rows less the parameters that were fitted to them.
+    /// Returns the number of rows minus that of the fitted parameters.
     pub(crate) fn freedom(&self, parameters: usize) -> f64 {
         let used = self.smooth.columns().ncols() + parameters;
         self.rows.len.saturating_sub(used).max(1) as f64
     }
 }
 
-/// Sum of squares of differences of values `apart` places apart.
+/// Sum of squares of the differences of values `apart` rows apart.
 fn edge_energy(values: &DVector<f64>, apart: usize) -> f64 {
     let later = values.iter().skip(apart);
     values.iter().zip(later).map(|(a, b)| (b - a).powi(2)).sum()

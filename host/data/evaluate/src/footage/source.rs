@@ -8,33 +8,39 @@ use std::path::PathBuf;
 pub use timestamps::{FrameTimes, read_timestamps};
 pub(crate) use video::Video;
 
-use super::EvaluateError;
-use super::frame::GreyView;
+use crate::EvaluateError;
+use crate::footage::frame::GreyView;
 
-/// Facts of an input before its first frame.
+/// Properties of a source that are known before its first frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
+    /// Path of the video.
     pub path: PathBuf,
     /// Pixels in an image row.
     pub width: usize,
+    /// Number of image rows.
     pub height: usize,
     /// Grey level from which a pixel counts as saturated.
     pub white: u8,
-    /// Frames that the file says it holds.
+    /// Number of frames by the file's header.
     pub frames: Option<u64>,
-    /// When each frame was taken.
+    /// Times of the frames.
     pub times: FrameTimes,
     /// True if the frames went through a video encoder.
     pub encoded: bool,
-    /// Remarks for the user about the input; after the last frame also about how it ended.
+    /// Remarks for the user about the input; after the last frame also about its end.
     pub notes: Vec<String>,
 }
 
-/// Frames one after the other. Memory is that of one frame.
+/// Source of frames one after the other, which needs the memory of one frame.
 pub trait FrameSource {
-    /// Facts of the input.
+    /// Returns the properties of the source.
     fn info(&self) -> &SourceInfo;
 
-    /// The next frame, or `None` at the end.
+    /// Reads the next frame; returns `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the frame cannot be read.
     fn next_frame(&mut self) -> Result<Option<GreyView<'_>>, EvaluateError>;
 }

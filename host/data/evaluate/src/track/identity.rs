@@ -1,27 +1,26 @@
 //! Assignment of flashes to bands.
 //!
-//! A frame that shows only the inner part of a train fits as well with the train
+//! A frame that shows only the inner part of a train fits equally well with the train
 //! moved by whole pitches. First all frames are put on one continuous track, then
 //! the track as a whole is moved to where the train's ends fit. Without an end in
-//! view several places remain; they are all stated, and the one nearest to the
-//! expected place is taken. The exposure is open in the same way: one that is
-//! longer by a pitch moves the bands by half a pitch and changes nothing else but
-//! the level.
+//! view several positions remain; the result states them all and uses the one nearest to the
+//! expected bias. The exposure is ambiguous in the same way: one that is
+//! longer by a pitch moves the bands by half a pitch and changes only the level.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::Settings;
-use super::fit::{FrameFit, Model};
-use super::stats::{mean, spread};
-use super::train::Shape;
+use crate::Settings;
+use crate::stats::{evenly_spaced, mean};
+use crate::train::Shape;
+use crate::train::fit::{FrameFit, Model};
 
 /// Frames on which the assignment is judged.
 const FRAMES: usize = 16;
 /// Margin (χ²) by which one assignment of flashes must fit better than another.
 const DECIDED: f64 = 25.0;
-/// Longest exposure thought of, µs.
+/// Longest exposure that is considered, µs.
 const MAX_EXPOSURE_US: f64 = 8500.0;
 /// Largest distance of the level over dark frames from a whole number of flashes.
 const LEVEL_TOLERANCE: f64 = 0.3;
@@ -29,9 +28,9 @@ const LEVEL_TOLERANCE: f64 = 0.3;
 /// Assignment of flashes to bands.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identity {
-    /// True if the frames decide it.
+    /// True if only one assignment fits the frames.
     pub unique: bool,
-    /// All that fit; the first is the one taken.
+    /// All assignments that fit; the first is used.
     pub candidates: Vec<Candidate>,
 }
 
@@ -40,12 +39,12 @@ pub struct Identity {
 pub struct Candidate {
     /// Mean centre of the train over the used frames, µs.
     pub bias_us: f64,
-    /// Exposure that belongs to it, µs.
+    /// Exposure of the assignment, µs.
     pub exposure_us: f64,
 }
 
-/// Puts the frames on one track: between neighbours the train moves as little as
-/// the recent course allows, never by a whole pitch unseen.
+/// Puts the frames on one track: each is moved by whole pitches to the position nearest to the
+/// continuation of the recent frames.
 pub(crate) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) {
     let mut recent: Vec<(f64, f64)> = Vec::new();
     for (fit, &time) in fits.iter_mut().zip(times) {
@@ -62,8 +61,8 @@ pub(crate) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) 
     }
 }
 
-/// One way to read the frames: an exposure longer by `extra` pitches, and the
-/// track moved by `pitches` whole pitches (and half a one for odd `extra`).
+/// One interpretation of the frames: an exposure longer by `extra` pitches, and the
+/// track moved by `pitches` whole pitches (and by half a pitch more for odd `extra`).
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Reading {
     extra: i32,
@@ -90,7 +89,7 @@ pub(crate) fn identify(
 ) -> Identity {
     let pitch = settings.train.pitch_us;
     let reach = settings.train.count as i32 - 1;
-    let asked = spread(fits.len(), FRAMES);
+    let asked = evenly_spaced(fits.len(), FRAMES);
     let center = mean(&fits.iter().map(|f| f.bias_us).collect::<Vec<_>>());
     let expected = settings.near_us + settings.path_delay_us;
     let exposure = |extra: i32| shape.exposure_us + f64::from(extra) * pitch;
@@ -106,7 +105,7 @@ pub(crate) fn identify(
         .iter()
         .filter_map(|&i| Some((model.detrend(profiles.get(i)?), fits.get(i)?)))
         .collect();
-    // χ² of each reading, mean over frames: neighbouring rows' errors and errors
+    // χ² of each reading as a mean over frames, so that errors of neighbouring rows and errors
     // that all frames share count only once.
     let scores: Vec<f64> = readings
         .par_iter()
@@ -132,7 +131,7 @@ pub(crate) fn identify(
         .filter(|(_, s)| **s <= best + DECIDED)
         .map(|(&r, _)| r)
         .collect();
-    // The shortest exposure, then the place nearest to the expected one.
+    // The shortest exposure, then the position nearest to the expected one.
     let distance = |r: &Reading| (center + r.shift_us(pitch) - expected).abs();
     fitting
         .sort_by(|a, b| (a.extra.cmp(&b.extra)).then_with(|| distance(a).total_cmp(&distance(b))));
@@ -151,11 +150,11 @@ pub(crate) fn identify(
     }
 }
 
-/// By how many pitches the exposure may be longer than the fitted one.
+/// Returns the numbers of pitches by which the exposure may be longer than the fitted one.
 ///
-/// A row exposed for one pitch more sees one flash more, wherever it is: inside
-/// the train nothing but the level changes, and the bands move by half a pitch.
-/// The level tells, when there are frames without flashes to compare with.
+/// A row exposed for one more pitch sees one more flash, wherever it is: inside
+/// the train only the level changes, and the bands move by half a pitch.
+/// The level decides if there are frames without flashes for comparison.
 fn extras(fits: &[FrameFit], shape: &Shape, excess: Option<f64>, settings: &Settings) -> Vec<i32> {
     let pitch = settings.train.pitch_us;
     let exposure = |extra: i32| shape.exposure_us + f64::from(extra) * pitch;
