@@ -310,7 +310,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
 /// Lets the reports of recordings lead to an evaluation in their folder.
 fn show_in_recordings(inputs: &[PathBuf], page: &Path) {
     for folder in inputs {
-        if let Err(error) = report::session::lead_to(folder, page) {
+        if let Err(error) = report::session::link_page(folder, page) {
             tracing::warn!("the report of {} is as it was: {error}", folder.display());
         }
     }

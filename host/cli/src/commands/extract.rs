@@ -146,7 +146,7 @@ pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, F
     report::extraction::write(&job.out, &report, folder)
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     // The recording may lie where nothing can be written.
-    if let Err(error) = report::session::lead_to(folder, &job.out.join(REPORT_FILE)) {
+    if let Err(error) = report::session::link_page(folder, &job.out.join(REPORT_FILE)) {
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {

@@ -8,7 +8,7 @@ use crate::session::board_fact;
 use crate::summary::Summary;
 use board::finding::{Finding, Severity};
 
-/// The checks with their limits.
+/// Returns the summary of a board test: each check with its limit.
 #[must_use]
 pub fn summary(report: &BoardTestReport) -> Summary {
     let count = |severity| report.count(severity);
@@ -31,7 +31,7 @@ pub fn summary(report: &BoardTestReport) -> Summary {
             "" => finding.text.clone(),
             limit => format!("{} (must be: {limit})", finding.text),
         };
-        // A reason that a check may fail for is of no use once it has passed.
+        // The next step after a failure is of no use if the check has passed.
         let is_good = finding.severity == Severity::Good;
         let next_step = finding.next_step.clone().filter(|_| !is_good);
         Finding {
@@ -49,7 +49,7 @@ pub fn summary(report: &BoardTestReport) -> Summary {
     }
 }
 
-/// The report as a self-contained HTML page.
+/// Returns the report of a board test as a self-contained HTML page.
 #[must_use]
 pub fn page(report: &BoardTestReport) -> String {
     let mut page = Page::new(&summary(report));

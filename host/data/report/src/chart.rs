@@ -27,11 +27,11 @@ const LETTER: i32 = 13;
 /// Left end of the legend, pixels.
 const LEFT: i32 = 70;
 
-/// The largest number that is drawn: above any time in seconds and any count of this
-/// program, and far below where the steps of an axis are lost to rounding.
+/// Largest number that is drawn: above any time in seconds and any count of this
+/// program, and far below numbers at which the steps of an axis are lost to rounding.
 const MOST: f64 = 1e12;
 
-/// The smallest part of a place on the x-axis that a chart is wide.
+/// Least width of a chart, relative to the position on the x-axis.
 const NARROWEST: f64 = 1e-9;
 
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
@@ -42,18 +42,18 @@ const COLOURS: [RGBColor; 4] = [
     RGBColor(204, 121, 167),
 ];
 
-/// What is drawn.
+/// Data of one series in a chart.
 #[derive(Clone, Debug)]
 pub enum Data {
-    /// A line through points.
+    /// A line through points (x, y).
     Line(Vec<(f64, f64)>),
-    /// Points by themselves.
+    /// Separate points (x, y).
     Points(Vec<(f64, f64)>),
-    /// The range of values in each column, and the columns' width.
+    /// Range of the values in each column, and width of the columns.
     Range(Vec<Column>, f64),
-    /// Points with an error bar.
+    /// Points with error bars: (x, y, half the length of the bar).
     Bars(Vec<(f64, f64, f64)>),
-    /// A band about a line, of so much to each side.
+    /// A band about a line: (x, y, half the height of the band).
     Band(Vec<(f64, f64, f64)>),
 }
 
@@ -64,7 +64,7 @@ fn is_drawn(value: f64) -> bool {
 }
 
 impl Data {
-    /// Takes out what cannot be drawn, and says how much that was.
+    /// Removes values that cannot be drawn; returns their number.
     fn leave_out_wild(&mut self) -> usize {
         fn retain<T>(all: &mut Vec<T>, is_drawn: impl FnMut(&T) -> bool) -> usize {
             let before = all.len();
@@ -87,7 +87,7 @@ impl Data {
         }
     }
 
-    /// How much its areas hide of what is below, 0 to 1.
+    /// Returns the opacity of its areas, 0 to 1.
     const fn opacity(&self) -> f64 {
         match self {
             Self::Range(..) => 0.8,
@@ -134,18 +134,19 @@ struct Chart<'a> {
     counts: bool,
 }
 
-/// Shows no more values than there are.
+/// Least range for [`series`] that adds nothing to the range of the values.
 pub const AS_IT_IS: Range<f64> = f64::NAN..f64::NAN;
 
-/// A drawing of named series over one pair of axes. `least` is the smallest range of values
-/// that is shown, so that noise of a tick does not fill the picture; if a drawing has nothing
-/// to show it is empty.
+/// Draws named series over one pair of axes, as SVG. `least` is a range of values that is shown
+/// in any case, so that noise of a tick does not fill the picture. Returns an empty string if
+/// there is nothing to draw.
 #[must_use]
 pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: Vec<(&str, Data)>) -> String {
     chart([x_label, y_label], least, all, false)
 }
 
-/// A drawing of bars over bins of equal width: `first` is the left end of the first.
+/// Draws a histogram of counts in bins of width `bin`, the first of which begins at `first`, as
+/// SVG. `labels` are those of the axes.
 #[must_use]
 pub fn histogram(labels: [&str; 2], (first, bin): (f64, f64), counts: &[u64]) -> String {
     let counts = counts.iter().enumerate();
@@ -179,7 +180,7 @@ fn chart(labels: [&str; 2], least: Range<f64>, all: Vec<(&str, Data)>, counts: b
     };
     let mut ys = ys.start.min(least.start)..ys.end.max(least.end);
     let height = (ys.end - ys.start).max(1e-6 * (1.0 + ys.end.abs()));
-    // What begins at nothing stands on the axis.
+    // Values that begin at zero stand on the axis.
     if ys.start != 0.0 {
         ys.start -= 0.06 * height;
     }
@@ -209,7 +210,7 @@ fn chart(labels: [&str; 2], least: Range<f64>, all: Vec<(&str, Data)>, counts: b
     svg
 }
 
-/// Named values as bars beside each other's length, each with its value in words.
+/// Draws named values as horizontal bars, each with its value in words, as SVG.
 #[must_use]
 pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
     const ROW: i32 = 64;
@@ -225,9 +226,10 @@ pub fn bars(values: &[(&str, f64)], words: impl Fn(f64) -> String) -> String {
     );
     let RGBColor(red, green, blue) = COLOURS[0];
     for (row, (name, value)) in (0..).zip(drawn) {
-        let length = match most > 0.0 {
-            true => f64::from(width) * value.abs() / most,
-            false => 0.0,
+        let length = if most > 0.0 {
+            f64::from(width) * value.abs() / most
+        } else {
+            0.0
         };
         let top = row * ROW;
         svg += &format!(
@@ -245,11 +247,11 @@ type Area<'svg> = DrawingArea<SVGBackend<'svg>, Shift>;
 type Axes<'area, 'svg> =
     ChartContext<'area, SVGBackend<'svg>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// The backend's own error type is not worth naming: it cannot fail.
+/// Result of drawing; the error type is boxed, because the backend writes text and cannot fail.
 type Drawn<T> = Result<T, Box<dyn std::error::Error>>;
 
 impl Chart<'_> {
-    /// Left end and line of each name in the legend, and how many lines it has.
+    /// Returns left end and line of each name in the legend, and the number of its lines.
     fn legend(&self) -> (Vec<(i32, i32)>, i32) {
         let (mut x, mut line) = (LEFT, 0);
         let places = self.series.iter().map(|(name, _)| {
@@ -290,10 +292,14 @@ impl Chart<'_> {
     fn draw_axes(&self, area: &Area<'_>) -> Drawn<()> {
         let (xs, ys) = (&self.xs, &self.ys);
         let x_text = |v: &f64| tick(*v, xs);
-        let y_text = |v: &f64| match self.counts {
-            false => tick(*v, ys),
-            true if (v - v.round()).abs() < 1e-6 => format!("{v:.0}"),
-            true => String::new(),
+        let y_text = |v: &f64| {
+            if !self.counts {
+                tick(*v, ys)
+            } else if (v - v.round()).abs() < 1e-6 {
+                format!("{v:.0}")
+            } else {
+                String::new()
+            }
         };
         let mut axes = ChartBuilder::on(area)
             .margin(10)
@@ -319,7 +325,7 @@ impl Chart<'_> {
     }
 }
 
-/// A sample of a series beside its name in the legend.
+/// Draws a sample of a series beside its name in the legend.
 fn swatch(area: &Area<'_>, data: &Data, colour: RGBColor, (x, middle): (i32, i32)) -> Drawn<()> {
     match data {
         Data::Line(_) => {
@@ -340,7 +346,7 @@ fn swatch(area: &Area<'_>, data: &Data, colour: RGBColor, (x, middle): (i32, i32
     Ok(())
 }
 
-/// A tick's number with as many digits as the axis needs.
+/// Formats the number at a tick with as many digits as the axis needs.
 fn tick(value: f64, shown: &Range<f64>) -> String {
     let digits = (2.0 - (shown.end - shown.start).log10()).clamp(0.0, 9.0);
     let text = format!("{value:.0$}", digits as usize);
@@ -404,7 +410,7 @@ mod tests {
         let line = Data::Line(vec![(1.0, 2.0)]);
         let svg = series("x", "y", 0.0..1.0, vec![("<a>", line)]);
         assert!(svg.starts_with("<svg"), "{svg}");
-        // What cannot be drawn is said.
+        // Values that cannot be drawn are reported.
         let wild = Data::Points(vec![(1.0, f64::NAN)]);
         let svg = series("x", "y", 0.0..1.0, vec![("", wild)]);
         assert!(svg.contains("1 too large to be drawn"), "{svg}");

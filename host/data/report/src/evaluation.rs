@@ -20,8 +20,8 @@ use crate::summary::{Facts, Summary};
 use board::finding::{Finding, Severity};
 use recording::error_budget::{COARSE_US, ErrorPart, together};
 
-/// The report of a precision measurement, with pictures of one of its recordings, for the file
-/// `out`.
+/// Returns the page of a precision measurement, with pictures of one of its recordings. `out` is
+/// its future path, for the links.
 #[must_use]
 pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &Path) -> String {
     let mut page = Page::new(&precision_summary(result));
@@ -37,7 +37,7 @@ pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &P
     page.html()
 }
 
-/// The report of a drift measurement, for the file `out`.
+/// Returns the page of a drift measurement; `out` is its future path, for the links.
 #[must_use]
 pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String {
     let mut page = Page::new(&drift_summary(&drift.result));
@@ -51,13 +51,13 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String 
     page.html()
 }
 
-/// The link to the report of the recording that a video lies in.
+/// Returns the link to the report of the recording that contains a video.
 fn recording_link(video: &Path, out: &Path) -> Option<(String, String)> {
     let from = system::folder_of(out);
     link_to(video, from).or_else(|| link_to(system::folder_of(video), from))
 }
 
-/// The frame with lines where the flashes were found, and a drawing of the fit.
+/// Adds the frame with lines at the flashes, and the drawing of the fit.
 fn pictures(page: &mut Page, shown: &Shown) {
     page.section("Frame with the rows found");
     let index = shown.picture.index;
@@ -76,7 +76,8 @@ fn pictures(page: &mut Page, shown: &Shown) {
     page.figure(&plot::profile(shown), caption);
 }
 
-/// Bias, spread and row time over all recordings, and each recording.
+/// Returns the summary of a precision measurement: bias, scatter and row time over all
+/// recordings, and each recording.
 #[must_use]
 pub fn precision_summary(result: &Precision) -> Summary {
     let mut facts = Facts::new();
@@ -155,7 +156,7 @@ pub fn precision_summary(result: &Precision) -> Summary {
     }
 }
 
-/// Figures of a long recording.
+/// Returns the summary of a drift measurement.
 #[must_use]
 pub fn drift_summary(r: &Drift) -> Summary {
     let mut facts = Facts::new();
@@ -213,7 +214,7 @@ pub fn drift_summary(r: &Drift) -> Summary {
     }
 }
 
-/// What is to be known about a recording.
+/// Returns the remarks about a recording as findings.
 fn remarks(name: &str, identity: &Identity, notes: &[String]) -> Vec<Finding> {
     let open = (!identity.unique).then(|| {
         let flashes = identity_text(identity);
@@ -223,7 +224,7 @@ fn remarks(name: &str, identity: &Identity, notes: &[String]) -> Vec<Finding> {
     notes.map(|note| Finding::check(name, note)).collect()
 }
 
-/// Assignment of flashes to bands, where that is open, in words.
+/// Describes an ambiguous assignment of flashes to bands.
 fn identity_text(identity: &Identity) -> String {
     let candidates = identity.candidates.iter();
     let candidates: Vec<String> = candidates.map(|c| format!("{:+.1}", c.bias_us)).collect();
@@ -237,7 +238,7 @@ fn identity_text(identity: &Identity) -> String {
     )
 }
 
-/// The part of the recording that was found by itself, in words.
+/// Describes the part of the recording that was found automatically.
 fn window_text(drift: &Drift) -> Option<String> {
     let [from, to] = drift.window_s?;
     Some(format!(
@@ -246,7 +247,7 @@ fn window_text(drift: &Drift) -> Option<String> {
     ))
 }
 
-/// Counts of the frames, in words.
+/// Describes the counts of the frames.
 fn counts_text(c: &FrameCounts) -> String {
     let mut text = format!("{} used of {}", c.used, c.read);
     for (count, what) in [
@@ -263,7 +264,7 @@ fn counts_text(c: &FrameCounts) -> String {
     text
 }
 
-/// The last two parts of a path: a recording's name and its video's.
+/// Returns the last two parts of a path: the names of a recording and of its video.
 fn short(path: &Path) -> String {
     let parts: Vec<_> = path.components().collect();
     let last: PathBuf = parts.iter().skip(parts.len().saturating_sub(2)).collect();

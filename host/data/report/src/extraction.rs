@@ -20,16 +20,16 @@ use board::finding::{Finding, Severity};
 use recording::error_budget::{COARSE_US, together};
 use recording::session_file::SessionFile;
 
-/// What stands below the sample pairs.
+/// Caption of the sample pairs.
 const SAMPLES: &str = "Some pairs from the middle, the phone's image above the depth image of the same instant. \
     Depth: near is light, far is dark, none is black.";
 
-/// Writes the report of an extraction into its output folder; `recording` is the folder of
-/// the recording, whose session has the prediction.
+/// Writes the report of an extraction into its output folder `out`; `recording` is the folder of
+/// the recording, whose session has the predicted time difference.
 ///
 /// # Errors
 ///
-/// The file cannot be written.
+/// Fails if the file cannot be written.
 pub fn write(out: &Path, report: &ExtractReport, recording: &Path) -> io::Result<()> {
     let samples = std::fs::read_to_string(out.join(SAMPLES_FILE)).ok();
     let session = SessionFile::load(recording).ok();
@@ -38,7 +38,7 @@ pub fn write(out: &Path, report: &ExtractReport, recording: &Path) -> io::Result
     crate::put(&out.join(REPORT_FILE), &html)
 }
 
-/// `samples` is a drawing of sample pairs.
+/// Assembles the page; `samples` is a drawing of sample pairs.
 fn page(
     report: &ExtractReport,
     samples: Option<&str>,
@@ -104,7 +104,7 @@ fn page(
     page.html()
 }
 
-/// The difference of each pair over time, beside what was predicted.
+/// Draws the difference of each pair over time, with its prediction.
 fn pairs_svg(course: &[(i64, i64)], session: Option<&SessionFile>) -> String {
     let points = course
         .iter()
@@ -115,7 +115,7 @@ fn pairs_svg(course: &[(i64, i64)], session: Option<&SessionFile>) -> String {
     chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all)
 }
 
-/// Windows against the course, with the course's own band.
+/// Draws the windows relative to the course, with the course's 1-sigma.
 fn course_svg(course: &[WindowResult]) -> String {
     let band = course.iter();
     let band = band.map(|w| (w.board_s, 0.0, w.course_sigma_s * 1e6));
@@ -128,7 +128,7 @@ fn course_svg(course: &[WindowResult]) -> String {
     chart::series("board time, s", "window − course, µs", -1.0..1.0, all)
 }
 
-/// What is missing or worth knowing, and what matters most in figures.
+/// Returns the summary of an extraction: losses, remarks and the most important figures.
 #[must_use]
 pub fn summary(report: &ExtractReport) -> Summary {
     let losses = report.losses.iter();
@@ -212,7 +212,7 @@ fn facts(report: &ExtractReport) -> Facts {
     facts
 }
 
-/// How well it went, in words.
+/// Returns the verdict on an extraction, and its sentence.
 fn verdict(report: &ExtractReport) -> (Severity, String) {
     let pairs = report.pairs.as_ref().map_or(String::new(), |pairs| {
         format!(
@@ -222,14 +222,15 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
             known(pairs).map_or(String::new(), |known| format!(" {}", sentence(&known)))
         )
     });
-    // Nothing is green where the number that it stands for is not known.
+    // Nothing is good if its accuracy is unknown.
     let sigma_us = report.pairs.as_ref().map(|pairs| pairs.sigma_us);
     let is_open = sigma_us.is_some_and(|sigma| sigma.is_none_or(|sigma| sigma >= COARSE_US));
     match report.losses.len() {
         0 => (
-            match is_open {
-                true => Severity::Check,
-                false => Severity::Good,
+            if is_open {
+                Severity::Check
+            } else {
+                Severity::Good
             },
             format!("Everything is there and has its time in board time.{pairs}"),
         ),
@@ -243,7 +244,7 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
     }
 }
 
-/// How well depth − phone is known, in words.
+/// Describes the accuracy of depth − phone.
 fn known(pairs: &PairsReport) -> Option<String> {
     let sigma_us = pairs.sigma_us?;
     Some(together(sigma_us, pairs.largest))
@@ -283,7 +284,7 @@ fn clock_line(clock: &ClockReport) -> String {
     line
 }
 
-/// All frames of the file: those on a pulse, and what the others are.
+/// Describes all depth frames of the file: the number on a pulse, and the numbers of others.
 fn depth_line(depth: &DepthReport) -> String {
     let mut line = format!("{}: {} on a pulse", depth.frames, depth.matched);
     let others = [
@@ -302,7 +303,7 @@ fn depth_line(depth: &DepthReport) -> String {
     line
 }
 
-/// What the histogram shows, and how many pairs it does not.
+/// Describes the histogram, and the number of pairs outside of it.
 fn pairs_caption(pairs: &PairsReport) -> String {
     let mut caption = String::from(
         "Middle of exposure of the depth image minus that of the phone's frame it is paired \
@@ -322,7 +323,7 @@ fn pairs_caption(pairs: &PairsReport) -> String {
     caption
 }
 
-/// Frames that nothing is known of.
+/// Returns the number of depth frames in no class.
 fn unassigned(depth: &DepthReport) -> usize {
     let known = depth.matched
         + depth.before_first_pulse

@@ -2,7 +2,7 @@
 //! settings.
 //!
 //! `record`, `extract` and `evaluate` fill the same [`Page`], so a reader finds
-//! the same things in the same order everywhere. The file has everything in it
+//! the same things in the same order everywhere. The file contains everything
 //! (style, SVG, pictures) and no script: it works without a network, years later,
 //! and printed on A4.
 //!
@@ -10,7 +10,7 @@
 //!   place; only [`Page::figure`] and [`Page::picture`] take markup, from our own drawings.
 //! - On a narrow screen drawings shrink, and the cells of a table stand below each other
 //!   with their headings, so nothing is cut off.
-//! - Nothing in a page depends on when it was made: the same input gives the same
+//! - Nothing in a page depends on the time of its creation: the same input gives the same
 //!   bytes.
 //!
 //! [`crate::chart`] draws.
@@ -50,7 +50,7 @@ footer{margin-top:2rem;color:#555;font-size:.85rem}\
 @media print{body{font-size:10pt;max-width:none;padding:0}figure,table,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
 .wide{overflow:visible}}";
 
-/// A page that is being filled, from top to bottom.
+/// A page under construction, filled from top to bottom.
 #[derive(Clone, Debug)]
 pub struct Page {
     title: String,
@@ -58,7 +58,7 @@ pub struct Page {
 }
 
 impl Page {
-    /// A page that begins with a summary.
+    /// Creates a page that begins with a summary.
     #[must_use]
     pub fn new(summary: &Summary) -> Self {
         let (title, word) = (&summary.title, summary.severity.word());
@@ -77,17 +77,17 @@ impl Page {
         page
     }
 
-    /// A heading.
+    /// Adds a heading.
     pub fn section(&mut self, heading: &str) {
         let _ = writeln!(self.body, "<h2>{}</h2>", escape(heading));
     }
 
-    /// A paragraph.
+    /// Adds a paragraph.
     pub fn text(&mut self, text: &str) {
         let _ = writeln!(self.body, "<p>{}</p>", escape(text));
     }
 
-    /// Names with their values, if there are any.
+    /// Adds a table of names and their values, if there are any.
     pub fn facts<N: AsRef<str>, V: AsRef<str>>(&mut self, facts: &[(N, V)]) {
         if facts.is_empty() {
             return;
@@ -104,7 +104,7 @@ impl Page {
         self.body.push_str("</table>\n");
     }
 
-    /// A table, if it has rows. Columns of numbers stand to the right.
+    /// Adds a table, if it has rows. Columns of numbers are aligned to the right.
     pub fn table<const N: usize>(
         &mut self,
         head: [&str; N],
@@ -121,9 +121,10 @@ impl Page {
         };
         let columns: [(&str, String); N] = std::array::from_fn(|column| {
             let mut cells = rows.iter().filter_map(|row| row.get(column));
-            let class = match cells.all(|cell| is_number(cell)) {
-                true => " class=\"n\"",
-                false => "",
+            let class = if cells.all(|cell| is_number(cell)) {
+                " class=\"n\""
+            } else {
+                ""
             };
             (class, escape(head.get(column).copied().unwrap_or_default()))
         });
@@ -145,7 +146,7 @@ impl Page {
         self.body.push_str("</table></div>\n");
     }
 
-    /// A drawing of ours (SVG) with what it shows, in words.
+    /// Adds a drawing of this crate (SVG, which is not escaped) with a caption.
     pub fn figure(&mut self, svg: &str, caption: &str) {
         let _ = writeln!(
             self.body,
@@ -154,8 +155,8 @@ impl Page {
         );
     }
 
-    /// Counts in bins of equal width, of which `first` is the left end of the first; in a line
-    /// if all of them are in one.
+    /// Adds a histogram of counts in bins of width `bin`, the first of which begins at `first`;
+    /// a line of text if all counts are in one bin. `labels` name the values and the counts.
     pub fn histogram(
         &mut self,
         labels: [&str; 2],
@@ -176,7 +177,8 @@ impl Page {
         self.figure(&svg, caption);
     }
 
-    /// A picture (SVG) that is shown at its own size, or as large as fits.
+    /// Adds a picture (SVG, which is not escaped) that is shown at its own size, or as large as
+    /// fits.
     pub fn picture(&mut self, svg: &str, caption: &str) {
         let _ = writeln!(
             self.body,
@@ -185,13 +187,13 @@ impl Page {
         );
     }
 
-    /// Something to be known.
+    /// Adds a note with the colour of a severity.
     pub fn note(&mut self, severity: Severity, text: &str) {
         let (word, text) = (severity.word(), marked_up(text));
         let _ = writeln!(self.body, "<p class=\"note {word}\">{text}</p>");
     }
 
-    /// Links to other pages, by their addresses from this one.
+    /// Adds links to other pages: texts, and addresses relative to this page.
     pub fn links(&mut self, links: &[(String, String)]) {
         for (text, address) in links {
             let (text, address) = (escape(text), escape(address));
@@ -199,7 +201,7 @@ impl Page {
         }
     }
 
-    /// A note a finding.
+    /// Adds one note for each finding.
     pub fn findings<'a>(&mut self, findings: impl IntoIterator<Item = &'a Finding>) {
         for finding in findings {
             let word = finding.severity.word();
@@ -214,7 +216,7 @@ impl Page {
         }
     }
 
-    /// Settings that went into the result, as JSON; folded away.
+    /// Adds the settings of the result as JSON, folded.
     pub fn settings(&mut self, heading: &str, value: &Value) {
         let (heading, text) = (escape(heading), escape(&format!("{value:#}")));
         let _ = writeln!(
@@ -223,7 +225,7 @@ impl Page {
         );
     }
 
-    /// The page.
+    /// Returns the page as HTML.
     #[must_use]
     pub fn html(&self) -> String {
         // The empty icon keeps browsers from asking a server for one.
@@ -239,10 +241,10 @@ impl Page {
     }
 }
 
-/// A text whose commands, between backticks, are set as such.
+/// Escapes a text and marks commands between backticks as code.
 fn marked_up(text: &str) -> String {
     let parts: Vec<String> = text.split('`').map(escape).collect();
-    // A single backtick is itself.
+    // An unpaired backtick is text.
     if parts.len().is_multiple_of(2) {
         return parts.join("`");
     }
@@ -256,7 +258,7 @@ fn marked_up(text: &str) -> String {
     out
 }
 
-/// Text that is not ours is not markup.
+/// Escapes a text, so that it contains no markup.
 fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -266,7 +268,7 @@ fn escape(text: &str) -> String {
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
-            // No character of control belongs into HTML.
+            // HTML allows no control characters.
             c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
             c => out.push(c),
         }
@@ -315,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_of_numbers_stand_to_the_right() {
+    fn columns_of_numbers_are_aligned_to_the_right() {
         let mut page = page("t");
         page.table(
             ["name", "value", "text"],

@@ -29,19 +29,15 @@ use recording::session_file::{PhoneRecord, SessionFile, Span};
 pub(crate) use sections::predicted;
 use system::ReadMonitor;
 
-/// The most findings and marks that are listed one by one.
+/// Most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
-/// Writes the report of the recording in `folder`.
+/// Writes the report of the recording in `folder`, and returns its path.
 ///
 /// # Errors
 ///
-/// The recording cannot be read, or the report cannot be written.
-pub fn write(
-    folder: &Path,
-    session: &SessionFile,
-    monitor: &ReadMonitor,
-) -> Result<PathBuf, RecordingError> {
+/// Fails if the recording cannot be read, or the report cannot be written.
+pub fn write(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session, monitor)?;
     let path = folder.join(REPORT_FILE);
     let html = page(folder, session, &curves).html();
@@ -49,38 +45,37 @@ pub fn write(
     Ok(path)
 }
 
-/// Writes it again, with what has been put there since; `None` where there is no session.
+/// Writes the report again, with files that were added since. Returns `None` without a session
+/// file.
 ///
 /// # Errors
 ///
-/// As [`write`].
-pub fn write_again(
-    folder: &Path,
-    monitor: &ReadMonitor,
-) -> Result<Option<PathBuf>, RecordingError> {
+/// Fails like [`write`].
+pub fn write_again(folder: &Path, monitor: &ReadMonitor) -> Result<Option<PathBuf>, RecordingError> {
     let session = SessionFile::load(folder).ok();
     let written = session.map(|session| write(folder, &session, monitor));
     written.transpose()
 }
 
-/// Writes it again where it leads to `page`, the new page of a data set or an evaluation. A
-/// recording that does not is only read.
+/// Writes the report again if it has a link to `page`, the new page of a data set or of an
+/// evaluation. Otherwise it changes nothing and returns `None`.
 ///
 /// # Errors
 ///
-/// As [`write`].
-pub fn lead_to(folder: &Path, page: &Path) -> Result<Option<PathBuf>, RecordingError> {
+/// Fails like [`write`].
+pub fn link_page(folder: &Path, page: &Path) -> Result<Option<PathBuf>, RecordingError> {
     let page = page.canonicalize().ok();
-    let is_it = |(_, address): &(String, String)| {
+    let is_linked = |(_, address): &(String, String)| {
         page.is_some() && folder.join(address).canonicalize().ok() == page
     };
-    match pages_of(folder).iter().any(is_it) {
-        true => write_again(folder, &ReadMonitor::default()),
-        false => Ok(None),
+    if pages_of(folder).iter().any(is_linked) {
+        write_again(folder, &ReadMonitor::default())
+    } else {
+        Ok(None)
     }
 }
 
-/// The report as a page.
+/// Assembles the page of the report.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let mut page = Page::new(&summary(folder, session));
     page.links(&pages_of(folder));
@@ -91,12 +86,12 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
              The command verify says more.",
         );
     }
-    findings_of(
+    add_findings(
         &mut page,
         "What went wrong",
         session.problems.iter().collect(),
     );
-    findings_of(
+    add_findings(
         &mut page,
         "What the checks before the recording found",
         findings(session).collect(),
@@ -115,8 +110,8 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     page
 }
 
-/// The pages about a recording: those of data sets beside it that bear its name, and others
-/// in its folder, as evaluations leave them.
+/// Returns the pages about a recording, each as a text and an address: those of data sets beside
+/// it that bear its name, and others in its folder, which evaluations write.
 fn pages_of(folder: &Path) -> Vec<(String, String)> {
     let named = |place: PathBuf| -> Vec<String> {
         let entries = std::fs::read_dir(place).into_iter().flatten();
@@ -142,14 +137,14 @@ fn pages_of(folder: &Path) -> Vec<(String, String)> {
     data_sets.chain(inside).collect()
 }
 
-/// Tells whether a name is an address as it stands.
+/// Returns true if a name needs no escape in an address.
 fn is_plain(name: &str) -> bool {
     name.chars()
         .all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
 }
 
-/// The link to the report of the recording in `folder`, from a page in the folder `from`, if
-/// it is there.
+/// Returns the link (text and address) to the report of the recording in `folder`, from a page
+/// in the folder `from`, if there is a report.
 pub(crate) fn link_to(folder: &Path, from: &Path) -> Option<(String, String)> {
     let (folder, from) = (folder.canonicalize().ok()?, from.canonicalize().ok()?);
     folder.join(REPORT_FILE).is_file().then_some(())?;
@@ -164,8 +159,8 @@ pub(crate) fn link_to(folder: &Path, from: &Path) -> Option<(String, String)> {
     Some((format!("Recording {name}"), steps.join("/")))
 }
 
-/// A section of findings, if there are any.
-fn findings_of(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
+/// Adds a section of findings, if there are any.
+fn add_findings(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
     if findings.is_empty() {
         return;
     }
@@ -177,7 +172,7 @@ fn findings_of(page: &mut Page, heading: &str, findings: Vec<&Finding>) {
     }
 }
 
-/// Which board it is, with which firmware, and why it last reset.
+/// Describes the board, its firmware, and the cause of its last reset.
 pub(crate) fn board_fact(board: &BoardInfo) -> String {
     let (id, firmware) = (&board.id, &board.firmware);
     let revision = board.git_revision.as_deref().unwrap_or("unknown revision");
@@ -186,7 +181,7 @@ pub(crate) fn board_fact(board: &BoardInfo) -> String {
     format!("{id}, firmware {firmware} ({revision}{changed}), last reset: {reset}")
 }
 
-/// What matters most of a session, in figures.
+/// Returns the most important figures of a session.
 fn facts(session: &SessionFile) -> Facts {
     let mut facts = vec![("begun", session.started.clone())];
     if let Some(Span { from, to }) = session.recorded {
@@ -229,7 +224,8 @@ fn count_fact(count: StreamCount) -> String {
     text
 }
 
-/// A phone, its clock, and where its frames lie if the trigger follows another.
+/// Describes a phone, its clock, and the offset of its frames if the trigger follows another
+/// phone.
 fn phone_fact(phone: &PhoneRecord) -> String {
     let mut text = format!("{} at {}", phone.name, phone.address);
     if let Some(version) = &phone.version {
@@ -262,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_recording_its_data_sets_and_its_evaluations_lead_to_each_other() {
+    fn a_recording_its_data_sets_and_its_evaluations_link_to_each_other() {
         let parent = tempfile::tempdir().unwrap();
         let [walk, data] = ["walk", "walk-euroc"].map(|name| parent.path().join(name));
         for folder in [&walk, &data] {

@@ -1,36 +1,36 @@
-//! The head of every report: a verdict in words, what was found, and facts.
+//! The head of every report: a verdict in words, findings, and facts.
 //!
-//! It is made once of a result; the terminal prints it ([`Summary::text`]), the page begins
-//! with it ([`crate::page::Page::new`]), and JSON has verdict and findings of it beside the
-//! result's own figures, of which the facts are made.
+//! It is made once from a result. The terminal prints it ([`Summary::text`]), the page begins
+//! with it ([`crate::page::Page::new`]), and JSON has its verdict and findings beside the
+//! result's own figures, from which the facts are made.
 
 use std::fmt::Write as _;
 
 use board::finding::{Finding, Severity};
 use serde::Serialize;
 
-/// Names with their values in words.
+/// Facts in the order of their lines: a name and its value in words.
 pub type Facts = Vec<(&'static str, String)>;
 
-/// The head of a report.
+/// Head of a report.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// What the report is about.
+    /// Title of the report.
     #[serde(skip)]
     pub title: String,
-    /// The worst that was found.
+    /// Worst severity of the parts.
     pub severity: Severity,
-    /// The meaning of that, in a sentence or two.
+    /// Verdict in a sentence or two.
     pub text: String,
-    /// What was found, part by part.
+    /// Findings, part by part.
     pub parts: Vec<Finding>,
-    /// What matters most, in figures.
+    /// The most important figures.
     #[serde(skip)]
     pub facts: Facts,
 }
 
 impl Summary {
-    /// The verdict, a line a finding, and a line a fact.
+    /// Returns the verdict, one line for each finding, and one line for each fact.
     #[must_use]
     pub fn text(&self) -> String {
         let (parts, facts) = (findings_text(&self.parts), facts_text(&self.facts));
@@ -38,7 +38,7 @@ impl Summary {
     }
 }
 
-/// What a finding's line begins with.
+/// Returns the begin of a finding's line.
 const fn mark(severity: Severity) -> &'static str {
     match severity {
         Severity::Good => "good ",
@@ -47,7 +47,7 @@ const fn mark(severity: Severity) -> &'static str {
     }
 }
 
-/// A line a finding, and what to do below it.
+/// Returns one line for each finding, with the next step below it.
 pub fn findings_text<'a>(findings: impl IntoIterator<Item = &'a Finding>) -> String {
     let findings: Vec<&Finding> = findings.into_iter().collect();
     let kinds: Vec<String> = findings.iter().map(|it| it.kind.to_string()).collect();
@@ -63,7 +63,7 @@ pub fn findings_text<'a>(findings: impl IntoIterator<Item = &'a Finding>) -> Str
     text
 }
 
-/// A line a fact.
+/// Returns one line for each fact.
 #[must_use]
 pub fn facts_text(facts: &[(&str, String)]) -> String {
     let wide = width(facts.iter().map(|(name, _)| *name));
@@ -71,7 +71,7 @@ pub fn facts_text(facts: &[(&str, String)]) -> String {
     facts.iter().map(line).collect()
 }
 
-/// Width of the column of names.
+/// Returns the width of the column of names.
 fn width<'a>(names: impl Iterator<Item = &'a str>) -> usize {
     names.map(|name| name.chars().count()).max().unwrap_or(0)
 }

@@ -12,7 +12,7 @@ mod error;
 mod recording;
 mod search;
 
-pub use self::error::RecordingError;
+pub use self::error::CourseError;
 pub use self::recording::{
     Prior, RecordingClock, RefusedWindows, course_of_tracks, estimate_course,
 };

@@ -38,7 +38,7 @@ pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::{
-    ClockCourse, ClockStep, Prior, RecordingClock, RecordingError, RefusedWindows, Unsupported,
+    ClockCourse, ClockStep, CourseError, Prior, RecordingClock, RefusedWindows, Unsupported,
     course_of_tracks, estimate_course,
 };
 pub use estimate::{Estimate, Gate, Options, Refusal, Report, Warning, estimate_offset};

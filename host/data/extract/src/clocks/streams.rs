@@ -10,7 +10,7 @@ use crate::inputs::phone_rows::PhoneRows;
 use crate::time::BoardNanos;
 use system::ReadMonitor;
 use twist_sync::{
-    GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
+    CourseError, GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock,
     estimate_course,
 };
 
@@ -116,7 +116,7 @@ pub(crate) fn related<'a>(
     let (prior, options) = (other.prior, &other.options);
     let related = estimate_course(&open_board, other.open, prior, options);
     related.map_err(|error| match error {
-        RecordingError::Read(StreamError::Board(error)) => ExtractError::Board(error),
+        CourseError::Read(StreamError::Board(error)) => ExtractError::Board(error),
         error => ExtractError::Missing(error.to_string()),
     })
 }

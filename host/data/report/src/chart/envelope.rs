@@ -1,21 +1,21 @@
 //! A series of any length in bounded memory.
 
-/// Columns of an envelope.
+/// Number of columns to which an envelope is reduced when it is full.
 const COLUMNS: usize = 400;
 
 /// Smallest and largest value in a column of time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Column {
-    /// Middle of the column.
+    /// Middle of the column on the x-axis.
     pub x: f64,
-    /// Smallest.
+    /// Smallest value.
     pub low: f64,
-    /// Largest.
+    /// Largest value.
     pub high: f64,
 }
 
-/// Gathers a series of unknown length into columns, with memory for the columns
-/// only: when they are full, pairs are joined and each stands for twice the time.
+/// Envelope of a series of unknown length, in bounded memory: smallest and largest value in
+/// columns of equal width. When the columns are full, pairs of them are joined.
 #[derive(Clone, Debug)]
 pub struct Envelope {
     start: Option<f64>,
@@ -34,8 +34,7 @@ impl Default for Envelope {
 }
 
 impl Envelope {
-    /// A value; times before the first are left out, and so are values that are
-    /// no numbers.
+    /// Adds a value; times before the first and values that are not finite are ignored.
     pub fn add(&mut self, x: f64, value: f64) {
         if !x.is_finite() || !value.is_finite() {
             return;
@@ -63,7 +62,7 @@ impl Envelope {
         }
     }
 
-    /// What was gathered.
+    /// Returns the columns with values.
     #[must_use]
     pub fn columns(&self) -> Vec<Column> {
         let start = self.start.unwrap_or_default();
@@ -81,13 +80,13 @@ impl Envelope {
             .collect()
     }
 
-    /// Smallest and largest value of all; `None` if nothing was gathered.
+    /// Returns the smallest and the largest value of all, or `None` without values.
     #[must_use]
     pub fn extremes(&self) -> Option<(f64, f64)> {
         extremes(&self.columns)
     }
 
-    /// How long one column is.
+    /// Returns the width of one column.
     #[must_use]
     pub const fn width(&self) -> f64 {
         self.width

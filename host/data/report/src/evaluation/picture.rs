@@ -1,4 +1,4 @@
-//! A frame of a recording with the rows where its flashes were found, as SVG.
+//! Drawing of a frame with the rows of its flashes, as SVG.
 
 use std::fmt::Write as _;
 use std::io::Cursor;
@@ -10,10 +10,10 @@ use base64::engine::general_purpose::STANDARD;
 use evaluate::shown::Shown;
 use image::ImageResult;
 
-/// A picture narrower than this has its labels beside it, pixels.
+/// Width below which a picture has its labels beside it, pixels.
 const LABEL_WIDTH: usize = 300;
 
-/// The frame with lines and numbers at the flashes, and a dashed line along the middle
+/// Draws the frame with lines and numbers at the flashes, and a dashed line along the middle
 /// row.
 pub(super) fn svg(shown: &Shown) -> ImageResult<String> {
     let mut canvas = Canvas::new(shown)?;
@@ -41,7 +41,7 @@ pub(super) fn svg(shown: &Shown) -> ImageResult<String> {
     Ok(canvas.svg)
 }
 
-/// The picture that is drawn on.
+/// The picture under construction.
 struct Canvas<'a> {
     shown: &'a Shown,
     width: f64,
@@ -87,7 +87,7 @@ impl<'a> Canvas<'a> {
         })
     }
 
-    /// A line along a part of a sensor row.
+    /// Draws a line along a part of a sensor row.
     fn line(&mut self, row: f64, part: Range<f64>, style: &str) {
         let (at, upright) = self.shown.picture_line(row);
         let (x1, y1, x2, y2) = if upright {

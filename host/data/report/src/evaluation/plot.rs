@@ -6,10 +6,10 @@ use evaluate::shown::Shown;
 
 use crate::chart::{AS_IT_IS, Data, series};
 
-/// Points drawn of a long series.
+/// Most points of a series.
 const MAX_POINTS: usize = 2000;
 
-/// Averaged row profile of the shown frames, with the fitted train.
+/// Draws the mean row profile of some frames, with the fitted train.
 #[must_use]
 pub(super) fn profile(shown: &Shown) -> String {
     let points = |values: &[f64]| -> Vec<(f64, f64)> {
@@ -32,7 +32,7 @@ pub(super) fn profile(shown: &Shown) -> String {
     series("sensor row", "grey level", AS_IT_IS, all)
 }
 
-/// The bias of each launch with its 1-sigma.
+/// Draws the bias of each recording with its 1-sigma.
 #[must_use]
 pub(super) fn launches(recordings: &[RecordingResult]) -> String {
     let biases = (1..).map(f64::from).zip(recordings);
@@ -41,7 +41,7 @@ pub(super) fn launches(recordings: &[RecordingResult]) -> String {
     series("recording", "bias, µs", AS_IT_IS, vec![("", biases)])
 }
 
-/// The train's place against time, with the fitted line.
+/// Draws the train's position over time, with the fitted line.
 #[must_use]
 pub(super) fn course(drift: &EvaluatedDrift) -> String {
     let every = drift.points.len().div_ceil(MAX_POINTS).max(1);

@@ -1,4 +1,4 @@
-//! What the plots of a report need of the recording, read once from front to back.
+//! The data of a recording that the plots of its report show, read in one pass.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,72 +14,75 @@ use recording::reader::{Entry, Item, Reader};
 use recording::session_file::SessionFile;
 use system::ReadMonitor;
 
-/// Letters of a sensor's name that are shown.
+/// Most letters of a sensor's name.
 const MAX_NAME: usize = 200;
 
-/// The most losses that are kept, for an hour of one a second.
+/// Most losses that are stored: one a second for an hour.
 const MAX_LOSSES: usize = 3_600;
 
-/// What the plots need of the recording.
+/// Data of a recording for the plots.
 #[derive(Debug, Default)]
 pub(super) struct Curves {
-    /// Rate of rotation, rad/s.
+    /// Magnitude of the angular rate, rad/s.
     pub(super) gyro: Envelope,
+    /// Delay of the read-back behind the trigger's edge, ticks.
     pub(super) readback: Envelope,
+    /// Temperature of the IMU, °C.
     pub(super) temperature: Envelope,
-    /// From sample to sample of the IMU, µs.
+    /// Time from sample to sample of the IMU, µs.
     pub(super) imu_intervals: Envelope,
-    /// From pulse to pulse of the camera while it was recorded, µs.
+    /// Time from pulse to pulse of the camera while it was recorded, µs.
     pub(super) pulse_intervals: Envelope,
     last_imu: Option<f64>,
     last_pulse: Option<f64>,
-    /// Both gyroscopes in each twist.
+    /// Rates of both gyroscopes in each twist.
     pub(super) twists: Vec<TwistRates>,
-    /// Depth less phone at each pulse, µs.
+    /// Depth minus phone at each pulse, µs.
     pub(super) phase: Envelope,
     frames: Option<Frames>,
-    /// Where messages are missing by the board's numbers: when, of which stream, how many.
+    /// Gaps in the board's numbers: time, stream and number of missing messages.
     pub(super) losses: Vec<(Ticks, Stream, u32)>,
-    /// The next number of each stream.
+    /// Next number of each stream.
     expected: [Option<u32>; Stream::ALL.len()],
-    /// Pulses of auxiliary outputs by the sensor's name: how many, first and last.
+    /// Pulses of auxiliary outputs by the sensor's name: number, first and last.
     pub(super) outputs: BTreeMap<String, (u64, Ticks, Ticks)>,
-    /// Seconds of a lidar: how many, the last with the UTC that it was told, ns; and
-    /// whether all tell one relation.
+    /// Seconds that a lidar received.
     pub(super) gnss: Option<Gnss>,
+    /// True if the recording is not closed, or damaged.
     pub(super) broken_off: bool,
 }
 
+/// The seconds with UTC that the board sent to a lidar.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gnss {
+    /// Number of seconds.
     pub(super) seconds: u64,
+    /// Begin of the last second.
     pub(super) last: Ticks,
+    /// UTC of the last second, ns.
     pub(super) utc_ns: i64,
+    /// True if the relation of UTC to board time changed.
     pub(super) changed: bool,
 }
 
 impl Curves {
-    /// Reads a recording.
+    /// Reads a recording. Damaged parts are skipped.
     ///
     /// # Errors
     ///
-    /// It cannot be read. A recording that is damaged gives what is left.
-    pub(super) fn read(
-        recording: &Path,
-        session: &SessionFile,
-        monitor: &ReadMonitor,
-    ) -> Result<Self, RecordingError> {
+    /// Fails if the files cannot be read.
+    pub(super) fn read(recording: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
         let mut curves = Self {
-            twists: TwistRates::of_session(recording, session, monitor),
-            frames: Frames::of_session(recording, session, monitor),
+            twists: TwistRates::from_session(recording, session, monitor),
+            frames: Frames::from_session(recording, session, monitor),
             ..Self::default()
         };
         let mut reader = Reader::with_monitor(recording, monitor)?;
         for entry in reader.by_ref() {
             match entry {
                 Ok(entry) => {
-                    curves.number(entry.at, &entry);
-                    curves.take(entry.at, &entry.item, session);
+                    curves.check_number(entry.at, &entry);
+                    curves.add(entry.at, &entry.item, session);
                 }
                 Err(error @ RecordingError::Io { .. }) => return Err(error),
                 Err(_) => curves.broken_off = true,
@@ -89,8 +92,8 @@ impl Curves {
         Ok(curves)
     }
 
-    /// Follows the board's number of a message.
-    fn number(&mut self, at: Ticks, entry: &Entry) {
+    /// Checks the board's number of a message for a gap.
+    fn check_number(&mut self, at: Ticks, entry: &Entry) {
         let Some(stream) = entry.item.topic().stream() else {
             return;
         };
@@ -104,7 +107,7 @@ impl Curves {
         }
     }
 
-    fn take(&mut self, at: Ticks, item: &Item, session: &SessionFile) {
+    fn add(&mut self, at: Ticks, item: &Item, session: &SessionFile) {
         let x = at.as_secs_f64();
         match item {
             Item::Imu(imu) => {
@@ -112,7 +115,7 @@ impl Curves {
                     self.imu_intervals.add(x, (x - last) * 1e6);
                 }
                 for twist in &mut self.twists {
-                    twist.take(at, imu);
+                    twist.add(at, imu);
                 }
                 self.gyro.add(x, norm(imu.angular_velocity));
             }
@@ -129,7 +132,7 @@ impl Curves {
                         self.pulse_intervals.add(x, (x - last) * 1e6);
                     }
                     let frames = self.frames.as_mut();
-                    if let Some(difference) = frames.and_then(|it| it.difference_us(at)) {
+                    if let Some(difference) = frames.and_then(|frames| frames.difference_us(at)) {
                         self.phase.add(x, difference);
                     }
                 }

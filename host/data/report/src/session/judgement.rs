@@ -1,9 +1,8 @@
-//! How good a recording is, in the three parts that a data set is made of: what board
-//! and phone left, how the exposures lie to each other, and the depth recording.
+//! The verdict on a recording, in the three parts that make a data set: the data of board
+//! and phone, the alignment of the exposures, and the depth recording.
 //!
-//! A part is good only when everything of it is known. What is known stands in the
-//! session, and what there is of files in its folder: files that were put there later
-//! count when the report is written again.
+//! A part is good only if everything about it is known, from the session file and from the
+//! files in the folder. Files that were added later count when the report is written again.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +18,8 @@ use recording::session_file::{
 use super::{facts, seconds};
 use crate::summary::Summary;
 
-/// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`.
+/// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`, or a
+/// single part if nothing was recorded.
 #[must_use]
 pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     let parts = if session.has_recorded() {
@@ -67,8 +67,8 @@ pub(crate) fn sentence(words: &str) -> String {
     first.chain(letters).chain(['.']).collect()
 }
 
-/// The checks before the recording that were not good, but for those that are a part of the
-/// summary.
+/// Returns the checks before the recording that were not good, except those that are a part of
+/// the summary.
 pub(super) fn findings(session: &SessionFile) -> impl Iterator<Item = &Finding> {
     let checks = session.preflight.iter();
     checks.filter(|check| {
@@ -102,13 +102,13 @@ fn reason(session: &SessionFile) -> &str {
     last.map_or("no reason is noted", |problem| &problem.text)
 }
 
-/// What the board sent, and the files of the phones.
+/// Judges the data of the board and the files of the phones.
 fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
     let counts = &session.counts;
     let length = session
         .recorded
         .map_or(0.0, |span| seconds(span.from, span.to));
-    let came = format!(
+    let received = format!(
         "{length:.1} s with {} pulses and {} IMU samples",
         counts.pulses.received, counts.imu.received
     );
@@ -119,25 +119,28 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
     };
     let mut next = Vec::new();
     let (mut verdict, mut found) = match session.outcome {
-        Some(SessionOutcome::Good) => (Severity::Good, format!("{came}, {lost}")),
+        Some(SessionOutcome::Good) => (Severity::Good, format!("{received}, {lost}")),
         Some(SessionOutcome::Loss) => {
             let problems = match session.problems.as_slice() {
                 [] => String::new(),
                 [only] => format!("; {}", only.text),
                 [first, more @ ..] => format!("; {}, and {} more (below)", first.text, more.len()),
             };
-            (Severity::Check, format!("{came}, {lost}{problems}"))
+            (Severity::Check, format!("{received}, {lost}{problems}"))
         }
         Some(SessionOutcome::Interrupted) => {
             next.push(String::from("record again if that is too short"));
             (
                 Severity::Check,
-                format!("interrupted: {came} until then, {lost}"),
+                format!("interrupted: {received} until then, {lost}"),
             )
         }
         Some(SessionOutcome::Failed) => {
             next.push(String::from("`smartdepthsync verify` says what there is"));
-            let found = format!("the session failed: {}; {came} until then", reason(session));
+            let found = format!(
+                "the session failed: {}; {received} until then",
+                reason(session)
+            );
             (Severity::Bad, found)
         }
         None => {
@@ -165,40 +168,41 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
     part("board and phone", verdict, found, next)
 }
 
-/// Name and phase, ns, of each phone that made a video.
+/// Name of each phone that made a video, and the video's phase in ns.
 fn videos(session: &SessionFile) -> impl Iterator<Item = (&str, i64)> {
     let phones = session.phones.iter();
     phones.filter_map(|phone| Some((phone.name.as_str(), phone.video?.phase.0)))
 }
 
-/// The folder of a phone's files.
+/// Returns the folder of a phone's files.
 fn place_of(folder: &Path, session: &SessionFile, name: &str) -> PathBuf {
     let own = session.phone_folder(name);
-    match own.as_os_str().is_empty() {
-        true => folder.to_owned(),
-        false => folder.join(own),
+    if own.as_os_str().is_empty() {
+        folder.to_owned()
+    } else {
+        folder.join(own)
     }
 }
 
-/// The files of a phone's video that are in the folder.
+/// Returns the files of a phone's video that are in the folder.
 pub(super) fn phone_files(folder: &Path, session: &SessionFile, name: &str) -> Option<VideoFiles> {
     video_files::find(&place_of(folder, session, name), None)
         .ok()
         .flatten()
 }
 
-/// The kinds of a phone's files that a folder lacks.
+/// Returns the kinds of a phone's files that are missing in a folder.
 fn missing_files(place: &Path) -> Vec<&'static str> {
     match video_files::find(place, None) {
         Ok(Some(files)) => files.missing(),
         Ok(None) | Err(video_files::FilesError::Io { .. }) => VideoFiles::default().missing(),
-        // Several videos lie there: whoever put them there names the right one.
+        // The user who put several videos there names the right one.
         Err(video_files::FilesError::Several { .. }) => Vec::new(),
     }
 }
 
-/// The phones whose files are not all in the folder, each with the phase of its video, ns,
-/// and the folder that they belong into.
+/// Returns the videos whose files are not all in the folder: the phase of each in ns, which is
+/// part of the files' names on the phone, and the folder for them.
 #[must_use]
 pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf)> {
     videos(session)
@@ -207,7 +211,7 @@ pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf
         .collect()
 }
 
-/// How the two exposures lie to each other, and what of it is not known.
+/// Judges the alignment of the two exposures.
 fn alignment(session: &SessionFile) -> Finding {
     const NAME: &str = "alignment";
     let Some(alignment) = session.alignment else {
@@ -219,7 +223,7 @@ fn alignment(session: &SessionFile) -> Finding {
             vec![String::from("record again")],
         );
     };
-    // How well the cameras expose together is the first sentence of all.
+    // The summary begins with the accuracy of the alignment.
     let span = session.recorded.unwrap_or(Span {
         from: alignment.plan.anchor,
         to: alignment.plan.anchor,
@@ -228,9 +232,10 @@ fn alignment(session: &SessionFile) -> Finding {
     let drift = alignment.plan.drift_sigma_over(length_s);
     let mut found = format!("drift ± {drift:.1} µs/min (1-sigma) over these {length_s:.0} s");
     let mut next = Vec::new();
-    let mut verdict = match alignment.is_sure() {
-        true => Severity::Good,
-        false => Severity::Check,
+    let mut verdict = if alignment.is_sure() {
+        Severity::Good
+    } else {
+        Severity::Check
     };
     for name in [CHECK_BIAS, CHECK_LEARNT] {
         let check = session.preflight.iter().find(|check| check.kind == name);
@@ -247,10 +252,10 @@ fn alignment(session: &SessionFile) -> Finding {
     part(NAME, verdict, found, next)
 }
 
-/// What depth cameras record.
+/// Forms of depth recordings, in words.
 const DEPTH_FILES: &str = ".mkv, or the folder of a ROS 2 bag with its metadata.yaml";
 
-/// The depth recording, and whether the pulses came out of the board.
+/// Judges the depth recording, and the proof that the pulses left the board.
 fn depth(folder: &Path, session: &SessionFile) -> Finding {
     let recorder = session.profile.depth.recorder.command.first();
     let mut next = Vec::new();
@@ -293,7 +298,8 @@ fn depth(folder: &Path, session: &SessionFile) -> Finding {
     part("depth", verdict, found, next)
 }
 
-/// Name and size of the depth recording in a folder, the largest if there are several.
+/// Returns name and size in bytes of the depth recording in a folder, the largest if there are
+/// several.
 fn depth_file(folder: &Path) -> Option<(String, u64)> {
     let recordings = depth_recordings(folder).ok()?.into_iter();
     let named = recordings.filter_map(|path| {

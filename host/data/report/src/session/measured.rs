@@ -1,4 +1,4 @@
-//! Measured in a recording beside what was predicted: both gyroscopes in a twist, and the
+//! Measurements in a recording that check its predictions: both gyroscopes in a twist, and the
 //! pulses against the phone's frames.
 
 use std::io::BufReader;
@@ -14,11 +14,11 @@ use system::ReadMonitor;
 
 use super::judgement::phone_files;
 
-/// The most twists that are drawn, and samples of one: a minute at 1 kHz.
+/// Most twists that are drawn, and most samples of one: a minute at 1 kHz.
 const MAX_TWISTS: usize = 5;
 const MAX_SAMPLES: usize = 60_000;
 
-/// Points of a curve that are drawn.
+/// Most points of a curve.
 const MAX_POINTS: usize = 800;
 
 /// Board time, s, and rotation rate, rad/s.
@@ -27,7 +27,7 @@ type Rates = Vec<(f64, f64)>;
 /// Rotation rates in one twist.
 #[derive(Debug)]
 pub(super) struct TwistRates {
-    /// Its number, from 1.
+    /// Number of the twist, from 1.
     pub(super) number: usize,
     span: Span,
     /// Delay of the board's gyroscope, s.
@@ -37,12 +37,9 @@ pub(super) struct TwistRates {
 }
 
 impl TwistRates {
-    /// The twists of the reference phone that were used, with the phone's samples on board time.
-    pub(super) fn of_session(
-        folder: &Path,
-        session: &SessionFile,
-        monitor: &ReadMonitor,
-    ) -> Vec<Self> {
+    /// Returns the accepted twists of the reference phone, with the phone's samples in board
+    /// time.
+    pub(super) fn from_session(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Vec<Self> {
         let Some(phone) = session.reference() else {
             return Vec::new();
         };
@@ -62,16 +59,17 @@ impl TwistRates {
         curves.take(MAX_TWISTS).collect()
     }
 
-    pub(super) fn take(&mut self, at: Ticks, imu: &Imu) {
+    /// Adds a sample of the board, if it is within the twist.
+    pub(super) fn add(&mut self, at: Ticks, imu: &Imu) {
         if (self.span.from..=self.span.to).contains(&at) && self.board.len() < MAX_SAMPLES {
             let at_s = at.as_secs_f64() - self.delay_s;
             self.board.push((at_s, norm(imu.angular_velocity)));
         }
     }
 
-    /// Board, phone, and the phone's less the board's, over seconds of the twist; `None` where
-    /// one of the two has no samples.
-    pub(super) fn drawn(&self) -> Option<[Rates; 3]> {
+    /// Returns the curves of the board, of the phone, and of the phone minus the board, over the
+    /// seconds of the twist; `None` if one of the two has no samples.
+    pub(super) fn curves(&self) -> Option<[Rates; 3]> {
         let begin = self.span.from.as_secs_f64();
         let residual = self.phone.iter().filter_map(|&(at, rate)| {
             let after = self.board.partition_point(|sample| sample.0 < at);
@@ -95,8 +93,7 @@ pub(super) fn norm(rates: [f64; 3]) -> f64 {
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 
-/// The rows of a phone's gyroscope up to the first that is damaged; none of a file that is
-/// not there.
+/// Reads the rows of a phone's gyroscope up to the first damaged one; none if there is no file.
 fn phone_rates(file: &Path, clock: &ClockRelation, delay_us: f64, monitor: &ReadMonitor) -> Rates {
     let Ok(input) = system::open(file, monitor) else {
         return Vec::new();
@@ -110,27 +107,23 @@ fn phone_rates(file: &Path, clock: &ClockRelation, delay_us: f64, monitor: &Read
     rates.collect()
 }
 
-/// The phone's frames on board time, against which pulses are held.
+/// The phone's frames in board time, for the comparison with pulses.
 #[derive(Debug)]
 pub(super) struct Frames {
     /// Middles of the synchronised row's exposure, s.
     middles: Vec<f64>,
-    /// The first that may be near the next pulse.
+    /// Index of the first frame that may be near the next pulse.
     next: usize,
-    /// From a pulse to the middle of the depth exposure, s.
+    /// Time from a pulse to the middle of the depth exposure, s.
     center_s: f64,
-    /// Half a frame period, s: what is further off has no frame.
+    /// Half a frame period, s: the largest distance of a pulse from its frame.
     half_s: f64,
 }
 
 impl Frames {
-    /// The frames of the reference phone, where its file of timestamps is in the folder and its
-    /// clock is known.
-    pub(super) fn of_session(
-        folder: &Path,
-        session: &SessionFile,
-        monitor: &ReadMonitor,
-    ) -> Option<Self> {
+    /// Returns the frames of the reference phone, if its file of timestamps is in the folder and
+    /// its clock is known.
+    pub(super) fn from_session(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Option<Self> {
         let (phone, alignment) = (session.reference()?, session.alignment.as_ref()?);
         let (clock, video) = (phone.clock?, phone.video?);
         let file = phone_files(folder, session, &phone.name)?.frames?;
@@ -148,8 +141,8 @@ impl Frames {
         })
     }
 
-    /// Depth less phone at a pulse, µs: the middle of its depth exposure less that of the
-    /// nearest frame, where there is one. Pulses come in the order of their times.
+    /// Returns depth minus phone at a pulse, µs: the middle of its depth exposure minus that of
+    /// the nearest frame, if there is one. Pulses must come in the order of their times.
     pub(super) fn difference_us(&mut self, pulse: Ticks) -> Option<f64> {
         let depth = pulse.as_secs_f64() + self.center_s;
         let off = |index: usize| self.middles.get(index).map(|middle| depth - middle);

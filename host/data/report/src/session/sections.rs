@@ -1,4 +1,5 @@
-//! The sections of a report on clocks, frames, trigger and motion.
+//! The sections of a recording's report: clocks, alignment, auxiliary sensors, trigger, motion,
+//! losses and marks.
 
 use protocol::Ticks;
 
@@ -49,10 +50,10 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
     }
 }
 
-/// Both gyroscopes in a twist, and what is left between them.
+/// Draws both gyroscopes in a twist, and the residual between them.
 fn overlay(page: &mut Page, twist: &TwistRates) {
     let number = twist.number;
-    let Some([board, phone, residual]) = twist.drawn() else {
+    let Some([board, phone, residual]) = twist.curves() else {
         let text = format!("Twist {number} is not drawn: the phone's samples of it are missing.");
         return page.text(&text);
     };
@@ -132,15 +133,12 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
     let measured = range("measured", &curves.phase);
     let has_measured = measured.is_some();
     all.extend(measured);
-    let measured = match has_measured {
-        true => {
-            "Measured is each pulse against the phone's nearest frame, by the app's file of frame \
+    let measured = if has_measured {
+        "Measured is each pulse against the phone's nearest frame, by the app's file of frame \
              timestamps and the last clock relation: an error of that relation moves both and does \
              not show. An extraction and the command evaluate see it."
-        }
-        false => {
-            "Nothing is measured yet: the phone's file of frame timestamps is not in the folder."
-        }
+    } else {
+        "Nothing is measured yet: the phone's file of frame timestamps is not in the folder."
     };
     let svg = chart::series("board time, s", "depth − phone, µs", -1.0..1.0, all);
     if !svg.is_empty() {
@@ -154,8 +152,8 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
     }
 }
 
-/// The distance of the exposures' middles that was predicted, depth less phone, µs, over the
-/// recording, with its 1-sigma.
+/// Returns the predicted distance of the exposures' middles over the recording (depth minus
+/// phone, µs), with its 1-sigma.
 pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
     let (span, alignment) = (session.recorded?, session.alignment?);
     let sigma_us = |at| alignment.plan.phase_sigma_us_at(at);
@@ -163,7 +161,7 @@ pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
     Some(("predicted, 1-sigma", Data::Band(band.collect())))
 }
 
-/// The parts of the total uncertainty as bars, and what comes of them.
+/// Draws the parts of the total uncertainty, and the total, as bars.
 fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
     let total = alignment.phase_sigma_us;
     let constant = alignment.constant_sigma_us.unwrap_or_default();
@@ -183,7 +181,7 @@ fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
     );
 }
 
-/// The sensors on the auxiliary outputs and the lidar, by name.
+/// Lists the sensors on the auxiliary outputs and the lidar, by name.
 pub(super) fn auxiliary(page: &mut Page, session: &SessionFile, curves: &Curves) {
     let profile = &session.profile;
     if curves.outputs.is_empty()
@@ -220,10 +218,10 @@ pub(super) fn auxiliary(page: &mut Page, session: &SessionFile, curves: &Curves)
     match curves.gnss {
         Some(gnss) => {
             let utc = gnss.utc_ns.div_euclid(1_000_000_000);
-            let told =
+            let utc =
                 jiff::Timestamp::from_second(utc).map_or(utc.to_string(), |time| time.to_string());
             page.text(&format!(
-                "{name} received {} seconds; the last, {told}, began at {:.9} s of board time.",
+                "{name} received {} seconds; the last, {utc}, began at {:.9} s of board time.",
                 gnss.seconds,
                 gnss.last.as_secs_f64()
             ));
@@ -248,17 +246,18 @@ pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
         return;
     }
     page.section("The trigger");
-    match has_readback {
-        true => course(
+    if has_readback {
+        course(
             page,
             "time from the trigger's edge to the same edge after the buffer",
             ("ticks", &curves.readback, 1.5),
-        ),
-        false => page.note(
+        );
+    } else {
+        page.note(
             Severity::Check,
             "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
              PA3 after the buffer.",
-        ),
+        );
     }
 }
 
@@ -287,8 +286,7 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
     }
 }
 
-/// A quantity over the recording as a chart; in a line if it changes by less than the last of
-/// its unit, its values and what counts as steady.
+/// Draws a quantity over the recording, or writes its range if that is below `steady`.
 fn course(page: &mut Page, name: &str, (unit, values, steady): (&str, &Envelope, f64)) {
     let Some((low, high)) = values.extremes() else {
         return;
@@ -306,7 +304,7 @@ fn course(page: &mut Page, name: &str, (unit, values, steady): (&str, &Envelope,
     );
 }
 
-/// Where messages of the board are missing.
+/// Draws the gaps in the numbers of the board's messages.
 pub(super) fn losses(page: &mut Page, curves: &Curves) {
     page.section("Losses");
     if curves.losses.is_empty() {
@@ -317,11 +315,9 @@ pub(super) fn losses(page: &mut Page, curves: &Curves) {
     streams.sort_unstable();
     streams.dedup();
     let all = streams.iter().map(|&name| {
-        let of_it = curves
-            .losses
-            .iter()
-            .filter(|(_, stream, _)| stream.name() == name);
-        let points = of_it.map(|&(at, _, count)| (at.as_secs_f64(), f64::from(count)));
+        let own = curves.losses.iter();
+        let own = own.filter(|(_, stream, _)| stream.name() == name);
+        let points = own.map(|&(at, _, count)| (at.as_secs_f64(), f64::from(count)));
         (name, Data::Points(points.collect()))
     });
     let svg = chart::series("board time, s", "messages", 0.0..1.0, all.collect());
@@ -354,7 +350,7 @@ fn range<'a>(name: &'a str, envelope: &Envelope) -> Option<(&'a str, Data)> {
     (!columns.is_empty()).then(|| (name, Data::Range(columns, envelope.width())))
 }
 
-/// A hundred steps over a span.
+/// Returns the times of a hundred steps over a span.
 fn times(span: Span) -> impl Iterator<Item = BoardSeconds> {
     let (from, to) = (span.from.as_secs_f64(), span.to.as_secs_f64());
     (0..=100).map(move |step| BoardSeconds(from + (to - from) * f64::from(step) / 100.0))

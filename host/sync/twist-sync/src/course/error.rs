@@ -4,7 +4,7 @@ use std::error::Error;
 
 /// Failure to relate two recordings, which are read with errors of type `E`.
 #[derive(Debug, thiserror::Error)]
-pub enum RecordingError<E: Error + 'static> {
+pub enum CourseError<E: Error + 'static> {
     /// Reading one of the recordings failed.
     #[error(transparent)]
     Read(#[from] E),

@@ -22,7 +22,7 @@ use std::mem::discriminant;
 use std::num::NonZero;
 use std::{panic, thread};
 
-use super::error::RecordingError;
+use super::error::CourseError;
 use super::{ClockCourse, Unsupported, search};
 use crate::clock::ClockRelation;
 use crate::estimate::{Estimate, Gate, Options, Refusal, Warning, estimate_offset};
@@ -108,7 +108,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
     b: GyroOpener<'_, E>,
     prior: Option<Prior>,
     options: &Options,
-) -> Result<RecordingClock, RecordingError<E>> {
+) -> Result<RecordingClock, CourseError<E>> {
     let mut expected = match prior {
         Some(prior) => prior,
         None => Prior::Relation(search::first_relation(a, b, options)?),
@@ -152,7 +152,7 @@ pub fn course_of_tracks(
     b: &GyroTrack,
     prior: Option<Prior>,
     options: &Options,
-) -> Result<RecordingClock, RecordingError<Infallible>> {
+) -> Result<RecordingClock, CourseError<Infallible>> {
     // Relative to the epochs, so that no digits are lost.
     let between = b.epoch_s - a.epoch_s;
     let prior = prior.map(|prior| match prior {
@@ -336,14 +336,14 @@ impl Found {
         mut self,
         windows: usize,
         options: &Options,
-    ) -> Result<RecordingClock, RecordingError<E>> {
+    ) -> Result<RecordingClock, CourseError<E>> {
         let all = &mut self.estimates;
         all.sort_by(|x, y| x.0.reference.total_cmp(&y.0.reference));
         let estimates: Vec<ClockRelation> = all.iter().map(|own| own.0).collect();
         let course = ClockCourse::with_common(all, options.wander);
         let Some(mut course) = course else {
             let most = self.refused.iter().max_by_key(|own| own.count);
-            return Err(RecordingError::NoRelation(if estimates.is_empty() {
+            return Err(CourseError::NoRelation(if estimates.is_empty() {
                 most.map_or_else(
                     || "they have no time in common".into(),
                     |most| most.gate.to_string(),

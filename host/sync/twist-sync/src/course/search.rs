@@ -8,7 +8,7 @@
 
 use std::error::Error;
 
-use super::error::RecordingError;
+use super::error::CourseError;
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
 use crate::estimate::{Options, estimate_offset};
@@ -43,8 +43,8 @@ pub(crate) fn first_relation<E: Error + 'static>(
     a: GyroOpener<'_, E>,
     b: GyroOpener<'_, E>,
     options: &Options,
-) -> Result<ClockRelation, RecordingError<E>> {
-    let no = |what: &str| RecordingError::NoRelation(what.into());
+) -> Result<ClockRelation, CourseError<E>> {
+    let no = |what: &str| CourseError::NoRelation(what.into());
     let profile_a = profile(a()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let profile_b = profile(b()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let lags = best_lags(&profile_a.bins, &profile_b.bins);
