@@ -86,10 +86,10 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         &[
             "<b>check</b>",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
-            "Twist 1: how fast board and phone turned",
+            "Twist 1: magnitude of the angular rates of board and phone",
             "What is left between the two: 0.000 rad/s rms",
             "Measured is each pulse",
-            "no message of any stream is missing",
+            "No message of any stream is missing",
             "a door that has a very long name",
             "bias_us",
         ],

@@ -254,7 +254,7 @@ fn settled(
             Ok(track) => {
                 found = track;
                 footage.notes.push(format!(
-                    "the first {half} frames were left aside: they do not fit the later ones"
+                    "the first {half} frames were left out: they do not fit the later ones"
                 ));
             }
             Err(_) => {

@@ -232,7 +232,7 @@ fn identity_text(identity: &Identity) -> String {
         return "open".to_owned();
     }
     format!(
-        "open: the frames do not show the train's ends; {} µs fit equally well, the first is taken \
+        "open: the frames do not show the train's ends; {} µs fit equally well, the first is used \
          (shortest exposure, nearest to the expected bias; --exposure and --near decide)",
         candidates.join(", ")
     )
@@ -242,7 +242,7 @@ fn identity_text(identity: &Identity) -> String {
 fn window_text(drift: &Drift) -> Option<String> {
     let [from, to] = drift.window_s?;
     Some(format!(
-        "{from:.1} s to {to:.1} s of the recording, found by itself: before or after that the \
+        "{from:.1} s to {to:.1} s of the recording, found automatically: before or after that the \
          train is being aligned or runs free (others: --from, --to)"
     ))
 }

@@ -76,7 +76,7 @@ fn page(
         page.section("Clock of the phone");
         page.figure(
             &svg,
-            "What the two gyroscopes say in each window against the smoothed course, with \
+            "Result of the two gyroscopes in each window relative to the smoothed course, with \
              1-sigma of both.",
         );
     }
@@ -232,12 +232,12 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
             } else {
                 Severity::Good
             },
-            format!("Everything is there and has its time in board time.{pairs}"),
+            format!("Complete, and all times are in board time.{pairs}"),
         ),
         count => (
             Severity::Check,
             format!(
-                "Missing or damaged: {count}, listed below. What is there has its time in board \
+                "Missing or damaged: {count}, listed below. All other times are in board \
                  time.{pairs}"
             ),
         ),

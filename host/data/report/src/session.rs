@@ -1,7 +1,6 @@
 //! The report of a recording: `report.html` in its folder.
 //!
-//! What was decided comes from `session.json`, the plots from `recording.mcap`,
-//! which is read once from front to back.
+//! The decisions come from `session.json`, the plots from one pass over `recording.mcap`.
 
 mod curves;
 mod judgement;
@@ -37,7 +36,11 @@ const MAX_LISTED: usize = 200;
 /// # Errors
 ///
 /// Fails if the recording cannot be read, or the report cannot be written.
-pub fn write(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Result<PathBuf, RecordingError> {
+pub fn write(
+    folder: &Path,
+    session: &SessionFile,
+    monitor: &ReadMonitor,
+) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session, monitor)?;
     let path = folder.join(REPORT_FILE);
     let html = page(folder, session, &curves).html();
@@ -51,7 +54,10 @@ pub fn write(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Res
 /// # Errors
 ///
 /// Fails like [`write`].
-pub fn write_again(folder: &Path, monitor: &ReadMonitor) -> Result<Option<PathBuf>, RecordingError> {
+pub fn write_again(
+    folder: &Path,
+    monitor: &ReadMonitor,
+) -> Result<Option<PathBuf>, RecordingError> {
     let session = SessionFile::load(folder).ok();
     let written = session.map(|session| write(folder, &session, monitor));
     written.transpose()

@@ -107,7 +107,7 @@ fn displaced_and_copied() -> Vec<Case> {
         class("every 4th sample by 1 ms", Accepted, 4, 1e-3),
         class("every 3rd sample by 1 ms", Accepted, 3, 1e-3),
         class("every 100th sample by 1 ms", Accepted, 100, 1e-3),
-        // Which half is right, nobody can say.
+        // It is unknown which half is right.
         class("every other sample by 1 ms", Refused, 2, 1e-3),
         class("every other sample by 0.3 ms", Refused, 2, 0.3e-3),
         damaged("two neighbours of ten by 1 ms", Accepted, |twist, seed| {

@@ -297,7 +297,7 @@ class Bags(Folder):
 
 
 def insta360(t, w):
-    """A video of an Insta360 camera without a picture: behind the boxes of MP4 stand records,
+    """A video of an Insta360 camera without a picture: after the boxes of MP4 come records,
     each before its format, kind and length, and a trailer. By InsvHeader.java, FrameHeader.java,
     GyroV2Record.java and extra_metadata.proto of <https://github.com/alex-plekhanov/insvtools>;
     samples are about half of 65536, which is 4000 °/s."""

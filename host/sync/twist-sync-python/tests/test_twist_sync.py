@@ -58,7 +58,7 @@ def recordings(seconds, seed, peak=2.5, unrelated=False, rate=500):
     return t_a, w_a, t_b * (1 + SKEW) + BOOT_S, w_b
 
 
-def truth(reference):
+def true_offset(reference):
     return BOOT_S + SKEW * reference
 
 
@@ -68,7 +68,7 @@ class Twists(unittest.TestCase):
         for seed in range(5):
             t_a, w_a, t_b, w_b = recordings(9, seed)
             found = twist_sync.estimate(t_a, w_a, t_b, w_b)
-            error = found.offset - truth(found.reference)
+            error = found.offset - true_offset(found.reference)
             self.assertLess(abs(error), 5 * found.clock.offset_sigma)
             self.assertLess(abs(found.skew - SKEW), 5 * found.clock.skew_sigma)
             np.testing.assert_allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-12)
@@ -79,11 +79,11 @@ class Twists(unittest.TestCase):
             b = np.interp(grid, t_b - t_b[0], np.linalg.norm(w_b, axis=1))
             c = correlate(a - a.mean(), b - b.mean())
             lag = correlation_lags(len(a), len(b))[np.argmax(c)] / 500
-            plain.append(t_b[0] - t_a[0] - lag - truth(4.5))
+            plain.append(t_b[0] - t_a[0] - lag - true_offset(4.5))
             sync = TimeSync(w_a, w_b, t_a - t_a[0], t_b - t_b[0], True)
             sync.resample(step=None)
             sync.obtain_delay()
-            published.append(t_b[0] - t_a[0] + sync.time_delay - truth(4.5))
+            published.append(t_b[0] - t_a[0] + sync.time_delay - true_offset(4.5))
         largest = [max(map(abs, errors)) for errors in (ours, plain, published)]
         self.assertLess(20 * largest[0], min(largest[1:]), largest)
 
@@ -102,7 +102,7 @@ class Twists(unittest.TestCase):
             right = (nearest - len(sync._xx1_new) + 1) * step
             falls = int(spline(top) < 0)
             self.assertAlmostEqual((sync.time_delay - right) / step, falls, delta=1e-3)
-            errors[falls].append(t_b[0] - t_a[0] + right - truth(4.5))
+            errors[falls].append(t_b[0] - t_a[0] + right - true_offset(4.5))
         self.assertGreater(len(errors[1]), 3)
         self.assertGreater(len(errors[0]), 3)
         returned = np.concatenate([errors[1], errors[0]])
@@ -149,7 +149,7 @@ class Twists(unittest.TestCase):
         since = 1_700_000_000_000_000_000
         nanos = [np.round(t * 1e9).astype(np.int64) for t in (t_a, t_b)]
         found = twist_sync.estimate(nanos[0] + since, w_a, nanos[1] + since, w_b)
-        error = found.clock.offset - truth(found.clock.reference - since * 1e-9)
+        error = found.clock.offset - true_offset(found.clock.reference - since * 1e-9)
         # What a float of seconds since 1970 holds: 0.24 µs.
         self.assertLess(abs(error), 5 * found.clock.offset_sigma + 0.5e-6)
 
@@ -201,7 +201,7 @@ class Recordings(unittest.TestCase):
         self.assertGreaterEqual(found.used, 11)
         for t in (10.0, 60.0, 110.0):
             clock = found.at(t)
-            self.assertLess(abs(clock.offset - truth(t)), 5 * clock.offset_sigma)
+            self.assertLess(abs(clock.offset - true_offset(t)), 5 * clock.offset_sigma)
             self.assertLess(clock.offset_sigma, 20e-6)
         back = found.b_to_a(60 * (1 + SKEW) + BOOT_S)
         self.assertLess(abs(back - 60), 50e-6)
@@ -274,7 +274,7 @@ class Networks(unittest.TestCase):
             on_b, sigma_b = solved.clock(1).offset(4_500_000_000)
             on_c, sigma_c = solved.clock(2).offset(4_500_000_000)
             squares += [
-                ((on_b[0] - truth(4.5)) / sigma_b[0]) ** 2,
+                ((on_b[0] - true_offset(4.5)) / sigma_b[0]) ** 2,
                 ((on_c[0] - 50) / sigma_c[0]) ** 2,
             ]
         loops = np.array(loops)

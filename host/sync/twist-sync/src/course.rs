@@ -399,14 +399,14 @@ mod tests {
     #[test]
     fn a_straight_line_is_found_and_the_end_is_predicted() {
         let wander = Wander::from_ppm(0.01);
-        let truth = |t: f64| 1e5 + 20e-6 * t;
+        let true_offset = |t: f64| 1e5 + 20e-6 * t;
         let estimates: Vec<ClockRelation> = (0..30)
-            .map(|k| estimate(10.0 * f64::from(k), truth(10.0 * f64::from(k)), 10e-6))
+            .map(|k| estimate(10.0 * f64::from(k), true_offset(10.0 * f64::from(k)), 10e-6))
             .collect();
         let course = ClockCourse::from_estimates(&estimates, wander).unwrap();
         assert_eq!((course.used, course.contradicting), (30, 0));
         let middle = course.at(155.0);
-        assert!((middle.offset - truth(155.0)).abs() < 3e-6);
+        assert!((middle.offset - true_offset(155.0)).abs() < 3e-6);
         let (inside, outside) = (
             middle.covariance[0][0].sqrt(),
             course.at(600.0).covariance[0][0].sqrt(),

@@ -2,7 +2,7 @@
 //! exposure shared by all.
 //!
 //! The normal equations are block arrow-shaped: each frame's own centre is eliminated,
-//! which leaves two equations for the shared parameters whatever the number of frames.
+//! which leaves two equations for the shared parameters for any number of frames.
 //! Averaging over frames sums the rows' errors *before* squaring, so that what all
 //! frames have in common (the texture of the scene, a compressed picture repeated from
 //! frame to frame) does not average out.

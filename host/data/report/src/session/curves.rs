@@ -71,7 +71,11 @@ impl Curves {
     /// # Errors
     ///
     /// Fails if the files cannot be read.
-    pub(super) fn read(recording: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Result<Self, RecordingError> {
+    pub(super) fn read(
+        recording: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Result<Self, RecordingError> {
         let mut curves = Self {
             twists: TwistRates::from_session(recording, session, monitor),
             frames: Frames::from_session(recording, session, monitor),

@@ -38,11 +38,11 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     let open = open.join(", ");
     let text = match (severity, parts.as_slice()) {
         (_, [only]) => only.text.clone(),
-        (Severity::Good, _) => String::from("Everything is there, and nothing of it is unknown."),
+        (Severity::Good, _) => String::from("Complete, and everything about it is known."),
         (Severity::Check, _) => {
-            format!("Recorded, but not all is there or known: {open}.")
+            format!("Recorded, but something is missing or unknown: {open}.")
         }
-        (Severity::Bad, _) => format!("Not usable as it is: {open}."),
+        (Severity::Bad, _) => format!("Not usable in this state: {open}."),
     };
     let promise = session
         .alignment
@@ -99,7 +99,7 @@ fn nothing_recorded(session: &SessionFile) -> Finding {
 
 fn reason(session: &SessionFile) -> &str {
     let last = session.problems.last();
-    last.map_or("no reason is noted", |problem| &problem.text)
+    last.map_or("for an unknown reason", |problem| &problem.text)
 }
 
 /// Judges the data of the board and the files of the phones.
@@ -144,8 +144,8 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
             (Severity::Bad, found)
         }
         None => {
-            next.push(String::from("`smartdepthsync extract` reads what is there"));
-            let found = "the program was ended before it could close the session";
+            next.push(String::from("`smartdepthsync extract` reads the rest"));
+            let found = "the program was killed before it could close the session";
             (Severity::Bad, found.to_owned())
         }
     };
@@ -266,7 +266,7 @@ fn depth(folder: &Path, session: &SessionFile) -> Finding {
         ),
         (None, Some(program)) => {
             next.push(String::from(
-                "`depth_recorder.log` in the folder has what it said",
+                "see its output in `depth_recorder.log` in the folder",
             ));
             let found = format!("`{program}` left no recording ({DEPTH_FILES}) in the folder");
             (Severity::Check, found)

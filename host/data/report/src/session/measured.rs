@@ -39,7 +39,11 @@ pub(super) struct TwistRates {
 impl TwistRates {
     /// Returns the accepted twists of the reference phone, with the phone's samples in board
     /// time.
-    pub(super) fn from_session(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Vec<Self> {
+    pub(super) fn from_session(
+        folder: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Vec<Self> {
         let Some(phone) = session.reference() else {
             return Vec::new();
         };
@@ -123,7 +127,11 @@ pub(super) struct Frames {
 impl Frames {
     /// Returns the frames of the reference phone, if its file of timestamps is in the folder and
     /// its clock is known.
-    pub(super) fn from_session(folder: &Path, session: &SessionFile, monitor: &ReadMonitor) -> Option<Self> {
+    pub(super) fn from_session(
+        folder: &Path,
+        session: &SessionFile,
+        monitor: &ReadMonitor,
+    ) -> Option<Self> {
         let (phone, alignment) = (session.reference()?, session.alignment.as_ref()?);
         let (clock, video) = (phone.clock?, phone.video?);
         let file = phone_files(folder, session, &phone.name)?.frames?;

@@ -64,8 +64,8 @@ fn overlay(page: &mut Page, twist: &TwistRates) {
     page.figure(
         &svg,
         &format!(
-            "Twist {number}: how fast board and phone turned, whatever the axis; the phone's \
-             samples on board time by this twist."
+            "Twist {number}: magnitude of the angular rates of board and phone; the phone's \
+             samples are in board time by this twist."
         ),
     );
     let all = vec![("residual", Data::Line(residual))];
@@ -78,9 +78,9 @@ fn overlay(page: &mut Page, twist: &TwistRates) {
     page.figure(
         &svg,
         &format!(
-            "What is left between the two: {rms:.3} rad/s rms. It is noise where they are rigidly \
-             joined and rightly timed; a copy of the motion in it is a gyroscope's bias or scale, \
-             or a wrong time."
+            "What is left between the two: {rms:.3} rad/s rms. It is noise if they are rigidly \
+             joined and correctly timed; a copy of the motion in it is due to a gyroscope's bias \
+             or scale, or to a wrong time."
         ),
     );
 }
@@ -269,7 +269,7 @@ pub(super) fn motion(page: &mut Page, curves: &Curves) {
     let svg = chart::series("board time, s", "rad/s", 0.0..0.1, vec![gyro]);
     page.figure(
         &svg,
-        "How fast the rig turned, whatever the axis: smallest and largest in each stretch of time.",
+        "Magnitude of the rig's angular rate: smallest and largest value in each stretch of time.",
     );
     for (name, what) in [
         (
@@ -292,9 +292,7 @@ fn course(page: &mut Page, name: &str, (unit, values, steady): (&str, &Envelope,
         return;
     };
     if high - low < steady {
-        return page.text(&format!(
-            "The {name}: {low:.2} to {high:.2} {unit} all the time."
-        ));
+        return page.text(&format!("The {name}: always {low:.2} to {high:.2} {unit}."));
     }
     let all = range(name, values).into_iter().collect();
     let svg = chart::series("board time, s", unit, low..low + steady, all);
@@ -308,7 +306,7 @@ fn course(page: &mut Page, name: &str, (unit, values, steady): (&str, &Envelope,
 pub(super) fn losses(page: &mut Page, curves: &Curves) {
     page.section("Losses");
     if curves.losses.is_empty() {
-        return page.text("By the board's numbers no message of any stream is missing.");
+        return page.text("No message of any stream is missing by the board's numbers.");
     }
     let streams = curves.losses.iter().map(|&(.., stream, _)| stream.name());
     let mut streams: Vec<&str> = streams.collect();

@@ -245,7 +245,7 @@ def _by_name(names: list[str], topic: str | None) -> list[int]:
         raise Unreadable(f"no columns of a gyroscope among {', '.join(names)[:200]}; {hint}")
     if len(found) > 1:
         of_each = "; ".join(f"@{s} ({', '.join(names[k] for k in t)})" for s, t in found.items())
-        raise Unreadable(f"several gyroscopes: {of_each}: name one behind the file, or {hint}")
+        raise Unreadable(f"several gyroscopes: {of_each}: name one after the file, or {hint}")
     stem, axes = next(iter(found.items()))
     times = [(rank, k) for k, name in enumerate(names) if (rank := _is_time(name)) is not None]
     if not times:
@@ -403,7 +403,7 @@ def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]
 
 
 def open_text(path: Path) -> IO[str]:
-    """A text file, whatever its bytes are."""
+    """Opens a text file with arbitrary bytes."""
     return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
 
 

@@ -1,7 +1,7 @@
 //! Search for a first relation of two clocks whose offset is unknown.
 //!
-//! All gyroscopes on a rigid body measure the same magnitude of the angular rate, whatever
-//! their axes. So the magnitudes of both recordings, averaged over [`BIN`], are correlated
+//! All gyroscopes on a rigid body measure the same magnitude of the angular rate, in any
+//! orientation. So the magnitudes of both recordings, averaged over [`BIN`], are correlated
 //! over all lags (an FFT over the whole recording: 100 kB an hour). The best lags
 //! are then tried with [`estimate_offset`] on the parts with the most motion; the first that
 //! passes its gates is the relation.

@@ -4,7 +4,7 @@
 //!   the most samples is used. Shorter gaps part it too where the samples would be fewer
 //!   than [`LEAST_RATE_HZ`] on the average. So the span that remains is at most
 //!   `samples / LEAST_RATE_HZ`, and what is allocated for bins and grids is bounded by
-//!   the number of samples, whatever the timestamps say.
+//!   the number of samples, for any timestamps.
 //! * **Order**: the fewest timestamps whose removal leaves an increasing
 //!   sequence are left out (longest increasing subsequence), so one wild value
 //!   costs one sample, not the rest of the recording.
