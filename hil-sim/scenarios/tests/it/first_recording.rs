@@ -86,7 +86,8 @@ fn is_near_truth(session: &SessionFile, truth: &Path) {
 /// Types a command as a person does, with Enter at each question; gives what it printed.
 fn typed(command: &str, place: &Path, search_path: &str) -> String {
     let mut child = processes::bound("sh")
-        .args(["-c", command])
+        // In the shell's place, so that it ends with the test as the shell would.
+        .args(["-c", &format!("exec {command}")])
         .current_dir(place)
         .env("PATH", search_path)
         .env("HOME", place)
