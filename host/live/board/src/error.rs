@@ -56,7 +56,7 @@ pub enum BoardError {
     Refused {
         /// Short name of the command.
         command: &'static str,
-        /// Why.
+        /// Reason of the board.
         refusal: Refusal,
     },
     /// The board gave the answer of another command.
@@ -67,7 +67,7 @@ pub enum BoardError {
     },
 }
 
-/// A refusal in words.
+/// Returns a refusal in words.
 fn explain(refusal: &Refusal) -> String {
     let micros = |ticks: u32| f64::from(ticks) * 1e6 / f64::from(protocol::TICK_HZ);
     match *refusal {
@@ -129,7 +129,7 @@ fn explain(refusal: &Refusal) -> String {
 /// Result of a call to the board.
 pub type Result<T> = std::result::Result<T, BoardError>;
 
-/// Why a board was reset, in words.
+/// Returns the cause of a reset in words.
 #[must_use]
 pub const fn reset_cause(cause: ResetCause) -> &'static str {
     match cause {

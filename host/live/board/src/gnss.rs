@@ -8,7 +8,7 @@ use crate::{Board, Result};
 
 /// Default time from the pulse to the sentences, ms. With a pulse of 20 ms
 /// they begin 80 ms after its end and have ended 175 ms after its edge, with `$GPZDA`
-/// 215 ms: what each lidar wants whose figures are in `docs/wiring.md`.
+/// 215 ms: within the limits of every lidar in `docs/wiring.md`.
 pub const NMEA_DELAY_MS: u16 = 100;
 
 /// Length of the pulse per second, ticks: 20 ms.
@@ -18,8 +18,8 @@ const PPS_WIDTH: u32 = TICK_HZ / 50;
 /// nearest second may be the one before or after.
 const SAME_EPOCH_S: u64 = 1;
 
-/// Settings for a lidar that begins with Unix time `utc_at_zero` at tick 0: the line's rate,
-/// whether it is high when idle, and whether `$GPZDA` follows `$GPRMC`.
+/// Returns settings for a lidar, with Unix time `utc_at_zero` at tick 0. The line is high when idle
+/// if `idle_high`; `$GPZDA` follows `$GPRMC` if `zda`.
 #[must_use]
 pub const fn settings(utc_at_zero: i64, baud: Baud, idle_high: bool, zda: bool) -> GnssSettings {
     GnssSettings {
@@ -37,11 +37,11 @@ pub const fn settings(utc_at_zero: i64, baud: Baud, idle_high: bool, zda: bool) 
     }
 }
 
-/// The rate of a serial line from its number in Bd.
+/// Parses the rate of a serial line, in Bd.
 ///
 /// # Errors
 ///
-/// There is no such rate; the text says which there are.
+/// There is no such rate; the text lists the rates.
 pub fn parse_baud(text: &str) -> std::result::Result<Baud, String> {
     Baud::ALL
         .into_iter()
@@ -49,8 +49,8 @@ pub fn parse_baud(text: &str) -> std::result::Result<Baud, String> {
         .ok_or_else(|| String::from("expected 9600 or 115200"))
 }
 
-/// Unix time of the board's tick 0 by this computer's clock, to the nearest second;
-/// `None` if that clock stands before 1970.
+/// Returns the Unix time of the board's tick 0 by this computer's clock, to the nearest second, or
+/// `None` if that clock is before 1970.
 ///
 /// # Errors
 ///
@@ -59,7 +59,7 @@ pub fn utc_at_zero(board: &mut Board) -> Result<Option<i64>> {
     utc_at_zero_by(board, SystemTime::now())
 }
 
-/// Unix time of the board's tick 0, as [`utc_at_zero`], where the time of day is `now`.
+/// Returns the Unix time of the board's tick 0, as [`utc_at_zero`], with the time of day `now`.
 ///
 /// # Errors
 ///
@@ -70,15 +70,15 @@ pub fn utc_at_zero_by(board: &mut Board, now: SystemTime) -> Result<Option<i64>>
     Ok(wall.ok().map(|wall| utc_by(wall, ticks, round_trip)))
 }
 
-/// Unix time of tick 0 if a ping that was sent at `wall` since 1970 and took
-/// `round_trip` found the board at `ticks`.
+/// Returns the Unix time of tick 0, from a ping that was sent at `wall` since 1970, took
+/// `round_trip` and found the board at `ticks`.
 fn utc_by(wall: Duration, ticks: Ticks, round_trip: Duration) -> i64 {
     let utc = wall.as_secs_f64() + round_trip.as_secs_f64() / 2.0;
     (utc - ticks.as_secs_f64()).round() as i64
 }
 
-/// Starts pulse and sentences. Where they run already with these settings and an epoch
-/// that is at most a second off, nothing changes: a lidar keeps the time it has.
+/// Starts pulse and sentences. Changes nothing if they already run with these settings and an epoch
+/// at most a second off: a lidar keeps its time.
 ///
 /// # Errors
 ///

@@ -7,15 +7,15 @@ use protocol::{BoardModel, IMAGE_MARK};
 
 /// The DFU suffix: its last 16 bytes (USB DFU 1.1, appendix B).
 const SUFFIX: usize = 16;
-/// The suffix's CRC is over all before it: Ethernet's without the last complement.
+/// CRC of the suffix, over all bytes before it: Ethernet's without the final complement.
 const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
 /// Largest text after the mark.
 const MARK_MOST: usize = 64;
 
-/// Where the flash begins.
+/// Address of the start of the flash.
 pub const FLASH_START: u32 = 0x0800_0000;
 
-/// An image that was checked.
+/// A checked image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     /// The board that it is for.
@@ -28,7 +28,7 @@ pub struct Image {
     pub flash: Vec<u8>,
 }
 
-/// Why a file is no image.
+/// Reason for which a file is no image.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file cannot be read.

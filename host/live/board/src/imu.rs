@@ -1,5 +1,4 @@
-//! The board's IMU samples in SI units, and what a stretch of them says about
-//! rate, jitter and noise.
+//! The board's IMU samples in SI units, and the rate, jitter and noise of a stretch of them.
 //!
 //! Samples keep the time of their data-ready edge: the delay of the sensor's
 //! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
@@ -13,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Standard gravity, m/s².
 pub const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// From counts to SI units.
+/// Conversion from counts to SI units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
     /// rad/s of one count of the gyroscope.
@@ -56,11 +55,11 @@ pub const ACCEL_RANGES: [(u32, AccelRange); 4] = [
     (16, AccelRange::G16),
 ];
 
-/// The setting that a number stands for.
+/// Returns the setting for a number.
 ///
 /// # Errors
 ///
-/// It stands for none; the numbers that do, in words.
+/// No setting has this number; the text lists the numbers.
 pub fn setting<T: Copy>(number: u32, settings: &[(u32, T)]) -> Result<T, String> {
     let known = settings.iter().find(|(known, _)| *known == number);
     known.map(|(_, setting)| *setting).ok_or_else(|| {
@@ -76,7 +75,7 @@ fn number_of<T: PartialEq>(setting: T, settings: &[(u32, T)]) -> u32 {
     known.map_or(0, |(number, _)| *number)
 }
 
-/// Which sensor it is and how it is set up, with what its data sheet says of that.
+/// Returns the sensor and its setup in words, with the figures of its data sheet.
 #[must_use]
 pub fn describe(setup: &ImuSetup) -> String {
     let sensor = &setup.sensor;
@@ -96,7 +95,7 @@ pub fn describe(setup: &ImuSetup) -> String {
     )
 }
 
-/// The last fault of the sensor, in words.
+/// Returns the last fault of the sensor in words.
 #[must_use]
 pub fn last_fault(setup: &ImuSetup) -> String {
     setup.status.last_fault.map_or_else(
@@ -113,7 +112,7 @@ pub fn last_fault(setup: &ImuSetup) -> String {
     )
 }
 
-/// Sensors that are sold in place of those that the board knows, by WHO_AM_I.
+/// Sensors that are sold in place of the supported ones, by WHO_AM_I.
 fn relative(identity: u8) -> &'static str {
     match identity {
         0x72 => ", as clones of the MPU-6050 have it, whose registers differ",
@@ -129,7 +128,7 @@ fn relative(identity: u8) -> &'static str {
 pub struct Sample {
     /// Data-ready edge.
     pub at: Ticks,
-    /// As the board gave them.
+    /// Flags of the board.
     pub flags: ImuFlags,
     /// Angular rate, rad/s.
     pub gyro: [f64; 3],
@@ -140,7 +139,7 @@ pub struct Sample {
 }
 
 impl Scale {
-    /// The scale of a setup; `None` if the board gave no scale.
+    /// Returns the scale of a setup, or `None` if the board reported none.
     #[must_use]
     pub fn from_setup(setup: &ImuSetup) -> Option<Self> {
         let sensor = &setup.sensor;
@@ -162,7 +161,7 @@ impl Scale {
         })
     }
 
-    /// One sample in SI units.
+    /// Converts one sample to SI units.
     #[must_use]
     pub fn apply(&self, sample: &ImuSample) -> Sample {
         Sample {
@@ -356,7 +355,7 @@ impl Summary {
     }
 }
 
-/// A look at the IMU's samples: their summary, and their noise even in motion.
+/// Statistics of the IMU's samples: their summary, and their noise even in motion.
 #[derive(Clone, Debug, Default)]
 pub struct ImuLook {
     summary: Summary,
@@ -366,7 +365,7 @@ pub struct ImuLook {
 }
 
 impl ImuLook {
-    /// Takes a sample.
+    /// Adds a sample.
     pub fn add(&mut self, sample: &Sample) {
         self.summary.add(sample);
         let (before, count) = &mut self.before;
@@ -386,13 +385,13 @@ impl ImuLook {
         self.before.1 = 0;
     }
 
-    /// The summary so far.
+    /// Returns the summary so far.
     #[must_use]
     pub fn report(&self) -> SummaryReport {
         self.summary.report()
     }
 
-    /// Noise of the gyroscope while it turns, rad/s: that of the worst axis.
+    /// Returns the noise of the gyroscope while it turns, rad/s: that of the worst axis.
     ///
     /// The third difference of samples 2 ms apart takes out what a hand can do
     /// (5 rad/s at 10 Hz leave 0.002 rad/s) and leaves white noise times the root

@@ -4,7 +4,7 @@ use protocol::usb::serial_number;
 use protocol::{BoardModel, Hello, ResetCause};
 use serde::{Deserialize, Serialize};
 
-/// The board.
+/// Identity and state of a board, as it reports them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardInfo {
     /// Unique ID in hex.
@@ -13,22 +13,22 @@ pub struct BoardInfo {
     pub firmware: String,
     /// Git revision of the firmware, if it was built from one.
     pub git_revision: Option<String>,
-    /// Built from changed files.
+    /// True if the firmware was built from changed files.
     pub git_dirty: bool,
-    /// Which board it is.
+    /// Model of the board.
     pub model: BoardModel,
     /// Version of the protocol.
     pub protocol: u16,
     /// Ticks a second.
     pub tick_hz: u32,
-    /// Run of the board.
+    /// Number of the board's run.
     pub epoch: u32,
-    /// Why it last reset.
+    /// Cause of its last reset.
     pub reset_cause: ResetCause,
 }
 
 impl BoardInfo {
-    /// As it introduces itself.
+    /// Creates the description from the board's greeting.
     #[must_use]
     pub fn new(hello: &Hello) -> Self {
         let (major, minor, patch) = hello.firmware_version;

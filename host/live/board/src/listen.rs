@@ -1,4 +1,4 @@
-//! Listening to a board until what is waited for has come.
+//! Listening to a board until an awaited event.
 
 use std::time::Duration;
 
@@ -11,8 +11,9 @@ use crate::error::BoardError;
 const PATIENCE: Duration = Duration::from_secs(20);
 
 impl Board {
-    /// Gives each event to `take`, and nothing where none came for a while, until `take` has
-    /// a result; `None` if `stop` says so before. `what` is what is waited for, in words.
+    /// Passes each event to `take`, or `None` after a while without events, until `take` returns a
+    /// result. Returns `None` if `stop` returns true before. `what` names the awaited event in
+    /// messages.
     ///
     /// # Errors
     ///

@@ -1,10 +1,10 @@
-//! The numbered streams of the board, and what came and was lost on each.
+//! The numbered streams of the board, with counts of messages received and lost on each.
 
 use protocol::{DeviceToHost, Dropped, Output, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// Follows running numbers, which wrap: how many are missing before `number`. None if more than
-/// half of all are: it came twice or out of order.
+/// Follows running numbers, which wrap. Returns how many are missing before `number`, or `None` if
+/// that is more than half of all numbers: `number` came twice or out of order.
 pub const fn follow(expected: &mut Option<u32>, number: u32) -> Option<u32> {
     let gap = match *expected {
         Some(expected) => number.wrapping_sub(expected),
@@ -63,7 +63,7 @@ impl Stream {
         })
     }
 
-    /// The stream of an output's pulses.
+    /// Returns the stream of an output's pulses.
     const fn of_pulses(output: Output) -> Self {
         match output {
             Output::Camera => Self::Pulses,
@@ -71,7 +71,7 @@ impl Stream {
         }
     }
 
-    /// Its name in reports.
+    /// Returns its name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -85,9 +85,9 @@ impl Stream {
         }
     }
 
-    /// The board's counter of what it dropped of this stream; none if another
-    /// stream's counter holds it too, or if it never drops any. Pulses per second
-    /// are in the queue of the auxiliary outputs.
+    /// Returns the board's counter of dropped messages of this stream, or `None` if the counter is
+    /// shared with another stream or the board drops none. Pulses per second share the queue of the
+    /// auxiliary outputs.
     #[must_use]
     pub const fn dropped(self, dropped: &Dropped) -> Option<u32> {
         // Field by field: a counter that is new has a stream that is.

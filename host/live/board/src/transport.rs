@@ -1,6 +1,6 @@
 //! Bytes to and from the board, and nothing else: no frames, no messages.
 //!
-//! [`Link`] is what a [`Conversation`](crate::conversation::Conversation) is driven through.
+//! A [`Link`] carries a [`Conversation`](crate::conversation::Conversation).
 //! [`serial::SerialLink`] is the one for boards: a USB serial port, or any other
 //! terminal device such as the pseudo-terminal of a simulated board. A link
 //! also keeps the time by which deadlines are counted, so that a rig in the same
@@ -13,12 +13,11 @@ pub mod serial;
 
 /// A byte stream to a board, with the clock of its deadlines.
 pub trait Link {
-    /// Time since any fixed moment, for deadlines. The moment is the same for all
-    /// links of a program, so that the board's time can be followed from one to
-    /// the next.
+    /// Returns the time since a fixed moment, for deadlines. The moment is the same for all links
+    /// of a program, so that the board's time can be followed from one link to the next.
     fn now(&self) -> Duration;
 
-    /// The same clock, but for what the system does to steer it towards the right time.
+    /// Returns the time of the same clock without the system's steering towards the right time.
     fn steady(&self) -> Duration {
         self.now()
     }
@@ -27,18 +26,18 @@ pub trait Link {
     ///
     /// # Errors
     ///
-    /// The link is gone, or took no bytes for a second.
+    /// The link is gone, or accepted no bytes for a second.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// Appends what has arrived to `into`. Waits for the first byte at most for
-    /// `wait`; nothing appended means that nothing came.
+    /// Appends received bytes to `into`, waiting up to `wait` for the first one. Appends nothing if
+    /// none arrived.
     ///
     /// # Errors
     ///
-    /// The link is gone. What had arrived before was given out before.
+    /// The link is gone. Bytes that arrived before have already been returned.
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError>;
 
-    /// Lets time pass in which nothing that arrives is taken from the board.
+    /// Reads nothing from the board for `time`.
     fn pause(&mut self, time: Duration);
 }
 
@@ -51,7 +50,7 @@ pub enum LinkError {
         /// The system's error message.
         reason: String,
     },
-    /// The board takes no bytes.
+    /// The board accepts no bytes.
     #[error("the board takes no bytes")]
     Stuck,
 }

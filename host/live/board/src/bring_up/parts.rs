@@ -23,8 +23,8 @@ use crate::bring_up::{BringUpError, Check, IntervalHistogram, Operator, Part, Pl
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
 
-/// The trains that are measured: period and width in ticks. 400 a second is what the
-/// strobe input takes for ever with two edges a pulse.
+/// The trains that are measured: period and width in ticks. The strobe input can keep up with 400
+/// pulses a second, of two edges each.
 const TRAINS: [(Period, u32); 3] = [
     (PERIOD, MIN_PULSE_WIDTH),
     (period(2_500_012_345), MIN_PULSE_WIDTH),
@@ -109,8 +109,9 @@ impl<'a> BoardTest<'a> {
         }
     }
 
-    /// Asks for something to be done at the board, and hears what it says until that is seen or
-    /// the link ends, which it says too. What is not done is left out, and `None`.
+    /// Asks for something to be done at the board. Returns the messages until `is_done` or until the
+    /// link ends, and true if it ended; `None`, with a skipped check, if the request was not
+    /// followed.
     fn by_hand(
         &mut self,
         (name, reason): (&str, &'static str),
@@ -141,12 +142,12 @@ impl<'a> BoardTest<'a> {
         Ok(None)
     }
 
-    /// Takes what the board says for `length` of board time.
+    /// Receives the board's messages for `length` of board time.
     fn receive_for(&mut self, length: TickDelta) -> Result<Received, BringUpError> {
         self.receive_until(length, |_| false)
     }
 
-    /// Takes what the board says for `length` of board time, or until `done`.
+    /// Receives the board's messages for `length` of board time, or until `done`.
     fn receive_until(
         &mut self,
         length: TickDelta,
@@ -157,7 +158,7 @@ impl<'a> BoardTest<'a> {
         Ok(received)
     }
 
-    /// The same; what came before an error is in `received` too.
+    /// As [`Self::receive_until`]; `received` also holds the messages before an error.
     fn hear_into(
         &mut self,
         received: &mut Received,
@@ -188,7 +189,7 @@ impl<'a> BoardTest<'a> {
         listened.ok_or(BringUpError::Stopped)
     }
 
-    /// The settings that the board keeps; with `keep`, what was measured becomes part of them.
+    /// Returns the settings that the board keeps; with `keep`, stores the measurements in them.
     pub(crate) fn settings(&mut self, keep: bool) -> Result<BoardSettings, BringUpError> {
         let before = self.board.call(QueryBoard)?;
         if !keep {
@@ -397,8 +398,8 @@ impl<'a> BoardTest<'a> {
         Ok(())
     }
 
-    /// Asks for the wire at PA2 to be moved to a pin, and waits until as many edges come there
-    /// as `made` counts; false, with a check of this name, if they do not.
+    /// Asks to move the wire at PA2 to a pin and waits until the edges there are as many as `made`
+    /// counts. Returns false, with a check of this name, if they are not.
     fn wire_moved(
         &mut self,
         (name, reason): (&str, &'static str),

@@ -16,13 +16,12 @@ pub(crate) struct Line {
     pub(crate) idle_low: bool,
     /// The bytes; fewer where one had no stop bit or an edge was lost.
     pub(crate) text: Vec<u8>,
-    /// The farthest that an edge is from its place in its byte, in ticks.
+    /// Largest distance of an edge from its place in its byte, in ticks.
     pub(crate) doubt: i64,
 }
 
 impl Line {
-    /// The text whose first edge is the first one after the end of a pulse, or of anything else
-    /// at this time.
+    /// Decodes the text whose first edge is the first one after a time, such as the end of a pulse.
     pub(crate) fn after(at: Ticks, baud: u32, captures: &[Capture]) -> Option<Self> {
         let bit = i64::from(TICK_HZ / baud.max(1)).max(1);
         let from = captures.partition_point(|capture| capture.at < at);
@@ -35,7 +34,7 @@ impl Line {
             doubt: 0,
         };
         while let Some((start, edges)) = rest.split_first() {
-            // What was lost before the first edge is of the sentence before.
+            // Edges lost before the first one belong to the previous sentence.
             let is_whole = line.text.is_empty() || !start.after_loss;
             if line.text.len() == BYTES || !is_whole || start.edge != first.edge {
                 break;

@@ -1,14 +1,14 @@
-//! A train of pulses against the arithmetic that made it, and against its captures.
+//! Comparison of a train of pulses with the arithmetic that made it, and with its captures.
 
 use std::fmt;
 
 use protocol::{Capture, Edge, EdgeGrid, Pulse, TICK_HZ, TickDelta, Ticks, TriggerStatus};
 
-/// The most by which equal delays may differ: a signal that changes just when its
-/// input is sampled is seen a tick later.
+/// Largest difference of equal delays: a signal that changes just when its input is sampled is
+/// seen a tick later.
 pub(crate) const TICK_OF_DOUBT: i64 = 1;
 
-/// The longest plausible way from an edge to its capture: 0.5 µs. Some three clocks of
+/// Longest plausible delay from an edge to its capture: 0.5 µs. Some three clocks of
 /// synchroniser and eight of filter (RM0090 18.4.7) are 0.2 µs.
 pub(crate) const MAX_DELAY: i64 = (TICK_HZ / 2_000_000) as i64;
 
@@ -78,15 +78,15 @@ pub(crate) struct Trains {
     pub(crate) grid_error: Extent,
     /// Pulses that should be on the strobe input.
     pub(crate) pulses: u64,
-    /// Those that were.
+    /// Those that were seen there.
     pub(crate) captured: u64,
-    /// From their edge to its capture.
+    /// Delay from their edge to its capture.
     pub(crate) delay: Extent,
-    /// Captured width less the one that was asked for.
+    /// Captured width less the requested one.
     pub(crate) width_error: Extent,
     /// Those that were read back.
     pub(crate) read_back: u64,
-    /// From their edge to the read-back.
+    /// Delay from their edge to the read-back.
     pub(crate) read_back_delay: Extent,
 }
 

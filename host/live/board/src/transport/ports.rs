@@ -1,4 +1,4 @@
-//! Which serial ports there are, and which look like the board.
+//! The serial ports of this machine, and those that look like the board.
 
 use std::path::Path;
 
@@ -32,7 +32,7 @@ pub struct UsbDevice {
     pub serial_number: Option<String>,
 }
 
-/// All serial ports, boards first, then by path.
+/// Returns all serial ports, boards first, then by path.
 ///
 /// # Errors
 ///

@@ -26,11 +26,11 @@ const BAUD: u32 = 115_200;
 /// Interval at which the reading thread checks for its end.
 const POLL: Duration = Duration::from_millis(50);
 
-/// The most bytes that wait in the queue, but for one reading of the port.
+/// Most bytes that wait in the queue, except for one reading of the port.
 const MOST_WAITING: usize = 32 << 20;
 
-/// The most bytes that are given out at a time, but for one reading of the port: who
-/// takes them looks at the clock in between.
+/// Most bytes that are returned at a time, except for one reading of the port: the caller looks at
+/// the clock in between.
 const MOST_AT_ONCE: usize = 1 << 20;
 
 /// Wait of the reading thread while the queue is full or it is asked to pause.
@@ -39,37 +39,37 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// Longest time of a write.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Why a port cannot be opened.
+/// Reason for which a port cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// There is no such file.
     #[error("there is no port {path}")]
     NotFound {
-        /// As given.
+        /// Path of the port, as given.
         path: String,
     },
     /// The user may not open it.
     #[error("no permission to open {path}")]
     Permission {
-        /// As given.
+        /// Path of the port, as given.
         path: String,
     },
     /// Another program has it.
     #[error("{path} is in use by another program")]
     Busy {
-        /// As given.
+        /// Path of the port, as given.
         path: String,
     },
     /// It is a file, a folder, or some other device.
     #[error("{path} is not a serial port")]
     NotAPort {
-        /// As given.
+        /// Path of the port, as given.
         path: String,
     },
     /// Anything else.
     #[error("cannot open {path}: {reason}")]
     Other {
-        /// As given.
+        /// Path of the port, as given.
         path: String,
         /// The system's error message.
         reason: String,
@@ -96,8 +96,8 @@ struct Asked {
 }
 
 impl SerialLink {
-    /// Opens a port exclusively and starts to read it. Raises DTR, by which a
-    /// CDC-ACM device knows that somebody listens.
+    /// Opens a port exclusively and starts to read it. Raises DTR, which tells a CDC-ACM device that
+    /// a program listens.
     ///
     /// # Errors
     ///
@@ -147,7 +147,7 @@ impl SerialLink {
     }
 }
 
-/// Time since the program first asked for it: one clock for all links.
+/// Returns the time since the first call in this program: one clock for all links.
 #[must_use]
 pub fn program_time() -> Duration {
     static BEGAN: OnceLock<Instant> = OnceLock::new();

@@ -46,7 +46,7 @@ impl BoardTest<'_> {
         self.recovery(has_clock)
     }
 
-    /// The clock is unplugged: the sensor goes on with its own.
+    /// Checks that the sensor goes on with its own clock when the board's is unplugged.
     fn without_clock(&mut self) -> Result<(), BringUpError> {
         const NAME: &str = "IMU without its clock";
         const REASON: &str = "the sensor is not set up again on its own clock";
@@ -70,8 +70,8 @@ impl BoardTest<'_> {
         Ok(())
     }
 
-    /// Waits until samples come without a break; whether they do. A wire that is being plugged in
-    /// bounces, and the sensor fails once more.
+    /// Waits until samples come without a break. Returns true if they do. A wire that is being
+    /// plugged in bounces, and the sensor fails once more.
     fn comes_back(&mut self) -> Result<(bool, Received), BringUpError> {
         let mut received = Received::default();
         for _ in 0..IMU_BACK_TRIES {
@@ -154,7 +154,7 @@ impl BoardTest<'_> {
         );
     }
 
-    /// SDA is unplugged and plugged in again, while the trigger runs.
+    /// Checks the recovery from an unplugged SDA while the trigger runs.
     fn recovery(&mut self, has_clock: bool) -> Result<(), BringUpError> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";

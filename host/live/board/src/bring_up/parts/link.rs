@@ -40,10 +40,10 @@ const STILL: &str = "the core's cycle counter stands still: take a debug probe o
 
 const SLOW: &str = "wait states, or a handler of higher priority that takes too long";
 
-/// Which handler, by what name, and the longest that it may take, in µs: the trigger's
-/// the gap between two pulses, the outputs' the shortest pulse, whose end they arm. The
-/// two below are held off by those, and by each other; within a millisecond the queues
-/// before them do not fill (`EVENTS`, `OUTPUT_EVENTS` in the firmware).
+/// Handlers, their names, and their longest run times, in µs: for the trigger's the gap between two
+/// pulses, for the outputs' the shortest pulse, whose end they arm. The two below wait for those
+/// and for each other; within a millisecond the queues before them do not fill (`EVENTS`,
+/// `OUTPUT_EVENTS` in the firmware).
 type Handler = (&'static str, fn(&Handlers) -> HandlerTime, f64);
 const HANDLERS: [Handler; 4] = [
     ("handler of the trigger", |all| all.trigger, 20.0),

@@ -1,5 +1,5 @@
-//! A board that leaves the bus, and one that starts again: what it must not lose, and what it must
-//! say.
+//! Tests of a board that leaves the bus or starts again: it must lose nothing but what its counters
+//! say, and report the cause.
 
 use std::time::Duration;
 
@@ -27,8 +27,8 @@ const REPLUGS: u64 = 5;
 /// Time for which the computer does not read in every other minute of a soak.
 const SLEEP: Duration = Duration::from_secs(8);
 
-/// The most messages that are lost with a link behind the board, which counts its own: what a
-/// computer's driver has taken and drops with the port, a guess of 1,152 bytes at 20 a message.
+/// Most messages that a computer's driver has received and drops with the port, so that the board
+/// does not count them: a guess of 1,152 bytes at 20 a message.
 const IN_DRIVER: u64 = 1_152 / 20;
 
 /// Failures on request: name, command, reported cause of the reset, and message in the `Hello`.
@@ -60,16 +60,16 @@ const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
     ),
 ];
 
-/// A train beside which the link is interrupted.
+/// A train that runs while the link is interrupted.
 struct Interrupted {
     grid: PulseGrid,
     epoch: u32,
     trains: Trains,
     times: u64,
     lost: u64,
-    /// Messages that the board had dropped before, and by now.
+    /// Messages that the board had dropped before, and has dropped now.
     dropped: Option<(u64, u64)>,
-    /// Suspends of the bus before, and by now.
+    /// Suspends of the bus before, and now.
     suspends: Option<(u32, u32)>,
 }
 
@@ -163,8 +163,8 @@ impl BoardTest<'_> {
         Ok(train)
     }
 
-    /// Has the board leave the bus in the middle of what it sends, and takes it up again; false,
-    /// with a failed check, if it stays.
+    /// Makes the board leave the bus while it sends, and reconnects. Returns false, with a failed
+    /// check, if the board stays.
     fn leave_bus(
         &mut self,
         received: &mut Received,
@@ -182,7 +182,7 @@ impl BoardTest<'_> {
         Ok(true)
     }
 
-    /// Has the board fail so; false if the link does not end by it.
+    /// Makes the board fail. Returns false if the link does not end.
     fn fails_by(
         &mut self,
         failure: Failure,
@@ -265,7 +265,8 @@ impl BoardTest<'_> {
         Ok(())
     }
 
-    /// Hears the board until the link ends; false if it does not, or `done` says so.
+    /// Receives messages until the link ends. Returns false if it does not, or if `done` returns
+    /// true before.
     pub(super) fn link_ends(
         &mut self,
         received: &mut Received,
@@ -280,7 +281,7 @@ impl BoardTest<'_> {
         }
     }
 
-    /// Takes the board up again behind a link that ended; a check fails if it does not come.
+    /// Reconnects after a link has ended. A check fails if the board does not come back.
     fn come_back(&mut self, name: &'static str) -> Result<(), BringUpError> {
         let mut tries = 0;
         loop {
@@ -305,7 +306,7 @@ impl BoardTest<'_> {
         }
     }
 
-    /// The board after each failure and each reset.
+    /// Checks the board after each failure and each reset.
     pub(super) fn resets(&mut self) -> Result<(), BringUpError> {
         const REASON: &str = "the reset's flags, or the memory and flash in which a run leaves its \
                               end";

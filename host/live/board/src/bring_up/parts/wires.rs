@@ -29,7 +29,7 @@ const SETTINGS: GnssSettings = GnssSettings {
 /// middle of ten bits tolerates more than ten times that.
 const LINE_DOUBT: i64 = (TICK_HZ / SETTINGS.baud.hz() / 50) as i64;
 
-/// The shortest pulse that the depth camera takes (specification of its sync input): 8 µs.
+/// Shortest pulse that the depth camera accepts (specification of its sync input): 8 µs.
 const SHORTEST: i64 = 8 * (TICK_HZ / 1_000_000) as i64;
 
 impl BoardTest<'_> {
@@ -61,8 +61,8 @@ impl BoardTest<'_> {
                 REASON,
             );
         }
-        // A second's sentence has some 300 edges, more than the strobe input takes at once; how
-        // many come tells that the wire is there.
+        // A second's sentence has some 300 edges, more than the strobe input accepts at once; their
+        // number shows that the wire is there.
         let moved = self.wire_moved((LINE, REASON), pin_of("sentences"), |received| {
             let edges = received.strobe.len();
             if edges > 40 { edges } else { usize::MAX }
@@ -77,7 +77,7 @@ impl BoardTest<'_> {
                     )
                 })
                 .collect();
-            // Of the last second not everything may have come.
+            // The last second may be incomplete.
             let whole = lines
                 .get(..lines.len().saturating_sub(1))
                 .unwrap_or_default();
@@ -100,7 +100,7 @@ impl BoardTest<'_> {
         Ok(())
     }
 
-    /// The sentences of these seconds.
+    /// Returns the sentences of these seconds.
     fn line(&mut self, name: &'static str, seconds: &[(&Pps, Option<Line>)], reason: &'static str) {
         let (mut begins, mut doubt, mut right) = (Extent::default(), Extent::default(), 0);
         for (pps, line) in seconds {
@@ -128,8 +128,8 @@ impl BoardTest<'_> {
         );
     }
 
-    /// The trigger as the camera gets it: after the buffer, at the divider's tap. Both inputs
-    /// are on it.
+    /// Checks the trigger as the camera receives it: after the buffer, at the divider's tap. Both
+    /// inputs are wired to it.
     pub(super) fn buffer(&mut self) -> Result<(), BringUpError> {
         const REASON: &str =
             "the buffer's supply and its input; the divider, or a cable that loads it";
