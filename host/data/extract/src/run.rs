@@ -314,7 +314,7 @@ impl Extraction<'_> {
         for damage in &survey.damage {
             self.lose(LossPart::Board, damage.clone());
         }
-        // Numbers come from the file.
+        // The counts come from a file and may be absurd.
         let counts = survey.missing_pulses().map(|(_, _, count)| count);
         let missing = counts.fold(0, u64::saturating_add);
         if missing > 0 {

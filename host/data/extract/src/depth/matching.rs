@@ -125,7 +125,7 @@ impl Matching<'_> {
             },
             prior: None,
         };
-        // Without a relation the pulses stay ambiguous, which is what is said.
+        // Without a relation the pulses stay ambiguous, which is the reported error.
         let course = match related(self.board, span, &camera, self.monitor) {
             Err(error) if !error.is_fatal() => return Ok(None),
             clock => clock?.course,

@@ -149,14 +149,14 @@ mod tests {
     use super::*;
 
     fn stamps(count: i64) -> Vec<PhoneNanos> {
-        // A real phone's distances are regular to a microsecond.
+        // As regular as a real phone's, to a microsecond.
         (0..count)
             .map(|i| PhoneNanos(949_000_000_000_000 + i * 33_330_652 + (i * 7919 % 13) * 100))
             .collect()
     }
 
     fn presentation(stamps: &[PhoneNanos]) -> Vec<i64> {
-        // 90 kHz.
+        // Presentation times are multiples of 1/90000 s.
         let tick = |ns: i64| ns * 90 / 1_000_000 * 1_000_000 / 90;
         stamps.iter().map(|at| tick(at.0 - stamps[0].0)).collect()
     }

@@ -302,7 +302,7 @@ mod tests {
         let color = found.color.unwrap().intrinsics.unwrap();
         near(color.center, [0.498 * 1920.0 - 0.5, 0.502 * 1440.0 - 180.5]);
         near(color.focal, [0.475 * 1920.0, 0.634 * 1440.0]);
-        // The calibrations of the first cameras are of 16:9.
+        // The first cameras have calibrations of 16:9 images.
         let old = file().replace(":3072", ":2304");
         let old = read(old.as_bytes(), Some("NFOV_UNBINNED"), Some((2048, 1536))).unwrap();
         let color = old.color.unwrap().intrinsics.unwrap();

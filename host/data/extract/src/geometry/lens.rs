@@ -148,7 +148,7 @@ impl Lens {
             (pixel[0] - self.center[0]) / self.focal[0],
             (pixel[1] - self.center[1]) / self.focal[1],
         ];
-        // The start may lie outside of the model where the lens pulls inwards.
+        // The start may be outside of the model if the lens distorts inwards.
         let reach = at[0].hypot(at[1]);
         if reach > 0.9 * self.radius {
             at = at.map(|side| side * 0.9 * self.radius / reach);
@@ -171,7 +171,7 @@ impl Lens {
                 (d * off[0] - b * off[1]) / determinant,
                 (a * off[1] - c * off[0]) / determinant,
             ];
-            // A step over the edge of the model is halved.
+            // A step beyond the edge of the model is halved.
             for _ in 0..ROUNDS {
                 if self.project([at[0] + step[0], at[1] + step[1]]).is_some() {
                     break;
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pixel_comes_back_from_its_ray() {
+    fn projecting_the_ray_of_a_pixel_returns_the_pixel() {
         // As large as in the maker's calibrations.
         let rational = [0.65, 0.04, 1e-4, -8e-5, -4e-3, 0.99, 0.15, -0.02];
         for intrinsics in [
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_turning_point_there_is_nothing() {
+    fn rays_beyond_the_turning_point_have_no_pixel() {
         let lens =
             Lens::from_intrinsics(&intrinsics(DistortionModel::Radtan, &[-0.3, 0.0, 0.0, 0.0]));
         // r − 0.3 r³ turns at r = 1.054.

@@ -180,7 +180,7 @@ mod tests {
     #[test]
     fn a_box_moves_by_the_baseline_and_hides_the_wall_behind_it() {
         let (small, large) = (pinhole(64, 48, 60.0), pinhole(160, 120, 150.0));
-        // The other camera sits 100 mm to the left: all moves right by 150 · 100 / z.
+        // The other camera is 100 mm to the left, so everything moves right by 150 · 100 / z.
         let registration = Registration::new(
             ImageGeometry {
                 lens: &small,
@@ -200,15 +200,15 @@ mod tests {
         }
         let seen = registration.apply(&image);
         assert_eq!(seen.len(), 160 * 120 * 2);
-        // The box, 150 · 0.1 / 1.05 = 14.3 pixels to the right of its place, and in it no hole.
+        // The box is 150 · 0.1 / 1.05 = 14.3 pixels to the right of its position, without holes.
         let box_columns = (80 - 19 + 14 + 2)..(80 + 19 + 14 - 2);
         for column in box_columns {
             assert_eq!(pixel(&seen, 160, column, 60), 1_050, "{column}");
         }
         assert_eq!(pixel(&seen, 160, 30, 60), 3_050);
-        // Beside it lies what the depth camera could not see.
+        // Beside it is an area that the depth camera could not see.
         assert_eq!(pixel(&seen, 160, 70, 60), 0);
-        // Nothing in, nothing out.
+        // An empty image stays empty.
         assert!(
             registration
                 .apply(&vec![0; 64 * 48 * 2])

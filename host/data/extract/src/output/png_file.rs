@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tum_depth_is_five_a_millimetre() {
+    fn tum_depth_is_five_per_millimetre() {
         let bytes: Vec<u8> = [0_u16, 1, 1234, 13_107, 13_108, u16::MAX]
             .iter()
             .flat_map(|v| v.to_be_bytes())

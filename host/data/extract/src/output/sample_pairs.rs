@@ -128,7 +128,7 @@ mod tests {
         );
         let phone: GrayImage = ImageBuffer::from_pixel(320, 240, Luma([100]));
         phone.save(&pair.0).unwrap();
-        // Near at the left, far in the middle, nothing at the right.
+        // Near on the left, far in the middle, nothing on the right.
         let depth = ImageBuffer::from_fn(300, 150, |x, _| {
             Luma([[500_u16, 3_000, 0][x as usize / 100]])
         });

@@ -54,7 +54,7 @@ impl Extraction<'_> {
             tables.names = here.map(|(&of, name)| (of, name.clone())).collect();
             let folder = sequences.folder(sequence);
             let data = self.output.out.join(below).join(&folder);
-            // Before the format may remove the images; the sequence with most pairs is shown.
+            // Drawn before the format may remove the images, for the sequence with most pairs.
             if tables.pairs.len() > drawn_from && self.draw_samples(&data, &tables)? {
                 drawn_from = tables.pairs.len();
             }
@@ -88,7 +88,7 @@ impl Extraction<'_> {
         }
         match sample_pairs::draw(&pairs) {
             Ok(svg) => self.write(sample_pairs::FILE, svg.as_bytes())?,
-            // The images do not depend on it; the report lacks the drawing.
+            // The data set is complete without the drawing.
             Err(error) => self
                 .remarks
                 .push(format!("the report has no sample pairs: {error}")),

@@ -201,7 +201,7 @@ impl Extraction<'_> {
             None => match Video::open(&video, Pixels::Rgb, &self.job.monitor) {
                 Ok(decoder) => {
                     let outcome = write_video(decoder, &paths)?;
-                    // With an error the next run tries again.
+                    // After an error the next run tries again.
                     if outcome.error.is_none() {
                         self.output
                             .store(&step, &outcome)

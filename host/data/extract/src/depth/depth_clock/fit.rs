@@ -195,8 +195,8 @@ mod tests {
 
     #[test]
     fn wander_is_followed_and_outliers_are_not() {
-        // Ten minutes at 30 fps, 300 ppm, a wander of ±60 µs over five minutes,
-        // one point in seven off by a few ms.
+        // Ten minutes at 30 Hz, 300 ppm, a wander of ±60 µs over some minutes,
+        // one point in seven off by 3 ms.
         let true_value = |x: f64| 5e6 + 300e-6 * x + 60e3 * (x / 150e9).sin();
         let points: Vec<(f64, f64)> = (0..18_000)
             .map(|i| {
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn few_points_do_not_break_it() {
+    fn a_fit_needs_three_points() {
         assert!(smooth(&[(0.0, 1.0), (1.0, 2.0)], 1.0).is_none());
         let fit = smooth(&[(0.0, 5.0), (1e12, 5.0), (2e12, 5.0)], 1.0).unwrap();
         assert!((fit.at(1.5e12) - 5.0).abs() < 1e-6);
