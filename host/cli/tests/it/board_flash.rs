@@ -5,10 +5,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
-use crate::support::{StandIn, code, frame, greeting, hello, json, polite, script};
+use crate::support::{
+    self, Finished, StandIn, code, frame, greeting, hello, json, polite, script, text,
+};
 use protocol::{Answer, Command as BoardCommand, DeviceToHost, HostToDevice, Refusal, Reply};
+use test_support::TestFolder;
 
 /// Lines as dfu-util 0.11 prints them.
 const DFU_UTIL: &str = r#"#!/bin/sh
@@ -65,16 +67,12 @@ fn board(folder: &Path, answer: Result<(), Refusal>, revision: &'static str) -> 
     })
 }
 
-fn flash(folder: &Path, board: &StandIn, more: &[&str]) -> Output {
+fn flash(folder: &Path, board: &StandIn, more: &[&str]) -> Finished {
     let mut path = folder.as_os_str().to_owned();
     path.push(":/usr/bin:/bin");
-    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
-        .env("PATH", path)
-        .args(["board", "flash", "--json", "--port", &board.path, "--image"])
-        .arg(folder.join("image.dfu"))
-        .args(more)
-        .output()
-        .unwrap()
+    let mut command = support::program(&["board", "flash", "--json", "--port", &board.path]);
+    command.env("PATH", path).arg("--image");
+    Finished::of(command.arg(folder.join("image.dfu")).args(more))
 }
 
 #[test]
@@ -96,7 +94,7 @@ fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
         refused("cut", good()[..900].to_vec(), "cut short"),
         refused("other", image("discovery", NEW), "for a STM32F4DISCOVERY"),
     ] {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = TestFolder::new();
         let folder = folder.path();
         script(&folder.join("dfu-util"), DFU_UTIL);
         fs::write(folder.join("image.dfu"), &image).unwrap();
@@ -106,7 +104,7 @@ fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
         let board = board(folder, answer, after);
         let output = flash(folder, &board, &[]);
         assert_eq!(code(&output), expected, "{name}: {output:?}");
-        let said = String::from_utf8(output.stdout).unwrap();
+        let said = text(&output.stdout);
         assert!(said.contains(word), "{name}: {said}");
         let was_written = folder.join("flash").exists();
         assert_eq!(was_written, expected != 3, "{name}");
@@ -121,7 +119,7 @@ fn an_image_is_written_read_back_and_started_or_the_reason_is_said() {
 /// Where no firmware answers, the person names the board and starts the loader.
 #[test]
 fn a_board_without_firmware_is_flashed_when_it_is_named() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let folder = folder.path();
     script(&folder.join("dfu-util"), DFU_UTIL);
     let image = image("black-pill", "fedcba987654");

@@ -9,6 +9,7 @@ use std::sync::mpsc::channel;
 
 use crate::support::{self, StandIn, code, frame, hello, json, polite, run};
 use protocol::{DeviceToHost, HostToDevice, usb};
+use test_support::TestFolder;
 use test_support::processes::PATIENCE;
 
 #[test]
@@ -36,7 +37,7 @@ fn a_silent_port_and_another_device_are_not_this_board() {
     for (says, expected) in [(&b""[..], 10), (b"\r\nERROR\r\n\0", 8)] {
         let other = StandIn::new(|_: HostToDevice| says.to_vec());
         let output = run(&["board", "info", "--port", &other.path]);
-        assert_eq!(code(&output), expected);
+        assert_eq!(code(&output), expected, "{output:?}");
     }
 }
 
@@ -47,12 +48,12 @@ fn another_protocol_version_has_its_own_code_and_nothing_is_recorded() {
         hello.protocol_version = 900;
         frame(&DeviceToHost::Hello(hello))
     });
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let out = folder.path().join("recordings");
     let out = out.to_str().unwrap();
     for arguments in [&["board", "info"][..], &["record", "--yes", "--out", out]] {
         let output = run(&[arguments, &["--port", &newer.path]].concat());
-        assert_eq!(code(&output), 9);
+        assert_eq!(code(&output), 9, "{output:?}");
     }
     assert!(!folder.path().join("recordings").exists());
 }
@@ -74,7 +75,7 @@ fn a_port_without_permission_has_its_own_code() {
     let board = StandIn::new(polite);
     std::fs::set_permissions(&board.path, Permissions::from_mode(0o000)).unwrap();
     // Root may open anything, so root runs a copy of the program as nobody.
-    let place = tempfile::tempdir().unwrap();
+    let place = TestFolder::new();
     std::fs::set_permissions(place.path(), Permissions::from_mode(0o755)).unwrap();
     let copy = place.path().join("smartdepthsync");
     std::fs::copy(env!("CARGO_BIN_EXE_smartdepthsync"), &copy).unwrap();

@@ -8,6 +8,7 @@ use clap::error::ErrorKind;
 use smartdepthsync::cli::Cli;
 
 use crate::support::{commands, run, run_line};
+use test_support::TestFolder;
 use test_support::documents::{Code, arguments, pages};
 
 /// A line of a block is there to be typed: the program must take it as it stands.
@@ -39,7 +40,7 @@ fn every_command_has_help_and_a_manual_page() {
     cli.build();
     let commands = commands(&cli, "");
     assert!(commands.len() > 15, "{commands:?}");
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let place = folder.path().join("man1");
     let made = run(&["man", place.to_str().unwrap()]);
     assert_eq!(made.status.code(), Some(0), "{made:?}");

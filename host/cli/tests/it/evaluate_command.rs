@@ -8,6 +8,7 @@ use std::time::Duration;
 use evaluate::train::{Shape, TrainGeometry, row_light};
 
 use crate::support::{code, json, program, run, run_line};
+use test_support::TestFolder;
 use test_support::browser;
 
 /// A video of 64 columns and 1,080 rows of 10.2 µs, without loss; the first three frames
@@ -41,7 +42,7 @@ fn video(path: PathBuf, bias_us: f64) -> PathBuf {
 
 #[test]
 fn precision_with_all_outputs() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let inputs: Vec<String> = [("a.mkv", 100.0), ("b.mkv", 104.0), ("c.mkv", 98.0)]
         .iter()
@@ -84,12 +85,12 @@ fn precision_with_all_outputs() {
     );
 
     let text = run(&["evaluate", "precision", &inputs[0]]);
-    assert_eq!(code(&text), 0);
+    assert_eq!(code(&text), 0, "{text:?}");
 }
 
 #[test]
 fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     let profile = dir.path().join("rig.toml");
     std::fs::write(
         &profile,
@@ -130,7 +131,7 @@ fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
 /// the video.
 #[test]
 fn four_k_sixty_in_bounded_memory() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     let video = dir.path().join("4k60.mp4");
     let made = Command::new("ffmpeg")
         .args(

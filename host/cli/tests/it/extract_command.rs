@@ -2,14 +2,15 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 
 use clock::{ClockRelation, Wander};
 use recording::session_file::SessionFile;
 use serde_json::Value;
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
-use crate::support::{json, test_video};
+use crate::support::{Finished, json, test_video};
+use test_support::TestFolder;
 
 /// Phone − board, s; without any skew.
 const OFFSET: i64 = 900_000;
@@ -42,16 +43,16 @@ fn phone(folder: &Path, frames: u32, rows: i64) {
     fs::write(place.join(format!("{name}_timestamps.csv")), stamps).unwrap();
 }
 
-fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Output {
+fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Finished {
     let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
     command.arg("extract").arg(folder).args(arguments);
     if let Some(path) = path {
         command.env("PATH", path);
     }
-    command.output().unwrap()
+    Finished::of(&mut command)
 }
 
-/// Whether a part of the recording is missing.
+/// Returns true if a part of the recording is missing.
 fn lacks(report: &Value, part: &str) -> bool {
     let losses = report["losses"].as_array().unwrap();
     losses.iter().any(|loss| loss["part"] == part)
@@ -59,7 +60,7 @@ fn lacks(report: &Value, part: &str) -> bool {
 
 #[test]
 fn a_video_becomes_images_named_by_board_time() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = recording(parent.path());
     phone(&folder, 60, 60);
     // However the folder is named.
@@ -105,7 +106,7 @@ fn a_video_becomes_images_named_by_board_time() {
 
 #[test]
 fn a_video_short_of_frames_is_a_loss() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = recording(parent.path());
     phone(&folder, 58, 60);
     let report = json(&extract(&["--json", "--format", "topics"], &folder, None));
@@ -115,7 +116,7 @@ fn a_video_short_of_frames_is_a_loss() {
 
 #[test]
 fn without_ffmpeg_everything_else_is_there() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = recording(parent.path());
     phone(&folder, 30, 30);
     let nowhere = parent.path().join("nowhere");

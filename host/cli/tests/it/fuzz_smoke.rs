@@ -16,6 +16,7 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
+use test_support::TestFolder;
 use test_support::calibrations::{self, CHAIN};
 use test_support::root;
 
@@ -173,7 +174,7 @@ fn bytes_of_the_link() {
 
 #[test]
 fn recordings() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = synthetic::make(parent.path(), synthetic::Wrong::default());
     let mut seed = fs::read(folder.join("recording.mcap")).unwrap();
     // The first two chunks and what belongs to them.
@@ -183,7 +184,7 @@ fn recordings() {
 
 #[test]
 fn session_files() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = synthetic::make(parent.path(), synthetic::Wrong::default());
     let seed = fs::read(folder.join("session.json")).unwrap();
     run("session_file", fuzz_bodies::session_file, vec![seed], 500);

@@ -1,5 +1,4 @@
-//! What files and ports may cost that somebody made to cost much: whole commands in
-//! limits of their own.
+//! Files and ports that are made to cost time or memory, read by whole commands with limits.
 
 use std::ffi::OsString;
 use std::fs;
@@ -21,6 +20,7 @@ use super::hostile_files::{command, limited, limited_to, recording_with_video, u
 use super::phone_command::endless;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, text};
+use test_support::TestFolder;
 use test_support::processes::worked_s;
 
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
@@ -93,7 +93,7 @@ const TIMES: &[u8] = &[
 
 #[test]
 fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     for (name, topic) in [("marks", Topic::Marker), ("pairs", Topic::Gnss)] {
         let folder = parent.path().join(name);
         // Within what a recording may unpack to.
@@ -108,7 +108,7 @@ fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
 /// A gigabyte in less than the 20 s of processor time that a command has here.
 #[test]
 fn what_a_small_file_unpacks_to_is_bounded() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = parent.path().join("walk");
     bomb(&folder, Topic::Marker, TIMES, 60, 0);
     let length = fs::metadata(folder.join(MCAP_FILE)).unwrap().len();
@@ -123,7 +123,7 @@ fn what_a_small_file_unpacks_to_is_bounded() {
 /// A file that may grow no more is a full disk, and no reason to be ended by a signal.
 #[test]
 fn the_largest_file_size_is_as_a_full_disk() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = synthetic::make(parent.path(), Wrong::default());
     // Whoever runs the tests may have switched the signal off.
     let output = Command::new("env")
@@ -180,7 +180,7 @@ fn stand_ins(folder: &Path, frames: u64, ffmpeg: &str) -> OsString {
 
 #[test]
 fn a_decoder_that_never_ends_is_ended_and_named() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = recording_with_video(parent.path());
     let video = folder.join("VID_20260131_140327.mp4");
     for (line, why) in [
@@ -196,7 +196,7 @@ fn a_decoder_that_never_ends_is_ended_and_named() {
             said.contains("ffmpeg was ended") && said.contains(why),
             "{said}"
         );
-        let out = tempfile::tempdir().unwrap();
+        let out = TestFolder::new();
         let output = run(&["extract", utf8(&folder), "--out", utf8(out.path())]);
         assert_eq!(code(&output), 4, "{line}: {output:?}");
         assert!(text(&output.stdout).contains(why), "{line}: {output:?}");
@@ -217,7 +217,7 @@ fn a_terabyte_that_was_never_written_costs_nothing() {
     const EBML: &[u8] = b"\x1a\x45\xdf\xa3\x8b\x42\x82\x88matroska";
     const SEGMENT: &[u8] = b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xff";
     const CLUSTER: &[u8] = b"\x1f\x43\xb6\x75\x84\xe7\x82\x00\x01";
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let place = |name: &str| parent.path().join(name);
     let whole = synthetic::make(parent.path(), Wrong::default());
     let board = fs::read(whole.join(MCAP_FILE)).unwrap();
@@ -267,7 +267,7 @@ fn a_terabyte_that_was_never_written_costs_nothing() {
     }
 }
 
-/// What the commands read that read long.
+/// Inputs on which commands run for long.
 struct Long {
     folder: PathBuf,
     video: PathBuf,
@@ -319,7 +319,7 @@ impl Long {
 #[test]
 fn the_first_signal_stops_every_command_that_reads_long() {
     use rustix::process::{Pid, Signal, kill_process};
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let long = Long::new(parent.path());
     for (args, signal) in long
         .commands()
@@ -359,7 +359,7 @@ fn the_first_signal_stops_every_command_that_reads_long() {
 /// On a terminal a bar names the file before the command has ended by itself.
 #[test]
 fn a_command_that_reads_long_shows_how_far_it_is() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let long = Long::new(parent.path());
     for args in long.commands() {
         let (mut master, slave) = support::terminal();

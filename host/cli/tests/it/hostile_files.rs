@@ -1,10 +1,10 @@
-//! Files that somebody made to do harm, through whole commands in limits of their own.
+//! Malicious files, read by whole commands with limits of memory and time.
 
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use board::finding::Finding;
@@ -15,22 +15,22 @@ use recording::writer::Writer;
 use serde_json::Value;
 
 use crate::support::synthetic::{self, Wrong};
-use crate::support::{self, StandIn, code, hello, text};
+use crate::support::{self, Finished, StandIn, code, hello, text};
 use test_support::processes::PATIENCE;
-use test_support::{below, contents};
+use test_support::{TestFolder, below, contents};
 
-/// What a command may use of the machine: bytes of address space, seconds of processor.
+/// Limits of a command: address space in bytes, processor time in seconds.
 const MEMORY: u64 = 1 << 30;
 const SECONDS: u64 = 20;
 
-/// Runs the program in its limits; whatever it meets, it ends with a code of its own.
-pub(crate) fn limited(args: &[&str]) -> Output {
+/// Runs the program with its limits, and checks that it ends with an exit code.
+pub(crate) fn limited(args: &[&str]) -> Finished {
     limited_to(SECONDS, args)
 }
 
-/// The same within so many seconds of processor.
-pub(crate) fn limited_to(seconds: u64, args: &[&str]) -> Output {
-    let output = command_in(seconds, args).output().unwrap();
+/// Runs the program with its limits, and `seconds` of processor time.
+pub(crate) fn limited_to(seconds: u64, args: &[&str]) -> Finished {
+    let output = Finished::of(&mut command_in(seconds, args));
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked"), "{args:?}: {said}");
     let signal = output.status.signal();
@@ -81,7 +81,7 @@ fn names_in_a_session_lead_nowhere() {
         }),
     ];
     for (what, change) in changes {
-        let parent = tempfile::tempdir().unwrap();
+        let parent = TestFolder::new();
         let folder = with_session(parent.path(), change);
         fs::create_dir(folder.join("phones")).unwrap();
         let outside = parent.path().join("outside");
@@ -132,7 +132,7 @@ fn a_playlist_reads_no_other_file() {
         ("SDP", sdp),
         ("DASH", dash),
     ] {
-        let parent = tempfile::tempdir().unwrap();
+        let parent = TestFolder::new();
         let folder = recording_with_video(parent.path());
         let fragments = ["-movflags", "+frag_keyframe+empty_moov"];
         support::test_video(&parent.path().join("secret.mp4"), 30, &fragments);
@@ -153,7 +153,7 @@ fn a_playlist_reads_no_other_file() {
 
 #[test]
 fn numbers_beyond_all_reason_are_left_out_of_a_report() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = parent.path().join("walk");
     fs::create_dir(&folder).unwrap();
     let mut writer = Writer::create(&folder).unwrap();
@@ -195,7 +195,7 @@ fn chunk_head(length: u64, name: &[u8]) -> Vec<u8> {
 #[test]
 fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
     const LENGTH: usize = 64 << 20;
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     // Heads whose record reaches to the end of the file, and heads after which another
     // record does.
     for (kind, name, claim) in [("names", &b"\xff\xfe"[..], true), ("records", b"", false)] {
@@ -220,7 +220,7 @@ fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
 
 #[test]
 fn sensors_with_names_alike_lose_nothing() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = parent.path().join("walk");
     fs::create_dir(&folder).unwrap();
     let mut writer = Writer::create(&folder).unwrap();
@@ -277,7 +277,7 @@ fn no_escape_sequence_reaches_the_terminal() {
         let obeyed = |c: char| c.is_control() && c != '\n' || c == '\u{202e}';
         assert!(!said.contains(obeyed), "{said:?}");
     };
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = with_session(parent.path(), |session| {
         let problem = Finding::check("imu_gap", WILD).at(Ticks(1));
         session["problems"] = serde_json::to_value([problem]).unwrap();
@@ -305,7 +305,7 @@ fn no_escape_sequence_reaches_the_terminal() {
 
 #[test]
 fn pipes_and_devices_are_no_recordings() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = synthetic::make(parent.path(), Wrong::default());
     let session = folder.join(SESSION_FILE);
     fs::remove_file(&session).unwrap();

@@ -4,6 +4,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::Command;
+use test_support::TestFolder;
 
 /// Serves one client until it leaves, by a script. As the app does, it answers an empty line
 /// with an error; its sensors are free.
@@ -43,7 +44,7 @@ const HEAD: &str = "SUCCESS\nv.0.1.1\n";
 
 #[test]
 fn nothing_is_overwritten_unless_asked() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let path = folder.path().join("x.mp4");
     std::fs::write(&path, "precious").unwrap();
     let get = |more: &[&str]| {

@@ -9,11 +9,12 @@ use recording::session_file::{Marker, SessionFile, SessionOutcome, Span, Twist, 
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use clock::{BoardToPhone, PhoneNanos};
+use test_support::TestFolder;
 use test_support::browser;
 
 #[test]
 fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = make(parent.path(), Wrong::default());
     let mut session = SessionFile::load(&folder).unwrap();
     let clock = session.alignment.unwrap().plan.clock;

@@ -7,14 +7,15 @@ use std::fmt::Debug;
 use std::fs;
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use clap::CommandFactory as _;
 use protocol::{Answer, DeviceToHost, HostToDevice, Refusal};
 use serde_json::Value;
 use smartdepthsync::cli::Cli;
 
-use crate::support::{self, StandIn, frame, polite};
+use crate::support::{self, Finished, StandIn, frame, polite};
+use test_support::TestFolder;
 
 /// Command lines, in a folder with the files that [`files`] makes: exit code, command line,
 /// a word of the message, a word of the next step.
@@ -147,20 +148,17 @@ fn files(folder: &Path) {
     write("folder/text/notes", b"notes");
 }
 
-fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Output {
-    let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .unwrap();
+fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Finished {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
+    let output = Finished::of(command.args(arguments).current_dir(folder));
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+    assert!(!said.contains("panicked"), "{output:?}");
     output
 }
 
 #[test]
 fn bad_input_of_every_command_has_a_next_step_that_fits() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     files(folder.path());
     let mut wrong = Vec::new();
     for Case {
@@ -196,7 +194,7 @@ fn bad_input_of_every_command_has_a_next_step_that_fits() {
 
 #[test]
 fn a_path_that_is_no_text_is_written_to_all_the_same() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let path = OsStr::from_bytes(b"\xff");
     for command in [["profile", "init"].as_slice(), &["man"]] {
         let command = command.iter().map(OsStr::new);
@@ -248,7 +246,7 @@ fn no_command_is_left_out() {
     assert!(commands.len() > 25, "{commands:?}");
 }
 
-/// What the board refuses is advised on by its reason.
+/// The advice after a refusal of the board depends on its reason.
 #[test]
 fn a_refusal_names_the_bounds_or_the_command_that_changes_the_state() {
     for (refusal, arguments, message, step) in [

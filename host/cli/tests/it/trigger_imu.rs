@@ -2,10 +2,11 @@
 //! to the board, losses on the way back, files in SI units.
 #![cfg(unix)]
 
-use std::process;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::support::{Behaviour, StandIn, code, frame, imu_setup, json, polite, run_line};
+use crate::support::{
+    Behaviour, Finished, StandIn, code, frame, imu_setup, json, polite, run_line,
+};
 use protocol::{
     AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, EdgeTime, HostToDevice,
     ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
@@ -14,7 +15,7 @@ use protocol::{
 };
 use serde_json::Value;
 
-fn with_port(board: &StandIn, line: &str) -> process::Output {
+fn with_port(board: &StandIn, line: &str) -> Finished {
     run_line(&format!("{line} --port {}", board.path))
 }
 
@@ -150,9 +151,10 @@ impl ImuStandIn {
             accel_delay_us: 2_000,
             status: ImuStatus {
                 samples: self.next,
-                state: match self.next < self.starting {
-                    true => ImuState::Starting,
-                    false => ImuState::Running,
+                state: if self.next < self.starting {
+                    ImuState::Starting
+                } else {
+                    ImuState::Running
                 },
                 ..setup.status
             },

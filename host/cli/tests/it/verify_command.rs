@@ -16,6 +16,7 @@ use system::ReadMonitor;
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
 use crate::support::{imu_setup, json, run};
+use test_support::TestFolder;
 
 const MCAP: &str = "recording.mcap";
 
@@ -35,7 +36,7 @@ fn entries(recording: &Path) -> Vec<Entry> {
 
 #[test]
 fn a_whole_recording_is_whole() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = make(parent.path(), Wrong::default());
     let checked = run(&["verify", folder.to_str().unwrap(), "--json"]);
     assert_eq!(checked.status.code(), Some(0), "{checked:?}");
@@ -66,7 +67,7 @@ fn boundaries(bytes: &[u8]) -> Vec<usize> {
 
 #[test]
 fn a_file_that_is_cut_anywhere_is_told_and_read() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = make(parent.path(), Wrong::default());
     let bytes = fs::read(folder.join(MCAP)).unwrap();
     let whole = entries(&folder);
@@ -99,7 +100,7 @@ fn a_file_that_is_cut_anywhere_is_told_and_read() {
 
 #[test]
 fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = make(parent.path(), Wrong::default());
     let bytes = fs::read(folder.join(MCAP)).unwrap();
     let chunks = verify(&folder).unwrap().file.chunks;
@@ -141,7 +142,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
 #[test]
 fn what_the_board_dropped_is_told_from_what_the_link_lost() {
     for board_knows in [false, true] {
-        let parent = tempfile::tempdir().unwrap();
+        let parent = TestFolder::new();
         let wrong = Wrong {
             sample_lost: Some(1_234),
             board_knows,
@@ -158,7 +159,7 @@ fn what_the_board_dropped_is_told_from_what_the_link_lost() {
 
 #[test]
 fn a_loss_on_the_auxiliary_outputs_is_counted() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let wrong = Wrong {
         outputs_lost: &[2, 3],
         ..Wrong::default()
@@ -177,7 +178,7 @@ fn a_loss_on_the_auxiliary_outputs_is_counted() {
 
 #[test]
 fn a_pulse_off_its_grid_by_one_tick_is_found() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let wrong = Wrong {
         pulse_late: Some((77, 1)),
         ..Wrong::default()
@@ -195,7 +196,7 @@ fn a_silence_of_the_imu_is_found_and_must_have_a_reason() {
         (ImuFlags::AFTER_LOSS, Severity::Check, "imu_gap"),
         (ImuFlags(0), Severity::Bad, "imu_gap_unexplained"),
     ] {
-        let parent = tempfile::tempdir().unwrap();
+        let parent = TestFolder::new();
         let wrong = Wrong {
             imu_silence: Some((700, flags)),
             ..Wrong::default()
@@ -214,7 +215,7 @@ fn a_silence_of_the_imu_is_found_and_must_have_a_reason() {
 
 #[test]
 fn what_the_session_names_must_be_there() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let folder = make(parent.path(), Wrong::default());
     fs::remove_file(folder.join("twist_1_phone_gyro.csv")).unwrap();
     let report = verify(&folder).unwrap();
@@ -227,7 +228,7 @@ fn what_the_session_names_must_be_there() {
 
 #[test]
 fn an_attachment_that_is_too_short_is_damage() {
-    let parent = tempfile::tempdir().unwrap();
+    let parent = TestFolder::new();
     let place = parent.path().join("short.mcap");
     // Shorter than its own checksum.
     let hostile = [

@@ -1,11 +1,15 @@
-//! A stand-in for the board on a pseudo-terminal, for tests of the program's
-//! ways to fail. The real firmware is tested in `hil-sim`.
+//! A stand-in for the board on a pseudo-terminal, for tests of failures of the program, and
+//! runs of the program whose output a failing test prints. The real firmware is tested in
+//! `hil-sim`.
 
 mod session;
 pub(crate) mod synthetic;
 
+use std::ffi::OsStr;
+use std::fmt;
 use std::fs::{self, File, Permissions};
 use std::io::{Read, Write};
+use std::ops::Deref;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -21,7 +25,7 @@ use protocol::{
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-/// What the stand-in does with a command, and with every 10 ms that pass.
+/// Behaviour of the stand-in: its bytes after a command, and every 10 ms.
 pub(crate) trait Behaviour: Send + 'static {
     fn command(&mut self, command: HostToDevice) -> Vec<u8>;
     fn tick(&mut self) -> Vec<u8> {
@@ -41,7 +45,7 @@ pub(crate) struct StandIn {
     thread: Option<JoinHandle<()>>,
 }
 
-/// A pseudo-terminal, and the path of a program's end of it.
+/// Opens a pseudo-terminal. Returns its master, and the path of the other end.
 pub(crate) fn terminal() -> (File, String) {
     // Not inherited by the programs under test: the port must go with us.
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
@@ -129,14 +133,14 @@ pub(crate) fn hello() -> Hello {
     }
 }
 
-/// What a board says that is asked for its hello.
+/// Returns the frames with which a board answers a request for its hello.
 pub(crate) fn greeting(id: u32, hello: Hello) -> Vec<u8> {
     let result = Ok(Reply::SayHello(()));
     let answer = DeviceToHost::Answer(Answer { id, result });
     [frame(&DeviceToHost::Hello(hello)), frame(&answer)].concat()
 }
 
-/// Answers hello and ping as a board does.
+/// Answers requests for information as a board does.
 pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
     let id = command.id;
     let answer = |reply| {
@@ -193,28 +197,67 @@ pub(crate) fn imu_setup() -> ImuSetup {
     }
 }
 
-/// Runs the program to its end.
-pub(crate) fn run(args: &[&str]) -> Output {
-    program(args).output().unwrap()
+/// A run of a program that has ended. A failing test prints it as one would read it: command,
+/// status, and both outputs.
+pub(crate) struct Finished {
+    command: String,
+    output: Output,
 }
 
-/// The same with words that have no spaces in them.
-pub(crate) fn run_line(line: &str) -> Output {
+impl Finished {
+    /// Runs a command to its end.
+    pub(crate) fn of(command: &mut Command) -> Self {
+        let words = std::iter::once(command.get_program()).chain(command.get_args());
+        let words: Vec<_> = words.map(OsStr::to_string_lossy).collect();
+        Self {
+            command: words.join(" "),
+            output: command.output().unwrap(),
+        }
+    }
+}
+
+impl Deref for Finished {
+    type Target = Output;
+
+    fn deref(&self) -> &Output {
+        &self.output
+    }
+}
+
+impl fmt::Debug for Finished {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [stdout, stderr] =
+            [&self.stdout, &self.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+        write!(
+            f,
+            "{}\n$ {}\n--- stdout:\n{stdout}\n--- stderr:\n{stderr}",
+            self.status, self.command
+        )
+    }
+}
+
+/// Runs the program to its end.
+pub(crate) fn run(args: &[&str]) -> Finished {
+    Finished::of(&mut program(args))
+}
+
+/// Runs the program with the words of a line, which are separated by single spaces.
+pub(crate) fn run_line(line: &str) -> Finished {
     run(&line.split(' ').collect::<Vec<_>>())
 }
 
-/// What it printed.
+/// Parses the JSON document that a program printed.
 pub(crate) fn json(output: &Output) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
-/// A script of the shell that stands for a program.
+/// Writes a shell script that stands in for a program.
 pub(crate) fn script(path: &Path, text: &str) {
     fs::write(path, text).unwrap();
     fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
 }
 
-/// A video of a picture that moves.
+/// Makes a video of a moving picture.
 pub(crate) fn test_video(path: &Path, frames: u32, more: &[&str]) {
     let made = Command::new("ffmpeg")
         .args("-v error -f lavfi -i testsrc2=size=64x48:rate=30 -pix_fmt yuv420p".split(' '))
@@ -226,7 +269,7 @@ pub(crate) fn test_video(path: &Path, frames: u32, more: &[&str]) {
     assert!(made.success());
 }
 
-/// All commands below this one, each with its words; `help` aside.
+/// Returns all subcommands below a command except `help`, each with the words that call it.
 pub(crate) fn commands(of: &clap::Command, words: &str) -> Vec<(String, clap::Command)> {
     let mut found = Vec::new();
     for below in of.get_subcommands().filter(|it| it.get_name() != "help") {

@@ -22,7 +22,7 @@ pub(crate) const SECONDS: u64 = 6;
 const PERIOD: Period = Period((1_599_873 << 32) + 0x1234_5678);
 const ANCHOR: Ticks = Ticks(48_000_777);
 
-/// What is to be wrong with a recording.
+/// Faults to put into a recording.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Wrong {
     /// This IMU sample never comes.
