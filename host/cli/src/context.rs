@@ -244,11 +244,11 @@ impl Interrupt {
         Cancel::when(move || interrupt.requested())
     }
 
-    /// Takes Ctrl-C, SIGTERM and SIGHUP.
+    /// Installs the handlers of Ctrl-C, SIGTERM and SIGHUP.
     ///
     /// # Errors
     ///
-    /// The system does not let them be taken.
+    /// The system refuses a handler.
     pub(crate) fn install(&self) -> io::Result<()> {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
         let interrupt = self.clone();

@@ -1,6 +1,6 @@
 //! Numbers and times of the command line.
 //!
-//! A double knows a period of 30 frames a second to 4·10⁻¹⁸ s, as the board does.
+//! A double holds a period of 30 frames a second to 4·10⁻¹⁸ s, as the board does.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ const TOO_LARGE: &str = "expected less than 89 s";
 /// No number, or none of the units after it.
 const NOT_A_TIME: &str = "expected a time such as 33330.652us, 1.5ms or 10s";
 
-/// A number without sign and exponent.
+/// Parses a number without sign and exponent.
 fn decimal(text: &str) -> Result<f64, &'static str> {
     let is_plain = text
         .bytes()
@@ -31,7 +31,7 @@ fn decimal(text: &str) -> Result<f64, &'static str> {
     number.ok_or(NOT_A_NUMBER)
 }
 
-/// A period of so many ticks.
+/// Converts a number of ticks to a period.
 fn period(ticks: f64) -> Result<Period, &'static str> {
     let period = Period::from_ticks_f64(ticks);
     let in_bounds = period.in_bounds();

@@ -34,19 +34,19 @@ pub(crate) fn hold() {
 
 /// Writes what was held back to standard error; lines go there again.
 pub(crate) fn release() {
-    // Taken out first: nobody who logs must wait for the terminal.
+    // Taken out first, so that a thread that logs does not wait for the terminal.
     let held = held().take();
     if let Some(held) = held {
-        // A terminal that has gone takes no log.
+        // Fails if the terminal has gone.
         let _ = io::stderr().lock().write_all(&held);
     }
 }
 
-/// Takes whole lines.
+/// Writes whole log lines.
 pub(crate) struct Lines;
 
 impl Write for Lines {
-    /// One call is one line: the formatter hands over whole events.
+    /// Writes one line: the formatter passes a whole event per call.
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         if let Some(held) = held().as_mut() {
             add(held, line);

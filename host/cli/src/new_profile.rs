@@ -7,7 +7,7 @@ use recording::camera::{Basis, Mode, Model};
 use recording::profile::edit;
 use recording::profile::{DEFAULT, Profile};
 
-/// Exposure of a camera whose exposure is set, where nobody says it, µs.
+/// Default exposure of a camera whose exposure is set, µs.
 const USUAL_EXPOSURE_US: f64 = 8_000.0;
 
 /// The depth camera of a rig.

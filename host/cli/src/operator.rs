@@ -1,4 +1,4 @@
-//! The person at the terminal of a session: answers, marks and the wish to stop.
+//! The operator at the terminal of a session: answers, marks, and requests to stop.
 
 use std::io::BufRead as _;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
@@ -8,7 +8,7 @@ use session::devices::{Choice, Operator, Wish};
 use crate::context::Interrupt;
 use crate::view::screen::Key;
 
-/// Somebody at the keys of the live view or at standard input, or nobody.
+/// The operator at the keys of the live view or at standard input, or no operator.
 pub(crate) struct AtTerminal {
     input: Input,
     asks: bool,
@@ -22,8 +22,8 @@ enum Input {
 }
 
 impl AtTerminal {
-    /// At the keys of the live view, if there is one, else at standard input. Nothing is
-    /// asked unless `asks`; at keys, marks can be set all the same.
+    /// Takes answers from the keys of the live view, if there is one, else from standard input.
+    /// Without `asks` no questions are asked, but keys still set marks.
     pub(crate) fn new(keys: Option<Receiver<Key>>, asks: bool, interrupt: &Interrupt) -> Self {
         let input = match keys {
             Some(keys) => Input::Keys(keys),
@@ -38,13 +38,13 @@ impl AtTerminal {
     }
 }
 
-/// The lines of standard input, from a thread that ends with the process: a read cannot be
-/// called off.
+/// Returns the lines of standard input, from a thread that ends with the process: a read cannot
+/// be cancelled.
 pub(crate) fn lines_of_stdin() -> Receiver<String> {
     let (sender, lines) = channel();
     std::thread::spawn(move || {
         let lines = std::io::stdin().lock().lines();
-        // Ends with the input, and where nobody listens any more.
+        // Ends with the input, or when the receiver is dropped.
         let _ = lines
             .map_while(Result::ok)
             .try_for_each(|line| sender.send(line));
@@ -65,7 +65,7 @@ impl Operator for AtTerminal {
         }
     }
 
-    /// The end of the input means to quit.
+    /// Returns the answer; the end of the input means to quit.
     fn answer(&mut self) -> Option<Choice> {
         match &self.input {
             Input::Nobody => Some(Choice::Continue),
@@ -86,7 +86,7 @@ impl Operator for AtTerminal {
         }
     }
 
-    /// The end of the input is no wish: a recording may go on without it.
+    /// Returns a request; the end of the input is none, so a recording continues without it.
     fn wish(&mut self) -> Option<Wish> {
         match &self.input {
             Input::Nobody => None,

@@ -29,11 +29,11 @@ pub enum ExitStatus {
     /// A result missed a quality gate, or the board refused a value; nothing
     /// was changed.
     Refused = 3,
-    /// Finished, with loss: the result is there, but something is missing in it.
+    /// Finished, with loss: the result exists, but something is missing in it.
     Loss = 4,
     /// No such port, or no board found.
     NoPort = 5,
-    /// The port is there, but this user may not open it.
+    /// The port exists, but this user may not open it.
     Permission = 6,
     /// Another program has the port.
     Busy = 7,
@@ -197,11 +197,11 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Refuses to write over a file that is there, or where there is no folder.
+/// Refuses to overwrite a file, or to write into a missing folder.
 ///
 /// # Errors
 ///
-/// It is there and not to be overwritten, or its folder is not.
+/// The file exists and `overwrite` is false, or its folder does not exist.
 pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Failure> {
     if let Err(error) = system::folder_of(path).metadata() {
         return Err(Failure::file("create", path, &error));
@@ -214,7 +214,7 @@ pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Fa
         .next_step("choose another name, or give --overwrite"))
 }
 
-/// Replaces the file of this name by a text, or makes it.
+/// Writes a text to a file, replacing an existing one.
 ///
 /// # Errors
 ///

@@ -1,11 +1,11 @@
-//! The one place through which everything printed passes.
+//! The filter that everything printed passes.
 //!
-//! A text may come from a board, a phone or a file that somebody else made. A terminal
-//! obeys control characters in it: it can be made to show another result, to set its
-//! title, to answer as if somebody had typed. And characters that turn the direction of
-//! writing round show a name as another. Here both become visible and harmless.
+//! A text may come from a board, a phone or a file from elsewhere. A terminal obeys control
+//! characters in it: they can change what is shown, set the title, or make the terminal send
+//! input. Characters that reverse the direction of writing can disguise a name. Here both become
+//! visible and harmless.
 //!
-//! The live view has its own: `ratatui` takes no control characters. Log lines are
+//! The live view needs no filter, because `ratatui` drops control characters. Log lines are
 //! escaped by `tracing-subscriber`.
 
 use std::borrow::Cow;

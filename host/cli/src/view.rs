@@ -35,8 +35,8 @@ const LINE_TICKS: u64 = 10 * TICK_HZ as u64;
 /// Their interval in a twist, ticks.
 const TWIST_LINE_TICKS: u64 = 2 * TICK_HZ as u64;
 
-/// The listener of a session: shows its events on the terminal, or says them in plain lines,
-/// and prints them as JSON if that is wanted.
+/// The listener of a session: shows its events on the terminal or in plain lines, and prints
+/// them as JSON if that is wanted.
 pub(crate) struct View<'a> {
     context: &'a Context,
     state: SharedState,
@@ -47,7 +47,7 @@ pub(crate) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// A view of a session that begins. It takes the terminal if there is one and
+    /// Opens the view of a session that begins: on the terminal, if there is one and
     /// `wants_screen`.
     pub(crate) fn open(
         context: &'a Context,
@@ -66,12 +66,12 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The keys of the screen, if there is one; once.
+    /// Returns the keys of the screen, if there is one; once.
     pub(crate) fn take_keys(&mut self) -> Option<Receiver<Key>> {
         self.screen.as_mut().and_then(Screen::take_keys)
     }
 
-    /// Takes an event.
+    /// Shows an event.
     pub(crate) fn take(&mut self, stamped: &Stamped) {
         lock(&self.state).take(stamped);
         if self.prints_events {

@@ -63,7 +63,7 @@ pub(crate) fn run(args: &BoardArgs, context: &Context) -> Result<ExitStatus, Fai
     }
 }
 
-/// Tries for so long, five times a second, until it works or is `in_vain`.
+/// Tries five times a second for up to a time, until it works or is `in_vain`.
 fn keep_trying<T, E>(
     within: Duration,
     in_vain: impl Fn(&E) -> bool,

@@ -138,7 +138,7 @@ fn look(args: &DoctorArgs, context: &Context) -> Found {
     found
 }
 
-/// Takes events for so long in board time. Ends early on Ctrl-C.
+/// Handles events for a time of the board. Ends early on Ctrl-C.
 fn listen_for(
     board: &mut Board,
     context: &Context,

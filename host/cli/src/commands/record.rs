@@ -187,7 +187,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
         Ok(SessionOutcome::Failed) => ExitStatus::Error,
         Err(error) => {
-            // The recording is there, whatever becomes of its report.
+            // The recording is complete without its report.
             let _ = report::session::write(&folder, &file, &ReadMonitor::default());
             context.say(format!("what was recorded is in {}", folder.display()));
             return Err(error.into());
@@ -205,7 +205,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         }
         None => (Vec::new(), None),
     };
-    // The recording is there, whatever becomes of its report.
+    // The recording is complete without its report.
     let html = match report::session::write(&folder, &file, &ReadMonitor::default()) {
         Ok(path) => Some(path),
         Err(error) => {

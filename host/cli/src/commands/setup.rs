@@ -161,7 +161,7 @@ pub(crate) fn run(args: &SetupArgs, context: &Context) -> Result<ExitStatus, Fai
     doctor::run(&doctor, context)
 }
 
-/// Asks the person at the terminal, or whoever writes to standard input.
+/// Asks questions on the terminal, or reads the answers from standard input.
 struct Asker<'a, R> {
     input: R,
     asks: bool,
@@ -171,7 +171,7 @@ struct Asker<'a, R> {
 
 impl<R: BufRead> Asker<'_, R> {
     /// Returns the value that is given as an option, else an answer that `parse` accepts. An empty
-    /// answer means the default, and so does the lack of somebody to ask.
+    /// answer means the default, as does a run without questions.
     fn ask<T>(
         &mut self,
         given: Option<T>,
@@ -199,7 +199,7 @@ impl<R: BufRead> Asker<'_, R> {
             };
             match parse(answer) {
                 Ok(value) => return Ok(value),
-                // Nobody is there to give a better one.
+                // There will be no better answer.
                 Err(expected) if ended || !self.is_terminal => {
                     let message = format!("{question}: {answer:?} is no answer; {expected}");
                     return Err(Failure::new(ExitStatus::Usage, message).next_step(

@@ -27,7 +27,7 @@ pub(crate) const PERIOD: Duration = Duration::from_millis(100);
 /// keep the program.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// A key that means something.
+/// A key with a meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Key {
     /// Enter.
@@ -45,7 +45,7 @@ pub(crate) enum Key {
 /// The state that the screen shows.
 pub(crate) type SharedState = Arc<Mutex<State>>;
 
-/// Locks it.
+/// Locks the state.
 pub(crate) fn lock(state: &SharedState) -> MutexGuard<'_, State> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -65,7 +65,7 @@ pub(crate) fn is_possible() -> bool {
 }
 
 impl Screen {
-    /// Takes the terminal. `None` if it cannot be taken. A Ctrl-C becomes an
+    /// Takes over the terminal. Returns `None` if it is not available. A Ctrl-C becomes an
     /// interrupt, as it does without the view.
     pub(crate) fn open(state: &SharedState, interrupt: &Interrupt) -> Option<Self> {
         if !is_possible() || enable_raw_mode().is_err() {
@@ -104,7 +104,7 @@ impl Screen {
         }
     }
 
-    /// The keys; once.
+    /// Returns the keys; once.
     pub(crate) const fn take_keys(&mut self) -> Option<Receiver<Key>> {
         self.keys.take()
     }
@@ -141,7 +141,7 @@ fn show(
     terminal.clear()?;
     let mut help = false;
     while !stop.load(Ordering::Relaxed) {
-        // A copy: the session must never wait for a drawing.
+        // Copied, so that the session never waits for a drawing.
         let copy = lock(state).clone();
         terminal.draw(|frame| draw(frame, &copy, help))?;
         let drawn = Instant::now();
@@ -159,7 +159,7 @@ fn show(
                     break;
                 }
                 Some(Act::Stop) => interrupt.request(),
-                // Nobody listens any more: then it is only shown.
+                // Fails if there is no operator, where the view is only shown.
                 Some(Act::Press(key)) => drop(keys.send(key)),
                 None => {}
             }
@@ -177,7 +177,7 @@ enum Act {
     Press(Key),
 }
 
-/// The effect of a key where keys mean this.
+/// Returns the effect of a key with the current meaning of keys.
 fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
     if key.kind == KeyEventKind::Release {
         return None;
@@ -189,7 +189,7 @@ fn act(key: KeyEvent, keys: Keys) -> Option<Act> {
         KeyCode::Char('r') => Act::Press(Key::Repeat),
         KeyCode::Char('s') => Act::Press(Key::Skip),
         KeyCode::Char('m' | ' ') => Act::Press(Key::Mark),
-        // Where nothing is asked nobody takes keys, and the last line says that this stops.
+        // Without a question keys have no receiver, and the last line says that this one stops.
         KeyCode::Char('q') | KeyCode::Esc if keys == Keys::Look => Act::Stop,
         KeyCode::Char('q') | KeyCode::Esc => Act::Press(Key::Quit),
         _ => return None,

@@ -1,6 +1,6 @@
 //! The state of a session or of a board: events are folded into it, in order. Pure.
 //!
-//! - `shown`: what is shown of it. `rate`: messages a second, and sensors by output.
+//! - `shown`: the shown form of the state. `rate`: message rates, and sensors by output.
 
 mod rate;
 mod shown;
@@ -31,7 +31,7 @@ const POINT: u64 = TICK_HZ as u64 / 25;
 /// The most warnings and sentences that are kept.
 const KEPT: usize = 8;
 
-/// The growth of a recording is judged after so much of it, ticks.
+/// Time after which the growth of a recording is judged, ticks.
 const SIZE_TICKS: u64 = 5 * TICK_HZ as u64;
 
 /// The latest state of everything.
@@ -41,7 +41,7 @@ pub(crate) struct State {
     pub(crate) board: String,
     /// Latest board time.
     pub(crate) now: Ticks,
-    /// True if somebody is asked.
+    /// True if the operator is asked questions.
     pub(crate) asks: bool,
     pub(crate) trigger: Trigger,
     pub(crate) losses: Losses,
@@ -59,10 +59,10 @@ pub(crate) struct State {
     pub(crate) imu_runs: Option<bool>,
     /// The part of a session that runs; none where the board is only monitored.
     phase: Option<Phase>,
-    /// When the link was lost, and how long it is waited for, s. The board's time stands still
-    /// meanwhile.
+    /// Time of the loss of the link, and the longest wait for its return, s. The board's time does
+    /// not advance meanwhile.
     link_lost: Option<(Instant, Option<u64>)>,
-    /// Bytes of a download that are there, and in all.
+    /// Received bytes of a download, and its size.
     download: Option<(u64, u64)>,
     /// Length of the recording, s; until stopped if there is none.
     length_s: Option<f64>,
@@ -91,7 +91,8 @@ fn push_bounded<T>(list: &mut VecDeque<T>, item: T) {
 }
 
 impl State {
-    /// A session on this rig that begins; `asks` says whether somebody is asked.
+    /// Returns the state of a session that begins on this rig. `asks` is true if the operator is
+    /// asked questions.
     pub(crate) fn of_session(profile: &Profile, asks: bool) -> Self {
         let phone = |name: &String| Phone {
             name: name.clone(),
@@ -105,7 +106,7 @@ impl State {
         state
     }
 
-    /// A board with this ID that is monitored; the profile has its sensors' names.
+    /// Returns the state of a monitored board. The profile contains the names of its sensors.
     pub(crate) fn of_board(board: String, profile: Option<&Profile>) -> Self {
         let mut state = Self {
             board,
@@ -124,7 +125,7 @@ impl State {
         state
     }
 
-    /// Takes an event.
+    /// Folds an event into the state.
     pub(crate) fn take(&mut self, Stamped { at, event }: &Stamped) {
         self.now = *at;
         let notice = event.notice();
@@ -259,7 +260,7 @@ impl State {
         trigger.late = train.late;
     }
 
-    /// Free space, and how long it lasts at the rate at which the recording grows.
+    /// Updates the free space, and the time for which it lasts while the recording grows.
     fn disk(&mut self, free: u64, recorded: u64) {
         let (since, first) = *self.growth_from.get_or_insert((self.now, recorded));
         let time = self.now.0.saturating_sub(since.0);

@@ -19,7 +19,8 @@ pub(crate) const fn clock(reference: f64, offset: f64, skew: f64, sigma_s: f64) 
     }
 }
 
-/// `walk`, recorded from `anchor` on for so many seconds, with pulses on a grid.
+/// Returns the session file of `walk`, recorded for `seconds` from `anchor` on, with pulses on a
+/// grid.
 pub(crate) fn session(
     profile: Profile,
     clock: ClockRelation,

@@ -89,7 +89,7 @@ impl<'a> BoardLink<'a> {
         self.board.now().saturating_sub(self.last_sign)
     }
 
-    /// Returns the length of a silence that has become worth reporting, once per silence.
+    /// Returns the length of a silence that is long enough to report, once per silence.
     pub(crate) fn has_become_quiet(&mut self) -> Option<Duration> {
         let is_quiet = self.silence() > QUIET;
         let is_new = is_quiet && !std::mem::replace(&mut self.is_quiet, is_quiet);

@@ -39,7 +39,7 @@ struct PrintedImu {
     missed: u64,
 }
 
-/// Streams the IMU.
+/// Collects samples of the IMU and prints their statistics.
 ///
 /// # Errors
 ///
@@ -71,7 +71,7 @@ pub(crate) fn run(
     })
 }
 
-/// Takes samples until the time is up; `None` if somebody stops it.
+/// Collects samples until the time is up. Returns `None` if the user stops it.
 fn stream(
     args: &BoardImuArgs,
     board: &mut Board,

@@ -32,13 +32,13 @@ pub(crate) struct TestArgs {
     /// there [default: all but buffer]
     #[arg(long = "part", value_name = "PART", value_parser = one_of(&PARTS))]
     parts: Vec<Part>,
-    /// Leave out what needs somebody at the board
+    /// Skip the parts that need a person at the board
     #[arg(long)]
     hands_off: bool,
     /// Time to compare the crystal with this computer's clock: 60s, 5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
     clock_time: Duration,
-    /// Then let trigger and IMU run for so many hours, with a computer that sleeps and a board
+    /// Then let trigger and IMU run for this many hours, with a computer that sleeps and a board
     /// that leaves the bus
     #[arg(long, value_name = "N", default_value_t = 0)]
     hours: u32,

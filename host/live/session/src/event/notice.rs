@@ -1,7 +1,7 @@
 //! The table of events: kind, severity, sentence and next step of each.
 //!
-//! Log, `session.json` and live view take all that they say about an event from here. Every
-//! event has its row; nothing is judged, worded or advised by a default.
+//! The recording's log, `session.json` and the live view word every event by this table. Each
+//! event has its row; no default judges, words or advises one.
 
 use board::finding::{EventKind as Kind, Finding, FindingKind, Severity};
 use board::reset_cause;
@@ -16,7 +16,7 @@ const SEE_REPORT: &str = "see the recording's report";
 /// Next step after a phone was lost.
 const CHECK_PHONE: &str = "check the phone: app in the foreground, same network";
 
-/// What log, session file and live view say about an event.
+/// A row of the table: the notice of an event in log, session file and live view.
 #[derive(Clone, Debug)]
 pub struct Notice {
     /// Kind, severity, sentence, and next step for the operator.
@@ -65,30 +65,30 @@ impl Notice {
     }
 }
 
-/// The row of an event that is as it should be.
+/// Returns the row of an event that is as it should be.
 fn good(kind: Kind, sentence: impl Into<String>) -> Option<Notice> {
     Some(Notice::new(Severity::Good, kind, sentence, None))
 }
 
-/// The row of an event that is worth a look, and about which nothing needs to be done.
+/// Returns the row of an event that is unusual but needs no action.
 fn remark(kind: Kind, sentence: impl Into<String>) -> Option<Notice> {
     Some(Notice::new(Severity::Check, kind, sentence, None))
 }
 
-/// The row of an event that is worth a look, and about which the operator can do something.
+/// Returns the row of an event on which the operator should act.
 fn warning(kind: Kind, sentence: impl Into<String>, next_step: &str) -> Option<Notice> {
     let next_step = Some(next_step);
     Some(Notice::new(Severity::Check, kind, sentence, next_step))
 }
 
-/// The row of an event after which the recording is usable, but with loss.
+/// Returns the row of an event after which the recording is usable, but with loss.
 fn gap(kind: Kind, sentence: impl Into<String>, next_step: &str) -> Option<Notice> {
     let mut notice = warning(kind, sentence, next_step)?;
     notice.is_problem = true;
     Some(notice)
 }
 
-/// The row of an event after which a part of the recording is missing or broken.
+/// Returns the row of an event after which a part of the recording is missing or broken.
 fn bad(kind: Kind, sentence: impl Into<String>, next_step: &str) -> Option<Notice> {
     let next_step = Some(next_step);
     Some(Notice::new(Severity::Bad, kind, sentence, next_step))
