@@ -34,7 +34,13 @@ fn drawn_rows_have_the_same_names_values_and_ranges() {
 #[test]
 fn files_of_the_page_exist() {
     let rig = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folders = ["src", "..", "../..", "../../host/live/session/src"];
+    let folders = [
+        "src",
+        "..",
+        "../..",
+        "../../host/data",
+        "../../host/sync/clock/src",
+    ];
     let mut missing = Vec::new();
     for place in PAGE.lines().filter_map(|line| line.split('|').nth(2)) {
         let spans = place.split('`').skip(1).step_by(2);
