@@ -297,11 +297,14 @@ fn frames_on_another_clock_and_a_shifted_trigger_keep_their_times() {
     .unwrap();
     session.alignment = serde_json::from_value(serde_json::json!({
         "exposure_us": 10_000.0, "middle_row_us": 5_503.0, "center_offset_us": 6_362.5,
-        "bias_us": 20.0, "shift_us": 400.0, "frame_period_ns": 33e6,
-        "frame_period_sigma_ns": null, "frame_period_source": "learnt",
-        "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
-            "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
-        "anchor": 0, "period_q32": 1_u64 << 32, "phase_sigma_us": 1.0,
+        "bias_us": 20.0, "shift_us": 400.0,
+        "plan": {
+            "frames": {"period_ns": 33e6, "sigma_ns": null, "source": "learnt"},
+            "clock": {"reference": 0.0, "offset": 0.0, "skew": 0.0,
+                "covariance": [[0.0, 0.0], [0.0, 0.0]], "wander": 0.0},
+            "anchor": 0, "period_q32": 1_u64 << 32,
+        },
+        "phase_sigma_us": 1.0,
         "drift_sigma_us_per_min": 1.0, "arrival_pulse": null, "arrival": null,
     }))
     .unwrap();

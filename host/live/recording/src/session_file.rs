@@ -20,7 +20,7 @@ use clock::twists::report::TwistReport;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos};
 
 /// Version of the form of this file.
-pub const FORMAT: u32 = 2;
+pub const FORMAT: u32 = 3;
 
 /// Longest file that is read, bytes. An hour with a twist a minute and a problem a
 /// second is below 2 MB.
@@ -222,7 +222,6 @@ pub struct Alignment {
     pub bias_is_measured: bool,
     /// Grid of the trigger, with the relation of the clocks and the frame period that it was
     /// planned from.
-    #[serde(flatten)]
     pub plan: GridPlan,
     /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, including that of
     /// the constant if there is one.
@@ -401,12 +400,8 @@ impl SessionFile {
                 format.format
             )));
         }
-        // Through a value: with the feature `arbitrary_precision`, which a build with the
-        // simulator has, `from_str` cannot read the numbers of flattened parts.
-        let value = serde_json::from_str::<serde_json::Value>(&text);
-        let session: Self = value
-            .and_then(serde_json::from_value)
-            .map_err(|error| wrong(error.to_string()))?;
+        let session: Self =
+            serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
         session.check().map_err(wrong)?;
         Ok(session)
     }

@@ -95,7 +95,6 @@ pub struct Target {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GridPlan {
     /// The phone's frames.
-    #[serde(flatten)]
     pub frames: Frames,
     /// Relation of the clocks at the last twist.
     pub clock: ClockRelation,

@@ -55,16 +55,12 @@ pub struct LearntFrames {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Frames {
     /// Distance of phone frames in the phone's time, ns.
-    #[serde(rename = "frame_period_ns")]
     pub period_ns: f64,
-    /// 1-sigma of the frame period, ns; missing in older sessions.
-    #[serde(rename = "frame_period_sigma_ns")]
+    /// 1-sigma of the period, ns, if it is known.
     pub sigma_ns: Option<f64>,
-    /// Assumed 1-sigma of the timestamp of one frame, ns; missing in older sessions.
-    #[serde(rename = "frame_jitter_ns")]
+    /// Assumed 1-sigma of the timestamp of one frame, ns, if one was assumed.
     pub jitter_ns: Option<f64>,
-    /// Source of the frame period: `learnt` or `video_start`.
-    #[serde(rename = "frame_period_source")]
+    /// Source of the period: `learnt` or `video_start`.
     pub source: FramePeriodSource,
 }
 
