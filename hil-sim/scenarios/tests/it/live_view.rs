@@ -51,6 +51,10 @@ impl Tmux {
             .chain(program.get_args())
             .map(|word| word.to_string_lossy().into_owned())
             .collect();
+        // A closed terminal ends its program by SIGHUP. Bound to the shell, the program would be
+        // killed before it has closed its files.
+        let own = program.iter().position(|word| word == "--");
+        let program = &program[own.map_or(0, |at| at + 1)..];
         let arguments: Vec<&str> = size
             .into_iter()
             .chain(shell)

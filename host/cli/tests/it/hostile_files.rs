@@ -105,7 +105,7 @@ fn names_in_a_session_lead_nowhere() {
 /// A recording with a file that stands for the phone's video of a second.
 pub(crate) fn recording_with_video(parent: &Path) -> PathBuf {
     let folder = with_session(parent, |session| {
-        session["phones"][0]["clock"] = session["alignment"]["clock"].clone();
+        session["phones"][0]["clock"] = session["alignment"]["plan"]["clock"].clone();
     });
     fs::write(folder.join("VID_20260131_140327.mp4"), "a video").unwrap();
     let stamps: String = (0..30)
