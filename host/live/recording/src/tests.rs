@@ -275,7 +275,8 @@ fn the_session_file_comes_back_and_another_form_is_refused() {
 
     let path = folder.path().join(SESSION_FILE);
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replace("\"format\": 2", "\"format\": 77")).unwrap();
+    let form = format!("\"format\": {}", crate::session_file::FORMAT);
+    fs::write(&path, text.replace(&form, "\"format\": 77")).unwrap();
     let error = SessionFile::load(folder.path()).unwrap_err().to_string();
     assert!(error.contains("found 77"), "{error}");
 
