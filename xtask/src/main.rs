@@ -13,6 +13,7 @@ mod image;
 mod process;
 mod reference;
 mod release;
+mod tidy;
 mod tools;
 mod wheel;
 
@@ -52,7 +53,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         args: Vec<String>,
     },
-    /// Check formatting, lints, dependencies and the book.
+    /// Check formatting, lints, dependencies, the rules of the source tree and the book.
     Check {
         /// Check the book's links without building the book: building mdBook
         /// itself takes minutes.
@@ -162,6 +163,7 @@ fn check(no_book: bool) -> Result<()> {
     // As a lean crate of its own, from what would be published.
     process::cargo("package -p twist-sync --allow-dirty --quiet".split(' '))?;
     dependencies::check()?;
+    tidy::check()?;
     if no_book {
         docs::check()
     } else {

@@ -249,12 +249,12 @@ mod tests {
 
     #[test]
     fn a_failure_names_the_command_as_typed_its_last_lines_and_its_log() {
-        let script = "seq 1000; echo broken >&2; exit 3";
+        let script = "(seq 1000; echo broken) >&2; exit 3";
         let error = run(command("sh").args(["-c", script]).env("A", "b c")).unwrap_err();
         let error = error.to_string();
         assert!(
             error.starts_with(
-                "`A='b c' sh -c 'seq 1000; echo broken >&2; exit 3'` failed (exit status: 3)"
+                "`A='b c' sh -c '(seq 1000; echo broken) >&2; exit 3'` failed (exit status: 3)"
             ),
             "{error}"
         );

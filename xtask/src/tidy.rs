@@ -1,0 +1,280 @@
+//! Rules of the source tree that no compiler knows: which room may import which, how large a
+//! room may become, and how doc comments begin.
+//!
+//! The first two stand in two tables of `docs/architecture.md`, so that the page cannot differ
+//! from the manifests.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+
+use crate::process;
+
+const PAGE: &str = "docs/architecture.md";
+
+/// Words with which no doc comment begins: what follows them is a clause, not the operation.
+const CLAUSES: [&str; 3] = ["What", "How", "Whether"];
+
+/// Share by which a stated size may exceed the measured one, so that the page tells how large a
+/// room is.
+const LARGEST_MARGIN: f64 = 0.05;
+
+/// Fails on an import, a size or a comment that breaks a rule, and lists all of them.
+pub(crate) fn check() -> Result<()> {
+    let root = process::root();
+    let page =
+        fs::read_to_string(root.join(PAGE)).with_context(|| format!("cannot read {PAGE}"))?;
+    let imports = imports(&root)?;
+    let sources = sources(&root)?;
+    let mut wrong = wrong_imports(&page, &imports);
+    wrong.extend(wrong_sizes(&page, &sources));
+    wrong.extend(wrong_comments(&sources));
+    if !wrong.is_empty() {
+        bail!("rules of the source tree:\n  {}", wrong.join("\n  "));
+    }
+    println!("imports, sizes and doc comments keep the rules of the tree");
+    Ok(())
+}
+
+/// The crates of the workspace by folder, each with the folders of the crates that it imports.
+/// Imports of tests alone do not count.
+fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
+    let read = |path: &str| {
+        fs::read_to_string(root.join(path)).with_context(|| format!("cannot read {path}"))
+    };
+    let workspace = read("Cargo.toml")?;
+    let named: BTreeMap<&str, &str> = (workspace.lines())
+        .filter_map(|line| line.split_once(" = { path = \""))
+        .filter_map(|(name, rest)| Some((name, rest.split_once('"')?.0)))
+        .collect();
+    let members = workspace.split_once("members = [");
+    let members = members.and_then(|(_, rest)| rest.split_once(']'));
+    let (members, _) = members.context("Cargo.toml lists no members")?;
+    let mut imports = BTreeMap::new();
+    for folder in members.split('"').skip(1).step_by(2) {
+        let mut imported = BTreeSet::new();
+        let mut is_counted = false;
+        for line in read(&format!("{folder}/Cargo.toml"))?.lines() {
+            if line.starts_with('[') {
+                is_counted = line.contains("dependencies") && !line.contains("dev-dependencies");
+            } else if is_counted {
+                let name = line.split(['.', ' ', '=']).next().unwrap_or_default();
+                imported.extend(named.get(name).map(|&path| path.to_owned()));
+            }
+        }
+        imports.insert(folder.to_owned(), imported);
+    }
+    Ok(imports)
+}
+
+/// The Rust files below the workspace's folders of code, by their paths from the root.
+fn sources(root: &Path) -> Result<BTreeMap<String, String>> {
+    let mut sources = BTreeMap::new();
+    for room in ["firmware", "hil-sim", "host", "protocol", "xtask"] {
+        for file in process::files_below(&root.join(room))? {
+            if file.extension().is_some_and(|extension| extension == "rs") {
+                let name = file.strip_prefix(root)?.display().to_string();
+                sources.insert(name, fs::read_to_string(&file)?);
+            }
+        }
+    }
+    Ok(sources)
+}
+
+/// A row of the table of rooms.
+struct Room<'a> {
+    folder: &'a str,
+    /// The rooms that its crates import, this one left out.
+    imports: BTreeSet<&'a str>,
+    /// Largest number of lines of code.
+    size: &'a str,
+}
+
+/// The rows that begin with a folder and have four cells.
+fn rooms(page: &str) -> Vec<Room<'_>> {
+    let row = |line| {
+        let cells: Vec<&str> = str::split(line, '|').map(str::trim).collect();
+        let ["", folder, _, imports, size, ""] = cells[..] else {
+            return None;
+        };
+        Some(Room {
+            folder: folder.strip_prefix('`')?.strip_suffix('`')?,
+            imports: imports.split('`').skip(1).step_by(2).collect(),
+            size,
+        })
+    };
+    page.lines().filter_map(row).collect()
+}
+
+/// The room of a path: of those that hold it the innermost.
+fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
+    let holds = |folder: &str| {
+        let rest = path.strip_prefix(folder);
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    };
+    let inside = rooms
+        .iter()
+        .map(|room| room.folder)
+        .filter(|folder| holds(folder));
+    inside.max_by_key(|folder| folder.len()).unwrap_or_default()
+}
+
+/// Compares the arrows between the rooms with the manifests; each crate needs a row, too.
+fn wrong_imports(page: &str, crates: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
+    let mut wrong = Vec::new();
+    let rooms = rooms(page);
+    for Room {
+        folder, imports, ..
+    } in &rooms
+    {
+        let inside = crates
+            .iter()
+            .filter(|(path, _)| room_of(path, &rooms) == *folder);
+        let found: BTreeSet<&str> = (inside.flat_map(|(_, imported)| imported))
+            .map(|path| room_of(path, &rooms))
+            .filter(|room| room != folder)
+            .collect();
+        for room in found.difference(imports) {
+            wrong.push(format!(
+                "{folder} imports {room}, which {PAGE} does not allow"
+            ));
+        }
+        for room in imports.difference(&found) {
+            wrong.push(format!(
+                "{folder} imports nothing of {room}, although {PAGE} says so"
+            ));
+        }
+    }
+    let has_row = |path: &str| page.contains(&format!("| `{path}` |"));
+    for path in crates.keys().filter(|path| !has_row(path)) {
+        wrong.push(format!("{PAGE} has no row for the crate {path}"));
+    }
+    wrong
+}
+
+/// Counts the lines that are neither blank nor comments nor of tests or examples.
+fn lines_of_code(path: &str, text: &str) -> usize {
+    if path.contains("/tests/") || path.ends_with("tests.rs") || path.contains("/examples/") {
+        return 0;
+    }
+    (text.lines().map(str::trim_start))
+        .take_while(|line| !line.starts_with("#[cfg(test)]"))
+        .filter(|line| !line.is_empty() && !line.starts_with("//"))
+        .count()
+}
+
+fn wrong_sizes(page: &str, sources: &BTreeMap<String, String>) -> Vec<String> {
+    let mut wrong = Vec::new();
+    let rooms = rooms(page);
+    for Room { folder, size, .. } in &rooms {
+        let Ok(most) = size.replace(',', "").parse::<usize>() else {
+            wrong.push(format!(
+                "{PAGE}: {folder} has the size {size:?}, expected a number"
+            ));
+            continue;
+        };
+        let inside = sources
+            .iter()
+            .filter(|(path, _)| room_of(path, &rooms) == *folder);
+        let lines: usize = inside.map(|(path, text)| lines_of_code(path, text)).sum();
+        let least = (most as f64 * (1.0 - LARGEST_MARGIN)) as usize;
+        if !(least..=most).contains(&lines) {
+            wrong.push(format!(
+                "{folder} has {lines} lines of code, {PAGE} says at most {most}"
+            ));
+        }
+    }
+    wrong
+}
+
+fn wrong_comments(sources: &BTreeMap<String, String>) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for (path, text) in sources {
+        for (number, line) in text.lines().map(str::trim_start).enumerate() {
+            let comment = line
+                .strip_prefix("/// ")
+                .or_else(|| line.strip_prefix("//! "));
+            let word = comment.and_then(|text| text.split_whitespace().next());
+            if let Some(word) = word.filter(|word| CLAUSES.contains(word)) {
+                wrong.push(format!(
+                    "{path}:{}: a doc comment begins with {word:?}",
+                    number + 1
+                ));
+            }
+        }
+    }
+    wrong
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TABLES: &str = "\
+        | room | purpose | imports | lines |\n\
+        | `low` | numbers | – | 2 |\n\
+        | `low/x` | more of them | `low` | 0 |\n\
+        | `high` | uses them | `low` | 1,000 |\n\
+        | `low/a` | a |\n\
+        | `low/x/c` | c |\n\
+        | `high/b` | b |\n";
+
+    fn crates(imports_of_a: &[&str]) -> BTreeMap<String, BTreeSet<String>> {
+        let of = |path: &str, list: &[&str]| {
+            let imports = list.iter().map(|&path| path.to_owned()).collect();
+            (path.to_owned(), imports)
+        };
+        BTreeMap::from([
+            of("low/a", imports_of_a),
+            of("low/x/c", &["low/a"]),
+            of("high/b", &["low/a"]),
+        ])
+    }
+
+    #[test]
+    fn this_tree_keeps_its_rules() {
+        check().unwrap();
+    }
+
+    #[test]
+    fn an_arrow_against_the_table_is_found() {
+        assert_eq!(wrong_imports(TABLES, &crates(&[])), [""; 0]);
+        let wrong = wrong_imports(TABLES, &crates(&["high/b", "low/x/c"]));
+        assert_eq!(wrong.len(), 2, "{wrong:?}");
+        assert!(wrong[0].starts_with("low imports high,"), "{wrong:?}");
+        assert!(wrong[1].starts_with("low imports low/x,"), "{wrong:?}");
+        let fewer = TABLES.replace("`high/b`", "`high/d`");
+        assert!(wrong_imports(&fewer, &crates(&[]))[0].contains("no row for the crate high/b"));
+    }
+
+    #[test]
+    fn a_room_is_measured_without_comments_and_tests() {
+        let text = "//! a\n\nfn a() {}\n    // b\nfn b() {}\n#[cfg(test)]\nmod tests {}\n";
+        assert_eq!(lines_of_code("low/a/src/lib.rs", text), 2);
+        assert_eq!(lines_of_code("low/a/tests/it.rs", text), 0);
+        let sources =
+            |text: &str| BTreeMap::from([("low/a/src/lib.rs".to_owned(), text.to_owned())]);
+        let wrong = wrong_sizes(TABLES, &sources(text));
+        assert_eq!(
+            wrong,
+            ["high has 0 lines of code, docs/architecture.md says at most 1000"]
+        );
+        let wrong = wrong_sizes(TABLES, &sources("a\nb\nc\n"));
+        assert!(wrong[0].starts_with("low has 3 lines"), "{wrong:?}");
+    }
+
+    #[test]
+    fn a_comment_that_begins_with_a_clause_is_found() {
+        let sources = |text: &str| BTreeMap::from([("a.rs".to_owned(), text.to_owned())]);
+        for (text, count) in [
+            ("/// Returns the time: what follows is a line of it.", 0),
+            ("    /// Whether it runs.", 1),
+            ("//! A module.\n//!\n//! How it works.", 1),
+            ("// What a plain comment says.", 0),
+        ] {
+            assert_eq!(wrong_comments(&sources(text)).len(), count, "{text}");
+        }
+    }
+}
