@@ -155,7 +155,7 @@ fn sensors_requested_right_after_a_stop_are_tried_again() {
         .ended_with(0, &["phase: "]);
     bench.command(&["stop"], folder.path()).ended_with(0, &[]);
     let output = bench.command(&["imu", "--duration", "1s"], folder.path());
-    output.ended_with(0, &["samples: ", "rate_hz: "]);
+    output.ended_with(0, &["samples: ", "rate: "]);
 }
 
 #[test]
