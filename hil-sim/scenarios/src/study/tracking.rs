@@ -7,6 +7,7 @@
 
 use anyhow::{Context as _, Result};
 use clock::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
+use clock::tracker::{Asked, Exchange, Tracker};
 use clock::twists::Twists;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos, Wander};
 use evaluate::stats::{mean, quantile};
@@ -20,7 +21,6 @@ use rig::random::{Random, Seed, Stream, log_uniform};
 use rig::wiring::UNITS_PER_TICK;
 use session::alignment::plan;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
-use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use super::{Figure, Rigs};
 

@@ -12,11 +12,11 @@ use std::time::Instant;
 
 use board::finding::Finding;
 use board::imu::Sample;
+use clock::coach::Coach;
 use protocol::{DeviceToHost, ImuState, Output, Status, TICK_HZ, Ticks, TrainState};
 use recording::profile::Profile;
 use recording::session_file::Alignment;
 use session::event::{Notice, Phase, SessionEvent, Stamped, Tracked};
-use twist_sync::coach::Coach;
 
 use super::sentences::sentence;
 use rate::{Connected, LIDAR, Rate, drop_before, state_word};

@@ -2,7 +2,7 @@
 //!
 //! A program on the phone ([`PhoneClock`]) and the board are asked for their time many times
 //! a second. The answers go into the recording and to the tracker
-//! ([`twist_sync::tracker`]), which takes the clocks' offset from the twist and follows its
+//! ([`clock::tracker`]), which takes the clocks' offset from the twist and follows its
 //! change. While the recording runs, the trigger's period follows ([`clock::steering`]).
 //!
 //! When the phone's clock can no longer be read, the period stays as it is, as in a
@@ -13,10 +13,10 @@ use std::time::Duration;
 use board::BoardError;
 use clock::ClockRelation;
 use clock::steering::{Link, STEP_EVERY_S, Steering, has_lock};
+use clock::tracker::{Asked, Exchange, Tracker};
 use protocol::{Period, Ticks};
 use recording::messages::{ClockExchange, Header};
 use recording::session_file::{SessionFile, TrackInfo};
-use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use crate::devices::{PhoneClock, PhoneClockStarter};
 use crate::error::{SessionError, Stop};

@@ -13,12 +13,16 @@
 //! | [`frames`] | the period of the phone's frames |
 //! | [`alignment`] | the grid of trigger edges on the phone's frames |
 //! | [`steering`] | the period that keeps the trigger on that grid |
+//! | [`tracker`] | a known offset, followed by exchanges with the clocks |
+//! | [`coach`] | the accuracy of a twist, predicted while it is made |
 
 pub mod alignment;
+pub mod coach;
 pub mod frames;
 pub mod rates;
 mod relation;
 pub mod steering;
+pub mod tracker;
 mod tracks;
 pub mod twists;
 

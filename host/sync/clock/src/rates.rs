@@ -15,10 +15,10 @@
 //! and more the change too. `T` differs from rig to rig: it is known to a factor
 //! ([`WARMING_FACTOR_LN`]), whose influence on a prediction is part of the stated uncertainty.
 
+use crate::tracker::WARMING_S;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use twist_sync::mixture::{Supposed, mixed};
-use twist_sync::tracker::WARMING_S;
 
 use crate::{BoardSeconds, ClockRelation, Wander};
 

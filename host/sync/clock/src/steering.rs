@@ -2,7 +2,7 @@
 //!
 //! After the alignment the grid of the trigger has a constant period, and drifts
 //! as the rate of the clocks was wrong or changes. Where the relation of the clocks is
-//! tracked ([`twist_sync::tracker`]), the period follows instead:
+//! tracked ([`crate::tracker`]), the period follows instead:
 //!
 //! ```text
 //! wanted, phone's time   w(n) = phone(anchor) + n · frame period
@@ -17,8 +17,8 @@
 //! The frame period in the phone's time is not estimated here: an error of 1 ppb makes 3.6 µs
 //! an hour.
 
+use crate::tracker::{Asked, Tracker};
 use protocol::{EdgeGrid, EdgeTime, Period, TICK_HZ, Ticks};
-use twist_sync::tracker::{Asked, Tracker};
 
 use crate::alignment::GridPlan;
 use crate::{BoardSeconds, BoardToPhone, ClockRelation, PhoneSeconds};

@@ -10,14 +10,13 @@
 //! Two other ways of joining estimates exist for other questions. The twist after a recording is
 //! joined with the relation from before it by [`twist_sync::ClockRelation::joined`]: nothing is
 //! predicted from there on, so no hypothesis of the warming is needed, only the random walk that any
-//! two clocks have. [`twist_sync::tracker`] does not join twists: its hypotheses are about the
+//! two clocks have. [`crate::tracker`] does not join twists: its hypotheses are about the
 //! motion of a rate that is observed many times a second.
 
 pub mod report;
 
-use twist_sync::tracker::WARMING_S;
-
 use crate::rates::{Course, Fit, Rate};
+use crate::tracker::WARMING_S;
 use crate::{BoardSeconds, ClockRelation};
 
 /// Hypotheses of the skew's change in the first ten minutes, 1-sigma: none, some, much; equally

@@ -300,9 +300,9 @@ impl ClockCourse {
         Some(course)
     }
 
-    /// Replaces the course, over the time of `knots`, by the relations found from exchanges with
-    /// the clocks ([`crate::tracker::followed`]), which include all estimates. A course with
-    /// steps is returned unchanged, because tracking does not follow steps.
+    /// Replaces the course, over the time of `knots`, by relations that follow the clocks
+    /// more closely and include all estimates, such as those from exchanges with both. A course
+    /// with steps is returned unchanged, because such relations follow no steps.
     #[must_use]
     pub fn with_followed(mut self, knots: &[ClockRelation]) -> Self {
         let (Some(first), Some(last), [segment]) =

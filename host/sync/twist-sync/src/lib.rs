@@ -9,9 +9,7 @@
 //! | `stream/` | faults that one stream shows by itself: in its timestamps, in its samples, in periodic classes of samples |
 //! | `estimate/` | one estimate from two recordings of one motion: pair of streams, coarse lags and their choice, fit, parts that do not move as one body, faults against the other stream, late axes, wander of the stamps, gates |
 //! | `course/` | the relation over whole recordings: search for a first relation, estimates window by window, filter and smoother over them |
-//! | `tracker/` | a known offset, followed by exchanges with the clocks |
 //! | `clock` | the relation of two clocks, its covariance, prediction and inverse |
-//! | `coach` | the accuracy of a twist, predicted while it is made |
 //! | `faults` | faults and their report |
 //! | `robust`, `mixture`, `correlate` | statistics that several modules use |
 #![forbid(unsafe_code)]
@@ -22,7 +20,6 @@
 #![allow(clippy::result_large_err)]
 
 mod clock;
-pub mod coach;
 mod correlate;
 mod course;
 mod estimate;
@@ -34,7 +31,6 @@ pub mod robust;
 mod signal;
 mod stream;
 mod track;
-pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::{

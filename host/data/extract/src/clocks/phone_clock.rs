@@ -15,8 +15,8 @@ use crate::report::{ClockReport, ClockSource};
 use crate::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use clock::ClockRelation;
 use clock::frames::frame_period;
+use clock::tracker::{Asked, Exchange, followed};
 use system::ReadMonitor;
-use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
 /// Largest error of a recorded offset, s.

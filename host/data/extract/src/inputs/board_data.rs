@@ -21,13 +21,13 @@ use std::mem::{Discriminant, discriminant};
 use std::path::Path;
 use std::sync::Arc;
 
+use clock::tracker::{Asked, Exchange};
 use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
 use protocol::Ticks;
 use recording::messages::{self, RosMessage, Time, TimeReference, from_cdr};
 use recording::samples::{RecordedSample, SampleJoiner};
 use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
-use twist_sync::tracker::{Asked, Exchange};
 
 use crate::depth::depth_clock::PulseTime;
 use crate::faults::Faults;

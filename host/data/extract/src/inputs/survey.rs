@@ -10,8 +10,8 @@ use crate::error::ExtractError;
 use crate::inputs::board_data::{BoardEvent, Reference, TimePair};
 use crate::time::{BoardNanos, SECOND, median_step};
 use clock::ClockRelation;
+use clock::tracker::{Asked, Exchange};
 use system::ReadMonitor;
-use twist_sync::tracker::{Asked, Exchange};
 
 /// Number of pulses, pairs of times and exchanges that are kept of any recording; 12 hours of
 /// pulses at 30 Hz are 1.3 million.

@@ -1,8 +1,9 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use twist_sync::ClockCourse;
+
 use super::*;
-use crate::course::ClockCourse;
 
 /// Model of the clocks, the links and their delays, independent of the filter's.
 struct World {

@@ -43,11 +43,11 @@ mod followed;
 mod leg;
 
 use nalgebra::{SMatrix, SVector};
+use twist_sync::mixture::{Supposed, mixed};
 
 pub use self::followed::followed;
 use self::leg::{Leg, Seen};
-use crate::clock::{ClockRelation, Wander, WithSigma};
-use crate::mixture::{Supposed, mixed};
+use crate::{ClockRelation, Wander, WithSigma};
 
 /// One exchange with a clock: a question for its time, and the answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -289,7 +289,8 @@ impl Tracker {
     /// its 1-sigma, or `None` before both clocks have a complete window.
     #[must_use]
     pub fn offset_at(&self, computer: f64) -> Option<WithSigma> {
-        Some(self.relation_at(computer)?.offset_here())
+        let relation = self.relation_at(computer)?;
+        Some(relation.offset_at(relation.reference))
     }
 
     /// Returns the relation of the clocks, referenced at a time of the computer's clock in

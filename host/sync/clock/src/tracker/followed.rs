@@ -9,8 +9,10 @@
 //! from its own side.
 
 use super::{Asked, Exchange, Tracker};
-use crate::clock::ClockRelation;
-use crate::course::CONTRADICTION;
+use crate::ClockRelation;
+
+/// Distance from the exchanges beyond which a relation is left out, in sigmas.
+const CONTRADICTION: f64 = 6.0;
 
 /// Distance of the relations that are returned, s.
 const KNOT_S: f64 = 10.0;
@@ -57,7 +59,7 @@ fn pass(
         };
         while let Some(next) = known.next_if(|next| next.reference <= now.reference) {
             let expected = now.offset_at(next.reference);
-            let sigma = expected.sigma.hypot(next.offset_here().sigma);
+            let sigma = expected.sigma.hypot(next.offset_at(next.reference).sigma);
             if !is_related || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
                 is_related |= tracker.add_relation(&next);
             }

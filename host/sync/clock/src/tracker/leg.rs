@@ -3,8 +3,9 @@
 
 use std::collections::VecDeque;
 
+use twist_sync::robust::median_in_place;
+
 use super::Exchange;
-use crate::robust::median_in_place;
 
 /// Length of a window, s. Windows of both clocks begin and end together, so that the
 /// computer's clock has little time to move between their measurements.
