@@ -22,7 +22,7 @@ use test_support::calibrations::{self, CHAIN};
 use test_support::{browser, python, target};
 
 fn check(script: &str, arguments: &[&Path]) {
-    check_with(python::python(), script, arguments);
+    check_with(&python::python(), script, arguments);
 }
 
 fn check_with(python: &Path, script: &str, arguments: &[&Path]) {

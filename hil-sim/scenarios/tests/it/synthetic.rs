@@ -546,27 +546,11 @@ fn write_session(folder: &Path, rig: &Rig) {
 }
 
 fn imu_info() -> recording::session_file::ImuInfo {
-    use protocol::{
-        AccelRange, GyroRange, ImuClock, ImuConfig, ImuSetup, ImuState, ImuStatus, LowPass,
-    };
-    let setup = ImuSetup {
-        config: ImuConfig {
-            divider: 1,
-            low_pass: LowPass::Hz188,
-            gyro_range: GyroRange::Dps500,
-            accel_range: AccelRange::G4,
-        },
-        interval: 96_000,
-        gyro_lsb_per_dps_times_10: 655,
-        accel_lsb_per_g: 8192,
+    let setup = protocol::ImuSetup {
         gyro_delay_us: 1900,
         accel_delay_us: 2000,
-        status: ImuStatus {
-            state: ImuState::Running,
-            clock: ImuClock::External,
-            ..ImuStatus::default()
-        },
         sensor: protocol::ImuSensor::default(),
+        ..test_support::board::imu_setup()
     };
     let scale = board::imu::Scale::from_setup(&setup).unwrap();
     recording::session_file::ImuInfo { setup, scale }

@@ -6,11 +6,11 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{
-    self, Finished, StandIn, code, frame, greeting, hello, json, polite, script, text,
-};
+use crate::support::{self, StandIn, code, greeting, polite, script, text};
 use protocol::{Answer, Command as BoardCommand, DeviceToHost, HostToDevice, Refusal, Reply};
 use test_support::TestFolder;
+use test_support::board::{frame, hello};
+use test_support::processes::Ran;
 
 /// Lines as dfu-util 0.11 prints them.
 const DFU_UTIL: &str = r#"#!/bin/sh
@@ -67,12 +67,12 @@ fn board(folder: &Path, answer: Result<(), Refusal>, revision: &'static str) -> 
     })
 }
 
-fn flash(folder: &Path, board: &StandIn, more: &[&str]) -> Finished {
+fn flash(folder: &Path, board: &StandIn, more: &[&str]) -> Ran {
     let mut path = folder.as_os_str().to_owned();
     path.push(":/usr/bin:/bin");
     let mut command = support::program(&["board", "flash", "--json", "--port", &board.path]);
     command.env("PATH", path).arg("--image");
-    Finished::of(command.arg(folder.join("image.dfu")).args(more))
+    Ran::new(command.arg(folder.join("image.dfu")).args(more))
 }
 
 #[test]
@@ -128,7 +128,7 @@ fn a_board_without_firmware_is_flashed_when_it_is_named() {
     let board = board(folder, Ok(()), "fedcba987654");
     let unnamed = flash(folder, &board, &[]);
     assert_eq!(code(&unnamed), 10, "{unnamed:?}");
-    let error = json(&unnamed)["error"].clone();
+    let error = unnamed.json()["error"].clone();
     assert!(
         error["next_step"].as_str().unwrap().contains("--board"),
         "{error}"

@@ -7,9 +7,10 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::mpsc::channel;
 
-use crate::support::{self, StandIn, code, frame, hello, json, polite, run};
+use crate::support::{self, StandIn, code, polite, run};
 use protocol::{DeviceToHost, HostToDevice, usb};
 use test_support::TestFolder;
+use test_support::board::{frame, hello};
 use test_support::processes::PATIENCE;
 
 #[test]
@@ -17,7 +18,7 @@ fn info_says_who_the_board_is() {
     let board = StandIn::new(polite);
     let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
-    let info = json(&output);
+    let info = output.json();
     assert_eq!(info["id"], "AB0102030405060708090A0B");
     assert_eq!(info["firmware"], "1.2.3");
     assert_eq!(info["git_revision"], "0123456789ab");
@@ -64,10 +65,10 @@ fn a_port_in_use_is_busy() {
     let _holder = serialport::new(&board.path, 115_200).open().unwrap();
     let output = run(&["board", "info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 7, "{output:?}");
-    let told = json(&output);
-    assert_eq!(told["error"]["exit_code"], 7);
-    assert_eq!(told["error"]["name"], "Busy");
-    assert!(told["error"]["next_step"].is_string());
+    let error = output.json();
+    assert_eq!(error["error"]["exit_code"], 7);
+    assert_eq!(error["error"]["name"], "Busy");
+    assert!(error["error"]["next_step"].is_string());
 }
 
 #[test]
@@ -125,8 +126,7 @@ fn the_udev_rule_names_this_board() {
     // The board's, and that of the loader in its ROM.
     assert_eq!(rule.len(), 2);
     for part in [
-        format!("ATTRS{{idVendor}}==\"{:04x}\"", usb::VENDOR_ID),
-        format!("ATTRS{{idProduct}}==\"{:04x}\"", usb::PRODUCT_ID),
+        format!("ATTRS{{manufacturer}}==\"{}\"", usb::MANUFACTURER),
         format!("ATTRS{{product}}==\"{}\"", usb::PRODUCT),
     ] {
         assert!(rule[0].contains(&part), "the rule lacks {part}");

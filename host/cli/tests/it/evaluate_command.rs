@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use evaluate::train::{Shape, TrainGeometry, row_light};
 
-use crate::support::{code, json, program, run, run_line};
+use crate::support::{code, program, run, run_line};
 use test_support::TestFolder;
 use test_support::browser;
 
@@ -57,7 +57,7 @@ fn precision_with_all_outputs() {
     let all = inputs.join(" ");
     let ran = run_line(&format!("--json evaluate precision --out {html} {all}"));
     assert_eq!(code(&ran), 0, "{ran:?}");
-    let json = json(&ran);
+    let json = ran.json();
     for (recording, truth) in json["recordings"]
         .as_array()
         .unwrap()

@@ -9,8 +9,9 @@ use recording::session_file::SessionFile;
 use serde_json::Value;
 
 use crate::support::synthetic::{SECONDS, Wrong, make};
-use crate::support::{Finished, json, test_video};
+use crate::support::test_video;
 use test_support::TestFolder;
+use test_support::processes::Ran;
 
 /// Phone − board, s; without any skew.
 const OFFSET: i64 = 900_000;
@@ -43,13 +44,13 @@ fn phone(folder: &Path, frames: u32, rows: i64) {
     fs::write(place.join(format!("{name}_timestamps.csv")), stamps).unwrap();
 }
 
-fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Finished {
+fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Ran {
     let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
     command.arg("extract").arg(folder).args(arguments);
     if let Some(path) = path {
         command.env("PATH", path);
     }
-    Finished::of(&mut command)
+    Ran::new(&mut command)
 }
 
 /// Returns true if a part of the recording is missing.
@@ -68,7 +69,7 @@ fn a_video_becomes_images_named_by_board_time() {
     let output = extract(&["--json"], &named, None);
     // There is neither depth nor a gyroscope of the phone: finished, with loss.
     assert_eq!(output.status.code(), Some(4), "{output:?}");
-    let report = json(&output);
+    let report = output.json();
     assert_eq!(report["phone"]["images"], 60);
     assert!(!lacks(&report, "video"), "{report}");
     assert_eq!(report["clock"]["source"], "session");
@@ -94,7 +95,7 @@ fn a_video_becomes_images_named_by_board_time() {
 
     // Again: the same, at once. In another format into the same folder: refused.
     let again = extract(&["--json"], &folder, None);
-    assert_eq!(json(&again), report);
+    assert_eq!(again.json(), report);
     let out = parent.path().join("walk-euroc");
     let mixed = extract(
         &["--format", "tum", "--out", out.to_str().unwrap()],
@@ -109,7 +110,7 @@ fn a_video_short_of_frames_is_a_loss() {
     let parent = TestFolder::new();
     let folder = recording(parent.path());
     phone(&folder, 58, 60);
-    let report = json(&extract(&["--json", "--format", "topics"], &folder, None));
+    let report = extract(&["--json", "--format", "topics"], &folder, None).json();
     assert_eq!(report["phone"]["images"], 58);
     assert!(lacks(&report, "video"), "{report}");
 }
@@ -122,14 +123,14 @@ fn without_ffmpeg_everything_else_is_there() {
     let nowhere = parent.path().join("nowhere");
     let output = extract(&["--json"], &folder, nowhere.to_str());
     assert_eq!(output.status.code(), Some(4), "{output:?}");
-    let report = json(&output);
+    let report = output.json();
     assert!(lacks(&report, "video"), "{report}");
     let out = parent.path().join("walk-euroc");
     assert!(out.join("mav0/imu0/data.csv").exists());
     assert!(out.join("phone_frames.csv").exists());
     assert!(!out.join("mav0/cam0").exists());
     // With ffmpeg again, the next run completes it.
-    let report = json(&extract(&["--json"], &folder, None));
+    let report = extract(&["--json"], &folder, None).json();
     assert_eq!(report["phone"]["images"], 30);
     assert!(out.join("mav0/cam0/data.csv").exists());
 }

@@ -15,8 +15,10 @@ use recording::writer::Writer;
 use serde_json::Value;
 
 use crate::support::synthetic::{self, Wrong};
-use crate::support::{self, Finished, StandIn, code, hello, text};
+use crate::support::{self, StandIn, code, text};
+use test_support::board::hello;
 use test_support::processes::PATIENCE;
+use test_support::processes::Ran;
 use test_support::{TestFolder, below, contents};
 
 /// Limits of a command: address space in bytes, processor time in seconds.
@@ -24,13 +26,13 @@ const MEMORY: u64 = 1 << 30;
 const SECONDS: u64 = 20;
 
 /// Runs the program with its limits, and checks that it ends with an exit code.
-pub(crate) fn limited(args: &[&str]) -> Finished {
+pub(crate) fn limited(args: &[&str]) -> Ran {
     limited_to(SECONDS, args)
 }
 
 /// Runs the program with its limits, and `seconds` of processor time.
-pub(crate) fn limited_to(seconds: u64, args: &[&str]) -> Finished {
-    let output = Finished::of(&mut command_in(seconds, args));
+pub(crate) fn limited_to(seconds: u64, args: &[&str]) -> Ran {
+    let output = Ran::new(&mut command_in(seconds, args));
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked"), "{args:?}: {said}");
     let signal = output.status.signal();

@@ -14,8 +14,10 @@ use protocol::{Answer, DeviceToHost, HostToDevice, Refusal};
 use serde_json::Value;
 use smartdepthsync::cli::Cli;
 
-use crate::support::{self, Finished, StandIn, frame, polite};
+use crate::support::{self, StandIn, polite};
 use test_support::TestFolder;
+use test_support::board::frame;
+use test_support::processes::Ran;
 
 /// Command lines, in a folder with the files that [`files`] makes: exit code, command line,
 /// a word of the message, a word of the next step.
@@ -136,7 +138,7 @@ fn files(folder: &Path) {
     write("text.txt", b"This is a text.\nIt has two lines.\n");
     write("binary.bin", &[0xFF, 0xFE, 0, 1, 2, 3, 0x80]);
     write("empty.csv", b"");
-    write("broken.mcap", b"this is no recording at all");
+    write("broken.mcap", b"this is not a recording at all");
     write("wrong.toml", b"[phone]\nno_such_key = 1\n");
     write("plain.toml", b"[phone]\naddress = \"127.0.0.1:1\"\n");
     let mut gyro = String::from("t,x,y,z\n");
@@ -148,9 +150,9 @@ fn files(folder: &Path) {
     write("folder/text/notes", b"notes");
 }
 
-fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Finished {
+fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Ran {
     let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
-    let output = Finished::of(command.args(arguments).current_dir(folder));
+    let output = Ran::new(command.args(arguments).current_dir(folder));
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked"), "{output:?}");
     output

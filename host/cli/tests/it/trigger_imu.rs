@@ -4,9 +4,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::support::{
-    Behaviour, Finished, StandIn, code, frame, imu_setup, json, polite, run_line,
-};
+use crate::support::{Behaviour, StandIn, code, polite, run_line};
 use protocol::{
     AlignPlan, AlignTrigger, Answer, Command, ConfigureImu, DeviceToHost, EdgeTime, HostToDevice,
     ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
@@ -14,8 +12,10 @@ use protocol::{
     TrainState, TriggerStatus,
 };
 use serde_json::Value;
+use test_support::board::{frame, imu_setup};
+use test_support::processes::Ran;
 
-fn with_port(board: &StandIn, line: &str) -> Finished {
+fn with_port(board: &StandIn, line: &str) -> Ran {
     run_line(&format!("{line} --port {}", board.path))
 }
 
@@ -83,7 +83,7 @@ fn a_period_in_microseconds_reaches_the_board() {
     assert!(start.period.0.abs_diff(exact.0) <= 2, "{:?}", start.period);
     assert_eq!(start.width, 600);
     assert_eq!(start.first_edge, Some(Ticks(4_800_000_000).into()));
-    let report = json(&done);
+    let report = done.json();
     assert_eq!(report["period_ns"], "33330652.540");
     assert_eq!(report["period_ticks"], 1_599_871);
     assert_eq!(report["next_edge_fraction"], 1_u32 << 31);
@@ -124,7 +124,7 @@ fn an_align_keeps_the_period_unless_told() {
     assert_eq!(align.anchor, Ticks(4_416_000_000));
     assert_eq!(align.period, Period(0x1234_5678_9ABC_DEF0 >> 8));
     assert_eq!(align.slew, 480);
-    let report = json(&output);
+    let report = output.json();
     assert_eq!(report["shift"], -480);
     assert_eq!(report["arrival_pulse"], 44);
 }
@@ -207,7 +207,7 @@ fn imu_reports_si_units_and_tells_a_loss() {
     let board = StandIn::new(ImuStandIn::default());
     let output = with_port(&board, "board imu --duration 1s --json");
     assert_eq!(code(&output), 0, "{output:?}");
-    let report = json(&output);
+    let report = output.json();
     assert_eq!(report["samples"], 500);
     assert_eq!(report["missed"], 0);
     assert_eq!(report["rate_hz"], 500.0);
@@ -227,7 +227,7 @@ fn imu_reports_si_units_and_tells_a_loss() {
     });
     let output = with_port(&board, "board imu --duration 9s --json");
     assert_eq!(code(&output), 4, "{output:?}");
-    let report = json(&output);
+    let report = output.json();
     assert_eq!(report["missed"], 1);
     assert_eq!(report["interval_max_ticks"], 96_000);
 }
@@ -241,7 +241,7 @@ fn doctor_looks_again_at_a_sensor_that_is_set_up() {
             ..ImuStandIn::default()
         });
         let output = with_port(&board, "doctor --no-phone --no-trigger --json");
-        let report = json(&output);
+        let report = output.json();
         let mut checks = report["checks"].as_array().unwrap().iter();
         let imu = checks.find(|check| check["kind"] == "IMU").unwrap();
         assert_eq!(imu["severity"], severity, "{imu}");

@@ -14,9 +14,10 @@ use recording::session_file::{ImuInfo, SessionFile};
 use recording::verify::Verification;
 use system::ReadMonitor;
 
+use crate::support::run;
 use crate::support::synthetic::{SECONDS, Wrong, make};
-use crate::support::{imu_setup, json, run};
 use test_support::TestFolder;
+use test_support::board::imu_setup;
 
 const MCAP: &str = "recording.mcap";
 
@@ -40,7 +41,7 @@ fn a_whole_recording_is_whole() {
     let folder = make(parent.path(), Wrong::default());
     let checked = run(&["verify", folder.to_str().unwrap(), "--json"]);
     assert_eq!(checked.status.code(), Some(0), "{checked:?}");
-    let report = json(&checked);
+    let report = checked.json();
     assert_eq!(report["severity"], "good", "{report}");
     assert_eq!(report["form"], 2);
     assert_eq!(report["streams"]["imu"]["received"], SECONDS * 500);
@@ -109,7 +110,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
     let mut places: Vec<usize> = (0..80).map(|_| rng.random_range(0..bytes.len())).collect();
     // The heads of all records, which no chunk's checksum covers.
     for (number, at) in boundaries(&bytes).into_iter().enumerate() {
-        // Of the small records between chunks every fifth.
+        // Every fifth of the small records between chunks.
         if bytes.get(at) != Some(&6) && number % 5 > 0 {
             continue;
         }

@@ -5,11 +5,8 @@
 mod session;
 pub(crate) mod synthetic;
 
-use std::ffi::OsStr;
-use std::fmt;
 use std::fs::{self, File, Permissions};
 use std::io::{Read, Write};
-use std::ops::Deref;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -17,13 +14,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
-use protocol::{
-    AccelRange, Answer, BoardModel, Decoder, DeviceToHost, GyroRange, Hello, HostToDevice,
-    ImuClock, ImuConfig, ImuModel, ImuSensor, ImuSetup, ImuState, ImuStatus, LowPass, MAX_FRAME,
-    PROTOCOL_VERSION, Pong, Reply, ResetCause, TICK_HZ, Ticks, encode,
-};
+use protocol::{Answer, Decoder, DeviceToHost, Hello, HostToDevice, Pong, Reply, Ticks};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use test_support::board::{frame, hello, imu_setup};
+use test_support::processes::Ran;
 
 /// Behaviour of the stand-in: its bytes after a command, and every 10 ms.
 pub(crate) trait Behaviour: Send + 'static {
@@ -110,29 +105,6 @@ impl Drop for StandIn {
     }
 }
 
-pub(crate) fn frame(message: &DeviceToHost) -> Vec<u8> {
-    let mut buffer = [0; MAX_FRAME];
-    encode(message, &mut buffer).unwrap().to_vec()
-}
-
-pub(crate) fn hello() -> Hello {
-    Hello {
-        protocol_version: PROTOCOL_VERSION,
-        firmware_version: (1, 2, 3),
-        git_revision: "0123456789ab".try_into().unwrap(),
-        git_dirty: true,
-        board_id: [0xAB, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11],
-        tick_hz: TICK_HZ,
-        now: Ticks(48_000_000 * 90),
-        epoch: 77,
-        reset_cause: ResetCause::Watchdog,
-        last_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
-        board: BoardModel::BlackPill,
-        panics: 3,
-        kept_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
-    }
-}
-
 /// Returns the frames with which a board answers a request for its hello.
 pub(crate) fn greeting(id: u32, hello: Hello) -> Vec<u8> {
     let result = Ok(Reply::SayHello(()));
@@ -166,89 +138,14 @@ pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
     }
 }
 
-/// An ICM-42688-P at 500 Hz on the board's clock.
-pub(crate) fn imu_setup() -> ImuSetup {
-    ImuSetup {
-        config: ImuConfig {
-            divider: 1,
-            low_pass: LowPass::Hz188,
-            gyro_range: GyroRange::Dps500,
-            accel_range: AccelRange::G4,
-        },
-        interval: 96_000,
-        gyro_lsb_per_dps_times_10: 655,
-        accel_lsb_per_g: 8_192,
-        gyro_delay_us: 1_300,
-        accel_delay_us: 1_300,
-        status: ImuStatus {
-            state: ImuState::Running,
-            clock: ImuClock::External,
-            samples: 500,
-            ..ImuStatus::default()
-        },
-        sensor: ImuSensor {
-            model: ImuModel::Icm42688P,
-            gyro_bandwidth_hz_times_10: 2_467,
-            gyro_noise_udps: 2_800,
-            accel_noise_ug: 70,
-            temperature_lsb_per_c_times_100: 13_248,
-            temperature_at_zero_centidegrees: 2_500,
-        },
-    }
-}
-
-/// A run of a program that has ended. A failing test prints it as one would read it: command,
-/// status, and both outputs.
-pub(crate) struct Finished {
-    command: String,
-    output: Output,
-}
-
-impl Finished {
-    /// Runs a command to its end.
-    pub(crate) fn of(command: &mut Command) -> Self {
-        let words = std::iter::once(command.get_program()).chain(command.get_args());
-        let words: Vec<_> = words.map(OsStr::to_string_lossy).collect();
-        Self {
-            command: words.join(" "),
-            output: command.output().unwrap(),
-        }
-    }
-}
-
-impl Deref for Finished {
-    type Target = Output;
-
-    fn deref(&self) -> &Output {
-        &self.output
-    }
-}
-
-impl fmt::Debug for Finished {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [stdout, stderr] =
-            [&self.stdout, &self.stderr].map(|bytes| String::from_utf8_lossy(bytes));
-        write!(
-            f,
-            "{}\n$ {}\n--- stdout:\n{stdout}\n--- stderr:\n{stderr}",
-            self.status, self.command
-        )
-    }
-}
-
 /// Runs the program to its end.
-pub(crate) fn run(args: &[&str]) -> Finished {
-    Finished::of(&mut program(args))
+pub(crate) fn run(args: &[&str]) -> Ran {
+    Ran::new(&mut program(args))
 }
 
 /// Runs the program with the words of a line, which are separated by single spaces.
-pub(crate) fn run_line(line: &str) -> Finished {
+pub(crate) fn run_line(line: &str) -> Ran {
     run(&line.split(' ').collect::<Vec<_>>())
-}
-
-/// Parses the JSON document that a program printed.
-pub(crate) fn json(output: &Output) -> serde_json::Value {
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
 /// Writes a shell script that stands in for a program.
@@ -272,7 +169,10 @@ pub(crate) fn test_video(path: &Path, frames: u32, more: &[&str]) {
 /// Returns all subcommands below a command except `help`, each with the words that call it.
 pub(crate) fn commands(of: &clap::Command, words: &str) -> Vec<(String, clap::Command)> {
     let mut found = Vec::new();
-    for below in of.get_subcommands().filter(|it| it.get_name() != "help") {
+    for below in of
+        .get_subcommands()
+        .filter(|command| command.get_name() != "help")
+    {
         let words = format!("{words} {}", below.get_name());
         found.push((words.trim_start().to_owned(), below.clone()));
         found.extend(commands(below, words.trim_start()));

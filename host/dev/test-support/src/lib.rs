@@ -1,5 +1,5 @@
 //! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
-//! images of firmware, calibrations, folders and processes.
+//! images of firmware, messages of a board, calibrations, folders and processes.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -7,6 +7,7 @@
     clippy::missing_panics_doc
 )]
 
+pub mod board;
 pub mod browser;
 pub mod calibrations;
 pub mod documents;

@@ -2,8 +2,31 @@
 
 use std::ffi::OsStr;
 use std::fmt;
+use std::io::Write as _;
+use std::ops::Deref;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
+
+/// Returns true if a program runs that only some tests need. Without it they leave their part out
+/// and say so; on CI they fail.
+#[must_use]
+pub fn is_installed(program: &str, package: &str) -> bool {
+    let option = if program == "tmux" { "-V" } else { "--version" };
+    let mut command = Command::new(program);
+    let is_installed = command.arg(option).output().is_ok();
+    if !is_installed {
+        let reason = format!("no {program}: sudo apt-get install {package}");
+        assert!(std::env::var_os("CI").is_none(), "{reason}");
+        let thread = std::thread::current();
+        // Not by a macro: the harness hides what a good test prints.
+        let _ = writeln!(
+            std::io::stderr(),
+            "left out of {}: {reason}",
+            thread.name().unwrap_or_default()
+        );
+    }
+    is_installed
+}
 
 /// Longest wait for a program, which only ends one that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -19,8 +42,7 @@ pub fn bound(program: impl AsRef<OsStr>) -> Command {
 /// A program that has ended. It displays as its command, its exit status and all its output.
 pub struct Ran {
     command: String,
-    /// Exit status and output.
-    pub output: Output,
+    output: Output,
 }
 
 impl Ran {
@@ -54,7 +76,25 @@ impl fmt::Display for Ran {
         let Self { command, output } = self;
         let text = |bytes| String::from_utf8_lossy(bytes);
         let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
-        write!(f, "{command}\n{}\n{stdout}\n{stderr}", output.status)
+        write!(
+            f,
+            "$ {command}\n{}\n--- stdout:\n{stdout}\n--- stderr:\n{stderr}",
+            output.status
+        )
+    }
+}
+
+impl fmt::Debug for Ran {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl Deref for Ran {
+    type Target = Output;
+
+    fn deref(&self) -> &Output {
+        &self.output
     }
 }
 

@@ -409,29 +409,17 @@ impl ImuLook {
 
 #[cfg(test)]
 mod tests {
-    use protocol::{ImuClock, ImuConfig, ImuSensor, ImuState, ImuStatus};
+    use protocol::ImuSensor;
+    use test_support::board::imu_setup;
 
     use super::*;
 
     fn setup() -> ImuSetup {
         ImuSetup {
-            config: ImuConfig {
-                divider: 1,
-                low_pass: LowPass::Hz188,
-                gyro_range: GyroRange::Dps500,
-                accel_range: AccelRange::G4,
-            },
-            interval: 96_000,
-            gyro_lsb_per_dps_times_10: 655,
-            accel_lsb_per_g: 8_192,
             gyro_delay_us: 1_900,
             accel_delay_us: 2_000,
-            status: ImuStatus {
-                state: ImuState::Running,
-                clock: ImuClock::External,
-                ..ImuStatus::default()
-            },
             sensor: ImuSensor::default(),
+            ..imu_setup()
         }
     }
 
@@ -464,16 +452,7 @@ mod tests {
 
     #[test]
     fn another_sensor_has_another_thermometer_and_says_what_it_is() {
-        let mut setup = setup();
-        setup.gyro_delay_us = 1_300;
-        setup.sensor = ImuSensor {
-            model: ImuModel::Icm42688P,
-            gyro_bandwidth_hz_times_10: 2_467,
-            gyro_noise_udps: 2_800,
-            accel_noise_ug: 70,
-            temperature_lsb_per_c_times_100: 13_248,
-            temperature_at_zero_centidegrees: 2_500,
-        };
+        let mut setup = imu_setup();
         let sample = Scale::from_setup(&setup)
             .unwrap()
             .apply(&raw(5, ImuFlags(0), 0));

@@ -1,7 +1,8 @@
 use protocol::{Answer, Filler, HostToDevice};
+use test_support::board::frame;
 
 use super::*;
-use crate::conversation::tests::{frame, hello};
+use crate::conversation::tests::hello;
 
 /// A board that answers with all that lay in its buffers around the answer, in one
 /// piece.

@@ -1,14 +1,10 @@
 use protocol::{
-    Filler, Hello, ImuFlags, ImuSample, Output, Refusal, Reply, ResetCause, SELF_TEST_KEY,
-    SayHello, SelfTest, StopTrigger,
+    Filler, Hello, ImuFlags, ImuSample, Output, Refusal, Reply, SELF_TEST_KEY, SayHello, SelfTest,
+    StopTrigger,
 };
+use test_support::board::frame;
 
 use super::*;
-
-pub(crate) fn frame(message: &DeviceToHost) -> Vec<u8> {
-    let mut buffer = [0; MAX_FRAME];
-    encode(message, &mut buffer).unwrap().to_vec()
-}
 
 fn sample(seq: u32) -> DeviceToHost {
     DeviceToHost::Imu(ImuSample {
@@ -24,15 +20,14 @@ fn sample(seq: u32) -> DeviceToHost {
 pub(crate) fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
     DeviceToHost::Hello(Hello {
         protocol_version,
-        firmware_version: (0, 1, 0),
-        board_id: [7; 12],
-        tick_hz: protocol::TICK_HZ,
-        now: Ticks(5_000_000),
         epoch,
-        reset_cause: ResetCause::PowerOn,
-        ..Hello::default()
+        now: NOW,
+        ..test_support::board::hello()
     })
 }
+
+/// Board time of [`hello`].
+const NOW: Ticks = Ticks(5_000_000);
 
 fn events(conversation: &mut Conversation) -> Vec<Event> {
     std::iter::from_fn(|| conversation.next_event()).collect()
@@ -121,9 +116,9 @@ fn numbers_that_do_not_follow_are_counted_apart() {
     }
     let count = conversation.counts().get(Stream::Imu);
     assert_eq!((count.received, count.lost, count.disordered), (6, 0, 3));
-    let told = events(&mut conversation);
+    let found = events(&mut conversation);
     let disordered = |event: &&Event| matches!(event, Event::Disordered { .. });
-    assert_eq!(told.iter().filter(disordered).count(), 3, "{told:?}");
+    assert_eq!(found.iter().filter(disordered).count(), 3, "{found:?}");
 }
 
 #[test]
@@ -134,11 +129,11 @@ fn a_damaged_frame_is_told_and_its_message_shows_as_lost() {
     damaged[4] ^= 0x10;
     conversation.receive(&damaged);
     conversation.receive(&frame(&sample(12)));
-    let told = events(&mut conversation);
-    assert_eq!(told.len(), 4, "{told:?}");
-    assert!(matches!(told[1], Event::Damaged(_)));
+    let found = events(&mut conversation);
+    assert_eq!(found.len(), 4, "{found:?}");
+    assert!(matches!(found[1], Event::Damaged(_)));
     assert_eq!(
-        told[2],
+        found[2],
         Event::Lost {
             stream: Stream::Imu,
             count: 1
@@ -166,13 +161,17 @@ fn a_reset_is_noticed_and_is_no_loss() {
     assert_eq!(last, Ticks(1_000 + 1_000_000 * 96_000));
     conversation.receive(&frame(&hello(2, PROTOCOL_VERSION)));
     conversation.receive(&frame(&sample(0)));
-    let told = events(&mut conversation);
-    let Event::Restarted { last: told, counts } = &told[2] else {
-        panic!("{:?}", told[2]);
+    let found = events(&mut conversation);
+    let Event::Restarted {
+        last: reported,
+        counts,
+    } = &found[2]
+    else {
+        panic!("{:?}", found[2]);
     };
-    assert_eq!((*told, counts.imu.received), (last, 1));
+    assert_eq!((*reported, counts.imu.received), (last, 1));
     assert_eq!(conversation.counts().lost(), 0);
-    assert_eq!(conversation.latest(), Ticks(5_000_000));
+    assert_eq!(conversation.latest(), NOW);
 }
 
 #[test]
@@ -200,11 +199,11 @@ fn what_comes_before_the_hello_of_a_new_run_is_of_the_new_run() {
     conversation.receive(&frame(&sample(1)));
     assert_eq!(events(&mut conversation).len(), 2);
     conversation.receive(&frame(&hello(2, PROTOCOL_VERSION)));
-    let told = events(&mut conversation);
-    let last_known = Ticks(5_000_000);
-    assert!(matches!(told[0], Event::Restarted { last, .. } if last == last_known));
-    assert_eq!(told[1], Event::Message(sample(0)));
-    assert_eq!(told[2], Event::Message(sample(1)));
+    let found = events(&mut conversation);
+    let last_known = NOW;
+    assert!(matches!(found[0], Event::Restarted { last, .. } if last == last_known));
+    assert_eq!(found[1], Event::Message(sample(0)));
+    assert_eq!(found[2], Event::Message(sample(1)));
     assert_eq!(conversation.counts().lost(), 0);
 }
 
@@ -253,9 +252,9 @@ fn frames_are_kept_as_they_came() {
     conversation.receive(&whole);
     conversation.receive(&[9; MAX_FRAME + 40]);
     conversation.receive(&[0]);
-    let told = events(&mut conversation);
-    assert_eq!(told[0], Event::Frame(whole[..whole.len() - 1].to_vec()));
-    assert_eq!(told[1], Event::Message(sample(1)));
-    assert_eq!(told[2], Event::Frame(vec![9; MAX_FRAME]));
-    assert_eq!(told[3], Event::Damaged(FrameError));
+    let found = events(&mut conversation);
+    assert_eq!(found[0], Event::Frame(whole[..whole.len() - 1].to_vec()));
+    assert_eq!(found[1], Event::Message(sample(1)));
+    assert_eq!(found[2], Event::Frame(vec![9; MAX_FRAME]));
+    assert_eq!(found[3], Event::Damaged(FrameError));
 }
