@@ -401,11 +401,11 @@ fn settings_of_the_board_hold_and_outlive_power_off() {
         start: train,
     });
     board.rig.take_edges();
-    board.wait(1_000, |board| !board.output_pulses.is_empty());
+    board.wait(1_000, |board| !board.outputs.is_empty());
     let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PE11)[0];
     let tick = (rise.units() - zero) / UNITS_PER_TICK;
     // Four clocks of TIM1 are two ticks.
-    assert_eq!(tick + 2, board.output_pulses[0].at.0, "{started:?}");
+    assert_eq!(tick + 2, board.outputs[0].at.0, "{started:?}");
     assert!(board.rig.failures().is_empty());
 }
 

@@ -1,6 +1,10 @@
-//! A host for tests: speaks the protocol with the firmware on the simulated
-//! board and sorts what comes back.
+//! A host for tests: the program's own conversation with the firmware on the simulated board,
+//! whose messages are kept by their streams.
 
+use std::ops::{Deref, DerefMut};
+use std::time::Duration;
+
+use ::board::{Conversation, Event, Received};
 use protocol::*;
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::sim::{Sim, SimBuilder};
@@ -8,23 +12,27 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 
 pub(crate) use rig::wiring::UNITS_PER_TICK;
 
-/// The board, and the messages that have come from it, each stream in order.
+/// The board, and the messages that have come from it.
 pub(crate) struct Board {
     pub(crate) rig: Sim,
-    decoder: Decoder<DeviceToHost>,
-    next_id: u32,
+    conversation: Conversation,
     pub(crate) hellos: Vec<Hello>,
     pub(crate) answers: Vec<Answer>,
-    pub(crate) pulses: Vec<Pulse>,
-    pub(crate) arrived: Vec<Arrived>,
-    pub(crate) captures: Vec<Capture>,
-    pub(crate) samples: Vec<ImuSample>,
-    /// Pulses of the auxiliary outputs.
-    pub(crate) output_pulses: Vec<Pulse>,
-    pub(crate) pps: Vec<Pps>,
-    pub(crate) statuses: Vec<Status>,
-    pub(crate) fillers: u64,
-    pub(crate) filler_bytes: u64,
+    received: Received,
+}
+
+impl Deref for Board {
+    type Target = Received;
+
+    fn deref(&self) -> &Received {
+        &self.received
+    }
+}
+
+impl DerefMut for Board {
+    fn deref_mut(&mut self) -> &mut Received {
+        &mut self.received
+    }
 }
 
 impl Board {
@@ -36,19 +44,10 @@ impl Board {
         rig.usb_open(true);
         let mut board = Self {
             rig,
-            decoder: Decoder::new(),
-            next_id: 1,
+            conversation: Conversation::new(1),
             hellos: Vec::new(),
             answers: Vec::new(),
-            pulses: Vec::new(),
-            arrived: Vec::new(),
-            captures: Vec::new(),
-            samples: Vec::new(),
-            output_pulses: Vec::new(),
-            pps: Vec::new(),
-            statuses: Vec::new(),
-            fillers: 0,
-            filler_bytes: 0,
+            received: Received::default(),
         };
         board.wait(1_000, |board| !board.hellos.is_empty());
         board
@@ -70,23 +69,13 @@ impl Board {
 
     /// Takes what has come. Nothing may be damaged.
     pub(crate) fn take(&mut self) {
-        let bytes = self.rig.usb_read();
-        let mut rest = bytes.as_slice();
-        while let Some(message) = self.decoder.next(&mut rest) {
-            match message.unwrap() {
-                DeviceToHost::Hello(hello) => self.hellos.push(hello),
-                DeviceToHost::Answer(answer) => self.answers.push(answer),
-                DeviceToHost::Status(status) => self.statuses.push(status),
-                DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
-                DeviceToHost::Pulse(pulse) => self.output_pulses.push(pulse),
-                DeviceToHost::Arrived(arrived) => self.arrived.push(arrived),
-                DeviceToHost::Capture(capture) => self.captures.push(capture),
-                DeviceToHost::Imu(sample) => self.samples.push(sample),
-                DeviceToHost::Pps(pps) => self.pps.push(pps),
-                DeviceToHost::Filler(filler) => {
-                    self.fillers += 1;
-                    self.filler_bytes += filler.payload.len() as u64;
-                }
+        self.conversation.receive(&self.rig.usb_read());
+        while let Some(event) = self.conversation.next_event() {
+            match event {
+                Event::Message(DeviceToHost::Hello(hello)) => self.hellos.push(hello),
+                Event::Answer(answer) => self.answers.push(answer),
+                Event::Damaged(_) | Event::OtherVersion { .. } => panic!("{event:?}"),
+                event => self.received.add(event),
             }
         }
     }
@@ -115,7 +104,7 @@ impl Board {
             "nothing within {ms} ms; {} answers, {} pulses, {} samples, last status {:?}",
             self.answers.len(),
             self.pulses.len(),
-            self.samples.len(),
+            self.imu.len(),
             self.statuses.last()
         );
     }
@@ -123,7 +112,7 @@ impl Board {
     /// Takes what came before the link broke. Half a frame may have been on the wire.
     pub(crate) fn break_link(&mut self) {
         self.take();
-        self.decoder.reset();
+        self.conversation.cut();
     }
 
     /// Pulls the USB cable for some virtual milliseconds, and opens the port again.
@@ -144,13 +133,16 @@ impl Board {
 
     /// Sends a command, without waiting. Returns its id.
     pub(crate) fn send(&mut self, command: impl Into<Command>) -> u32 {
-        let command = command.into();
-        let id = self.next_id;
-        self.next_id += 1;
-        let mut buffer = [0; MAX_FRAME];
-        let frame = encode(&HostToDevice { id, command }, &mut buffer).unwrap();
-        self.rig.usb_write(frame);
+        let id = self
+            .conversation
+            .send(Duration::ZERO, command, Duration::MAX);
+        self.rig.usb_write(&self.conversation.take_outgoing());
         id
+    }
+
+    /// Returns the number of messages of filler.
+    pub(crate) const fn fillers(&self) -> u64 {
+        self.conversation.counts().filler.received
     }
 
     /// Sends a command and waits for its answer.
@@ -196,7 +188,7 @@ impl Board {
         assert_eq!([bottom, top, end], ends);
         assert!(self.rig.peek(bottom, 4).is_some());
         assert!(self.rig.peek(bottom - 4, 4).is_none());
-        // Of the one that is fuller.
+        // Those of the fuller stack.
         let status = self.next_status();
         assert!([top - bottom, end - top].contains(&status.stack_size));
         assert!((512..6_144).contains(&status.stack_used), "{status:?}");

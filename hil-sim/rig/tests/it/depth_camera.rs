@@ -125,12 +125,12 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
         let frames = bench.run(3_000);
         let pulses = &bench.board.pulses;
         assert_eq!(frames.len(), pulses.len() - (first_frame as usize - 1));
-        assert_eq!(bench.board.captures.len(), EDGES * frames.len());
-        for (index, capture) in bench.board.captures.iter().enumerate() {
+        assert_eq!(bench.board.strobe.len(), EDGES * frames.len());
+        for (index, capture) in bench.board.strobe.iter().enumerate() {
             assert_eq!(capture.seq as usize, index);
             assert!(!capture.after_loss);
         }
-        let flashes = bench.board.captures.chunks(EDGES);
+        let flashes = bench.board.strobe.chunks(EDGES);
         for ((frame, pulse), edges) in frames
             .iter()
             .zip(&pulses[first_frame as usize - 1..])

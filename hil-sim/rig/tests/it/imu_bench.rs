@@ -97,7 +97,7 @@ impl ImuBench {
     /// and forgets them. Samples may be missing, but none may be wrong.
     pub(crate) fn check_samples(&mut self) -> Vec<ImuSample> {
         self.records.extend(lock(&self.sensor).take_log());
-        let samples = std::mem::take(&mut self.board.samples);
+        let samples = std::mem::take(&mut self.board.imu);
         for sample in &samples {
             let record = loop {
                 let record = self.records.pop_front();
@@ -120,11 +120,11 @@ impl ImuBench {
         let mut good_from = None;
         let begin = self.board.rig.now();
         loop {
-            let before = self.board.samples.len();
+            let before = self.board.imu.len();
             self.board.run(10);
             let waited = (self.board.rig.now().units() - begin.units())
                 / SimDuration::from_millis(1).units();
-            if self.board.samples.len() >= before + 4 {
+            if self.board.imu.len() >= before + 4 {
                 let from = *good_from.get_or_insert(waited);
                 if waited >= from + 50 {
                     return;

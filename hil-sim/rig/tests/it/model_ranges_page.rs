@@ -45,7 +45,8 @@ fn files_of_the_page_exist() {
     for place in PAGE.lines().filter_map(|line| line.split('|').nth(2)) {
         let spans = place.split('`').skip(1).step_by(2);
         let files = spans.filter(|span| span.ends_with(".rs"));
-        let is_missing = |file: &&str| !folders.iter().any(|it| rig.join(it).join(file).is_file());
+        let is_missing =
+            |file: &&str| !(folders.iter()).any(|folder| rig.join(folder).join(file).is_file());
         missing.extend(files.filter(is_missing));
     }
     assert!(missing.is_empty(), "{missing:?}");
@@ -68,10 +69,10 @@ fn drawings_name_pins_and_headers_of_the_table() {
             if matches!(port, "A" | "B" | "C" | "D" | "E") && is_number {
                 pin = word;
                 found += 1;
-                let is_there = protocol::pins::pins().any(|it| it.0 == word);
+                let is_there = protocol::pins::pins().any(|(pin, ..)| pin == word);
                 assert!(is_there, "{}: {word}", path.display());
             } else if rest.starts_with("1-") || rest.starts_with("2-") {
-                let header = protocol::pins::pins().find(|it| it.0 == pin).unwrap().1;
+                let header = protocol::pins::pins().find(|row| row.0 == pin).unwrap().1;
                 assert_eq!(word, header, "{}: {pin}", path.display());
             }
         }

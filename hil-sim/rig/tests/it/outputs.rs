@@ -176,7 +176,7 @@ impl OutputsBench {
         for pulse in board.pulses.drain(..) {
             report(Pin::PA5, pulse.number, pulse.at);
         }
-        for pulse in board.output_pulses.drain(..) {
+        for pulse in board.outputs.drain(..) {
             let pin = PINS[usize::from(pulse.output.number()) - 1];
             report(pin, pulse.number, pulse.at);
             assert!(pulse.aligned);
@@ -314,7 +314,7 @@ fn a_flood_on_the_strobe_input_starves_no_output() {
     let status = bench.board.next_status();
     assert!(status.strobe_floods > 100, "{status:?}");
     // What was taken is marked where edges are missing before it.
-    let captures = bench.board.captures.iter();
+    let captures = bench.board.strobe.iter();
     let marked = captures.filter(|capture| capture.after_loss).count() as u32;
     let unseen = status.dropped.captures + 1;
     assert!(
@@ -359,7 +359,7 @@ fn a_multiple_stays_on_every_sixth_pulse() {
     for _ in 0..60 {
         bench.board.run(1_000);
         camera.extend(bench.board.pulses.iter().map(|pulse| pulse.at));
-        slow.extend(bench.board.output_pulses.iter().map(|out| out.at));
+        slow.extend(bench.board.outputs.iter().map(|out| out.at));
         bench.check();
     }
     assert!(slow.len() > 290, "{}", slow.len());

@@ -64,7 +64,7 @@ fn a_press_right_after_a_start_is_ignored() {
     assert!(!bench.phone.app.is_recording());
 }
 
-/// RRH:164: nothing comes into the queue any more.
+/// RRH:164: the queue receives nothing further.
 #[test]
 fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
     let mut bench = PhoneBench::new(54, without_pictures);

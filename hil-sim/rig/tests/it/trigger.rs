@@ -119,9 +119,9 @@ fn pulses_are_exact_under_full_load() {
             }
         }
         assert!(
-            board.fillers > 1_000,
+            board.fillers() > 1_000,
             "the link was loaded: {}",
-            board.fillers
+            board.fillers()
         );
         assert!(board.answers.len() > pings, "commands were answered");
         let pulses = check_train(&mut board, first, period, WIDTH);
@@ -201,7 +201,7 @@ pub(crate) fn check_aligns(
         let pins = pulses_of(&board.rig.take_edges(), pin);
         let reports = match output {
             Output::Camera => std::mem::take(&mut board.pulses),
-            _ => std::mem::take(&mut board.output_pulses),
+            _ => std::mem::take(&mut board.outputs),
         };
         assert_eq!(pins.len(), reports.len());
         for (&(rise, _), report) in pins.iter().zip(&reports) {
@@ -238,8 +238,8 @@ fn ringing_on_the_strobe_input_makes_no_edges() {
     board.run(3_000);
     board.stop();
     board.run(200);
-    assert_eq!(board.captures.len(), 18 * board.pulses.len());
-    for (index, capture) in board.captures.iter().enumerate() {
+    assert_eq!(board.strobe.len(), 18 * board.pulses.len());
+    for (index, capture) in board.strobe.iter().enumerate() {
         assert_eq!(capture.edge == Edge::Rising, index % 2 == 0, "edge {index}");
         assert!(!capture.after_loss);
     }

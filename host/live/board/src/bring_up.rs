@@ -8,13 +8,11 @@
 //! [`run`] measures one [`Part`] after the other and returns a [`BoardTestReport`] of
 //! [`Check`]s, each with the measurement, its limit, and the likely cause of a miss.
 //!
-//! - `received`: the board's messages over a stretch of board time.
 //! - `train`: comparison of a train of pulses with the arithmetic and its captures. Pure.
 //! - `parts`: the measurements.
 //! - `serial`: bytes from the edges of a serial line. Pure.
 
 mod parts;
-mod received;
 mod serial;
 mod train;
 
@@ -191,7 +189,7 @@ impl BoardTestReport {
 /// Reason for which the test ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum BringUpError {
-    /// The board cannot be reached any more, or refused a command.
+    /// The board can no longer be reached, or refused a command.
     #[error(transparent)]
     Board(#[from] BoardError),
     /// The board was reset while it was being measured.

@@ -28,7 +28,7 @@ pub struct Image {
     pub flash: Vec<u8>,
 }
 
-/// Reason for which a file is no image.
+/// Reason for which a file is not an image.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file cannot be read.

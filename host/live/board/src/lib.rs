@@ -2,6 +2,7 @@
 //!
 //! - [`transport`]: bytes to and from the board, nothing else.
 //! - [`Conversation`]: bytes in, events out; command ids, deadlines, losses. No I/O.
+//! - [`Received`]: the messages of a board, sorted by their streams.
 //! - [`Stream`]: the numbered streams of the board, with counts of messages received and lost.
 //! - [`Board`]: a conversation on a transport, with calls that wait for the answer.
 //! - [`imu`]: the board's IMU samples in SI units.
@@ -21,6 +22,7 @@ pub mod image;
 pub mod imu;
 mod info;
 mod listen;
+mod received;
 mod streams;
 pub mod transport;
 
@@ -28,4 +30,5 @@ pub use calls::{Board, choose_port};
 pub use conversation::{Conversation, Event};
 pub use error::{BoardError, Result, reset_cause};
 pub use info::BoardInfo;
+pub use received::Received;
 pub use streams::{Stream, StreamCount, StreamCounts, follow};

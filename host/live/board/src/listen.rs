@@ -17,7 +17,7 @@ impl Board {
     ///
     /// # Errors
     ///
-    /// The link is gone, no message comes any more, or `take` has an error.
+    /// The link is gone, messages have ceased, or `take` has an error.
     pub fn listen<T, E: From<BoardError>>(
         &mut self,
         what: &'static str,

@@ -5,7 +5,7 @@ mod link;
 mod resets;
 mod wires;
 
-use crate::{Board, BoardError, Event, Stream};
+use crate::{Board, BoardError, Event, Received};
 use protocol::pins::pin_of;
 use protocol::{
     AlignTrigger, BoardSettings, CORE_HZ, EdgeGrid, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output,
@@ -16,7 +16,6 @@ use protocol::{
 
 use crate::finding::{Finding, FindingKind, Severity};
 
-use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{Extent, MAX_DELAY, PulseGrid, TICK_OF_DOUBT, Trains};
 use crate::bring_up::{BringUpError, Check, IntervalHistogram, Operator, Part, Plan, Prompt};
 
@@ -45,6 +44,11 @@ const fn period(picos: u64) -> Period {
         Some(period) => period,
         None => Period::MAX,
     }
+}
+
+/// Returns a distance in board time.
+const fn millis(ms: u32) -> TickDelta {
+    TickDelta(ms as i64 * (TICK_HZ / 1_000) as i64)
 }
 
 /// Measurements that the board can keep.
@@ -169,19 +173,12 @@ impl<'a> BoardTest<'a> {
         let stop = self.operator.stop;
         let listened = self.board.listen("any message", stop, |board, event| {
             match event {
-                Some(Event::Message(message)) => received.add(message),
-                Some(Event::Lost {
-                    stream: Stream::Filler,
-                    count,
-                }) => received.lost_filler += u64::from(count),
-                Some(Event::Lost { count, .. }) => received.lost += u64::from(count),
-                Some(Event::Disordered { .. }) => received.lost += 1,
-                Some(Event::Damaged(_)) => received.damaged += 1,
                 Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
                 Some(Event::OtherVersion { found }) => {
                     return Err(BoardError::OtherVersion { found }.into());
                 }
-                Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
+                Some(event) => received.add(event),
+                None => {}
             }
             let is_over = board.conversation().latest() >= end || done(received);
             Ok(is_over.then_some(()))

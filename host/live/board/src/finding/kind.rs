@@ -130,7 +130,7 @@ pub enum EventKind {
     Recording,
     /// A mark.
     Marker,
-    /// The phone's clock cannot be read any more.
+    /// The phone's clock can no longer be read.
     TrackLost,
     /// The phone's clock is followed again.
     TrackBack,

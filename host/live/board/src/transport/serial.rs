@@ -285,7 +285,7 @@ fn why(path: &str, error: &serialport::Error) -> OpenError {
     }
 }
 
-/// Returns true if the path exists and cannot be a port. A device that is no terminal
+/// Returns true if the path exists and cannot be a port. A device that is not a terminal
 /// (`/dev/null`) counts: it fails with ENOTTY, which the serialport crate does not distinguish
 /// from other errors.
 fn is_plain_file(path: &str) -> bool {

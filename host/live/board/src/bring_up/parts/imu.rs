@@ -1,13 +1,13 @@
 //! Data-ready, and the recovery from an unplugged SDA.
 
+use crate::Received;
 use crate::imu::{Scale, Summary, last_fault};
 use protocol::{
     ImuClock, ImuModel, ImuSetup, ImuState, ImuStatus, MIN_PULSE_WIDTH, Output, QueryImu, Status,
     TickDelta,
 };
 
-use super::{BoardTest, HANDS_TIME, PERIOD};
-use crate::bring_up::received::{Received, millis};
+use super::{BoardTest, HANDS_TIME, PERIOD, millis};
 use crate::bring_up::train::{Extent, Trains};
 use crate::bring_up::{BringUpError, IntervalHistogram, Prompt};
 

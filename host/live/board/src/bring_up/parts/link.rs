@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use crate::Received;
 use crate::imu::Scale;
 use protocol::{
     CORE_HZ, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, QueryImu, Status,
@@ -10,9 +11,8 @@ use protocol::{
 };
 use twist_sync::robust::median;
 
-use super::{BoardTest, PERIOD};
+use super::{BoardTest, PERIOD, millis};
 use crate::bring_up::BringUpError;
-use crate::bring_up::received::{Received, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 
 /// A session's messages are some 30 kB/s; this leaves room for ten.
@@ -173,7 +173,7 @@ impl BoardTest<'_> {
         let (mut temperature, mut die, mut supply, mut best) = (None, None, None, Vec::new());
         let begun = self.board.now();
         while self.board.now().saturating_sub(begun) < length {
-            // Of ten exchanges the quickest: it waited least in any queue.
+            // The quickest of ten exchanges waited least in any queue.
             let mut quickest: Option<(Duration, f64, f64)> = None;
             for _ in 0..10 {
                 let received = self.receive_for(millis(50))?;

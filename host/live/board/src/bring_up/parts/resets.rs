@@ -3,14 +3,13 @@
 
 use std::time::Duration;
 
-use crate::{BoardError, reset_cause};
+use crate::{BoardError, Received, reset_cause};
 use protocol::{
     BoardModel, Failure, Hello, MIN_PULSE_WIDTH, Output, ResetCause, SELF_TEST_KEY, SelfTest,
     TickDelta,
 };
 
-use super::{BoardTest, NOBODY, PERIOD};
-use crate::bring_up::received::{Received, millis};
+use super::{BoardTest, NOBODY, PERIOD, millis};
 use crate::bring_up::train::{PulseGrid, Trains};
 use crate::bring_up::{BringUpError, Prompt};
 

@@ -7,9 +7,8 @@ use protocol::{
     StartGnss, StopGnss, TICK_HZ, TickDelta, TrainState,
 };
 
-use super::{BoardTest, PERIOD};
+use super::{BoardTest, PERIOD, millis};
 use crate::bring_up::BringUpError;
-use crate::bring_up::received::millis;
 use crate::bring_up::serial::Line;
 use crate::bring_up::train::{Extent, MAX_DELAY, Trains};
 

@@ -1,39 +1,40 @@
-//! The board's messages over a stretch of board time.
+//! The board's messages, sorted by their streams.
 
-use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pps, Pulse, Status, TICK_HZ, TickDelta};
+use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pps, Pulse, Status};
 
-/// Ticks in a millisecond of board time.
-const TICKS_PER_MS: u32 = TICK_HZ / 1_000;
+use crate::conversation::Event;
+use crate::streams::Stream;
 
-/// Returns a distance in board time.
-pub(crate) const fn millis(ms: u32) -> TickDelta {
-    TickDelta(ms as i64 * TICKS_PER_MS as i64)
-}
-
-/// Messages of the board, each stream in its order.
+/// Messages of the board over some time, each stream in its order.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Received {
-    pub(crate) pulses: Vec<Pulse>,
+pub struct Received {
+    /// Pulses of the camera's trigger.
+    pub pulses: Vec<Pulse>,
     /// Pulses of the auxiliary outputs.
-    pub(crate) outputs: Vec<Pulse>,
-    pub(crate) strobe: Vec<Capture>,
-    pub(crate) pps: Vec<Pps>,
-    pub(crate) imu: Vec<ImuSample>,
-    pub(crate) statuses: Vec<Status>,
-    pub(crate) arrived: Vec<Arrived>,
+    pub outputs: Vec<Pulse>,
+    /// Edges of the strobe.
+    pub strobe: Vec<Capture>,
+    /// Pulses per second.
+    pub pps: Vec<Pps>,
+    /// Samples of the IMU.
+    pub imu: Vec<ImuSample>,
+    /// States of the board.
+    pub statuses: Vec<Status>,
+    /// Arrivals of trains on their grids.
+    pub arrived: Vec<Arrived>,
     /// Payload bytes of filler.
-    pub(crate) filler: u64,
+    pub filler: u64,
     /// Messages that are missing in their streams, which the board counts.
-    pub(crate) lost: u64,
+    pub lost: u64,
     /// The same of filler, which it does not.
-    pub(crate) lost_filler: u64,
+    pub lost_filler: u64,
     /// Frames that could not be read.
-    pub(crate) damaged: u64,
+    pub damaged: u64,
 }
 
 impl Received {
     /// Appends the messages of a later stretch.
-    pub(crate) fn append(&mut self, mut later: Self) {
+    pub fn append(&mut self, mut later: Self) {
         self.pulses.append(&mut later.pulses);
         self.outputs.append(&mut later.outputs);
         self.strobe.append(&mut later.strobe);
@@ -47,8 +48,26 @@ impl Received {
         self.damaged += later.damaged;
     }
 
-    /// Adds a message to its stream.
-    pub(crate) fn add(&mut self, message: DeviceToHost) {
+    /// Adds the message of an event to its stream, or counts what is missing or damaged. Other
+    /// events are ignored.
+    pub fn add(&mut self, event: Event) {
+        match event {
+            Event::Message(message) => self.add_message(message),
+            Event::Lost { stream, count } => match stream {
+                Stream::Filler => self.lost_filler += u64::from(count),
+                _ => self.lost += u64::from(count),
+            },
+            Event::Disordered { .. } => self.lost += 1,
+            Event::Damaged(_) => self.damaged += 1,
+            Event::Frame(_)
+            | Event::Answer(_)
+            | Event::Expired { .. }
+            | Event::Restarted { .. }
+            | Event::OtherVersion { .. } => {}
+        }
+    }
+
+    fn add_message(&mut self, message: DeviceToHost) {
         match message {
             DeviceToHost::Status(status) => self.statuses.push(status),
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
@@ -64,7 +83,8 @@ impl Received {
 
     /// Returns the number of messages of the numbered streams that the board has dropped since its
     /// reset.
-    pub(crate) fn dropped(&self) -> Option<u64> {
+    #[must_use]
+    pub fn dropped(&self) -> Option<u64> {
         let all = self.statuses.last()?.dropped;
         Some(all.total() - u64::from(all.answers))
     }
