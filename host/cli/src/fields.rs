@@ -4,8 +4,11 @@
 //! `exposure: 8000000 ns`.
 
 use std::fmt;
+use std::io::{self, Write};
 
+use serde::Serialize;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_json::ser::{Formatter, Serializer};
 
 /// Endings of field names that are units. Longer ones come before their own endings.
 const UNITS: [(&str, &str); 14] = [
@@ -28,9 +31,19 @@ const UNITS: [(&str, &str); 14] = [
 /// Significant digits of a number that is not whole.
 const DIGITS: i32 = 6;
 
-/// Name of the only field of an object as which `serde_json` passes a number with a point, if a
-/// crate of the same build (the simulator's are) enables its `arbitrary_precision`.
-const NUMBER: &str = "$serde_json::private::Number";
+/// JSON with each number that is not whole as the text to be shown. A parsed number may be of
+/// another type where a crate of the same build enables `arbitrary_precision`.
+struct Shortened;
+
+impl Formatter for Shortened {
+    fn write_f32<W: ?Sized + Write>(&mut self, out: &mut W, value: f32) -> io::Result<()> {
+        self.write_f64(out, value.into())
+    }
+
+    fn write_f64<W: ?Sized + Write>(&mut self, out: &mut W, value: f64) -> io::Result<()> {
+        write!(out, "\"{}\"", number(value))
+    }
+}
 
 /// A JSON value that keeps the order of fields.
 enum Node {
@@ -40,10 +53,12 @@ enum Node {
     Object(Vec<(String, Node)>),
 }
 
-/// Returns the fields of a JSON document, one a line.
-pub(crate) fn text(json: &str) -> serde_json::Result<String> {
+/// Returns the fields of a result, one a line.
+pub(crate) fn text(result: &impl Serialize) -> serde_json::Result<String> {
+    let mut json = Vec::new();
+    result.serialize(&mut Serializer::with_formatter(&mut json, Shortened))?;
     let mut out = String::new();
-    match serde_json::from_str(json)? {
+    match serde_json::from_slice(&json)? {
         Node::Object(fields) => write_fields(&mut out, 0, &fields),
         node => write_value(&mut out, 0, "-", "", &node),
     }
@@ -128,10 +143,6 @@ impl<'de> Visitor<'de> for NodeVisitor {
         Ok(Node::Text(value.to_string()))
     }
 
-    fn visit_f64<E>(self, value: f64) -> Result<Node, E> {
-        Ok(Node::Text(number(value)))
-    }
-
     fn visit_str<E>(self, text: &str) -> Result<Node, E> {
         Ok(Node::Text(text.to_owned()))
     }
@@ -146,13 +157,8 @@ impl<'de> Visitor<'de> for NodeVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Node, A::Error> {
         let mut fields = Vec::new();
-        while let Some((name, node)) = entries.next_entry::<String, Node>()? {
-            match node {
-                Node::Text(digits) if name == NUMBER => {
-                    return Ok(Node::Text(digits.parse().map_or(digits, number)));
-                }
-                node => fields.push((name, node)),
-            }
+        while let Some(entry) = entries.next_entry()? {
+            fields.push(entry);
         }
         Ok(Node::Object(fields))
     }
@@ -164,21 +170,52 @@ mod tests {
 
     #[test]
     fn a_field_a_line_and_lists_with_dashes() {
-        let json = r#"{"z": "1\nb: 2", "a": "x\": y{", "b": {"c": -1.5, "d": null},
-            "e": [1, "two"], "f": [{"g": true}, {"g": false}], "h": []}"#;
-        let expected = "z: \"1\\nb: 2\"\na: x\": y{\nb:\n  c: -1.5\n  d: none\ne:\n  - 1\n  - two\n\
+        #[derive(Serialize)]
+        struct Below {
+            g: bool,
+        }
+        #[derive(Serialize)]
+        struct Result {
+            z: &'static str,
+            a: &'static str,
+            b: (f32, Option<u8>),
+            e: [Option<&'static str>; 2],
+            f: [Below; 2],
+            h: [u8; 0],
+        }
+        let result = Result {
+            z: "1\nb: 2",
+            a: "x\": y{",
+            b: (-1.5, None),
+            e: [Some("one"), Some("two")],
+            f: [true, false].map(|g| Below { g }),
+            h: [],
+        };
+        let expected = "z: \"1\\nb: 2\"\na: x\": y{\nb:\n  - -1.5\n  - none\ne:\n  - one\n  - two\n\
                         f:\n  -\n    g: yes\n  -\n    g: no\nh: none\n";
-        assert_eq!(text(json).unwrap(), expected);
-        assert_eq!(text("{}").unwrap(), "");
+        assert_eq!(text(&result).unwrap(), expected);
     }
 
     #[test]
     fn endings_of_names_are_units() {
-        let json = r#"{"phase_ns": 1234567890123456789, "frame_duration_ns": 33333333.25,
-            "exposure_ns": null, "gyro_noise_rad_s": [0.00123456789], "period_ns": "1.000"}"#;
+        #[derive(Serialize)]
+        struct Measured {
+            phase_ns: i64,
+            frame_duration_ns: f64,
+            exposure_ns: Option<f64>,
+            gyro_noise_rad_s: [Option<f64>; 2],
+            period_ns: &'static str,
+        }
+        let measured = Measured {
+            phase_ns: 1_234_567_890_123_456_789,
+            frame_duration_ns: 33_333_333.25,
+            exposure_ns: None,
+            gyro_noise_rad_s: [Some(0.001_234_567_89), None],
+            period_ns: "1.000",
+        };
         let expected = "phase: 1234567890123456789 ns\nframe duration: 33333333 ns\n\
-                        exposure: not reported\ngyro noise:\n  - 0.00123457 rad/s\n\
+                        exposure: not reported\ngyro noise:\n  - 0.00123457 rad/s\n  - not reported\n\
                         period: 1.000 ns\n";
-        assert_eq!(text(json).unwrap(), expected);
+        assert_eq!(text(&measured).unwrap(), expected);
     }
 }
