@@ -72,8 +72,7 @@ impl Context {
         if self.global.json {
             return self.print_json(value);
         }
-        let json = serde_json::to_string(value)?;
-        Ok(write_stdout(&fields::text(&json)?, Shown::ForPeople)?)
+        Ok(write_stdout(&fields::text(value)?, Shown::ForPeople)?)
     }
 
     /// Prints a result with `--json`.
@@ -135,11 +134,12 @@ impl Context {
     }
 
     /// Runs work that reads files. Reads under the monitor that it is given end with the first
-    /// Ctrl-C, and after a second a bar shows their progress.
+    /// Ctrl-C, and after a second a bar shows their progress. Work that has no more to read then
+    /// keeps its result.
     ///
     /// # Errors
     ///
-    /// Those of the work; or it was interrupted.
+    /// Those of the work; or a read was interrupted.
     pub(crate) fn over_files<T, E: Into<Failure>>(
         &self,
         work: impl FnOnce(&ReadMonitor) -> Result<T, E>,
@@ -149,12 +149,14 @@ impl Context {
         let monitor = ReadMonitor::new(self.interrupt.cancel(), move |progress| {
             shown.show(progress);
         });
-        let result = work(&monitor);
+        let result = work(&monitor).map_err(E::into);
         bar.bar.finish_and_clear();
-        if self.interrupt.requested() {
-            return Err(Failure::new(ExitStatus::Interrupted, "stopped"));
+        match result {
+            Err(failure) if failure.status() == ExitStatus::Interrupted => Err(failure),
+            // Whatever the work has made of it.
+            _ if monitor.has_cancelled() => Err(Failure::new(ExitStatus::Interrupted, "stopped")),
+            result => result,
         }
-        result.map_err(E::into)
     }
 
     /// Creates a progress bar of this length on standard error, hidden where it would not be seen.
@@ -296,5 +298,41 @@ pub(crate) fn write_stdout(text: &str, shown: Shown) -> io::Result<()> {
             Ok(())
         }
         result => result,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// Reads after Ctrl-C give no result, whatever the work makes of them; finished work gives one.
+    #[test]
+    fn ctrl_c_ends_reads_and_keeps_a_finished_result() {
+        let context = Context {
+            global: Global {
+                json: false,
+                quiet: true,
+                verbose: 0,
+            },
+            interrupt: Interrupt::default(),
+        };
+        let progress = ReadProgress {
+            path: Path::new("recording"),
+            position: 0,
+            length: 0,
+        };
+        let finished = context.over_files(|monitor| {
+            assert!(monitor.check(&progress).is_ok());
+            context.interrupt.request();
+            Ok::<_, Failure>(7)
+        });
+        assert_eq!(finished.unwrap(), 7);
+        let ended = context.over_files(|monitor| {
+            let left_out = monitor.check(&progress).unwrap_err();
+            Ok::<_, Failure>(left_out)
+        });
+        assert_eq!(ended.unwrap_err().status(), ExitStatus::Interrupted);
     }
 }

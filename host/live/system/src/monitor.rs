@@ -9,6 +9,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A question that work asks while it lasts: is it cancelled? Cheap to clone.
 ///
@@ -55,6 +56,7 @@ type Report = Arc<dyn Fn(&ReadProgress<'_>) + Send + Sync>;
 pub struct ReadMonitor {
     cancel: Cancel,
     report: Option<Report>,
+    has_cancelled: Arc<AtomicBool>,
 }
 
 impl ReadMonitor {
@@ -64,13 +66,22 @@ impl ReadMonitor {
         Self {
             cancel,
             report: Some(Arc::new(report)),
+            has_cancelled: Arc::default(),
         }
     }
 
-    /// Returns true once reads are cancelled.
+    /// Returns true if reads are to end, after which the caller's work is not complete.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
-        self.cancel.is_requested()
+        let is_requested = self.cancel.is_requested();
+        self.has_cancelled.fetch_or(is_requested, Ordering::Relaxed);
+        is_requested
+    }
+
+    /// Returns true if a read, or work that asked, was cancelled.
+    #[must_use]
+    pub fn has_cancelled(&self) -> bool {
+        self.has_cancelled.load(Ordering::Relaxed)
     }
 
     /// Reports a read that is about to begin.
@@ -142,7 +153,9 @@ mod tests {
             position: 0,
             length: 0,
         };
+        assert!(!monitor.has_cancelled());
         let error = monitor.check(&progress).unwrap_err();
+        assert!(monitor.has_cancelled());
         assert_eq!(error.to_string(), "stopped before its end");
         assert!(is_cancelled(&error));
         assert!(is_cancelled(&Outer(error)));
