@@ -3,7 +3,7 @@
 
 use clock::PhoneSeconds;
 use clock::alignment::{AlignmentError, GridPlan, Placement, Target, aged_skew_sigma};
-use clock::frames::{Frames, LearntFrames};
+use clock::frames::{Frames, FramesRemark, LearntFrames};
 use clock::rates::{Course, PLANNED_S, Rate, warming_share};
 use clock::twists::KnownSkew;
 use jiff::Timestamp;
@@ -70,8 +70,8 @@ fn age_s(learnt: &Learnt, now: Timestamp) -> f64 {
 /// The phone's frame period does not fit the depth camera's mode, or the frame is before the
 /// board's reset.
 pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned, AlignmentError> {
-    let mut remarks = Vec::new();
-    let frames = frames(&profile.phone, video, &mut remarks);
+    let (frames, remarks) = frames(&profile.phone, video);
+    let mut remarks: Vec<String> = remarks.iter().map(ToString::to_string).collect();
     let exposure_us = video.exposure_us().unwrap_or_else(|| {
         remarks.push(format!(
             "the app does not report the exposure; the profile's {} µs is used",
@@ -120,7 +120,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
 }
 
 /// The phone's frames by its profile and its report.
-fn frames(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Frames {
+fn frames(phone: &Phone, video: &Video) -> (Frames, Vec<FramesRemark>) {
     let learnt = phone.learnt.as_ref().map(|learnt| LearntFrames {
         period_ns: learnt.frame_period_ns,
         sigma_ns: learnt.frame_period_sigma_ns,
@@ -128,7 +128,7 @@ fn frames(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Frames {
         exposure_us: learnt.exposure_us,
     });
     let reported_ns = video.frame_duration_ns;
-    Frames::known(learnt.as_ref(), reported_ns, video.exposure_us(), remarks)
+    Frames::known(learnt.as_ref(), reported_ns, video.exposure_us())
 }
 
 /// Middle of the exposure of the frame whose timestamp the phone reported.
@@ -148,7 +148,7 @@ pub fn placement(
     video: &Video,
     alignment: &Alignment,
 ) -> Placement {
-    let frames = frames(phone, video, &mut Vec::new());
+    let (frames, _) = frames(phone, video);
     let exposure_us = video.exposure_us().unwrap_or(phone.exposure_us);
     let middle = middle(video, exposure_us, phone.middle_row_us());
     let to_depth_s = (alignment.center_offset_us + alignment.bias_us) * 1e-6;

@@ -380,39 +380,33 @@ fn report_lock(file: &mut SessionFile, log: &mut Log<'_>, holds: bool) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clock::alignment::{GridPlan, Target};
+    use clock::BoardSeconds;
+    use clock::alignment::GridPlan;
     use clock::frames::Frames;
-    use clock::twists::Twists;
-    use clock::{BoardSeconds, PhoneSeconds, Wander};
-
-    fn clock(skew: f64) -> ClockRelation {
-        ClockRelation {
-            reference: 100.0,
-            offset: 5.0,
-            skew,
-            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
-            wander: Wander::default(),
-        }
-    }
 
     #[test]
     fn a_step_without_an_answer_is_asked_for_again_before_any_other() {
-        let clock = clock(1e-5);
-        let frames = Frames::known(None, 1e9 / 30.0, Some(1_000.0), &mut Vec::new());
-        let target = Target {
-            middle: PhoneSeconds(106.006),
-            lead_s: 6_362.5e-6,
-            ratio: 1,
-            depth_fps: 30,
+        let clock = |skew| ClockRelation {
+            skew,
+            ..ClockRelation::default()
         };
-        let plan = GridPlan::new(&Twists::new(clock).course(), frames, &target).unwrap();
+        let plan = GridPlan {
+            frames: Frames {
+                period_ns: 1e9 / 30.0,
+                ..Frames::default()
+            },
+            clock: clock(1e-5),
+            anchor: BoardSeconds(100.0).ticks(),
+            period: Period::from_ticks_f64(1.6e6 / (1.0 + 1e-5)),
+            ..GridPlan::default()
+        };
         let mut following = Following {
             steering: Steering::new(&plan, 1),
             stepped: Duration::ZERO,
             is_lost: false,
             unanswered: None,
         };
-        let warmer = self::clock(1.1e-5);
+        let (clock, warmer) = (plan.clock, clock(1.1e-5));
         let at = |seconds| {
             (
                 Duration::from_secs(seconds),
@@ -421,7 +415,7 @@ mod tests {
         };
         let (now, board) = at(10);
         let step = following.due(Some(&warmer), now, board).unwrap();
-        // No answer; and then the phone is not heard any more.
+        // No answer; and then the phone falls silent.
         let (now, board) = at(16);
         assert_eq!(following.due(Some(&clock), now, board), Some(step));
         assert_eq!(following.due(None, now, board), Some(step));

@@ -75,6 +75,57 @@ pub enum FramePeriodSource {
     VideoStart,
 }
 
+/// Remark on a frame period, for the user.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum FramesRemark {
+    /// No earlier recording has measured the period.
+    #[error(
+        "no frame period learnt yet: the phase may drift by hundreds of µs a minute \
+         (`smartdepthsync profile learn`)"
+    )]
+    NotLearnt,
+    /// The learnt period contradicts the report.
+    #[error(
+        "the learnt frame period of {learnt_ns} ns does not fit the {reported_ns} ns that the \
+         phone reports now (another mode?); the reported one is used"
+    )]
+    Contradicted {
+        /// Learnt period, ns.
+        learnt_ns: f64,
+        /// Reported period, ns.
+        reported_ns: f64,
+    },
+    /// The exposure is not that with which the period was learnt.
+    #[error(
+        "the exposure is {:.1} ms, the frame period was learnt with {:.1} ms and may follow it: the \
+         phase may drift by {drift_us_per_min:.0} µs a minute; lock the exposure in the app's \
+         settings",
+        now_us * 1e-3,
+        learnt_us * 1e-3
+    )]
+    OtherExposure {
+        /// Exposure at present, µs.
+        now_us: f64,
+        /// Exposure of the recording that measured the period, µs.
+        learnt_us: f64,
+        /// 1-sigma of the drift that may follow, µs/min.
+        drift_us_per_min: f64,
+    },
+    /// Frames were lost or doubled among the first 60, and the reported mean is corrected for it.
+    #[error(
+        "{} of the phone's first 60 frames were {}: the {reported_ns} ns that it reports are the \
+         mean of {periods} periods over {INTERVALS}",
+        (periods - INTERVALS).abs(),
+        if *periods > INTERVALS { "lost" } else { "doubled" }
+    )]
+    OddFrames {
+        /// Reported mean, ns.
+        reported_ns: f64,
+        /// Number of periods in the span of the 60 frames.
+        periods: f64,
+    },
+}
+
 /// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean of 59
 /// intervals whose ends have that jitter.
 fn reported_sigma_ns(jitter_ns: f64) -> f64 {
@@ -85,15 +136,14 @@ impl Frames {
     /// Combines a learnt frame period with the mean duration that `video_start` reports, by their
     /// variances. Without a learnt period, or with one that contradicts the report, the report is
     /// used alone. `exposure_us` is the exposure of the current video, if the app reports it.
-    /// Appends what the user should know to `remarks`.
     #[must_use]
     pub fn known(
         learnt: Option<&LearntFrames>,
         reported_ns: f64,
         exposure_us: Option<f64>,
-        remarks: &mut Vec<String>,
-    ) -> Self {
-        let reported = corrected(learnt, reported_ns, remarks);
+    ) -> (Self, Vec<FramesRemark>) {
+        let (reported, odd_frames) = corrected(learnt, reported_ns);
+        let mut remarks = Vec::from_iter(odd_frames);
         let jitter_ns = learnt.and_then(|learnt| learnt.jitter_ns);
         let jitter_ns = jitter_ns.unwrap_or(FRAME_JITTER_NS);
         let reported_sigma = reported_sigma_ns(jitter_ns);
@@ -104,11 +154,8 @@ impl Frames {
             source: FramePeriodSource::VideoStart,
         };
         let Some(learnt) = learnt else {
-            remarks.push(String::from(
-                "no frame period learnt yet: the phase may drift by hundreds of µs a minute \
-                 (`smartdepthsync profile learn`)",
-            ));
-            return as_reported;
+            remarks.push(FramesRemark::NotLearnt);
+            return (as_reported, remarks);
         };
         let exposures = learnt.exposure_us.zip(exposure_us);
         let by_exposure = exposures.map_or(0.0, |(then, now)| {
@@ -117,34 +164,32 @@ impl Frames {
         let learnt_sigma = learnt.sigma_ns.hypot(by_exposure);
         let sigma = learnt_sigma.hypot(reported_sigma);
         if (learnt.period_ns - reported).abs() > CONSISTENT_SIGMAS * sigma {
-            remarks.push(format!(
-                "the learnt frame period of {} ns does not fit the {reported} ns that the phone \
-                 reports now (another mode?); the reported one is used",
-                learnt.period_ns
-            ));
-            return as_reported;
+            remarks.push(FramesRemark::Contradicted {
+                learnt_ns: learnt.period_ns,
+                reported_ns: reported,
+            });
+            return (as_reported, remarks);
         }
         let of_reported = (learnt_sigma / sigma).powi(2);
         let sigma_ns = learnt_sigma * reported_sigma / sigma;
-        let drift = sigma_ns / learnt.period_ns * 60e6;
-        if let Some((then, now)) = exposures
-            && drift > WARNED_DRIFT_US_PER_MIN
+        let drift_us_per_min = sigma_ns / learnt.period_ns * 60e6;
+        if let Some((learnt_us, now_us)) = exposures
+            && drift_us_per_min > WARNED_DRIFT_US_PER_MIN
             && by_exposure.abs() > learnt.sigma_ns
         {
-            remarks.push(format!(
-                "the exposure is {:.1} ms, the frame period was learnt with {:.1} ms and may follow \
-                 it: the phase may drift by {drift:.0} µs a minute; lock the exposure in the app's \
-                 settings",
-                now * 1e-3,
-                then * 1e-3,
-            ));
+            remarks.push(FramesRemark::OtherExposure {
+                now_us,
+                learnt_us,
+                drift_us_per_min,
+            });
         }
-        Self {
+        let combined = Self {
             period_ns: learnt.period_ns + of_reported * (reported - learnt.period_ns),
             sigma_ns: Some(sigma_ns),
             jitter_ns: Some(jitter_ns),
             source: FramePeriodSource::Learnt,
-        }
+        };
+        (combined, remarks)
     }
 
     /// 1-sigma of the timestamp of one frame, ns.
@@ -161,18 +206,17 @@ impl Frames {
 
 /// The mean frame duration that the phone reports, corrected for frames that were lost or
 /// doubled among the first 60: their span still is a whole number of periods.
-fn corrected(learnt: Option<&LearntFrames>, reported: f64, remarks: &mut Vec<String>) -> f64 {
+fn corrected(learnt: Option<&LearntFrames>, reported: f64) -> (f64, Option<FramesRemark>) {
     let about = learnt.map_or(1e9 / 30.0, |learnt| learnt.period_ns);
     let periods = reported * INTERVALS / about;
     let whole = periods.round();
     let odd = (whole - INTERVALS).abs();
     if odd == 0.0 || odd > MOST_ODD_FRAMES || (periods - whole).abs() > WHOLE {
-        return reported;
+        return (reported, None);
     }
-    let what = if whole > INTERVALS { "lost" } else { "doubled" };
-    remarks.push(format!(
-        "{odd} of the phone's first 60 frames were {what}: the {reported} ns that it reports \
-         are the mean of {whole} periods over {INTERVALS}"
-    ));
-    reported * INTERVALS / whole
+    let remark = FramesRemark::OddFrames {
+        reported_ns: reported,
+        periods: whole,
+    };
+    (reported * INTERVALS / whole, Some(remark))
 }

@@ -239,7 +239,7 @@ mod tests {
     }
 
     fn plan(clock: &ClockRelation) -> GridPlan {
-        let frames = Frames::known(None, 1e9 / 30.0, Some(1_000.0), &mut Vec::new());
+        let (frames, _) = Frames::known(None, 1e9 / 30.0, Some(1_000.0));
         let target = Target {
             middle: PhoneSeconds(106.006),
             lead_s: 6_362.5e-6,

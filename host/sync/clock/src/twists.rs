@@ -157,7 +157,7 @@ mod tests {
         let at = |t| one.offset_sigma_at(BoardSeconds(t));
         assert!((at(0.0) - 2e-6).abs() < 1e-9);
         assert!(at(60.0) > at(0.0) && at(-60.0) > at(0.0));
-        // Of a board that has run for long, the phone may warm up all the same.
+        // The phone may still be warming up, however long the board has run.
         let change = |t| course(0.0, &[t]).change.variance.sqrt();
         let left = [600.0, 1e6].map(|t| change(t) / change(0.0));
         assert!(left[0] < 0.55 && (left[1] - 0.5).abs() < 1e-3, "{left:?}");

@@ -86,7 +86,7 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
         let whole = step.round().max(1.0);
         if (step - whole).abs() > 0.3 {
             return Err(odd(
-                "a distance is no multiple of the frame period (where the frame rate follows \
+                "a distance is not a multiple of the frame period (where the frame rate follows \
                  the light: lock the exposure in the app's settings)",
             ));
         }

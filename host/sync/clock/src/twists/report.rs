@@ -139,7 +139,7 @@ impl From<&Gate> for TwistGate {
 mod tests {
     use super::*;
 
-    /// Of two sawteeth of the phone the last counts; a gate without a finite value is read again.
+    /// The last of two sawteeth of the phone counts, and a gate survives without a finite value.
     #[test]
     fn a_report_is_read_as_it_was_written() {
         let fault = |stream, kind, displacement_s| Fault {
