@@ -13,7 +13,9 @@
 
 use std::collections::VecDeque;
 
-use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, Ticks};
+use protocol::{
+    Capture, DeviceToHost, Edge, EdgeGrid, EdgeTime, ImuFlags, ImuSample, Period, Pulse, Ticks,
+};
 
 use rig::imu::SampleRecord;
 use rig::wiring::{self, UNITS_PER_TICK};
@@ -24,37 +26,28 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 /// Longest time from its data-ready edge until a sample is read.
 const TRANSFER: SimDuration = SimDuration::from_millis(2);
 
-/// A train: its edge with this number is at `first_q32`, and edge `number + k` at
-/// `floor(first_q32 + k · period)`.
+/// A train on a grid. That the firmware's edges are those of the grid is tested by an arithmetic of
+/// its own in `rig/tests/it/trigger.rs`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Train {
-    /// An edge, in 2⁻³² ticks.
-    pub first_q32: i128,
-    /// Its number among the board's pulses.
+    /// Its edges.
+    pub grid: EdgeGrid,
+    /// Number of the grid's anchor among the board's pulses.
     pub number: i64,
-    /// Period of the edges.
-    pub period: Period,
     /// Length of a pulse, in ticks.
     pub width: u32,
 }
 
 impl Train {
-    fn exact_q32(&self, number: u64) -> i128 {
-        let from_first = i128::from(number) - i128::from(self.number);
-        self.first_q32 + from_first * i128::from(self.period.0)
-    }
-
-    /// Its first edge is at tick 0 if it would be earlier.
-    fn edge(&self, number: u64) -> Ticks {
-        Ticks(u64::try_from(self.exact_q32(number) >> 32).unwrap_or(0))
+    fn edge(&self, number: u64) -> EdgeTime {
+        self.grid.edge((number as i64).saturating_sub(self.number))
     }
 
     /// The same train with another period from an edge on.
     fn with_period(&self, period: Period, from: u64) -> Self {
         Self {
-            first_q32: self.exact_q32(from),
-            number: i64::try_from(from).unwrap_or(i64::MAX),
-            period,
+            grid: EdgeGrid::new(self.edge(from), period),
+            number: from as i64,
             width: self.width,
         }
     }
@@ -188,7 +181,7 @@ impl BoardTruth {
         };
         let zero = self.zero;
         let number = self.next;
-        let due = zero + course.train.edge(number).0 * UNITS_PER_TICK;
+        let due = zero + course.train.edge(number).ticks.0 * UNITS_PER_TICK;
         let ticks = at.units().saturating_sub(zero) / UNITS_PER_TICK;
         if !self.asked.is_empty() {
             self.edges.push(ticks);
@@ -197,14 +190,14 @@ impl BoardTruth {
         // An edge between two ticks is nobody's.
         if at.units() == zero + ticks * UNITS_PER_TICK {
             for course in &self.courses {
-                if course.train.edge(number).0 == ticks {
+                if course.train.edge(number).ticks.0 == ticks {
                     courses.push(*course)
                 } else {
                     courses.extend(self.changed(course))
                 }
             }
         }
-        let place = |course: &Course| (course.train.exact_q32(number), course.train.period.0);
+        let place = |course: &Course| (course.train.edge(number), course.train.grid.period);
         courses.sort_by_key(place);
         courses.dedup_by_key(|course| place(course));
         let Some(course) = courses.first() else {
@@ -260,7 +253,7 @@ impl BoardTruth {
     fn fails_at(&self, course: &Course) -> Option<u64> {
         let edges = (self.first..).zip(&self.edges);
         let mut since = edges.skip_while(|(number, _)| (*number as i64) < course.train.number);
-        let off = since.find(|&(number, &ticks)| course.train.edge(number).0 != ticks);
+        let off = since.find(|&(number, &ticks)| course.train.edge(number).ticks.0 != ticks);
         off.map(|(number, _)| number)
     }
 
@@ -298,7 +291,8 @@ impl BoardTruth {
         };
         let place = pulse.number.checked_sub(self.first);
         let at_pin = place.and_then(|place| self.edges.get(place as usize));
-        let expected = at_pin.map_or_else(|| course.train.edge(pulse.number), |&at| Ticks(at));
+        let expected =
+            at_pin.map_or_else(|| course.train.edge(pulse.number).ticks, |&at| Ticks(at));
         if pulse.at != expected {
             return Err(format!("{pulse:?} should be at {expected:?}"));
         }
@@ -328,7 +322,7 @@ impl BoardTruth {
                 self.compared.samples_missing += 1;
                 continue;
             }
-            // Of one that is marked as late only the time is compared.
+            // Only the time of a sample marked as late is compared.
             if sample.flags.has(ImuFlags::LATE) {
                 return Ok(());
             }

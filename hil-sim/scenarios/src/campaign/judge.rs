@@ -241,13 +241,11 @@ fn compare(
 fn train(alignment: &Alignment, session: &EndedSession) -> Result<(Train, u64, Ticks)> {
     let number = alignment.arrival_pulse.context("no arrival was planned")?;
     let arrival = alignment.arrival.context("no arrival was planned")?;
-    let period = alignment.plan.period;
-    let since = (i128::from(arrival.0) - i128::from(alignment.plan.anchor.0)) << 32;
-    let edges = (since + i128::from(period.0 / 2)).div_euclid(i128::from(period.0));
+    let grid = alignment.plan.grid();
+    let (edges, _) = grid.first_from(arrival);
     let train = Train {
-        first_q32: i128::from(alignment.plan.anchor.0) << 32,
-        number: i64::try_from(i128::from(number) - edges)?,
-        period,
+        grid,
+        number: i64::try_from(number)? - i64::try_from(edges)?,
         width: session.file.profile.pulse_width(),
     };
     Ok((train, number, arrival))

@@ -144,7 +144,7 @@ struct Rig {
 /// Twists are refused, nothing can be learnt, or nothing can be aligned.
 pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
     let mut rig = Rig::new(Seed(seed), values)?;
-    // Of the cold rig: five twists, of which sessions use one, two or three.
+    // Five twists of the cold rig; sessions use one, two or three of them.
     let mut at = 15.0;
     let mut twists: Vec<ClockRelation> = Vec::new();
     let mut ends = Vec::new();
@@ -170,7 +170,7 @@ pub fn sessions(seed: u64, values: &ModelValues) -> Result<Sessions> {
         time: now,
         board_temperature_c: None,
     };
-    // Of frames without a period nothing is learnt, and the sessions go on with what there is.
+    // Nothing is learnt from frames without a period, and the sessions continue without it.
     let frames = rig.learnt_frames(begun).ok();
     let taught = frames.map(|frames| learnt(&frames, Some((joined.skew, sigma)), &origin));
     let mut profile = fresh_profile;
@@ -410,14 +410,12 @@ impl Rig {
     fn phase_us(&self, alignment: &Alignment, frames: &FrameTimes, frame: usize) -> Result<f64> {
         let middle = self.middle(frames, frame)?;
         let tick = self.board().board_at(middle).units() / UNITS_PER_TICK;
-        let period = u128::from(alignment.plan.period.0);
         let lead = (alignment.center_offset_us * 1e-6 * f64::from(TICK_HZ)) as u64;
-        let since = u128::from(tick.saturating_sub(alignment.plan.anchor.0 + lead)) << 32;
-        let nearest = (since + period / 2) / period;
-        let edge = alignment.plan.anchor.0 + u64::try_from((nearest * period) >> 32)?;
+        let tick = Ticks(tick.saturating_sub(lead));
+        let nearest = tick - alignment.plan.grid().phase_error(tick);
         let edge = self
             .board()
-            .true_at(SimTime::from_units(edge * UNITS_PER_TICK));
+            .true_at(SimTime::from_units(nearest.0 * UNITS_PER_TICK));
         // The camera counts the delay by its own clock.
         let camera = self.parts.depth_camera.as_ref();
         let camera = camera.context("the rig has no depth camera")?;
