@@ -2,6 +2,7 @@
 //! sizes, a storm of sizes, a terminal that is closed, keys. What was on the screen
 //! is kept in `target/tmp/live_view` for people to look at.
 
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
@@ -17,8 +18,8 @@ use recording::verify::verify;
 use rig::phone::LinkFault;
 use test_support::processes;
 
-/// A terminal of a tmux server of its own, with a program in it. The program's exit
-/// code comes from a file: tmux (3.3a) loses it now and then, where the terminal is
+/// A terminal of a tmux server of its own, with the program in it. The program is not bound to the
+/// test: a closed terminal ends it by SIGHUP, and it then closes its files. Its exit code comes from a file: tmux (3.3a) loses it now and then, where the terminal is
 /// closed before the program's end is noticed.
 struct Tmux {
     /// Holds the server's socket and the exit code.
@@ -27,7 +28,7 @@ struct Tmux {
 }
 
 impl Tmux {
-    fn start(width: u16, height: u16, program: &Command) -> Self {
+    fn start(width: u16, height: u16, arguments: &[OsString]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let socket = folder.path().join("socket");
         // As a daemon it would outlive a test that is killed.
@@ -36,7 +37,7 @@ impl Tmux {
             .arg(&socket)
             .env("TERM", "xterm")
             .spawn()
-            .expect("this test needs tmux: sudo apt-get install tmux");
+            .unwrap();
         let terminal = Self { folder, server };
         let begun = Instant::now();
         while UnixStream::connect(&socket).is_err() {
@@ -47,20 +48,14 @@ impl Tmux {
         let size = ["new-session", "-d", "-x", &width, "-y", &height];
         let code = terminal.code_file().to_string_lossy().into_owned();
         let shell = ["sh", "-c", r#""$@"; echo $? > "$0""#, &code];
-        let program: Vec<String> = std::iter::once(program.get_program())
-            .chain(program.get_args())
-            .map(|word| word.to_string_lossy().into_owned())
-            .collect();
-        // A closed terminal ends its program by SIGHUP. Bound to the shell, the program would be
-        // killed before it has closed its files.
-        let own = program.iter().position(|word| word == "--");
-        let program = &program[own.map_or(0, |at| at + 1)..];
-        let arguments: Vec<&str> = size
+        let arguments: Vec<&OsStr> = size
             .into_iter()
             .chain(shell)
-            .chain(program.iter().map(String::as_str))
+            .map(OsStr::new)
+            .chain([support::smartdepthsync().as_os_str()])
+            .chain(arguments.iter().map(OsString::as_os_str))
             // What it leaves on the screen stays readable.
-            .chain([";", "set-option", "-g", "remain-on-exit", "on"])
+            .chain([";", "set-option", "-g", "remain-on-exit", "on"].map(OsStr::new))
             .collect();
         terminal.run(&arguments);
         terminal
@@ -70,7 +65,7 @@ impl Tmux {
         self.folder.path().join("exit_code")
     }
 
-    fn run(&self, arguments: &[&str]) -> String {
+    fn run(&self, arguments: &[impl AsRef<OsStr>]) -> String {
         let output = Command::new("tmux")
             .arg("-S")
             .arg(self.folder.path().join("socket"))
@@ -141,14 +136,15 @@ fn keep(name: &str, screen: &str) {
     fs::write(folder.join(name), screen).unwrap();
 }
 
-fn monitor(rig: &WholeRig) -> Command {
-    let mut command = support::tool();
-    command.arg("monitor").arg("--port").arg(rig.rig.port());
-    command
+fn monitor(rig: &WholeRig) -> [OsString; 3] {
+    ["monitor".into(), "--port".into(), rig.rig.port().into()]
 }
 
 #[test]
 fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
+    if !processes::is_installed("tmux", "tmux") {
+        return;
+    }
     let rig = WholeRig::new(31, 4.0);
     let shown = [
         "MONITOR",
@@ -193,11 +189,14 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 
 #[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
+    if !processes::is_installed("tmux", "tmux") {
+        return;
+    }
     let rig = WholeRig::with_readback(33, 3.0);
     // As after `evaluate precision --calibrate`: a picture of the book is made of this.
     let bias = "bias_us = 0.0\nbias_sigma_us = 0.1\nbias_measured = \"2026-01-31\"";
     let profile = format!("{}\n[frame_sync]\n{bias}\n", rig.profile());
-    let terminal = Tmux::start(80, 24, &rig.record_attended("seen", &profile));
+    let terminal = Tmux::start(80, 24, &rig.recording_of("seen", &profile));
     terminal.wait_for(&["Twist the rig for"]);
     // The twist lasts until the phone answers.
     rig.phone().set_fault(Some(LinkFault::Held));
@@ -230,9 +229,13 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
 
 #[test]
 fn a_closed_terminal_ends_the_recording_in_order() {
+    if !processes::is_installed("tmux", "tmux") {
+        return;
+    }
     let rig = WholeRig::new(34, 3.0);
-    let command = rig.record("cut", &[]);
-    let terminal = Tmux::start(100, 30, &command);
+    let mut arguments = rig.recording_of("cut", &rig.profile());
+    arguments.push("--yes".into());
+    let terminal = Tmux::start(100, 30, &arguments);
     terminal.wait_for(&["RECORDING"]);
     rig.wait_ms(2_000);
     terminal.close();

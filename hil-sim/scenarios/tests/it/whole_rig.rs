@@ -1,5 +1,6 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -48,7 +49,7 @@ impl WholeRig {
         Self::wired(seed, speed, edit, |board| board)
     }
 
-    /// With the read-back wired, which the published rig has not.
+    /// With the read-back wired, unlike the published rig.
     pub(crate) fn with_readback(seed: u64, speed: f64) -> Self {
         let wires = Jumpers {
             strobe: None,
@@ -105,26 +106,27 @@ impl WholeRig {
 
     /// `smartdepthsync record` on this rig, not yet started, with nobody there.
     pub(crate) fn record(&self, name: &str, arguments: &[&str]) -> Command {
-        let mut command = self.record_attended(name, &self.profile());
+        let mut command = support::tool();
+        command.args(self.recording_of(name, &self.profile()));
         command.arg("--yes").args(arguments);
         command
     }
 
-    /// The same with somebody there, by this profile.
-    pub(crate) fn record_attended(&self, name: &str, profile: &str) -> Command {
+    /// Returns the arguments of a recording by this profile.
+    pub(crate) fn recording_of(&self, name: &str, profile: &str) -> Vec<OsString> {
         let file = self.folder.path().join(format!("{name}.toml"));
         std::fs::write(&file, profile).unwrap();
-        let mut command = support::tool();
-        command
-            .arg("record")
-            .arg("--port")
-            .arg(self.rig.port())
-            .arg("--profile")
-            .arg(file)
-            .arg("--out")
-            .arg(self.out())
-            .args(["--name", name]);
-        command
+        let (port, out) = (self.rig.port(), self.out());
+        let options: [(&str, &OsStr); 4] = [
+            ("--port", port.as_ref()),
+            ("--profile", file.as_ref()),
+            ("--out", out.as_ref()),
+            ("--name", name.as_ref()),
+        ];
+        let options = options
+            .into_iter()
+            .flat_map(|(option, value)| [option.into(), value.into()]);
+        std::iter::once("record".into()).chain(options).collect()
     }
 
     /// The folder of all recordings.
@@ -237,7 +239,7 @@ impl Session {
 
 impl Drop for Session {
     fn drop(&mut self) {
-        // It has ended, or nobody wants it any more.
+        // It has ended, or is no longer needed.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
