@@ -132,11 +132,14 @@ fn passthrough() -> &'static str {
     })
 }
 
+/// Longest run of `ffmpeg -version`.
+const VERSION_TIME: Duration = Duration::from_secs(10);
+
 /// Returns the text of `ffmpeg -version`, or `None` if `ffmpeg` cannot be run.
 #[must_use]
 pub fn version() -> Option<String> {
     let limits = Limits {
-        run: Some(Duration::from_secs(10)),
+        run: Some(VERSION_TIME),
         own_group: true,
         ..Limits::default()
     };
