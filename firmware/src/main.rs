@@ -3,6 +3,8 @@
 //! Everything that can be tested without a board lives in the library. The modules
 //! form layers, each on those before it: `state` (what all share), `hardware` (the
 //! drivers), `tasks`, and `start`, which wires them.
+//!
+//! Built for a computer, the program flashes a board instead (`flash`).
 
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
@@ -15,9 +17,10 @@ mod state;
 #[cfg(target_os = "none")]
 mod tasks;
 
-/// There is no board here.
 #[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("This program runs on the board: build it in the folder `firmware`.");
-    std::process::exit(2);
+mod flash;
+
+#[cfg(not(target_os = "none"))]
+fn main() -> std::process::ExitCode {
+    flash::main()
 }
