@@ -32,7 +32,7 @@ const ALL: u32 = (1 << Task::Receive as u8)
 pub struct Alive(AtomicU32);
 
 impl Alive {
-    /// Nobody has checked in.
+    /// No task has checked in.
     #[must_use]
     pub const fn new() -> Self {
         Self(AtomicU32::new(0))

@@ -28,7 +28,7 @@ struct Utc {
 }
 
 impl Utc {
-    /// Of Unix time; before 1970 it stands at its begin.
+    /// Converts Unix time; earlier times become the first second of 1970.
     ///
     /// The proleptic Gregorian calendar in eras of 400 years, whose years begin
     /// in March so that the leap day is the last (H. Hinnant, "chrono-compatible

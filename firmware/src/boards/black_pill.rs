@@ -6,7 +6,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, LedPin, led};
+use super::{Board, LedPin, LedPort, led};
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::BlackPill,
@@ -22,12 +22,12 @@ pub(super) const BOARD: Board = Board {
     senses_vbus: false,
     leds: [
         // To be wired, but for that on the board, from 3.3 V.
-        led(1, 12),
-        led(1, 13),
+        led(LedPort::B, 12),
+        led(LedPort::B, 13),
         LedPin {
             active_low: true,
-            ..led(2, 13)
+            ..led(LedPort::C, 13)
         },
-        led(1, 15),
+        led(LedPort::B, 15),
     ],
 };

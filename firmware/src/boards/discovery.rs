@@ -2,7 +2,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, led};
+use super::{Board, LedPort, led};
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::Discovery,
@@ -18,5 +18,10 @@ pub(super) const BOARD: Board = Board {
     // Powered through its other connector (UM1472, 6.10).
     senses_vbus: true,
     // PD12 to PD15: green, orange, red, blue (UM1472, 6.3).
-    leds: [led(3, 12), led(3, 13), led(3, 14), led(3, 15)],
+    leds: [
+        led(LedPort::D, 12),
+        led(LedPort::D, 13),
+        led(LedPort::D, 14),
+        led(LedPort::D, 15),
+    ],
 };

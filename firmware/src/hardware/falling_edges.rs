@@ -60,12 +60,17 @@ pub(super) fn arm(rise: u32, fall: u32) {
     stream.cr().modify(|w| w.set_en(true));
 }
 
+/// Reads of the stream's state until it must be off: a transfer under way is finished first, which
+/// takes less than 1 µs, or some ten reads.
+const MAX_READS: usize = 1_000;
+
 /// Switches the stream off, wherever it stands, and clears what it flagged.
 pub(super) fn disarm() {
     let stream = DMA.st(STREAM);
     stream.cr().write(|_| {});
-    // A transfer under way is finished first: some cycles.
-    while stream.cr().read().en() {}
+    if !(0..MAX_READS).any(|_| !stream.cr().read().en()) {
+        defmt::panic!("the stream of the falling edges does not stop");
+    }
     clear_flags();
 }
 

@@ -17,7 +17,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 /// Everything from this priority on waits: 1, in the upper 4 of 8 bits.
 const CEILING: u8 = 1 << 4;
 
-/// Of the handlers at priority 1.
+/// Priority of the handlers below the ceiling.
 pub(crate) const PRIORITY: u8 = CEILING;
 
 pub(crate) struct RawIrqPriorityMutex;

@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::gpio::vals::Moder;
 use embassy_stm32::{Peri, pac, peripherals};
-use firmware::boards::BOARD;
+use firmware::boards::{BOARD, LedPort};
 
 /// One of the LEDs; the number is its place in [`BOARD`].
 #[derive(Clone, Copy)]
@@ -25,12 +25,12 @@ impl Led {
     const ALL: [Self; 4] = [Self::Imu, Self::Pulse, Self::Fault, Self::Link];
 }
 
-/// The registers of a port; LEDs are on B, C or D.
-const fn port(number: u8) -> Gpio {
-    match number {
-        1 => pac::GPIOB,
-        2 => pac::GPIOC,
-        _ => pac::GPIOD,
+/// The registers of a port.
+const fn registers(port: LedPort) -> Gpio {
+    match port {
+        LedPort::B => pac::GPIOB,
+        LedPort::C => pac::GPIOC,
+        LedPort::D => pac::GPIOD,
     }
 }
 
@@ -60,7 +60,7 @@ pub(crate) fn init(_: Owned) {
 fn make_output(led: Led) {
     let pin = BOARD.leds[led as usize];
     drive(led, false);
-    port(pin.port)
+    registers(pin.port)
         .moder()
         .modify(|w| w.set_moder(pin.pin.into(), Moder::OUTPUT));
 }
@@ -90,7 +90,7 @@ pub(crate) fn set(led: Led, on: bool) {
 #[inline]
 pub(super) fn drive(led: Led, on: bool) {
     let pin = BOARD.leds[led as usize];
-    port(pin.port).bsrr().write(|w| {
+    registers(pin.port).bsrr().write(|w| {
         if on != pin.active_low {
             w.set_bs(pin.pin.into(), true);
         } else {

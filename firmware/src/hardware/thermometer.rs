@@ -21,7 +21,7 @@ const SENSOR: u8 = BOARD.temperature_channel;
 const REFERENCE: u8 = 17;
 
 pub(crate) struct Thermometer {
-    /// Nobody else converts.
+    /// Nothing else uses the converter.
     _adc: Peri<'static, ADC1>,
     calibration: Calibration,
     converting: u8,

@@ -210,8 +210,7 @@ impl CompareOutput for Channel {
             Action::Wake => self.arm_wake(),
             Action::Rise => self.arm_edge(Ocm::ACTIVE_ON_MATCH),
             Action::Fall => self.arm_edge(Ocm::INACTIVE_ON_MATCH),
-            // Never asked for: `makes_whole_pulses`.
-            Action::Pulse { .. } => {}
+            Action::Pulse { .. } => defmt::unreachable!("see `makes_whole_pulses`"),
         }
     }
 

@@ -84,7 +84,7 @@ pub(crate) struct Counters {
 
 struct InputState {
     bucket: Bucket,
-    /// Of edges close together.
+    /// Bucket for edges close together.
     close: Bucket,
     after_loss: bool,
     overcaptures: u32,

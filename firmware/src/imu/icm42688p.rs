@@ -39,11 +39,11 @@ const QUIET_US: u32 = 200;
 /// The sensor's filters of the second order at one rate, by GYRO_UI_FILT_BW and ACCEL_UI_FILT_BW
 /// (5.5).
 struct Rate {
-    /// Of [`ImuConfig`].
+    /// Divider in [`ImuConfig`].
     divider: u8,
     /// GYRO_ODR and ACCEL_ODR (14.37, 14.38).
     code: u8,
-    /// Of the 3 dB point, in 0.1 Hz.
+    /// Frequencies of the 3 dB point, in 0.1 Hz.
     bandwidths: [u16; 8],
     /// In 0.1 ms.
     delays: [u16; 8],

@@ -135,7 +135,7 @@ impl Rig {
         Self::with(now, false)
     }
 
-    /// Of both kinds of channel.
+    /// Makes a bench of each kind of channel.
     fn both(now: u64) -> [Self; 2] {
         [false, true].map(|whole| Self::with(now, whole))
     }
