@@ -308,7 +308,7 @@ mod tests {
             }
         }
         assert_eq!(error(Ticks(7), Period(0), Ticks(5)), TickDelta(-2));
-        // The edge at −90 is no edge of the board's, and is not near either.
+        // The edge at −90 is not an edge of the board's, and is not near either.
         let period = Period::from_ticks(100);
         assert_eq!(error(Ticks(10), period, Ticks(0)), TickDelta(-10));
     }

@@ -42,7 +42,7 @@ pub(crate) fn allowed() -> Result<String> {
     let deny = fs::read_to_string(process::root().join("deny.toml"))?;
     let allowed = deny
         .split_once("allow = [")
-        .and_then(|it| it.1.split_once(']'));
+        .and_then(|(_, list)| list.split_once(']'));
     let (allowed, _) = allowed.context("deny.toml allows no licences")?;
     Ok(allowed.to_owned())
 }

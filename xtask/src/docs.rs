@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 
-use crate::reference::Reference;
 use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
@@ -36,7 +35,7 @@ pub(crate) fn check() -> Result<()> {
 /// Builds the book into `target/book` and fails on any broken local link.
 pub(crate) fn build_and_check() -> Result<()> {
     process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
-    let source = pages(Some(&process::target_dir().join("release")))?;
+    let source = pages(Some(&process::program("smartdepthsync")))?;
     check_links(&source, &process::root())?;
     let features = ["--no-default-features", "--features", "search"];
     let mdbook = tools::ensure_cargo_tool("mdbook", MDBOOK_VERSION, &features)?;
@@ -47,25 +46,53 @@ pub(crate) fn build_and_check() -> Result<()> {
     Ok(())
 }
 
-/// Copies the pages, with [what is made from the code](crate::reference), to where they are built;
-/// with the help of the programs in a folder.
-pub(crate) fn pages(programs: Option<&Path>) -> Result<PathBuf> {
+/// Copies the pages to where they are built. A line `{{file PATH}}` becomes that file from the
+/// root, and `{{help}}` the help of every command if the program is built.
+pub(crate) fn pages(program: Option<&Path>) -> Result<PathBuf> {
     let root = process::root();
-    let reference = Reference::read(&root)?;
     let source = process::fresh_folder("book-source")?;
     let docs = root.join("docs");
     for path in process::files_below(&docs)? {
         let target = source.join(path.strip_prefix(&docs)?);
         fs::create_dir_all(target.parent().unwrap_or(&source))?;
-        if path.extension().is_some_and(|extension| extension == "md") {
-            let page = fs::read_to_string(&path)?;
-            let page = reference.expand(&page, &root, programs);
-            fs::write(&target, page.with_context(|| path.display().to_string())?)?;
-        } else {
+        if path.extension().is_none_or(|extension| extension != "md") {
             fs::copy(&path, &target)?;
+            continue;
         }
+        let mut page = String::new();
+        for line in fs::read_to_string(&path)?.lines() {
+            let file = line.strip_prefix("{{file ");
+            if let Some(file) = file.and_then(|rest| rest.strip_suffix("}}")) {
+                let text = fs::read_to_string(root.join(file));
+                page += &text.with_context(|| format!("{}: {file}", path.display()))?;
+            } else if line == "{{help}}" {
+                if let Some(program) = program {
+                    page += &help(program, &[])?;
+                }
+            } else {
+                page.extend([line, "\n"]);
+            }
+        }
+        fs::write(&target, page)?;
     }
     Ok(source)
+}
+
+/// Returns the help of a command and of all commands below it.
+fn help(program: &Path, words: &[&str]) -> Result<String> {
+    let text = process::text(process::command(program).args(words).arg("--help"))?;
+    let title = [&["smartdepthsync"], words].concat().join(" ");
+    let mut out = format!("\n## {title}\n\n```text\n{}\n```\n", text.trim());
+    let below = text
+        .split_once("\nCommands:\n")
+        .map_or("", |(_, list)| list);
+    for line in below.lines().take_while(|line| !line.is_empty()) {
+        let name = line.split_whitespace().next().unwrap_or_default();
+        if line.starts_with("  ") && !line.starts_with("   ") && name != "help" {
+            out += &help(program, &[words, &[name]].concat())?;
+        }
+    }
+    Ok(out)
 }
 
 /// A page's links and the anchors that it offers.
@@ -107,7 +134,7 @@ fn check_links(source: &Path, root: &Path) -> Result<()> {
             let reason = broken_link(path, link, &pages);
             broken.extend(reason.map(|reason| format!("{name}: {link}: {reason}")));
         }
-        for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
+        for source in page.sources.iter().filter(|path| !root.join(path).exists()) {
             broken.push(format!("{name}: {source}: no such file"));
         }
     }

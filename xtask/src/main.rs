@@ -11,7 +11,6 @@ mod figures;
 mod firmware;
 mod image;
 mod process;
-mod reference;
 mod release;
 mod tidy;
 mod tools;

@@ -53,7 +53,7 @@ pub(crate) fn make() -> Result<()> {
     // First that which runs here: it writes what goes with all.
     let own = release.programs(std::env::consts::ARCH)?;
     write_completions_and_manual(&own.join(NAME), &usr.join("share"))?;
-    install(&docs::pages(Some(&own))?, &documents)?;
+    install(&docs::pages(Some(&own.join(NAME)))?, &documents)?;
     fs::rename(documents.join("book-source"), documents.join("book"))?;
     for (rust, debian) in PROCESSORS {
         let folder = release.programs(rust)?;
@@ -134,23 +134,20 @@ impl Release {
         let mut command = process::command(cyclonedx);
         process::run(self.reproducibly(&mut command).args(args.split(' ')))?;
         let root = process::root();
+        for (folder, part) in [
+            ("host/cli", NAME),
+            ("hil-sim/scenarios", "hil-sim"),
+            ("host/sync/twist-sync-python", "twist-sync"),
+            ("firmware", "smartdepthsync-firmware"),
+        ] {
+            let bom = fs::read_to_string(root.join(folder).join("release-bom.json"))?;
+            let bom = bom.replace(&*root.to_string_lossy(), "");
+            fs::write(self.dist.join(format!("{part}.cdx.json")), bom)?;
+        }
         for file in process::files_below(&root)? {
-            if !file.ends_with("release-bom.json") {
-                continue;
+            if file.ends_with("release-bom.json") {
+                fs::remove_file(&file)?;
             }
-            let crate_folder = file.parent().and_then(|it| it.strip_prefix(&root).ok());
-            let part = match crate_folder.and_then(Path::to_str) {
-                Some("host/cli") => Some(NAME),
-                Some("hil-sim/scenarios") => Some("hil-sim"),
-                Some("host/sync/twist-sync-python") => Some("twist-sync"),
-                Some("firmware") => Some("smartdepthsync-firmware"),
-                _ => None,
-            };
-            if let Some(part) = part {
-                let bom = fs::read_to_string(&file)?.replace(&*root.to_string_lossy(), "");
-                fs::write(self.dist.join(format!("{part}.cdx.json")), bom)?;
-            }
-            fs::remove_file(&file)?;
         }
         let config = process::target_dir().join("about.toml");
         // The licences are at the top of each crate; what is below takes minutes to read.
