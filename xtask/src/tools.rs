@@ -9,28 +9,68 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// Installs the programs that the tests need beyond Rust and [`ensure_python`]: ffmpeg, mkvmerge,
-/// a browser for the reports, a terminal multiplexer for the live view, an emulated Cortex-M4 for
-/// comparison with ours, emulated processors of phones, and adb.
+/// Programs that tests run: name, Debian package, purpose. Without those of the second list, tests
+/// leave out what needs them.
+const TEST_PROGRAMS: [&[(&str, &str, &str)]; 2] = [
+    &[
+        ("ffmpeg", "ffmpeg", "reads videos"),
+        ("mkvmerge", "mkvtoolnix", "writes depth recordings again"),
+        ("adb", "adb", "talks to a simulated phone"),
+    ],
+    &[
+        ("qemu-aarch64", "qemu-user", "runs the phone's agent"),
+        (
+            "qemu-system-arm",
+            "qemu-system-arm",
+            "is compared with the simulated core",
+        ),
+        ("chromium", "chromium", "shows the reports"),
+        ("tmux", "tmux", "shows the live view"),
+    ],
+];
+
+/// Makes sure that the programs are there that the tests need beyond Rust and [`ensure_python`].
+/// Those that tests can do without are installed on CI alone.
 pub(crate) fn ensure_for_tests() -> Result<()> {
-    ensure_program("ffmpeg", "ffmpeg")?;
-    ensure_program("mkvmerge", "mkvtoolnix")?;
-    ensure_program("chromium", "chromium")?;
-    ensure_program("tmux", "tmux")?;
-    ensure_program("qemu-system-arm", "qemu-system-arm")?;
-    ensure_program("qemu-aarch64", "qemu-user")?;
-    ensure_program("adb", "adb")
+    let is_ci = std::env::var_os("CI").is_some();
+    let [mut needed, mut left_out] = [Vec::new(), Vec::new()];
+    for (programs, can_be_left_out) in TEST_PROGRAMS.into_iter().zip([false, !is_ci]) {
+        for (name, package, purpose) in programs.iter().filter(|program| !is_there(program.0)) {
+            println!("missing: {name}, which {purpose}");
+            let packages = if can_be_left_out {
+                &mut left_out
+            } else {
+                &mut needed
+            };
+            packages.push(*package);
+        }
+    }
+    if !left_out.is_empty() {
+        println!(
+            "tests leave out what needs {}: `sudo apt-get install` adds it",
+            left_out.join(" ")
+        );
+    }
+    if needed.is_empty() {
+        return Ok(());
+    }
+    let advice = || format!("on Debian run `sudo apt-get install {}`", needed.join(" "));
+    apt_install(&needed).with_context(advice)
 }
 
-/// Makes sure that `program` is on the path, from a Debian package if need be.
-pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
-    // One that is there may not work.
+/// Returns true if a program runs: one that is installed may not work.
+fn is_there(program: &str) -> bool {
     let version = match program {
         "ffmpeg" => "-version",
         "tmux" => "-V",
         _ => "--version",
     };
-    if process::answers(program, &[version]) {
+    process::answers(program, &[version])
+}
+
+/// Makes sure that `program` is on the path, from a Debian package if need be.
+pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
+    if is_there(program) {
         return Ok(());
     }
     apt_install(&[package]).with_context(|| {
@@ -76,7 +116,7 @@ pub(crate) fn ensure_release() -> Result<PathBuf> {
 /// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
 /// for the Python of Debian.
 pub(crate) fn ensure_readers() -> Result<()> {
-    for reader in ["open3d", "rerun", "lerobot", "fleet"].map(|it| format!("readers/{it}")) {
+    for reader in ["open3d", "rerun", "lerobot", "fleet"].map(|name| format!("readers/{name}")) {
         ensure_environment(&reader, &format!("{reader}.txt"))?;
     }
     if process::answers("/usr/bin/python3", &["-c", "import rosbag"]) {

@@ -10,7 +10,7 @@
 //! | 24..32 | | `CLOCK_MONOTONIC`, ns: the clock of the frames of other phones |
 //!
 //! The host copies the agent to the phone itself, so both have the same version. The agent closes
-//! the connection after bytes that are no question.
+//! the connection after bytes that are not question.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -52,7 +52,7 @@ pub fn question(nonce: u64) -> [u8; QUESTION] {
     bytes
 }
 
-/// Parses the nonce of a question. Returns `None` if the bytes are no question.
+/// Parses the nonce of a question. Returns `None` if the bytes are not question.
 #[must_use]
 pub fn read_question(bytes: &[u8; QUESTION]) -> Option<u64> {
     (part(bytes, 0) == MAGIC).then(|| u64::from_le_bytes(part(bytes, 8)))
@@ -70,7 +70,7 @@ impl Answer {
         bytes
     }
 
-    /// Parses an answer. Returns `None` if the bytes are no answer.
+    /// Parses an answer. Returns `None` if the bytes are not answer.
     #[must_use]
     pub fn read(bytes: &[u8; ANSWER]) -> Option<Self> {
         (part(bytes, 0) == MAGIC).then(|| Self {

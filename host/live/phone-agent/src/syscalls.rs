@@ -137,7 +137,7 @@ impl File {
     pub(crate) fn listen(name: &[u8]) -> Option<Self> {
         let kind = SOCK_STREAM | SOCK_CLOEXEC;
         let socket = Self::from_result(call(number::SOCKET, [AF_UNIX.into(), kind, 0, 0, 0, 0]))?;
-        // A path that begins with a zero names an abstract socket, which is no file.
+        // A path that begins with a zero names an abstract socket, which is not a file.
         let mut address = Address {
             family: AF_UNIX,
             path: [0; 108],
