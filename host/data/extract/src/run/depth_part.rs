@@ -43,10 +43,7 @@ impl Extraction<'_> {
                 topic: self.job.options.depth_topic.clone(),
             }),
             None => {
-                self.lose(
-                    LossPart::Depth,
-                    "there is no depth recording; give the file with --depth",
-                );
+                self.lose(LossPart::Depth, depth_wording::NO_RECORDING);
                 return Ok(None);
             }
         };
@@ -67,40 +64,34 @@ impl Extraction<'_> {
         if let Some(by) = &index.rewritten {
             self.lose(LossPart::Depth, by.clone());
         }
-        let matched = matched.map(|Matched { found, offset_alone }| {
-            if let Some(error) = offset_alone {
-                self.remarks.push(format!(
-                    "depth frames have the one offset that was recorded, without pulses: {error}"
-                ));
-            }
-            let missing = found.missing.len();
-            if missing > 0 {
-                self.lose(
-                    LossPart::Depth,
-                    format!("{missing} pulses have no depth frame; depth_frames.csv and report.json name them"),
-                );
-            }
-            found
-        });
+        let matched = matched.map(
+            |Matched {
+                 found,
+                 offset_alone,
+             }| {
+                if let Some(error) = offset_alone {
+                    self.remarks.push(depth_wording::offset_alone(&error));
+                }
+                let missing = found.missing.len();
+                if missing > 0 {
+                    self.lose(LossPart::Depth, depth_wording::missing(missing));
+                }
+                found
+            },
+        );
         match &matched {
             Ok(_) => {}
             Err(error) if index.rewritten.is_none() => {
                 self.lose(LossPart::Depth, error.to_string());
             }
             // Rounded times explain it.
-            Err(_) => self.lose(
-                LossPart::Depth,
-                "with rounded times it is not found which pulse made which depth frame",
-            ),
+            Err(_) => self.lose(LossPart::Depth, depth_wording::ROUNDED),
         }
         let found = matched.as_ref().ok();
         let frames = frames::depth_frames(&index, found, &survey.pulses, constants.depth_center_ns);
         let broken = frames.iter().filter(|frame| !frame.whole).count();
         if broken > 0 {
-            self.lose(
-                LossPart::Depth,
-                format!("{broken} depth frames do not hold a whole image"),
-            );
+            self.lose(LossPart::Depth, depth_wording::broken(broken));
         }
         let color = frames::camera_frames(&index.color_frames, &frames, found);
         self.write_camera_table(&index, &color)?;
@@ -299,22 +290,12 @@ impl Extraction<'_> {
         };
         let (outside, empty): (Vec<usize>, Vec<usize>) = outcome.empty.iter().partition(is_outside);
         if !outside.is_empty() {
-            self.remarks.push(format!(
-                "depth frames without depth from before the trigger was aligned or after the \
-                 recording: {}",
-                outside.len()
-            ));
+            self.remarks.push(depth_wording::outside(outside.len()));
         }
         let counts = [
-            (
-                &outcome.damaged,
-                "depth frames lie in a part of the file whose checksum is wrong",
-            ),
-            (&empty, "depth frames are black: no pixel has a depth"),
-            (
-                &outcome.color_broken,
-                "colour images of the depth camera are no whole JPEG files",
-            ),
+            (&outcome.damaged, depth_wording::DAMAGED),
+            (&empty, depth_wording::BLACK),
+            (&outcome.color_broken, depth_wording::COLOR_BROKEN),
         ];
         for (frames, fault) in counts {
             if !frames.is_empty() {
@@ -324,10 +305,7 @@ impl Extraction<'_> {
         if outcome.out_of_range > 0 {
             self.lose(
                 LossPart::Depth,
-                format!(
-                    "{} pixels lie beyond the 13.107 m that the format can hold and became 0",
-                    outcome.out_of_range
-                ),
+                depth_wording::out_of_range(outcome.out_of_range),
             );
         }
         Ok(Some(outcome))

@@ -1,5 +1,6 @@
 //! Sentences of the report about the depth camera's part.
 
+use crate::depth::depth_clock::MatchError;
 use crate::layout::number;
 
 /// End of the advice to set something in the rig profile.
@@ -96,4 +97,44 @@ pub(super) fn no_jpeg(format: &str) -> String {
 pub(super) fn faulty_frames(frames: &[usize], fault: &str) -> String {
     let first: Vec<String> = frames.iter().take(10).map(ToString::to_string).collect();
     format!("{} {fault} (frames {} ...)", frames.len(), first.join(" "))
+}
+
+/// There is no depth recording.
+pub(super) const NO_RECORDING: &str = "there is no depth recording; give the file with --depth";
+
+/// A file that another program wrote again has rounded times.
+pub(super) const ROUNDED: &str =
+    "with rounded times it is not found which pulse made which depth frame";
+
+/// Faults of frames, for [`faulty_frames`].
+pub(super) const DAMAGED: &str = "depth frames lie in a part of the file whose checksum is wrong";
+pub(super) const BLACK: &str = "depth frames are black: no pixel has a depth";
+pub(super) const COLOR_BROKEN: &str = "colour images of the depth camera are not whole JPEG files";
+
+/// The pulses could not be matched; the frames have the recorded offset.
+pub(super) fn offset_alone(error: &MatchError) -> String {
+    format!("depth frames have the one offset that was recorded, without pulses: {error}")
+}
+
+/// Pulses without a depth frame.
+pub(super) fn missing(pulses: usize) -> String {
+    format!("{pulses} pulses have no depth frame; depth_frames.csv and report.json name them")
+}
+
+/// Frames that are cut short.
+pub(super) fn broken(frames: usize) -> String {
+    format!("{frames} depth frames do not hold a whole image")
+}
+
+/// Frames without depth outside of the recorded span, in which a camera adopts the trigger's phase.
+pub(super) fn outside(frames: usize) -> String {
+    format!(
+        "depth frames without depth from before the trigger was aligned or after the recording: \
+         {frames}"
+    )
+}
+
+/// Pixels that the format cannot hold.
+pub(super) fn out_of_range(pixels: u64) -> String {
+    format!("{pixels} pixels lie beyond the 13.107 m that the format can hold and became 0")
 }
