@@ -218,7 +218,7 @@ impl Truth {
             (0, _) => bail!("the depth camera has seen no pulse"),
             (_, 0) => Ok(()),
             (all, strange) => bail!(
-                "{strange} of {all} edges that the depth camera saw are no pulses of the recording"
+                "{strange} of {all} edges that the depth camera saw are not pulses of the recording"
             ),
         }
     }
@@ -405,7 +405,7 @@ mod tests {
         let frames = pulses[2..290].iter().map(|&p| frame(base.time(p)));
         let seen = truth(frames.collect());
         assert!(seen.check_edges(&pulses).is_ok());
-        // Pulses that the camera saw and the recording has not.
+        // Pulses that the camera saw and the recording lacks.
         let gap = [&pulses[..50], &pulses[55..]].concat();
         assert!(seen.check_edges(&gap).is_err());
         // Frames of another session do not matter.

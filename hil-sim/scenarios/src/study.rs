@@ -49,8 +49,8 @@ pub struct Rigs<V> {
 }
 
 impl Rigs<ModelValues> {
-    /// Of the ranges of the models; with `exposure_locked` the exposure of those that are drawn
-    /// is the same in each recording.
+    /// Draws rigs from the ranges of the models; with `exposure_locked` a rig's exposure is the same
+    /// in each recording.
     #[must_use]
     pub fn of_models(exposure_locked: bool) -> Self {
         let drawn = move |seed| {

@@ -102,7 +102,7 @@ pub enum Revision {
     /// The first: its flash accelerator cannot prefetch, and it gives the STM32F2's
     /// device ID (ES0182).
     A,
-    /// Of today's chips.
+    /// The revision of current chips.
     Y,
 }
 

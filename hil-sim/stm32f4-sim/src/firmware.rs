@@ -151,7 +151,9 @@ impl Firmware {
         let file = object::File::parse(&*self.bytes).ok()?;
         let section = |id: gimli::SectionId| {
             let section = file.section_by_name(id.name());
-            let data = section.and_then(|it| it.data().ok()).unwrap_or_default();
+            let data = section
+                .and_then(|section| section.data().ok())
+                .unwrap_or_default();
             Ok::<_, gimli::Error>(EndianSlice::new(data, LittleEndian))
         };
         Lines::from_dwarf(Dwarf::load(section).ok()?).ok()

@@ -428,7 +428,7 @@ impl Advice for RecordingError {
     }
 }
 
-/// Returns the next step for a path that is no recording, or a bag in an unsupported form.
+/// Returns the next step for a path that is not a recording, or a bag in an unsupported form.
 pub(crate) fn bag_step(error: &RecordingError) -> &'static str {
     match error {
         RecordingError::ForeignBag { .. } => {

@@ -112,7 +112,7 @@ pub(crate) fn parse_seconds(text: &str) -> Result<f64, &'static str> {
 ///
 /// # Errors
 ///
-/// It is none, or not within 0 and a week.
+/// The text is not a time span, or not within 0 and a week.
 pub(crate) fn parse_real_time(text: &str) -> Result<Duration, &'static str> {
     let span = text.parse::<SignedDuration>().ok();
     span.and_then(|span| Duration::try_from(span).ok())

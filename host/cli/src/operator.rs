@@ -86,7 +86,7 @@ impl Operator for AtTerminal {
         }
     }
 
-    /// Returns a request; the end of the input is none, so a recording continues without it.
+    /// Returns a request. The end of the input is not one, so a recording continues without it.
     fn wish(&mut self) -> Option<Wish> {
         match &self.input {
             Input::Nobody => None,

@@ -24,7 +24,7 @@ impl RecordingArg {
     ///
     /// # Errors
     ///
-    /// There is none, or what is given is none.
+    /// There is no recording, or the given path is not one.
     pub(crate) fn find(&self, context: &Context) -> Result<PathBuf, Failure> {
         let Some(given) = &self.recording else {
             let newest = newest(Path::new(FOLDER))?;
@@ -36,7 +36,7 @@ impl RecordingArg {
     }
 }
 
-/// Refuses an existing path that is no recording of any form. The reader reports a path that is
+/// Refuses an existing path that is not a recording of any form. The reader reports a path that is
 /// missing or damaged.
 fn check(path: &Path) -> Result<(), Failure> {
     if !path.exists() || path.join(SESSION_FILE).exists() {

@@ -40,7 +40,7 @@ impl ProfileArg {
     ///
     /// # Errors
     ///
-    /// It cannot be read, or is none.
+    /// The file cannot be read or is not a profile.
     pub(crate) fn load(&self) -> Result<(Profile, Place), ProfileError> {
         let place = self.place();
         let profile = match &place.path {
@@ -66,7 +66,7 @@ impl Place {
     ///
     /// # Errors
     ///
-    /// There is none.
+    /// There is no profile.
     pub(crate) fn file(&self) -> Result<&Path, Failure> {
         self.path.as_deref().ok_or_else(|| {
             Failure::new(ExitStatus::Usage, "there is no rig profile to write into")

@@ -45,7 +45,7 @@ pub(crate) fn wrapped(text: &str, width: usize) -> String {
     for line in text.lines() {
         let is_command = line
             .strip_prefix("  ")
-            .is_some_and(|it| !it.starts_with(' '));
+            .is_some_and(|text| !text.starts_with(' '));
         if is_command {
             out.push_str(line);
         } else {

@@ -3,7 +3,7 @@
 //! - [`state`]: events are folded into a [`State`](state::State). Pure.
 //! - [`facts`]: the words for a state; [`layout`]: their places on a screen of any size. Pure.
 //! - [`sentences`]: the sentence about an event; [`plain`]: the state as one line, where there
-//!   is no terminal. Pure.
+//!   is not a terminal. Pure.
 //! - [`screen`]: the thread that owns the terminal.
 //!
 //! The session never waits for the terminal: a separate thread copies the state ten times a

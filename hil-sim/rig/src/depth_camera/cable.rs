@@ -116,7 +116,7 @@ pub fn record(args: &RecordDepthArgs) -> Result<()> {
         if line.is_empty() {
             continue;
         }
-        let frame: FrameRecord = serde_json::from_str(&line).context("what came is no frame")?;
+        let frame: FrameRecord = serde_json::from_str(&line).context("what came is not a frame")?;
         writer.write_frame(&frame, ball::depth_picture)?;
     }
     writer.finish()?.flush()?;

@@ -50,7 +50,7 @@ impl Family {
         matches!(self, Self::AzureKinect | Self::Femto)
     }
 
-    /// Such a camera instead of another: its clock and losses stay.
+    /// Replaces another camera by one of this family. Clock and losses stay.
     #[must_use]
     pub fn specimen(self, camera: DepthCameraConfig, seed: Seed) -> DepthCameraConfig {
         let mut random = seed.stream(Stream::DepthFamily);

@@ -141,7 +141,7 @@ impl App {
         self.changed.notify_all();
     }
 
-    /// The capture session of the `number`th recording is closed: nothing runs any more.
+    /// The capture session of the `number`th recording is closed: nothing runs.
     fn close_session(&self, number: usize) {
         let mut state = self.state();
         if state.recorder == Recorder::Closes && state.recordings.len() == number {

@@ -277,7 +277,7 @@ mod tests {
             let part = sensors.samples(kind, zero + 3_000_000_000, zero + 9_000_000_000);
             let at = whole.iter().position(|s| *s == part[0]).unwrap();
             assert_eq!(&whole[at..at + part.len()], part);
-            // Neither one sample lost nor doubled where two requests meet.
+            // No sample is lost or doubled where two requests meet.
             let mut two = sensors.samples(kind, zero, zero + 5_000_000_000);
             two.extend(sensors.samples(kind, zero + 5_000_000_000, zero + 12_000_000_000));
             assert_eq!(whole, two);

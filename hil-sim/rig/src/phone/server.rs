@@ -128,7 +128,7 @@ struct Client<'a> {
     after_return: bool,
     /// The client will send no more.
     ended: bool,
-    /// The client does not listen any more.
+    /// The client no longer listens.
     deaf: bool,
 }
 

@@ -26,7 +26,7 @@ pub(crate) fn owner_profile<'a>(
         [] => vec![String::new()],
         _ => names
             .iter()
-            .map(|it| format!("name = \"{it}\"\n"))
+            .map(|name| format!("name = \"{name}\"\n"))
             .collect(),
     };
     let mut phones = names.into_iter().zip(phones).map(constants);

@@ -34,7 +34,7 @@ pub fn make(
     phone: PathBuf,
     programs: &Programs,
 ) -> Result<DataSet> {
-    // Another address of its report is wanted, now that nothing is missing any more.
+    // Writes the report again, now that nothing is missing.
     ask(programs, &["verify"], &[folder])?;
     let place = phone.to_string_lossy();
     let report = ask(
@@ -45,7 +45,7 @@ pub fn make(
     let name = folder.file_name().context("the recording has no name")?;
     let data = folder.with_file_name(format!("{}-euroc", name.to_string_lossy()));
 
-    // Of all frames that the camera made, those that its recorder was there for.
+    // The frames that the camera made while its recorder ran.
     let delivered: HashSet<i64> = table(&data.join("depth_frames.csv"), &[1])?
         .iter()
         .filter_map(|row| row.first().copied().flatten())

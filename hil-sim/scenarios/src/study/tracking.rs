@@ -324,7 +324,7 @@ impl Frames {
     }
 }
 
-/// One session of a rig. In its last half a minute the phone answers nothing any more.
+/// One session of a rig. The phone answers nothing in its last half minute.
 fn session(seed: u64, arm: Arm, place: Place, seconds: u32) -> Result<Session> {
     let seed = Seed(seed);
     let mut random = seed.stream(Stream::Tracking);

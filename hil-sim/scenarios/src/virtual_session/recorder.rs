@@ -28,7 +28,7 @@ impl RecorderFate {
         self.ends.set(true);
     }
 
-    /// It does not listen any more.
+    /// The recorder no longer listens.
     pub fn hang(&self) {
         self.hangs.set(true);
     }

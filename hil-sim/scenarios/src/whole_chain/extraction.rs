@@ -17,7 +17,7 @@ use rig::phone::VideoTruth;
 const PHONE_LIMIT_US: f64 = 25.0;
 /// Largest error of a depth frame's time, µs; its clock ticks at 11.1 µs.
 pub const DEPTH_LIMIT_US: f64 = 6.0;
-/// Two frames further apart than this are no pair, ns: half a frame.
+/// Two frames further apart than this are not pair, ns: half a frame.
 const PAIR_NS: i64 = 16_665_000;
 /// So near to the ends of the aligned span, ns, a pair may be inside or outside.
 const SPAN_MARGIN_NS: i64 = 1_000_000;
@@ -211,7 +211,7 @@ pub(super) fn phone_frames(
 ) -> Result<(Times, Times)> {
     let rows = table(frames, &[2, 3, 4])?;
     let count = video.count.context("the video has no end")?;
-    // Of a frame that the app got twice, the second timestamp is left out.
+    // The second timestamp of a frame that the app received twice is left out.
     let numbers = video.frames.delivered_of(count).into_iter();
     let mut recorded_frames: Vec<(i64, usize)> = (0..).zip(numbers).collect();
     recorded_frames.dedup_by_key(|(_, n)| *n);

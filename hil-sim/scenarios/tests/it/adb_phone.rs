@@ -212,7 +212,7 @@ impl Server {
                 ended = server.process.try_wait().unwrap().is_some();
                 ended || TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_ok()
             });
-            // Else somebody else has taken the port meanwhile.
+            // Otherwise another process has taken the port.
             if !ended {
                 return server;
             }

@@ -60,7 +60,7 @@ impl BringUpBench {
         Self::on_board(wiring::board(), seed, jumpers, through)
     }
 
-    /// Of a board whose chip is another.
+    /// Runs the test on a board with another chip.
     fn on_board(
         board: SimBuilder,
         seed: u64,
@@ -238,7 +238,7 @@ fn measured_delays_are_kept_and_hold() {
     assert!(text.contains(", 0 ticks after"), "{text}");
 }
 
-/// A wire bounces while it is plugged in: that is no fault. A contact that never holds is.
+/// A wire bounces while it is plugged in: that is not a fault. A contact that never holds is.
 #[test]
 pub(crate) fn the_sensor_recovers_from_a_wire_that_bounces_and_not_from_a_loose_one() {
     let ms = SimDuration::from_millis;

@@ -138,7 +138,7 @@ fn options_written_alone_are_in_a_help() {
     hil_sim().all_options(&mut known);
     xtask().all_options(&mut known);
     smartdepthsync().all_options(&mut known);
-    // Of cargo and of the shell's tools.
+    // Options of cargo and of the shell's tools.
     let others = ["locked", "no-default-features"];
     let mut checked = 0;
     let mut wrong = Vec::new();

@@ -223,11 +223,11 @@ fn nothing_but_strobes_gives_a_figure() {
             let dir = tempfile::tempdir().unwrap();
             video.record(dir.path());
             let found = if kind / 2 % 2 == 0 {
-                figure(dir.path(), &settings).map(|it| format!("{:?}", it.result))
+                figure(dir.path(), &settings).map(|drift| format!("{:?}", drift.result))
             } else {
                 let footage = Footage::read(dir.path(), &settings, None);
                 let found = footage.and_then(|footage| drift::evaluate(footage, &settings));
-                found.map(|it| format!("{:?}", it.result))
+                found.map(|drift| format!("{:?}", drift.result))
             };
             match found {
                 Ok(found) => accepted.push(format!("{name}: {found}")),
@@ -264,7 +264,7 @@ fn test_pictures_are_no_strobes() {
             .args(["-frames:v", "40", "-r", "30", "-pix_fmt", "yuv420p"]);
         run(ffmpeg.arg(&video));
         let found = figure(dir.path(), &Settings::default()).ok();
-        assert_eq!(found.map(|it| it.result), None, "{picture}");
+        assert_eq!(found.map(|drift| drift.result), None, "{picture}");
     }
 }
 

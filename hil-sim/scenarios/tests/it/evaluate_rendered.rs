@@ -395,7 +395,7 @@ fn an_exposure_of_one_pitch_is_called_blind() {
     }
 }
 
-/// A trigger that is being aligned while the frames are taken is no precision.
+/// A trigger that is being aligned while the frames are taken is not precision.
 #[test]
 fn motion_within_the_frames_is_remarked() {
     let moving = Scene {

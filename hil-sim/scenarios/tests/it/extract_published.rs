@@ -139,7 +139,7 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     assert_eq!(first, second);
     assert_eq!(written, contents(&out));
     // A run that was stopped in the middle of the images: the next one ends alike.
-    let is_image = |path: &&PathBuf| path.extension().is_some_and(|it| it == "png");
+    let is_image = |path: &&PathBuf| path.extension().is_some_and(|ending| ending == "png");
     for image in written.keys().filter(is_image).step_by(3) {
         std::fs::remove_file(out.join(image)).unwrap();
     }

@@ -27,7 +27,10 @@ fn ten_seeds_pass_and_replay_exactly() {
         assert!(again[name] == *bytes, "{}", name.display());
     }
     for fault in Fault::ALL {
-        assert!(verdicts.iter().any(|it| it.plan.has(fault)), "{fault:?}");
+        assert!(
+            verdicts.iter().any(|verdict| verdict.plan.has(fault)),
+            "{fault:?}"
+        );
     }
 }
 

@@ -136,7 +136,7 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
     let first = samples
         .iter()
         .position(|record| expected(record) == rows[0].1)
-        .expect("the first row is no sample of the sensor");
+        .expect("the first row is not a sample of the sensor");
     for ((_, row), record) in rows.iter().zip(&samples[first..]) {
         assert_eq!(row, &expected(record));
     }

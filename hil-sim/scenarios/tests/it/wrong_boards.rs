@@ -95,7 +95,7 @@ struct Replay {
     tape: VecDeque<(Duration, Entry)>,
     now: Duration,
     change: Box<AnyChange>,
-    /// Of the last pulse.
+    /// Output of the last pulse.
     output: Output,
 }
 
@@ -549,7 +549,7 @@ const SOAK: &[Row] = &[
 ];
 
 /// Parts, edges that are late at the pins, and the checks that fail by it: none of boards at a limit.
-/// Of 24 ticks from an edge to its capture three are the input's.
+/// Three of the 24 ticks from an edge to its capture are the input's.
 const AT_THE_PINS: &[(&[Part], Late, &str)] = &[
     // Nothing but the falling edges at the strobe input is one tick later than the others.
     (

@@ -2,7 +2,7 @@
 //! started by software, of the temperature sensor and the internal reference. Channels at
 //! pins, sequences, DMA, interrupts and the watchdog are not modelled.
 //!
-//! A conversion that breaks the data sheet gives full scale, which is no temperature:
+//! A conversion that breaks the data sheet gives full scale, which is not a temperature:
 //! before the ADC or the sensor has settled, sampled for too short, or clocked too fast.
 
 use crate::clock::Rate;

@@ -37,7 +37,7 @@ impl Memory {
         }
     }
 
-    /// Of a chip with less flash and no core-coupled memory.
+    /// Creates the memory of a chip with less flash and no core-coupled memory.
     pub(crate) fn without_ccm(flash_size: usize) -> Self {
         Self {
             flash: vec![0xff; flash_size],

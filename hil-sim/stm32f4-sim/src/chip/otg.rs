@@ -221,7 +221,7 @@ impl Otg {
         self.rx_words = 0;
     }
 
-    /// The transmitter answers no token any more, until the next bus reset.
+    /// The transmitter answers no token until the next bus reset.
     pub(crate) fn wedge(&mut self) {
         self.wedged = true;
     }

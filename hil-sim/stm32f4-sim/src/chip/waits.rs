@@ -30,7 +30,7 @@ pub(crate) struct Waits {
 }
 
 impl Waits {
-    /// Of an access to a peripheral.
+    /// Returns the clocks of an access to the peripheral at an address.
     pub(super) fn at(&self, address: u32) -> u64 {
         match address >> 16 {
             0x4000 => self.apb1,

@@ -188,7 +188,7 @@ impl Float {
         matches!(self.word & 0xffb0_0e10, 0xee90_0a00 | 0xeea0_0a00)
     }
 
-    /// Of a conversion to half precision: a subnormal operand is zero.
+    /// Flushes the subnormal operand of a conversion to half precision to zero.
     fn flush_half(&self, arm: &ArmV7m, raised: &mut u32) {
         let [.., m] = self.operands;
         let to_half = self.word & 1 << 16 != 0;

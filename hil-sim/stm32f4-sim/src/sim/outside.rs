@@ -75,7 +75,7 @@ impl Sim {
         self.with_chip(|s| s.suspend_bus(length));
     }
 
-    /// The core's transmitter answers no token any more, until the next bus reset.
+    /// The core's transmitter answers no token until the next bus reset.
     pub fn usb_wedge_transmit(&mut self) {
         self.with_chip(|s| s.otg.wedge());
     }

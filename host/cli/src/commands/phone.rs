@@ -295,7 +295,10 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failu
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
         PhoneError::from(error)
     })?;
-    let files: Vec<String> = files.iter().map(|it| it.display().to_string()).collect();
+    let files: Vec<String> = files
+        .iter()
+        .map(|file| file.display().to_string())
+        .collect();
     context.show(&BTreeMap::from([("files", files)]))?;
     Ok(ExitStatus::Good)
 }

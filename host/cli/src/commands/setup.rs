@@ -201,7 +201,7 @@ impl<R: BufRead> Asker<'_, R> {
                 Ok(value) => return Ok(value),
                 // There will be no better answer.
                 Err(expected) if ended || !self.is_terminal => {
-                    let message = format!("{question}: {answer:?} is no answer; {expected}");
+                    let message = format!("{question}: {answer:?} is not an answer; {expected}");
                     return Err(Failure::new(ExitStatus::Usage, message).next_step(
                         "give the answer as an option; `smartdepthsync help setup` lists them",
                     ));

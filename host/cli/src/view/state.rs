@@ -64,7 +64,7 @@ pub(crate) struct State {
     link_lost: Option<(Instant, Option<u64>)>,
     /// Received bytes of a download, and its size.
     download: Option<(u64, u64)>,
-    /// Length of the recording, s; until stopped if there is none.
+    /// Length of the recording, s; `None` records until it is stopped.
     length_s: Option<f64>,
     twist: Option<(Coach, u32, f64)>,
     alignment: Option<Alignment>,

@@ -125,7 +125,7 @@ fn what_a_small_file_unpacks_to_is_bounded() {
 fn the_largest_file_size_is_as_a_full_disk() {
     let parent = TestFolder::new();
     let folder = synthetic::make(parent.path(), Wrong::default());
-    // Whoever runs the tests may have switched the signal off.
+    // The runner of the tests may ignore the signal.
     let output = Command::new("env")
         .args(["--default-signal=XFSZ", "prlimit", "--fsize=4096"])
         .args(["--core=0", env!("CARGO_BIN_EXE_smartdepthsync")])
@@ -232,7 +232,7 @@ fn a_terabyte_that_was_never_written_costs_nothing() {
     sparse(&depth, &[EBML, SEGMENT].concat(), CLUSTER);
     sparse(&video, b"\0\0\0\x18ftypmp42\0\0\0\0mp42isom", b"");
     sparse(&times, b"1000000000\n", b"2000000000\n");
-    // Beside the recording, as the app leaves it.
+    // Next to the recording, where the app leaves it.
     let stamps = holed.join("VID_20260131_140327_timestamps.csv");
     sparse(&stamps, b"94002000000000\n", b"94002033333333\n");
     let profile = place("rig.toml");

@@ -136,7 +136,7 @@ impl DepthInput {
     ///
     /// # Errors
     ///
-    /// Fails if it is no depth recording, or cannot be read.
+    /// Fails if it is not a depth recording, or cannot be read.
     pub(crate) fn index(&self, monitor: &ReadMonitor) -> Result<DepthIndex, DepthError> {
         match self {
             Self::Mkv(path) => index_mkv(path, monitor),

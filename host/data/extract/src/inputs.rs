@@ -120,7 +120,7 @@ pub enum InputsError {
         /// The reason.
         error: io::Error,
     },
-    /// The path is no recording, or a bag of an unsupported form.
+    /// The path is not a recording, or a bag of an unsupported form.
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// The phone's files cannot be found.
@@ -144,7 +144,7 @@ pub enum InputsError {
     },
     /// The given depth recording is of another kind.
     #[error(
-        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or its file .mcap)"
+        "{path} is not a depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or its file .mcap)"
     )]
     NotDepth {
         /// The file.

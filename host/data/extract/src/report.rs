@@ -94,7 +94,7 @@ pub struct ExtractReport {
     pub constants: Constants,
     /// Missing and damaged data; empty if everything is there.
     pub losses: Vec<Loss>,
-    /// Observations that are no loss.
+    /// Observations that are not loss.
     pub remarks: Vec<String>,
 }
 

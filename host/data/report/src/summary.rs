@@ -50,7 +50,10 @@ const fn mark(severity: Severity) -> &'static str {
 /// Returns one line for each finding, with the next step below it.
 pub fn findings_text<'a>(findings: impl IntoIterator<Item = &'a Finding>) -> String {
     let findings: Vec<&Finding> = findings.into_iter().collect();
-    let kinds: Vec<String> = findings.iter().map(|it| it.kind.to_string()).collect();
+    let kinds: Vec<String> = findings
+        .iter()
+        .map(|finding| finding.kind.to_string())
+        .collect();
     let wide = width(kinds.iter().map(String::as_str));
     let mut text = String::new();
     for (finding, kind) in findings.into_iter().zip(&kinds) {

@@ -180,7 +180,7 @@ pub fn scenarios() -> Vec<Scenario> {
         held("let go 1 s early", Grip::LetGo(0.5, 1.5)),
         held("slip of 2° to 15°", Grip::Slip(2.0, 15.0)),
         held("wrong grip for 0.3 to 1 s", Grip::Wrong(0.3, 1.0)),
-        // A delay by the mount is no noise.
+        // A delay by the mount is not noise.
         Scenario::new("mount flexes, 15 to 40 Hz", 35.0, |s| {
             s.grip = Grip::Flexing(15.0, 40.0);
         })

@@ -141,7 +141,7 @@ fn exchanging_the_inputs_negates_the_offset() {
                 "{}",
                 scenario.name
             );
-            let left_out = [&there, &back].map(|it| it.report.left_out.len());
+            let left_out = [&there, &back].map(|estimate| estimate.report.left_out.len());
             assert_eq!(left_out[0], left_out[1], "{}", scenario.name);
             assert!(
                 (there.clock.offset + back.clock.offset).abs() < 1e-9,

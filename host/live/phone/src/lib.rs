@@ -10,7 +10,7 @@
 //! within an answer closes the connection, as the position in the stream is then unknown; a refusal
 //! by the app does not.
 //!
-//! Beside the app: [`adb`] copies files from the phone's storage, and [`agent`] reads the phone's
+//! Besides the app, [`adb`] copies files from the phone's storage, and [`agent`] reads the phone's
 //! clocks by a program of ours there. The app's files are read by [`rows`] and
 //! [`frame_timestamps`] and found by [`video_files`]; [`video`] decodes videos with ffmpeg.
 //!

@@ -49,7 +49,7 @@ pub enum Damage {
         bytes: usize,
     },
     /// Bytes belong to no record.
-    #[error("{} bytes from byte {from} on are no records", to - from)]
+    #[error("{} bytes from byte {from} on are not records", to - from)]
     Bytes {
         /// First of these bytes.
         from: u64,

@@ -124,7 +124,7 @@ pub enum RecordingError {
     },
     /// The path is neither a recording nor a bag.
     #[error(
-        "{path} is no recording: expected a folder with {MCAP_FILE}, or an MCAP file, found neither",
+        "{path} is not a recording: expected a folder with {MCAP_FILE}, or an MCAP file, found neither",
         path = .path.display()
     )]
     NoRecording {

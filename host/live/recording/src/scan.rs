@@ -2,7 +2,7 @@
 //!
 //! The recovery of the `mcap` library stops at the first damage, because the library has no
 //! function that finds the next record, and it does not report positions in bytes. This scan
-//! continues: where bytes are no records, it searches for the next chunk, which is recognised by
+//! continues: where bytes are not records, it searches for the next chunk, which is recognised by
 //! a head that fits its length (and later by its checksum). So a flipped length costs one chunk
 //! and not the rest of the file.
 //!

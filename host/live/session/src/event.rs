@@ -329,7 +329,7 @@ pub enum SessionEvent {
         /// The phase; `None` while it is unknown.
         tracked: Option<Tracked>,
     },
-    /// The phone's clock cannot be read any more.
+    /// The phone's clock can no longer be read.
     TrackLost,
     /// The phone's clock is followed again.
     TrackBack,

@@ -172,7 +172,7 @@ mod tests {
             Profile::parse(&again, None).unwrap().phone.learnt,
             Some(one_twist.clone())
         );
-        // Of several phones the one of that name learns.
+        // With several phones, the one with that name learns.
         let several = format!("{text}\n[[phones]]\nname = \"right\"\naddress = \"x\"\n");
         let taught = into_profile(&several, path, Some("right"), &one_twist).unwrap();
         let profile = Profile::parse(&taught, None).unwrap();

@@ -76,7 +76,7 @@ impl<'a> BoardLink<'a> {
     /// Returns the next event, waiting up to `wait` for it.
     pub(crate) fn next_event(&mut self, wait: Duration) -> board::Result<Option<Event>> {
         let event = self.board.next_event(wait)?;
-        // Damaged frames and expired commands are no signs of life.
+        // Damaged frames and expired commands are not signs of life.
         if let Some(Event::Message(_) | Event::Answer(_) | Event::Restarted { .. }) = event {
             self.last_sign = self.board.now();
             self.is_quiet = false;

@@ -59,8 +59,8 @@ impl Process {
         (self.child.stdout.take(), self.child.stderr.take())
     }
 
-    /// Returns the exit status once the child has ended. Processes that it left are not killed
-    /// any more.
+    /// Returns the exit status once the child has ended. Processes that it left are no longer
+    /// killed.
     ///
     /// # Errors
     ///
@@ -75,7 +75,7 @@ impl Process {
     ///
     /// # Errors
     ///
-    /// There is no such process any more.
+    /// The process no longer exists.
     pub fn signal(&self, signal: Signal) -> io::Result<()> {
         match self.group {
             Some(group) => kill_process_group(group, signal)?,

@@ -256,7 +256,7 @@ fn a_timer_has_its_register_written() {
     write(&mut soc, &[(TIM4_DIER, 0x200), (TIM4_EGR, 2)]);
     pass(&mut soc, 5);
     assert_eq!(soc.read_register(TIM4_EGR + 0x20), Some(77), "TIM4_CCR1");
-    // Nobody serves this one until the stream is enabled again.
+    // This request is served only once the stream is enabled again.
     write(&mut soc, &[(TIM4_EGR, 2), (DMA1_LIFCR, 0x3d)]);
     pass(&mut soc, 5);
     assert_eq!(soc.read_register(TIM4_EGR + 0x20), Some(77));

@@ -83,7 +83,7 @@ impl Tim {
                     self.arr = self.arr_next;
                 }
             }
-            // Of the repetition counter there is only zero: every wrap is an update.
+            // The repetition counter is always zero: every wrap is an update.
             0x30 if self.advanced && value == 0 => {}
             0x34..=0x40 => {
                 let ch = ((offset - 0x34) / 4) as usize;

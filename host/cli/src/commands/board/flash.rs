@@ -288,7 +288,7 @@ fn write_by(folder: &Path, path: &Path, image: &Image) -> Result<(), Failure> {
     )
 }
 
-/// The board behind the loader.
+/// Connects to the board once the loader has started its firmware.
 fn reconnect(port: &PortArg, context: &Context) -> Result<Hello, Failure> {
     let in_vain = |error: &Failure| {
         error.status() == ExitStatus::OtherVersion || context.interrupt.requested()

@@ -252,7 +252,7 @@ pub(crate) struct Flicker {
 
 /// Marks frames whose smooth brightness has another form than the others'.
 ///
-/// A change of the whole picture's brightness (automatic exposure) is no change of
+/// A change of the whole picture's brightness (automatic exposure) is not a change of
 /// form. Flicker in step with the frame rate is the same in all frames and cannot
 /// be distinguished from the scene; it is then part of the smooth part and does no harm.
 pub(crate) fn mark_flicker(

@@ -3,7 +3,7 @@
 //! A lamp that is dimmed by switching, bars of a picture and flashes look alike to a
 //! rolling shutter when the row time is unknown. The trigger distinguishes them: flashes are
 //! missing in frames without a pulse, and they move with the trigger. Bands that show neither
-//! give no result. A train that begins and ends in view is no evidence, because bars of a
+//! give no result. A train that begins and ends in view is not evidence, because bars of a
 //! picture do so too.
 
 use serde::Serialize;

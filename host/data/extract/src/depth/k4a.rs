@@ -40,7 +40,7 @@ pub enum K4aError {
     /// Reading failed after opening.
     #[error("reading it: {0}")]
     Read(#[source] std::io::Error),
-    /// The file is no readable Matroska file.
+    /// The file is not a readable Matroska file.
     #[error(transparent)]
     Mkv(#[from] MkvError),
     /// There is no depth track.
@@ -165,7 +165,7 @@ impl Recording<BufReader<Input>> {
     ///
     /// # Errors
     ///
-    /// Fails if the file cannot be read or is no depth recording.
+    /// Fails if the file cannot be read or is not a depth recording.
     pub fn open(path: &Path, monitor: &ReadMonitor) -> Result<Self, K4aError> {
         let file = system::open(path, monitor).map_err(K4aError::Open)?;
         let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
@@ -189,7 +189,7 @@ impl<R: Sparse> Recording<R> {
     ///
     /// # Errors
     ///
-    /// Fails if the content is no depth recording.
+    /// Fails if the content is not a depth recording.
     pub fn new(reader: R) -> Result<Self, K4aError> {
         let mkv = Mkv::open(reader)?;
         let header = mkv.header();
@@ -304,7 +304,7 @@ impl<R: Sparse> Recording<R> {
         let imu = self.imu;
         let wanted = |track| match content {
             Content::Times => Some(track) == imu,
-            // Of every track, because the checksum covers the whole cluster.
+            // All tracks: the checksum covers the whole cluster.
             Content::Pixels => true,
         };
         let cluster = self.mkv.next_cluster(&wanted).map_err(K4aError::Read)?;

@@ -181,7 +181,7 @@ impl ImageCollector {
         let Ok(image) = from_cdr::<Image>(data) else {
             return self
                 .faults
-                .add(String::from("a message is no image: it is left out"));
+                .add(String::from("a message is not an image: it is left out"));
         };
         let stamp = image.header.stamp.nanos();
         let pixels = if self.pixels {

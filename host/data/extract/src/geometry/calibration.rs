@@ -207,7 +207,7 @@ fn pose(raw: &RawPose) -> Result<Pose, String> {
         Ok(Pose::new(rotation, raw.translation))
     } else {
         Err(String::from(
-            "the camera's calibration.json has a pose that is none",
+            "the camera's calibration.json has a pose that is not a rigid motion",
         ))
     }
 }

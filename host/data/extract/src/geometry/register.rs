@@ -206,7 +206,7 @@ mod tests {
             assert_eq!(pixel(&seen, 160, column, 60), 1_050, "{column}");
         }
         assert_eq!(pixel(&seen, 160, 30, 60), 3_050);
-        // Beside it is an area that the depth camera could not see.
+        // Next to it lies an area that the depth camera could not see.
         assert_eq!(pixel(&seen, 160, 70, 60), 0);
         // An empty image stays empty.
         assert!(

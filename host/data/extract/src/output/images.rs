@@ -69,7 +69,7 @@ pub(crate) struct DepthOutcome {
     pub(crate) out_of_range: u64,
     /// Indices of colour images that exist.
     pub(crate) color: Vec<usize>,
-    /// Indices of colour images that are no complete JPEG files.
+    /// Indices of colour images that are not complete JPEG files.
     pub(crate) color_broken: Vec<usize>,
 }
 

@@ -179,7 +179,7 @@ fn a_learnt_skew_ages_and_moves_with_the_temperature() {
     assert!((warmer - ten.hypot(1.2e-6)).abs() < 1e-12);
     let season = sigma(&known, 90 * 86_400, None);
     assert!((season - 2e-8_f64.hypot(2e-6)).abs() < 1e-12);
-    // Of a day whose hour is not known.
+    // A date whose hour is not known.
     let dated = Learnt {
         time: None,
         ..known.clone()

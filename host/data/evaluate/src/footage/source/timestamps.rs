@@ -40,7 +40,7 @@ impl FrameTimes {
 ///
 /// # Errors
 ///
-/// Fails if the file cannot be read, or has a line that is no integer or not later than the one
+/// Fails if the file cannot be read, or has a line that is not an integer or not later than the one
 /// before.
 pub fn read_timestamps(path: &Path, monitor: &ReadMonitor) -> Result<Vec<i64>, EvaluateError> {
     let times = frame_timestamps::read(path, monitor).map_err(|error| match error {

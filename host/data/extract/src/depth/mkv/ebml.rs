@@ -19,7 +19,7 @@ pub enum EbmlError {
         /// Position of the element.
         at: u64,
     },
-    /// The bytes are no element ID or size.
+    /// The bytes are not element ID or size.
     #[error("no EBML element at byte {at}: {what}")]
     Invalid {
         /// Position of the bytes.
@@ -159,7 +159,7 @@ impl<R: Sparse> Source<R> {
     ///
     /// # Errors
     ///
-    /// Fails if the bytes are no head, or if the file ends within it. The position is then after
+    /// Fails if the bytes are not head, or if the file ends within it. The position is then after
     /// the first byte.
     pub(crate) fn head(&mut self) -> Result<Option<Head>, EbmlError> {
         let at = self.position;
