@@ -1,35 +1,19 @@
 //! The commands that the documents mention.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use crate::root;
+use crate::{below, root};
 
 /// Reads all pages; gives their paths with their text.
 pub fn pages() -> Vec<(PathBuf, String)> {
-    let mut pages = vec![root().join("README.md")];
-    for name in ["CHANGELOG.md", "CONTRIBUTING.md"] {
-        pages.push(root().join(name));
-    }
-    markdown(&root().join("docs"), &mut pages);
+    let top = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(|name| root().join(name));
+    let is_page = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "md");
+    let book = below(&root().join("docs")).into_iter().filter(is_page);
+    let pages = top.into_iter().chain(book);
     pages
-        .into_iter()
-        .map(|page| {
-            let text = fs::read_to_string(&page).unwrap();
-            (page, text)
-        })
+        .map(|page| (page.clone(), fs::read_to_string(page).unwrap()))
         .collect()
-}
-
-fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            markdown(&path, found);
-        } else if path.extension().is_some_and(|ending| ending == "md") {
-            found.push(path);
-        }
-    }
 }
 
 /// The text that a page writes as code.
