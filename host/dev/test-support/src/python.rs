@@ -1,21 +1,32 @@
 //! The Python environment with the public readers that judge what we write.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::processes::run;
-use crate::target;
+use crate::{root, target};
 
-/// Returns the interpreter of the environment in `target/venv`, which `cargo xtask test` makes,
-/// with the packages of `xtask/python-requirements.txt`.
+/// Returns the interpreter of the environment in `target/venv`, with the packages of
+/// `xtask/python-requirements.txt`. `cargo xtask test` makes it before the tests, and this for a
+/// test that is run on its own.
 #[must_use]
 pub fn python() -> PathBuf {
-    let python = target().join("venv/bin/python3");
-    assert!(
-        python.is_file(),
-        "this test needs {}: run it by `cargo xtask test`",
-        python.display()
-    );
+    let venv = target().join("venv");
+    let (python, stamp) = (venv.join("bin/python3"), venv.join("requirements.txt"));
+    let requirements = root().join("xtask/python-requirements.txt");
+    let wanted = fs::read_to_string(&requirements).unwrap();
+    // Tests of several programs may come here at a time.
+    let lock = fs::File::create(target().join("venv.lock")).unwrap();
+    lock.lock().unwrap();
+    if !fs::read_to_string(&stamp).is_ok_and(|have| have == wanted) {
+        run(Command::new("python3")
+            .args(["-m", "venv", "--clear"])
+            .arg(&venv));
+        let install = "-m pip install --quiet --disable-pip-version-check -r".split(' ');
+        run(Command::new(&python).args(install).arg(requirements));
+        fs::write(stamp, wanted).unwrap();
+    }
     python
 }
 
