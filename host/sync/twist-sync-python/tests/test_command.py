@@ -103,7 +103,7 @@ TEXTS = {
     "Arduino, micros": ("micros\tgx_dps\tgy_dps\tgz_dps\n" + rows("{}\t{}\t{}\t{}", NS // 1000, DEG), "in deg/s (named)"),
     "mdps": ("# a comment\n# another\nt_ns, gyro_x [mdps], gyro_y [mdps], gyro_z [mdps]\n" + rows("{}, {}, {}, {}", NS, DEG * 1e3), "in mdps (named)"),
     "rpm": ("time_s,gyro_x_rpm,gyro_y_rpm,gyro_z_rpm\n" + rows("{},{},{},{}", T, W * 30 / np.pi), "in rpm (named)"),
-    "ISO times": ("timestamp,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in zip(iso(NS), W.tolist())), "ISO"),
+    "ISO times": ("timestamp,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in zip(iso(NS), W.tolist())), "dates"),
     "headerless t x y z": (rows("{} {} {} {}"), "'1' in s"),
     "degrees without a name": ("t,x,y,z\n" + rows("{},{},{},{}", T, DEG), "in deg/s (by their size)"),
 }  # fmt: skip
@@ -125,9 +125,9 @@ class Texts(Folder):
                 self.assertLess(np.abs(step).max(), 1001)
 
     def test_plain_tables_are_not_read_line_by_line(self):
-        slow = text._slow
-        self.addCleanup(setattr, text, "_slow", slow)
-        text._slow = lambda *_: self.fail("line by line")
+        slow = text.lines_of
+        self.addCleanup(setattr, text, "lines_of", slow)
+        text.lines_of = lambda *_: self.fail("line by line")
         for name in ("OpenCamera-Sensors", "Sensor Logger", "phyphox", "EuRoC", "PX4"):
             path = self.file("b.csv", TEXTS[name][0])
             self.assertEqual(len(twist_sync.read(path).t), len(T))
@@ -171,12 +171,13 @@ class Texts(Folder):
         for text in (whole[:-30], whole.rpartition(",")[0] + ",-1E-"):
             read = twist_sync.read(self.file("b.csv", text))
             self.assertEqual(len(read.t), len(T) - 2)
-            expected = ["its last line is cut and left out", "1 rows without numbers are left out"]
+            missing = "line 11: '949113.233985,,nan,' is no row: left out"
+            expected = [missing, "its last line is cut and left out"]
             self.assertEqual(read.notes, expected)
 
     def test_several_gyroscopes_are_named(self):
         path = self.file("b.csv", "t,gyro_left_x,gyro_left_y,gyro_left_z,gyro_right_x,gyro_right_y,gyro_right_z\n"
-            + rows("{},{},{},{},0,0,0"))  # fmt: skip
+            + rows("{0},{1},{2},{3},{2},{1},{3}"))  # fmt: skip
         code, _, err = run(A, path)
         self.assertEqual((code, "@gyro left" in err), (5, True), err)
         self.assertAlmostEqual(
@@ -187,8 +188,9 @@ class Texts(Folder):
         for content, said in [
             ("", "empty"),
             ("time,x,y,z\n", "no rows"),
-            ("time,x,y,z\n1,2,3,4\n1.1,2,three,4\n1.2,2,3,4\n", "line 3: could not convert"),
-            ("time,x,y,z\n1,2,3,4\n1.1,2\n1.2,2,3,4\n", "line 3: expected 4 columns"),
+            ("time,x,y,z\n1,2,3,4\n1.1,2,three,4\n1.2,2,3,4\n", "line 3, column 'y': could not convert"),
+            ("time,x,y,z\n1,2,3,4\n1.1,2,3\n1.2,2,3,4\n", "line 3: expected 4 columns"),
+            ("time (s),x,y,z\n1,2,3,4\n1.5,2,3,4\n2,2,3,4\n", "0.5 s apart"),
             ("a,b,c,d\n1,2,3,4\n", "no columns of a gyroscope among a, b, c, d"),
             ("x,y,z,q\n1,2,3,4\n", "no column of times"),
             ("time,x_deg,y_deg,z\n1,2,3,4\n2,2,3,4\n", "one unit"),

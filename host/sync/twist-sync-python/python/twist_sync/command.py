@@ -17,7 +17,7 @@ import numpy as np
 
 from . import Clock, Course, Estimate, Refused, Unreadable, __version__, _rotation, files
 from .network import Pair, Synchronized, sync
-from .text import RATE_UNITS, TIME_UNITS
+from .tables import TIME_UNITS, is_unit
 
 GOOD, USAGE, REFUSED, UNREADABLE = 0, 2, 3, 5
 EXAMPLE = Path(__file__).parent / "example"
@@ -25,8 +25,9 @@ EXAMPLE = Path(__file__).parent / "example"
 LOOKS = 61
 
 EPILOG = """\
-FILE@TOPIC names one of several gyroscopes of a file. Exit codes: 0, 3 refused (the recordings do
-not say it), 2 usage, 5 a file cannot be read or written."""
+FILE@NAME chooses one of several gyroscopes of a file, a file of an archive, or "part 2" of a file
+whose clock started again. Exit codes: 0, 3 refused (the recordings do not say it), 2 usage, 5 a
+file cannot be read or written."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
         "recordings",
         metavar="FILE",
         nargs="*",
-        help="CSV, text, npz, bags of ROS 1 and 2, MCAP, Matroska, videos",
+        help="text, JSON, bags, MCAP, arrays, videos, logs and others, also packed; see the book's table",
     )
     length = out.add_mutually_exclusive_group()
     length.add_argument(
@@ -62,9 +63,15 @@ def parser() -> argparse.ArgumentParser:
         metavar="T,X,Y,Z",
         action="append",
         default=[],
-        help=_once("columns of time and rates, by name or number from 1"),
+        help=_once("columns of time and rates, or w, x, y, z, by name or number from 1; SECONDS+NANOSECONDS, or - with --rate"),
     )
-    add("--unit", action="append", choices=RATE_UNITS, default=[], help=_once("of the rates"))
+    add(
+        "--unit",
+        action="append",
+        default=[],
+        help=_once("of the rates: rad/s, mrad/s, deg/s, mdps, rpm, with a factor as 0.061deg/s; deg:ZYX of angles"),
+    )
+    add("--rate", metavar="HZ", type=float, action="append", default=[], help=_once("samples a second, by the rows or a counter"))
     add("--time-unit", action="append", choices=TIME_UNITS, default=[], help=_once("of the times"))
     add(
         "--delay-us",
@@ -98,13 +105,19 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     count = len(options.recordings)
     if count < 2:
         of_line.error("expected two or more recordings, or --example")
-    for name in ("columns", "unit", "time_unit"):
+    for name in ("columns", "unit", "time_unit", "rate"):
         given = getattr(options, name)
         if len(given) not in (0, 1, count):
             of_line.error(
                 f"--{name.replace('_', '-')} once, or once for each of {count} recordings"
             )
         setattr(options, name, given * count if len(given) == 1 else given or [None] * count)
+    for unit in options.unit:
+        if unit is not None and not is_unit(unit):
+            of_line.error(f"--unit {unit}: expected rad/s, mrad/s, deg/s, mdps, rpm, 0.061deg/s or deg:ZYX")
+    for rate in options.rate:
+        if rate is not None and not 0 < rate < 1e6:
+            of_line.error(f"--rate {rate}: expected samples a second")
     try:
         options.delays = [float(us) * 1e-6 for us in (options.delay_us or "").split(",") if us]
     except ValueError:
@@ -119,7 +132,7 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def _once(text: str) -> str:
-    return f"{text}, of text files; once for all, or once for each in their order"
+    return f"{text}; once for all, or once for each in their order"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -142,12 +155,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    each = zip(options.recordings, options.columns, options.unit, options.time_unit, strict=True)
+    each = zip(
+        options.recordings, options.columns, options.unit, options.time_unit, options.rate, strict=True
+    )
     recordings = [
         files.read(
-            path, columns=columns.split(",") if columns else None, unit=unit, time_unit=time_unit
+            path, columns=columns.split(",") if columns else None, unit=unit, time_unit=time_unit, rate=rate
         )
-        for path, columns, unit, time_unit in each
+        for path, columns, unit, time_unit, rate in each
     ]
     settings = {"low_pass_hz": options.low_pass_hz, "handle_faults": not options.keep_faults}
     if options.max_sigma_us:
@@ -190,8 +205,18 @@ def _middle(pair: Pair) -> Clock | None:
         return None
     if isinstance(pair.found, Estimate):
         return pair.found.clock
-    first, last = pair.found.span
-    return pair.found.at(0.5 * (first + last))
+    return pair.found.at(_reference(pair.found.span, pair.found.unsupported))
+
+
+def _reference(span: tuple[float, float], unsupported: list[tuple[float, float]]) -> float:
+    """Returns the middle of a course, or of its longest supported stretch where nothing supports
+    the relation in its middle."""
+    middle = 0.5 * (span[0] + span[1])
+    if not any(start <= middle <= end for start, end in unsupported):
+        return middle
+    ends = [span[0], *(t for part in sorted(unsupported) for t in part), span[1]]
+    start, end = max(zip(ends[::2], ends[1::2], strict=True), key=lambda part: part[1] - part[0])
+    return 0.5 * (start + end)
 
 
 def _pair(pair: Pair, solved: Synchronized) -> dict[str, Any]:

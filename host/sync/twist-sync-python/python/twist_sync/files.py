@@ -6,12 +6,17 @@ libraries that may hang, crash or take all memory.
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +24,17 @@ import numpy as np
 
 from . import text
 from ._recording import Recording, Unreadable
+from .tables import Asked
+from .tables import read as read_tables
 
 #: Longest time, s, and most memory, bytes, of a reader in another process.
 LIMIT_S = 600
 LIMIT_BYTES = 8 << 30
+#: Most bytes that an archive may hold, unpacked.
+LARGEST = 4 << 30
+#: Mean distance of samples that no gyroscope's exceeds, s, and the share of rows that may repeat
+#: the values of the one before without a remark.
+LARGEST_STEP_S, MOST_HELD = 0.2, 0.1
 #: Text up to this size is read in this process, bytes.
 SMALL_TEXT = 256 << 20
 
@@ -31,54 +43,87 @@ sys.path[:] = filter(None, sys.path)
 from twist_sync.files import _child
 _child()"""
 
-#: Files that a folder which is not a bag may contain, the best first.
+#: Files that a folder which is not a bag, or an archive, may contain, the best first.
 _IN_FOLDERS = (
     ("recording.mcap",),
-    ("Gyroscope.csv", "gyroscope.csv", "Gyroscope.txt"),
-    ("imu0/data.csv", "mav0/imu0/data.csv"),
-    ("*gyro.csv",),
+    ("*Gyroscope.csv", "*gyroscope.csv", "*Gyroscope.txt"),
+    ("*imu0/data.csv",),
+    ("*gyro*.csv", "*Gyro*.csv"),
     ("*.mcap", "*.mkv", "*.bag", "*.db3"),
-    ("*.csv",),
-    ("*.mp4", "*.insv"),
+    ("*.csv", "*.txt", "*.json", "*.npy", "*.npz"),
+    ("*.mp4", "*.insv", "*.MP4"),
 )
+
+#: Kinds of files by their first bytes, else by the end of their names; others are text.
+_BY_BYTES = (
+    ("mcap", rb"\x89MCAP0\r\n"),
+    ("bag", rb"#ROSBAG V|SQLite format 3\0"),
+    ("matroska", rb"\x1a\x45\xdf\xa3"),
+    ("video", rb"....(ftyp|wide|mdat|moov|RED1|RED2)|\x06\x0e\x2b\x34|H Product:Blackb"),
+    ("npy", rb"\x93NUMPY"),
+    ("gzip", rb"\x1f\x8b"),
+    ("ulg", rb"ULog\x01\x12\x35"),
+    ("ardupilot", rb"\xa3\x95\x80|FMT, "),
+    ("gpmf", rb"DEVC\0"),
+    ("mat", rb"MATLAB [57]\.\d MAT-file"),
+    ("hdf5", rb"\x89HDF\r\n"),
+    ("json", rb"(\xef\xbb\xbf)?\s*(\{|\[\s*[\[{])"),
+)
+
+
+def _best(names: list[str], of: str) -> str:
+    """Returns the one of a folder's or an archive's files that is its recording."""
+    for patterns in _IN_FOLDERS:
+        found = sorted({n for p in patterns for n in names if Path(n).match(p)})
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise Unreadable(f"several recordings in the {of}: {', '.join(found[:9])}; name one")
+    raise Unreadable(f"a{'n' * (of[0] == 'a')} {of} without a bag (metadata.yaml), MCAP, Matroska, video or Gyroscope.csv")
 
 
 def _only(folder: Path) -> Path:
     if (folder / "data.csv").is_file() and folder.name.startswith("imu"):
         return folder / "data.csv"
-    for patterns in _IN_FOLDERS:
-        found = sorted({path for pattern in patterns for path in folder.glob(pattern)})
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise Unreadable(
-                f"several recordings in the folder: {', '.join(p.name for p in found[:9])}; name one"
-            )
-    raise Unreadable(
-        "a folder without a bag (metadata.yaml), MCAP, Matroska, video or Gyroscope.csv"
-    )
+    deep = [p for p in (folder / "imu0/data.csv", folder / "mav0/imu0/data.csv") if p.is_file()]
+    names = [str(p.relative_to(folder)) for p in [*folder.iterdir(), *deep] if p.is_file()]
+    return folder / _best(names, "folder")
 
 
 def kind(path: Path) -> str:
-    """Selects the reader of a file: text, npz, mcap, bag, matroska or video."""
+    """Selects the reader of a file by its first bytes."""
     if path.is_dir():
         return "bag"
     with path.open("rb") as file:
-        first = file.read(16)
-    if first.startswith(b"\x89MCAP0\r\n"):
-        return "mcap"
-    if first.startswith((b"#ROSBAG V", b"SQLite format 3\0")):
-        return "bag"
-    if first.startswith(b"\x1a\x45\xdf\xa3"):
-        return "matroska"
+        first = file.read(64)
     if first.startswith(b"PK\x03\x04"):
-        return "npz"
-    logs = (b"\x06\x0e\x2b\x34", b"GYROFLOW IMU LOG", b"H Product:Blackb")
-    if first[4:8] in (b"ftyp", b"wide", b"mdat", b"moov", b"RED1", b"RED2") or first.startswith(
-        logs
-    ):
-        return "video"
-    return "text"
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+        if "xl/workbook.xml" in names:
+            return "xlsx"
+        return "npz" if all(name.endswith(".npy") for name in names) else "zip"
+    return next((k for k, form in _BY_BYTES if re.match(form, first, re.DOTALL)), "text")
+
+
+def _unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Path, str | None]:
+    """Unpacks the recording of an archive; returns its file, and the topic unless that named the
+    file."""
+    if how == "gzip":
+        name = file.name.removesuffix(".gz")
+        source: Any = gzip.open(file)
+    else:
+        archive = zipfile.ZipFile(file)
+        names = [n for n in archive.namelist() if not n.endswith("/") and "__MACOSX" not in n]
+        named = [n for n in names if topic and (n == topic or Path(n).stem.lower() == topic.lower() or Path(n).name == topic)]
+        name, topic = (named[0], None) if len(named) == 1 else (_best(names, "archive"), topic)
+        source = archive.open(name)
+    out = folder / Path(name).name
+    with source, out.open("wb") as copy:
+        while block := source.read(1 << 20):
+            copy.write(block)
+            if copy.tell() > LARGEST:
+                raise Unreadable(f"an archive of more than {LARGEST >> 30} GiB: unpack it")
+    return out, topic
 
 
 def read(
@@ -88,15 +133,21 @@ def read(
     columns: list[str] | None = None,
     unit: str | None = None,
     time_unit: str | None = None,
+    rate: float | None = None,
 ) -> Recording:
-    """Reads the gyroscope of a recording.
+    """Reads the gyroscope of a recording, or the orientation of one that has none.
 
     Args:
-        path: A file or folder; ``FILE@TOPIC`` names one of several gyroscopes in it.
-        topic: The topic by itself, if it is not part of ``path``.
-        columns: Names, or numbers from 1, of the columns of time, x, y, z of a text file.
-        unit: Unit of the rates of a text file: rad/s, mrad/s, deg/s, mdps or rpm.
-        time_unit: Unit of the times of a text file: s, ms, us or ns.
+        path: A file or folder; ``FILE@NAME`` names one of several gyroscopes in it, a file of an
+            archive, or ``part 2`` of a file whose clock started again.
+        topic: The name by itself, if it is not part of ``path``.
+        columns: Names, or numbers from 1, of the columns of time and x, y, z; of time and w, x,
+            y, z; or of time and a matrix. Time may be SECONDS+NANOSECONDS, or - with ``rate``.
+        unit: Unit of the rates: rad/s, mrad/s, deg/s, mdps or rpm, after a factor if need be, as
+            0.061deg/s; of angles deg or rad with the order of their axes, as deg:ZYX; or
+            world-to-body for quaternions of that direction.
+        time_unit: Unit of the times: s, ms, us or ns.
+        rate: Samples a second, Hz, of a file whose times are a counter or none.
 
     Returns:
         A :class:`Recording` with times in ns and rates in rad/s; ``form`` says what was found.
@@ -115,13 +166,22 @@ def read(
     try:
         if file.is_dir() and not (file / "metadata.yaml").is_file():
             file = _only(file)
-        how = kind(file)
-        if how == "text" and file.stat().st_size <= SMALL_TEXT:
-            found = text.read(file, topic, columns, unit, time_unit)
-        else:
-            found = _in_process(file, how, [topic, columns, unit, time_unit])
-    except OSError as error:
-        raise Unreadable(f"{file}: {error.strerror or error}") from None
+        with tempfile.TemporaryDirectory() as folder:
+            own, how = file, kind(file)
+            while how in ("gzip", "zip"):
+                own, topic = _unpacked(own, how, topic, Path(folder))
+                how = kind(own)
+            asked = Asked(topic, columns, unit, time_unit, rate)
+            if how == "text" and own.stat().st_size <= SMALL_TEXT:
+                found = _read_here(own, how, asked)
+            else:
+                found = _in_process(own, how, asked)
+        if own != file:
+            found.notes.insert(0, f"unpacked: {own.name}")
+            found.layout = None
+        found.path = file
+    except (OSError, EOFError, zipfile.BadZipFile) as error:
+        raise Unreadable(f"{file}: {getattr(error, 'strerror', None) or error}") from None
     except Unreadable as error:
         raise Unreadable(f"{file}: {error}") from None
     finite = np.isfinite(found.w).all(axis=1)
@@ -130,11 +190,23 @@ def read(
         found.t, found.w = found.t[finite], found.w[finite]
     if len(found.t) < 2:
         raise Unreadable(f"{file}: {found.form}: no samples of a gyroscope")
+    step = found.seconds / (len(found.t) - 1)
+    if not 0 < step < LARGEST_STEP_S:
+        raise Unreadable(
+            f"{file}: {found.form}: its samples are {step:.3g} s apart, which no gyroscope's are: give "
+            "--columns and --time-unit, or --rate"
+        )
+    held = (np.diff(found.w, axis=0) == 0).all(axis=1) & (found.w[1:] != 0).any(axis=1)
+    if held.mean() > MOST_HELD:
+        found.notes.append(
+            f"{held.mean():.0%} of its rows repeat the values before. If the sensor runs beside the logger, they are up "
+            f"to {float(np.median(np.diff(found.t))) * 1e-6:.3g} ms older than their times say"
+        )
     return found
 
 
-def _in_process(path: Path, how: str, more: list[Any]) -> Recording:
-    arguments = json.dumps([os.fspath(path.absolute()), how, more, LIMIT_S, LIMIT_BYTES])
+def _in_process(path: Path, how: str, asked: Asked) -> Recording:
+    arguments = json.dumps([os.fspath(path.absolute()), how, vars(asked), LIMIT_S, LIMIT_BYTES])
     done = subprocess.run(
         [sys.executable, "-c", _CHILD, arguments],
         stdin=subprocess.DEVNULL,
@@ -158,15 +230,14 @@ def _in_process(path: Path, how: str, more: list[Any]) -> Recording:
         raise Unreadable(found["error"])
     arrays = io.BytesIO(body)
     t, w, *frames = (np.load(arrays, allow_pickle=False) for _ in range(2 + len(found["frames"])))
-    layout = text.Layout(**found["layout"]) if found["layout"] else None
     of_frames = dict(zip(found["frames"], frames, strict=True))
     return Recording(
-        path, found["form"], t, w, of_frames, found["notes"], found["topic"], found["guess"], layout
+        path, found["form"], t, w, of_frames, found["notes"], found["topic"], found["guess"], found["layout"]
     )
 
 
 def _child() -> None:
-    path, how, more, seconds, memory = json.loads(sys.argv[1])
+    path, how, asked, seconds, memory = json.loads(sys.argv[1])
     # Libraries may print to the standard output.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -181,14 +252,14 @@ def _child() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (memory, hard))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
-        found = _read_here(Path(path), how, *more)
+        found = _read_here(Path(path), how, Asked(**asked))
         head = {
             "form": found.form,
             "notes": found.notes,
             "topic": found.topic,
             "frames": list(found.frames),
             "guess": found.unit_is_guess,
-            "layout": vars(found.layout) if found.layout else None,
+            "layout": found.layout,
         }
         arrays = [found.t, found.w, *found.frames.values()]
     # A panic of Rust is no Exception.
@@ -204,18 +275,11 @@ def _child() -> None:
     out.close()
 
 
-def _read_here(
-    path: Path,
-    how: str,
-    topic: str | None,
-    columns: list[str] | None,
-    unit: str | None,
-    time_unit: str | None,
-) -> Recording:
+def _read_here(path: Path, how: str, asked: Asked) -> Recording:
     if how in ("mcap", "bag"):
         from . import bags
 
-        return bags.read(path, topic)
+        return bags.read(path, asked)
     if how == "matroska":
         from . import matroska
 
@@ -224,50 +288,16 @@ def _read_here(
         from . import video
 
         return video.read(path)
-    if how == "npz":
-        return _npz(path)
-    return text.read(path, topic, columns, unit, time_unit)
-
-
-def _npz(path: Path) -> Recording:
-    with np.load(path, allow_pickle=False) as file:
-        if not all(name.endswith(".npy") for name in file.zip.namelist()):
-            raise Unreadable("an archive: unpack it and name its file or folder")
-        arrays = {name: file[name] for name in file.files}
-    tables = {
-        k: a for k, a in arrays.items() if a.ndim == 2 and a.shape[1] == 3 and a.dtype.kind in "fiu"
-    }
-    named = [
-        k
-        for k in tables
-        if k.lower() in ("w", "rates", "omega") or "gyr" in k.lower() or "ang" in k.lower()
-    ]
-    choice = named or list(tables)
-    lines = [k for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiuM"]
-    if len(choice) != 1:
-        there = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
-        raise Unreadable(f"expected one array of rates of shape (n, 3), found {there[:300]}")
-    rates = tables[choice[0]]
-    times = [k for k in lines if len(arrays[k]) == len(rates)]
-    times = [
-        k for k in times if k.lower() == "t" or "time" in k.lower() or "stamp" in k.lower()
-    ] or times
-    if len(times) != 1 or len(rates) < 2:
-        raise Unreadable(
-            f"expected one array of times as long as {choice[0]} {rates.shape}, found {times}"
-        )
-    t = arrays[times[0]]
-    if t.dtype.kind == "M":
-        unit, nanos = "ns", t.astype("M8[ns]").astype(np.int64)
+    notes: list[str] = []
+    if how == "text":
+        form, found = text.read_tables(path, notes)
     else:
-        unit = text.plausible_time(t)
-        nanos = text.to_nanos(t, unit)
-    rate_unit = text.plausible_rate(rates)
-    return Recording(
-        path,
-        f"npz: times of {times[0]!r} in {unit} (by their distance), rates of {choice[0]!r} in {rate_unit} (by their size)",
-        nanos,
-        rates * text.RATE_UNITS[rate_unit],
-        topic=times[0],
-        unit_is_guess=True,
-    )
+        from . import containers
+
+        if how not in containers.READERS:
+            raise Unreadable("a file of HDF5, which is not read: save its arrays as .npz, .mat (-v7) or CSV")
+        form, found = containers.READERS[how](path)
+    recording = read_tables(found, path, form, asked, notes)
+    if how != "text":
+        recording.layout = None
+    return recording

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, course, estimate, files
 from ._recording import Recording, Unreadable
-from .text import typical_rate
+from .tables import typical_rate
 
 #: Longest recording that is treated as one twist, s, and longest other recording beside it, s.
 LONGEST_TWIST_S = 60.0

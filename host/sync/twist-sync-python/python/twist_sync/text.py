@@ -1,8 +1,7 @@
-"""Gyroscopes in CSV and other text: columns and units by the header, else by plausibility.
+"""From text to tables: the separators of a file, its headers, and which rows belong together.
 
-Formats of which names were taken: OpenCamera-Sensors, Sensor Logger, phyphox, AndroSensor,
-Physics Toolbox, SensorLog (iOS), EuRoC, `rostopic echo -p`, bagpy, ulog2csv (PX4),
-blackbox_decode (Betaflight), mission logs of ArduPilot, Arduino sketches (`millis`, `micros`).
+A line is a row if most of its fields are numbers or times; what stands above the first row of a
+table is its header. Which column is what, is decided in :mod:`twist_sync.tables`.
 """
 
 from __future__ import annotations
@@ -10,481 +9,423 @@ from __future__ import annotations
 import csv
 import re
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from ._recording import Recording, Unreadable
+from ._recording import Unreadable
+from .tables import MISSING, MOMENT, Table, is_sensor, sensor_of, unit_of
 
-#: rad/s in one of each.
-RATE_UNITS = {
-    "rad/s": 1.0,
-    "mrad/s": 1e-3,
-    "deg/s": np.pi / 180,
-    "mdps": np.pi / 180e3,
-    "rpm": np.pi / 30,
-}
-#: Nanoseconds in one of each.
-TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-
-#: A gyroscope's samples are not farther apart, s.
-LONGEST_STEP_S = 0.2
-#: Nine of ten samples of a moved body turn slower than this, rad/s (20 rad/s are 3 turns a second).
-FASTEST = 20.0
-#: Bytes in which the first row of samples must lie.
+#: Characters in which the first rows of samples must lie.
 HEAD = 1 << 18
 LONGEST_LINE = 1 << 16
+CUT = "its last line is cut and left out"
+#: Rows of a header's length at most, above the rows of samples.
+LONGEST_HEADER = 8
+#: Distinct words in a column that tells sensors apart, at most.
+MOST_SENSORS = 32
 
-_GYRO = {
-    "gyro",
-    "gyr",
-    "gyroscope",
-    "angular",
-    "rotation",
-    "rot",
-    "omega",
-    "w",
-    "g",
-    "av",
-    "angvel",
+_THOUSANDS = {
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
 }
-_OTHER = set(
-    "acc accel acceleration accelerometer mag magn magnetometer magnetic gravity linear user euler"
-    " orientation quaternion attitude a m gf temp position pos pose covariance integral setpoint"
-    " heading location bias torque unfilt".split()
-)
-_TIME = {
-    "time": 1, "timestamp": 0, "timestamps": 0, "stamp": 0, "t": 2, "ts": 1, "sec": 3, "secs": 3, "seconds": 3, "ns": 3,
-    "nanoseconds": 3, "nanos": 3, "us": 3, "micros": 3, "microseconds": 3, "ms": 3, "millis": 3,
-    "milliseconds": 3, "s": 4, "elapsed": 4, "timeus": 1, "timems": 1, "loggingtime": 2,
-}  # fmt: skip
-_TIME_WORDS = {
-    "ns": "ns nanos nanosec nsec nsecs nanoseconds timens",
-    "us": "us µs μs micros usec microseconds timeus",
-    "ms": "ms millis msec milliseconds timems",
-    "s": "s sec secs seconds",
-}
-_RATE_WORDS = {
-    "mdps": r"mdps|mdeg|millideg",
-    "deg/s": r"dps|deg|°",
-    "mrad/s": r"mrad",
-    "rpm": r"rpm",
-    "rad/s": r"rad",
-}
+_COMMENT = re.compile(r"\s*(#|%|//)+\s*")
 
 
-@dataclass
-class Layout:
-    """Where the samples stand in a text file."""
+@dataclass(frozen=True)
+class Dialect:
+    """The separators of a text file.
 
-    delimiter: str | None
-    """None: any white space."""
-    columns: list[int]
-    """Of time, x, y, z; with a fifth for nanoseconds beside seconds."""
-    names: list[str]
-    first_row: int
-    """Lines before the first row."""
-    decimal_comma: bool = False
-    time_unit: str | None = None
-    rate_unit: str | None = None
-    is_iso: bool = False
+    Attributes:
+        delimiter: Between fields; None for any white space.
+        decimal: A point or a comma.
+    """
 
+    delimiter: str | None = ","
+    decimal: str = "."
 
-def _words(name: str) -> list[str]:
-    """Splits a column's name into lower-case words without units in brackets: `gyro_rad[0]` is
-    gyro, rad, x."""
-    name = re.sub(r"\[([012])\]", lambda m: f" {'xyz'[int(m[1])]} ", name)
-    name = re.sub(r"[\[(].*", "", name)
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return re.findall(r"[^\W_]+", name.lower())
+    def split(self, line: str) -> list[str]:
+        """Returns the fields of a line without their quotes."""
+        if "−" in line:
+            line = line.replace("−", "-")
+        if self.delimiter is None:
+            return line.split()
+        if '"' in line:
+            return [f.strip() for f in next(csv.reader([line], delimiter=self.delimiter), [])]
+        return [field.strip() for field in line.split(self.delimiter)]
 
+    def plain(self, field: str) -> str:
+        """Returns a number with a decimal point and without separators of thousands."""
+        field = re.sub(r"[\u00a0\u202f']", "", field)
+        if _THOUSANDS[self.decimal].fullmatch(field):
+            field = field.replace("," if self.decimal == "." else ".", "")
+        if self.decimal == ",":
+            if "." in field:
+                raise ValueError(f"{field[:40]!r} has a decimal point, other numbers have commas")
+            field = field.replace(",", ".")
+        if "_" in field:
+            raise ValueError(f"could not convert {field[:40]!r}")
+        return field
 
-def _axis(words: list[str]) -> tuple[str, str] | None:
-    """Returns the axis of a column and the rest of its name: x and `w`, `gyro` of `wx`,
-    `gyro_x`."""
-    for at in range(len(words) - 1, -1, -1):
-        found = re.fullmatch(r"(w|g|gf|gyro|gyr|omega|rot|av|a|m|acc|mag|)([xyz])", words[at])
-        if found:
-            rest = [*words[:at], *filter(None, [found[1]]), *words[at + 1 :]]
-            return found[2], " ".join(word for word in rest if word not in ("rad", "deg", "dps"))
-    return None
+    def number(self, field: str) -> float:
+        """Returns a number; NaN for one that is missing."""
+        if field.lower() in MISSING:
+            return np.nan
+        plain = self.plain(field)
+        try:
+            return float(plain)
+        except ValueError:
+            raise ValueError(f"could not convert {field[:40]!r}") from None
 
+    def is_value(self, field: str) -> bool:
+        """Returns True for a number or a time."""
+        try:
+            return not np.isnan(self.number(field))
+        except ValueError:
+            return MOMENT.fullmatch(field) is not None
 
-def _gyroscopes(names: list[str]) -> dict[str, list[int]]:
-    """Columns x, y, z of each gyroscope by what their names share."""
-    groups: dict[str, dict[str, int]] = {}
-    for column, name in enumerate(names):
-        if found := _axis(_words(name)):
-            groups.setdefault(found[1], {}).setdefault(found[0], column)
-    triples = {s: [g[k] for k in "xyz"] for s, g in groups.items() if len(g) == 3}
-    plain = {s: t for s, t in triples.items() if not _OTHER & set(s.split())}
-    named = {s: t for s, t in plain.items() if _GYRO & set(s.split()) or "gyr" in s}
-    return named or plain
+    def is_row(self, fields: list[str]) -> bool:
+        """Returns True if most of the fields are numbers or times."""
+        values = sum(map(self.is_value, fields))
+        texts = sum(field.lower() not in MISSING for field in fields) - values
+        return values >= 3 and values >= texts
 
-
-def _is_time(name: str) -> int | None:
-    """Rank of a column's name as one of times; lower is better."""
-    words = _words(name)
-    if _axis(words):
-        return None
-    ranks = [_TIME[w] for w in words if w in _TIME]
-    return min(ranks) - 2 * ("stamp" in words and "header" in words) if ranks else None
-
-
-def _time_unit(name: str) -> str | None:
-    inside = re.findall(r"[\[(]([^\])]*)[\])]", name)
-    words = [w for part in inside for w in re.findall(r"[^\W_]+", part.lower())] or _words(name)
-    for unit, spellings in _TIME_WORDS.items():
-        if words and words[-1] in spellings.split():
-            return unit
-    return None
-
-
-def _rate_unit(name: str) -> str | None:
-    low = name.lower()
-    return next((unit for unit, word in _RATE_WORDS.items() if re.search(word, low)), None)
+    @property
+    def name(self) -> str:
+        between = {None: "white space", "\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars"}
+        return f"text with {between[self.delimiter]}" + (
+            ", decimal commas" if self.decimal == "," else ""
+        )
 
 
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
+_DIALECTS = [Dialect(*d) for d in (";.", ";,", "\t.", "\t,", ",.", ",,", "|.")]
+_DIALECTS += [Dialect(None, "."), Dialect(None, ",")]
 
 
-def _is_iso(text: str) -> bool:
-    return re.match(r"\s*\"?\d{4}-\d\d-\d\d[T ]\d\d:\d\d", text) is not None
+def sniff(lines: list[str]) -> Dialect:
+    """Returns the dialect in which the most fields of the lines are numbers and the fewest words.
 
-
-def split(line: str, delimiter: str | None) -> list[str]:
-    """The fields of a line without their quotes."""
-    if delimiter is None:
-        return line.split()
-    if '"' in line:
-        return [field.strip() for field in next(csv.reader([line], delimiter=delimiter), [])]
-    return [field.strip() for field in line.split(delimiter)]
-
-
-def _delimiter(rows: list[str]) -> str | None:
-    """The separator that gives the most columns, the same number in each row."""
-    best, most = None, 1
-    for one in (";", "\t", ",", None):
-        counts = {len(split(row, one)) for row in rows}
-        if len(counts) == 1 and max(counts) > most:
-            best, most = one, max(counts)
+    Raises:
+        Unreadable: No line has three numbers in any.
+    """
+    best, most = None, 0
+    for one in _DIALECTS:
+        # Unquoted, commas cannot be both.
+        if one == Dialect(",", ",") and not any('","' in line for line in lines):
+            continue
+        score = 0
+        for line in lines:
+            fields = one.split(line)
+            if one.is_row(fields):
+                values = sum(map(one.is_value, fields))
+                score += 3 * values - 2 * sum(field.lower() not in MISSING for field in fields)
+        if score > most:
+            best, most = one, score
+    if best is None:
+        shown = next((line.strip() for line in lines if line.strip()), "")[:60]
+        raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
     return best
 
 
-def _layout(head: str, columns: list[str] | None, topic: str | None) -> Layout:
-    lines = head.splitlines()[:200]
-    if len(head) == HEAD:
-        lines = lines[:-1] or lines
-    if any(len(line) > LONGEST_LINE for line in lines):
-        raise Unreadable("a line without end; expected lines of text")
+@dataclass
+class Block:
+    """Rows with what stands above them: line numbers, fields and texts."""
 
-    def is_row(line: str) -> bool:
-        fields = re.split(r"[;\t, ]+", line.strip())
-        numbers = sum(_number(f.strip('"')) is not None or _is_iso(f) for f in fields)
-        return numbers >= 4 or (_is_iso(line) and numbers >= 3)
-
-    rows = [k for k, line in enumerate(lines) if is_row(line) and line.strip()[0] not in "#%/"]
-    if not rows:
-        shown = next((line for line in lines if line.strip()), "")[:60]
-        raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
-    first = rows[0]
-    data = [lines[k] for k in rows]
-    delimiter = _delimiter(data)
-    width = len(split(data[0], delimiter))
-    header = next(
-        (
-            names
-            for line in reversed(lines[:first])
-            if len(names := split(re.sub(r"^\s*(#|%|//)+\s*", "", line), delimiter)) == width
-        ),
-        None,
-    )
-    decimal_comma = delimiter in (";", "\t", None) and bool(re.search(r"\d,\d", data[0]))
-    names = header or [str(k + 1) for k in range(width)]
-    layout = Layout(delimiter, [], names, first, decimal_comma)
-    if columns:
-        layout.columns = [_column(name, names) for name in columns]
-    elif header:
-        layout.columns = _by_name(header, topic)
-    else:
-        layout.columns = _by_values(data, layout)
-    layout.is_iso = _is_iso(split(data[0], delimiter)[layout.columns[0]])
-    time, axis = names[layout.columns[0]], layout.columns[1:4]
-    if header:
-        layout.time_unit = _time_unit(time)
-        if "%time" in lines[first - 1] or time.endswith("header.stamp"):
-            layout.time_unit = "ns"
-        units = {_rate_unit(names[k]) for k in axis}
-        if len(units) > 1:
-            raise Unreadable(f"the columns {[names[k] for k in axis]} are not of one unit")
-        layout.rate_unit = units.pop()
-    return layout
+    header: list[tuple[int, list[str], str]]
+    rows: list[tuple[int, list[str]]]
 
 
-def _column(name: str, names: list[str]) -> int:
-    if name in names:
-        return names.index(name)
-    if name.isdecimal() and 1 <= int(name) <= len(names):
-        return int(name) - 1
-    raise Unreadable(f"no column {name!r}; there are {', '.join(names)}, or 1 to {len(names)}")
-
-
-def _by_name(names: list[str], topic: str | None) -> list[int]:
-    found = _gyroscopes(names)
-    hint = "name the columns with --columns TIME,X,Y,Z"
-    if topic is not None and topic in found:
-        found = {topic: found[topic]}
-    if not found:
-        raise Unreadable(f"no columns of a gyroscope among {', '.join(names)[:200]}; {hint}")
-    if len(found) > 1:
-        of_each = "; ".join(f"@{s} ({', '.join(names[k] for k in t)})" for s, t in found.items())
-        raise Unreadable(f"several gyroscopes: {of_each}: name one after the file, or {hint}")
-    stem, axes = next(iter(found.items()))
-    times = [(rank, k) for k, name in enumerate(names) if (rank := _is_time(name)) is not None]
-    if not times:
-        raise Unreadable(f"no column of times among {', '.join(names)[:200]}; {hint}")
-
-    def order(one: tuple[int, int]) -> tuple[bool, int, int]:
-        # Of several, the one that shares a word with the rates.
-        shares = set(stem.split()) & set(_words(names[one[1]])) - {"x"}
-        return not shares, one[0], one[1]
-
-    time = min(times, key=order)[1]
-    # Seconds and nanoseconds of a stamp in two columns.
-    words = [_words(name) for name in names]
-    seconds = [k for k, w in enumerate(words) if w[-2:] in (["stamp", "sec"], ["stamp", "secs"])]
-    more = [k for k, w in enumerate(words) if w[-1:] and w[-1] in ("nanosec", "nsec", "nsecs")]
-    if seconds and more:
-        return [seconds[0], *axes, more[0]]
-    return [time, *axes]
-
-
-def _by_values(rows: list[str], layout: Layout) -> list[int]:
-    """Columns of a file without names: `t x y z` or `x y z t`."""
-    fields = [split(row, layout.delimiter) for row in rows]
-    if _is_iso(fields[0][0]):
-        fields = [[str(k), *row[1:]] for k, row in enumerate(fields)]
-    table = np.array([[_number(_dot(f, layout)) for f in row] for row in fields], dtype=float)
-    width = table.shape[1]
-    rising = [k for k in (0, 3) if width == 4 and np.all(np.diff(table[:, k]) >= 0)]
-    rising = [k for k in rising if np.ptp(table[:, k]) and np.all(table[:, k] >= 0)]
-    if len(rows) == 1 and width == 4:
-        rising = [int(np.argmax(np.abs(table[0])))]
-    # Of a slow motion the rates may rise too, but not by even steps.
-    ends = sorted(rising, key=lambda k: np.std(np.diff(table[:, k])) / np.ptp(table[:, k]))[:1]
-    if ends:
-        return [ends[0], *(k for k in range(4) if k != ends[0])]
-    raise Unreadable(
-        f"{width} columns without names: say with --columns TIME,X,Y,Z (numbers from 1) which is which"
-    )
-
-
-def _dot(field: str, layout: Layout) -> str:
-    return field.replace(",", ".") if layout.decimal_comma else field
-
-
-def iso_nanos(text: str) -> int:
-    """Nanoseconds since 1970 of an ISO time; without a zone, of UTC."""
-    found = re.fullmatch(
-        r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?",
-        text.strip(),
-    )
-    if not found:
-        raise ValueError(f"could not read {text[:40]!r} as a time")
-    whole = int(np.datetime64(f"{found[1]}T{found[2]}", "s").astype(np.int64))
-    zone = found[4] or "Z"
-    if zone != "Z":
-        whole -= (1 if zone[0] == "+" else -1) * (int(zone[1:3]) * 3600 + int(zone[-2:]) * 60)
-    return whole * 10**9 + int((found[3] or "0")[:9].ljust(9, "0"))
-
-
-def rows(file: IO[str], layout: Layout) -> Iterator[tuple[int, str, list[str] | None]]:
-    """Yields number and text of each line, and its fields if it has samples and is complete."""
-    width = len(layout.names)
-    for number, line in enumerate(file, 1):
-        text = line.strip("\r\n\ufeff")
-        if number <= layout.first_row or not text.strip() or text.lstrip()[0] in "#%":
-            yield number, line, None
+def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Block]:
+    """Cuts a file where rows come under another header."""
+    out: list[Block] = []
+    above: list[tuple[int, list[str], str]] = []
+    for number, line in lines:
+        text = line.strip()
+        if not text:
             continue
-        fields = split(text, layout.delimiter)
-        if len(fields) != width:
-            # A recorder that was stopped in the middle of its last line.
-            if not file.readline() and len(fields) <= width:
-                yield number, line, []
-                return
-            raise Unreadable(
-                f"line {number}: expected {width} columns, found {len(fields)}: {text[:60]}"
+        comment = _COMMENT.match(text)
+        fields = dialect.split(text[comment.end() :] if comment else line.strip("\r\n"))
+        if comment or not dialect.is_row(fields):
+            above.append((number, fields, text))
+            continue
+        width = len(_stripped(fields))
+        names = [
+            entry
+            for entry in above
+            if not _COMMENT.match(entry[2])
+            and len(_stripped(entry[1])) in (width, width + 1)
+            and sum(map(dialect.is_value, entry[1])) * 3 < len(entry[1])
+        ]
+        if not out or names:
+            # Numbers in a header, such as the IDs of bodies.
+            if out and len(out[-1].rows) < 3:
+                short = out.pop()
+                above = [*short.header, *((n, f, "") for n, f in short.rows), *above]
+            out.append(Block(above, []))
+        elif above:
+            notes.append(_left_out(above))
+        out[-1].rows.append((number, fields))
+        above = []
+    if above and out:
+        notes.append(CUT if len(above) == 1 else _left_out(above))
+    elif out and len(out[-1].rows) > 1:
+        # A recorder that was stopped in the middle of its last line.
+        (_, usual), (_, last) = out[-1].rows[-2:]
+        is_short = len(last) < len(usual) and not above
+        if is_short or any(
+            dialect.is_value(a) and b.lower() not in MISSING and not dialect.is_value(b)
+            for a, b in zip(usual, last, strict=False)
+        ):
+            out[-1].rows.pop()
+            notes.append(CUT)
+    return out
+
+
+def _left_out(lines: list[tuple[int, list[str], str]]) -> str:
+    number, _, text = lines[0]
+    more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
+    return f"line {number}{more}: {text[:40]!r} is no row: left out"
+
+
+def _stripped(fields: list[str]) -> list[str]:
+    end = len(fields)
+    while end and not fields[end - 1]:
+        end -= 1
+    return fields[:end]
+
+
+def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list[str], bool]:
+    """Returns names and units of the columns, and True if they are those of the file.
+
+    Rows of names above each other are joined, a name that spans columns is repeated, and a row of
+    units is recognised by its units."""
+    found: list[list[str]] = []
+    for at, (_, fields, text) in enumerate(block.header, 1):
+        if len(_stripped(fields)) < 2 and (at == len(block.header) or _COMMENT.match(text)):
+            # Commas or tabs in the header alone.
+            text = _COMMENT.sub("", text, count=1).strip("'\" ")
+            fields = min(
+                (Dialect(d).split(text) for d in (dialect.delimiter, ",", "\t", ";", None)),
+                key=lambda some: abs(len(some) - width),
             )
-        yield number, line, fields
-
-
-def row_time(fields: list[str], layout: Layout) -> int | float:
-    """The time of a row: exact in nanoseconds of an ISO time and where seconds and nanoseconds
-    stand apart, else in the unit of the column."""
-    time = fields[layout.columns[0]]
-    if layout.is_iso:
-        return iso_nanos(time)
-    if len(layout.columns) > 4:
-        return int(time) * 10**9 + int(fields[layout.columns[4]])
-    try:
-        return int(time)
-    except ValueError:
-        return float(_dot(time, layout))
-
-
-def _slow(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Times, rates, and which rows were left out, line by line."""
-    times: list[int | float] = []
-    rates: list[list[float]] = []
-    empty, notes = 0, []
-    cut = "its last line is cut and left out"
-    with open_text(path) as file:
-        for number, _, fields in rows(file, layout):
-            if fields is None:
-                continue
-            if not fields:
-                notes.append(cut)
-                break
-            taken = [fields[k] for k in layout.columns]
-            if any(value.lower() in ("", "nan", "null", "none", "na") for value in taken):
-                empty += 1
-                continue
-            try:
-                time = row_time(fields, layout)
-                rates.append([float(_dot(value, layout)) for value in taken[1:4]])
-                times.append(time)
-            except ValueError as error:
-                if file.readline():
-                    raise Unreadable(f"line {number}: {error}") from None
-                notes.append(cut)
-                break
-    if empty:
-        notes.append(f"{empty} rows without numbers are left out")
-    kind = np.int64 if all(isinstance(t, int) for t in times) else np.float64
-    try:
-        return np.array(times, dtype=kind), np.array(rates).reshape(-1, 3), notes
-    except OverflowError:
-        raise Unreadable("times of more than 19 digits") from None
-
-
-def _fast(path: Path, layout: Layout) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
-    """Returns the result of :func:`_slow` for regular files, else None."""
-    if layout.is_iso or layout.decimal_comma or len(layout.columns) > 4:
-        return None
-    for kind in (np.int64, np.float64):
-        form = np.dtype([("t", kind), ("x", "f8"), ("y", "f8"), ("z", "f8")])
-        try:
-            with open_text(path) as file, warnings.catch_warnings():
-                # NumPy 1.24 cuts the fraction off where later ones refuse, and warns.
-                warnings.simplefilter("error", DeprecationWarning)
-                table = np.loadtxt(
-                    file,
-                    form,
-                    delimiter=layout.delimiter,
-                    skiprows=layout.first_row,
-                    usecols=layout.columns,
-                    quotechar='"',
-                    comments="#",
-                    ndmin=1,
-                )
-        except (ValueError, OverflowError, DeprecationWarning):
+        cells = [*fields, *[""] * (width - len(fields))]
+        filled = [k for k, cell in enumerate(cells) if cell]
+        numbers = sum(map(dialect.is_value, cells))
+        if (
+            len(_stripped(fields)) > width
+            or len(filled) < 2
+            or filled[-1] * 2 < width
+            # The IDs of bodies are numbers; so are values of settings.
+            or (numbers and numbers < len(filled) - 1)
+        ):
+            found.clear()
             continue
-        rates = np.column_stack([table[k] for k in "xyz"])
-        if np.isfinite(rates).all():
-            return table["t"], rates, []
+        found.append(cells)
+    found = found[-LONGEST_HEADER:]
+    units = [""] * width
+    for row in found[1:]:
+        if sum(bool(unit_of(c)) for c in row) * 2 > sum(map(bool, row)):
+            units = row
+            found.remove(row)
+            break
+    if not found:
+        above = [len(_stripped(fields)) for _, fields, _ in block.header if len(fields) > 2]
+        if above and dialect.delimiter == "," and above[-1] * 2 in (width, width + 1):
+            raise Unreadable(
+                f"line {block.rows[0][0]}: {width} columns, {above[-1]} names: numbers with decimal commas, between "
+                "commas? Export them with semicolons or points"
+            )
+        return [str(k + 1) for k in range(width)], units, False
+    for row in found[:-1]:
+        for k in range(1, width):
+            if not row[k] and row[k - 1] and found[-1][k]:
+                row[k] = row[k - 1]
+    names = []
+    for column in zip(*found, strict=True):
+        parts = dict.fromkeys(part for part in column if part)
+        names.append(" ".join(parts))
+    return names, units, True
+
+
+def settings(block: Block) -> dict[str, str]:
+    """Returns what the lines above a table set: `tscale,0.001`, `// Update Rate: 100.0Hz`, also in
+    pairs of one line."""
+    out: dict[str, str] = {}
+    for k, (_, fields, text) in enumerate(block.header):
+        fields = _stripped(fields)
+        pairs = re.findall(r"([A-Za-z][\w ()/]*?)\s*[:=]\s*([+-]?[\d.][^\s,;]*)", text)
+        if fields and len(fields) > 1:
+            pairs += [
+                (name.rstrip(": "), value)
+                for name, value in zip(fields, fields[1:], strict=False)
+                if name and (re.match(r"[+-]?[\d.]", value) or name == "Rotation Type")
+            ]
+        # A number alone under a word, as Vicon's: the rate.
+        before = block.header[k - 1][1] if k else []
+        if len(fields) == 1 and re.fullmatch(r"\d{1,5}(\.\d+)?", fields[0]) and len(_stripped(before)) == 1:
+            pairs.append(("rate", fields[0]))
+        for name, value in pairs:
+            out.setdefault(name.strip().lower(), value)
+    return out
+
+
+def _apart(
+    block: Block, names: list[str], named: bool
+) -> list[tuple[str, list[tuple[int, list[str]]]]]:
+    """Cuts rows of several sensors apart, by a column of words such as gyroscope and accelerometer
+    or of few numbers under a name such as sensor: the word and its rows."""
+    for k, name in enumerate(names):
+        words = Counter(fields[k] for _, fields in block.rows if k < len(fields))
+        if len(words) > MOST_SENSORS or not words:
+            continue
+        is_word = all(map(_text, words))
+        if not (is_word and any(map(sensor_of, words))) and not (
+            len(words) > 1
+            and named
+            and is_sensor(name)
+            and (is_word or all(word.isdecimal() for word in words))
+        ):
+            continue
+        out: dict[str, list[tuple[int, list[str]]]] = {}
+        for row in block.rows:
+            if k < len(row[1]):
+                out.setdefault(row[1][k], []).append(row)
+        return list(out.items())
+    return [("", block.rows)]
+
+
+def _text(field: str) -> bool:
+    return re.match(r"[A-Za-z_/]", field) is not None and field.lower() not in MISSING
+
+
+def tables(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Table]:
+    """Returns the tables of a text."""
+    out: list[Table] = []
+    for block in blocks(lines, dialect, notes):
+        usual = Counter(len(f) for _, f in block.rows).most_common(1)[0][0]
+        names, units, named = _header(block, usual, dialect)
+        for word, rows in _apart(block, names, named):
+            width = Counter(len(f) for _, f in rows).most_common(1)[0][0]
+            own_names, own_units, is_named = names, units, named
+            if own := _of_comment(block, word, width, dialect):
+                own_names, own_units, is_named = own, [""] * width, True
+            elif width != usual:
+                own_names, own_units, is_named = _header(block, width, dialect)
+            before = next((t for t in out if (t.name, t.names) == (word, own_names)), None)
+            if before and is_named:
+                before.restarts.append((len(before.rows), rows[0][0]))
+                before.rows += rows
+                continue
+            table = Table(word, own_names, own_units, is_named, dialect=dialect, rows=rows)
+            table.settings = settings(block)
+            out.append(table)
+    return out
+
+
+def _of_comment(block: Block, word: str, width: int, dialect: Dialect) -> list[str] | None:
+    """Returns the names of one sensor's columns in a comment that begins with its word."""
+    for _, _, text in block.header if word else []:
+        if found := re.search(rf"(?<![\w]){re.escape(word)}\b\s*{dialect.delimiter or ' '}[^'\"]*", text):
+            fields = dialect.split(found[0])
+            if len(fields) == width:
+                return fields
     return None
 
 
 def open_text(path: Path) -> IO[str]:
     """Opens a text file with arbitrary bytes."""
-    return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
-
-
-def plausible_time(times: np.ndarray) -> str:
-    """Returns the unit in which the samples are as far apart as those of a gyroscope."""
-    step = abs(float(times[-1]) - float(times[0])) / max(len(times) - 1, 1)
-    return next(
-        (unit for unit in ("s", "ms", "us") if step * TIME_UNITS[unit] <= LONGEST_STEP_S * 1e9),
-        "ns",
+    with path.open("rb") as file:
+        first = file.read(2)
+    wide = first in (b"\xff\xfe", b"\xfe\xff")
+    return path.open(
+        encoding="utf-16" if wide else "utf-8-sig", errors="surrogateescape", newline=""
     )
 
 
-def to_nanos(times: np.ndarray, unit: str) -> np.ndarray:
-    """Integer nanoseconds."""
-    scale = TIME_UNITS[unit]
-    largest = float(np.abs(times.astype(float)).max())
-    if not np.isfinite(largest) or largest * scale > 9.2e18:
-        raise Unreadable(f"times up to {largest:g} {unit} are none: give --time-unit")
-    if times.dtype.kind in "iu":
-        return times.astype(np.int64) * scale
-    # Whole units apart, so that no digits are lost.
-    whole = np.floor(times)
-    return whole.astype(np.int64) * scale + np.round((times - whole) * scale).astype(np.int64)
+def lines_of(file: IO[str]) -> Iterator[tuple[int, str]]:
+    """Yields number and text of each line."""
+    for number, line in enumerate(file, 1):
+        if len(line) > LONGEST_LINE:
+            raise Unreadable(f"line {number} without end; expected lines of text")
+        yield number, line
 
 
-def typical_rate(rates: np.ndarray) -> float:
-    """Returns a large rate of the motion that outliers do not affect: nine of ten are slower."""
-    return float(np.quantile(np.linalg.norm(rates, axis=1), 0.9))
-
-
-def plausible_rate(rates: np.ndarray) -> str:
-    typical = typical_rate(rates)
-    return next((u for u in ("rad/s", "deg/s") if typical * RATE_UNITS[u] <= FASTEST), "mdps")
-
-
-def read(
-    path: Path,
-    topic: str | None,
-    columns: list[str] | None,
-    unit: str | None,
-    time_unit: str | None,
-) -> Recording:
-    """Reads a text file; arguments that are None are found by names, else by plausibility."""
+def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
+    """Returns the form of a text file, and its tables."""
     with open_text(path) as file:
         head = file.read(HEAD)
     if not head.strip():
         raise Unreadable("it is empty")
     if "\0" in head:
         raise Unreadable("no text, and no recording that is known")
-    layout = _layout(head, columns, topic)
-    times, rates, notes = _fast(path, layout) or _slow(path, layout)
-    if not len(times):
-        raise Unreadable("no rows of samples")
-    exact = layout.is_iso or len(layout.columns) > 4
-    by = (
-        "ISO"
-        if layout.is_iso
-        else "given"
-        if time_unit
-        else "named"
-        if layout.time_unit
-        else "by their distance"
-    )
-    layout.time_unit = "ns" if exact else time_unit or layout.time_unit or plausible_time(times)
-    nanos = to_nanos(times, layout.time_unit)
-    of_rate = "given" if unit else "named" if layout.rate_unit else "by their size"
-    layout.rate_unit = unit or layout.rate_unit or plausible_rate(rates)
-    name = [layout.names[k] for k in layout.columns]
-    separator = {None: "white space", "\t": "tabs", ";": "semicolons", ",": "commas"}[
-        layout.delimiter
+    whole = head.splitlines()[:-1] if len(head) == HEAD else head.splitlines()
+    if any(len(line) > LONGEST_LINE for line in whole) or not whole:
+        raise Unreadable("a line without end; expected lines of text")
+    dialect = sniff(whole[:400])
+    found = tables(enumerate(whole, 1), dialect, more := [])
+    if len(found) == 1 and not more and not found[0].restarts and _plain(path, found[0]):
+        return dialect.name, found
+    with open_text(path) as file:
+        return dialect.name, tables(lines_of(file), dialect, notes)
+
+
+def _plain(path: Path, table: Table) -> bool:
+    """Reads a regular file at once: the columns of numbers of its one table. Returns False for
+    others, which are read line by line."""
+    dialect: Dialect = table.dialect
+    width = len(table.names)
+    first = table.rows[0]
+    used = [k for k in range(width) if all(k < len(f) and _is_number(dialect, f[k]) for _, f in table.rows[:99])]
+    if any(len(fields) != width for _, fields in table.rows):
+        return False
+    others = [k for k in range(width) if k not in used]
+    # Times of day, thousands, cells that are empty at first.
+    if table.name or any(dialect.is_value(f[k]) for k in others for _, f in table.rows):
+        return False
+    form = [
+        (f"c{k}", np.int64 if all(f[k].lstrip("+-").isdecimal() for _, f in table.rows) else np.float64)
+        for k in used
     ]
-    form = (
-        f"text with {separator}: times of {name[0]!r} in {layout.time_unit} ({by}), rates of "
-        f"{', '.join(map(repr, name[1:4]))} in {layout.rate_unit} ({of_rate})"
-    )
-    return Recording(
-        path,
-        form,
-        nanos,
-        rates * RATE_UNITS[layout.rate_unit],
-        notes=notes,
-        unit_is_guess=of_rate == "by their size",
-        layout=layout,
-    )
+    with open_text(path) as file, warnings.catch_warnings():
+        # NumPy 1.24 cuts the fraction off where later ones refuse, and warns.
+        warnings.simplefilter("error", DeprecationWarning)
+        for _ in range(first[0] - 1):
+            file.readline()
+        lines = (_checked(line, width, dialect) for line in file)
+        try:
+            data = np.loadtxt(
+                lines, np.dtype(form), delimiter=dialect.delimiter, usecols=used, quotechar='"', comments=None, ndmin=1
+            )
+        except (ValueError, OverflowError, DeprecationWarning, IndexError):
+            return False
+    if any(not np.isfinite(data[name]).all() for name, _ in form):
+        return False
+    table.data = {k: data[f"c{k}"] for k in used}
+    table.lines_from = first[0]
+    table.rows = []
+    return True
+
+
+def _checked(line: str, width: int, dialect: Dialect) -> str:
+    """Returns a line as numpy reads it."""
+    if "−" in line:
+        line = line.replace("−", "-")
+    if dialect.decimal == ",":
+        if "." in line:
+            raise ValueError("a point among commas")
+        line = line.replace(",", ".")
+    if dialect.delimiter and line.count(dialect.delimiter) != width - 1 and '"' not in line and line.strip():
+        raise ValueError("of another width")
+    return line
+
+
+def _is_number(dialect: Dialect, field: str) -> bool:
+    try:
+        return float(dialect.plain(field)) == float(field.replace(",", ".") if dialect.decimal == "," else field)
+    except ValueError:
+        return False

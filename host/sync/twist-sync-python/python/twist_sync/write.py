@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import re
-import struct
+import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
+from decimal import Decimal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ import numpy as np
 from . import bags, files, text
 from ._recording import Recording, Unreadable
 from .network import DeviceClock, Synchronized
+from .tables import exact, moment, scale_of
 
 #: Distance from the stamps beyond which a log's times are of another clock, ns.
 _ANOTHER_CLOCK = 60 * 10**9
@@ -54,19 +58,19 @@ def write(folder: Path, solved: Synchronized) -> list[str]:
 def _again(recording: Recording, clock: DeviceClock, out: Path) -> str:
     if recording.layout is not None:
         with out.open("x", encoding="utf-8", errors="surrogateescape", newline="") as file:
-            return f"{out}: {_text(recording, clock, file)} rows"
+            return f"{out}: {_text(recording, clock, file)}"
     how = files.kind(recording.path)
-    if how in ("bag", "mcap"):
+    if how == "bag" or (how == "mcap" and recording.topic):
         return f"{out}: {_bag(recording, clock, out, how)}"
     if how == "npz":
         with np.load(recording.path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        unit = text.TIME_UNITS["ns"] if arrays[recording.topic].dtype.kind == "M" else 1
-        arrays[recording.topic] = clock.b_to_a(recording.t).astype(
-            "M8[ns]" if unit != 1 else np.int64
-        )
-        np.savez(out, **arrays)
-        return f"{out}: times of {recording.topic!r} in ns"
+        times = arrays[recording.topic]
+        if len(times) == len(recording.t):
+            kind = "M8[ns]" if times.dtype.kind == "M" else np.int64
+            arrays[recording.topic] = clock.b_to_a(recording.t).astype(kind)
+            np.savez(out, **arrays)
+            return f"{out}: times of {recording.topic!r} in ns"
     table = out.with_name(f"{out.name}_gyro.csv")
     _list(table, clock, recording.t, recording.w)
     return f"{table}: {len(recording.t)} samples"
@@ -87,65 +91,74 @@ def _list(
 
 
 def _decimal(nanos: int, unit: str) -> str:
-    """Nanoseconds as a decimal number of a unit, exactly."""
-    digits = len(str(text.TIME_UNITS[unit])) - 1
-    whole, part = divmod(abs(nanos), text.TIME_UNITS[unit])
-    return f"{'-' if nanos < 0 else ''}{whole}" + (f".{part:0{digits}}" if digits else "")
+    """Returns nanoseconds as a decimal number of a unit, exactly where it is a power of ten."""
+    value = f"{Decimal(nanos) / scale_of(unit):f}"
+    return value.rstrip("0").rstrip(".") if "." in value else value
 
 
-def _text(recording: Recording, clock: DeviceClock, out: Any) -> int:
-    layout: text.Layout = recording.layout
-    times = []
+def _text(recording: Recording, clock: DeviceClock, out: Any) -> str:
+    """Writes each line with its time exchanged; those of other clocks as they are."""
+    layout = recording.layout
+    columns, unit, dialect = layout["columns"], layout["unit"], text.Dialect(*layout["dialect"])
+    numbers, times = [], []
     with text.open_text(recording.path) as file:
-        for _, _, fields in text.rows(file, layout):
-            if fields:
-                try:
-                    times.append(text.row_time(fields, layout))
-                except ValueError:
-                    times.append(0)
-    kind = np.int64 if all(isinstance(t, int) for t in times) else np.float64
-    moved = iter(
-        clock.b_to_a(text.to_nanos(np.array(times, dtype=kind), layout.time_unit or "ns")).tolist()
-    )
-    table = csv.writer(out, delimiter=layout.delimiter or " ", lineterminator="")
-    with text.open_text(recording.path) as file:
-        for _, line, fields in text.rows(file, layout):
-            if not fields:
-                # A cut line has no time.
-                out.write(line if fields is None else "")
+        for number, line in enumerate(file, 1):
+            fields = dialect.split(line.strip("\r\n"))
+            if number < layout["first"] or len(fields) <= max(columns) or not dialect.is_row(fields):
                 continue
-            nanos = next(moved)
-            column = layout.columns[0]
-            if fields[column] and layout.is_iso:
-                fields[column] = f"{np.datetime64(nanos, 'ns')}Z"
-            elif fields[column] and len(layout.columns) > 4:
-                fields[column], fields[layout.columns[4]] = map(str, divmod(nanos, 10**9))
-            elif fields[column]:
-                time = _decimal(nanos, layout.time_unit or "ns")
-                fields[column] = time.replace(".", ",") if layout.decimal_comma else time
+            try:
+                time = sum(
+                    moment(fields[k]) if layout["moment"] else exact(fields[k], dialect, scale_of(u))
+                    for k, u in zip(columns, [unit] if len(columns) < 2 else ["s", unit], strict=True)
+                )
+            except ValueError:
+                continue
+            time += sum(more for line_number, more in layout["added"] if number >= line_number)
+            if recording.t[0] - _NEAR < time < recording.t[-1] + _NEAR:
+                numbers.append(number)
+                times.append(time)
+    moved = dict(zip(numbers, clock.b_to_a(np.array(times, dtype=np.int64)).tolist(), strict=True))
+    table = csv.writer(out, delimiter=dialect.delimiter or " ", lineterminator="")
+    with text.open_text(recording.path) as file:
+        for number, line in enumerate(file, 1):
+            nanos = moved.get(number)
+            if nanos is None:
+                out.write(line)
+                continue
+            fields = dialect.split(line.strip("\r\n"))
+            if layout["moment"]:
+                fields[columns[0]] = f"{np.datetime64(nanos, 'ns')}Z"
+            elif len(columns) > 1:
+                whole, part = divmod(nanos, 10**9)
+                fields[columns[0]], fields[columns[1]] = str(whole), _decimal(part, unit)
+            else:
+                time = _decimal(nanos, unit)
+                fields[columns[0]] = time.replace(".", dialect.decimal)
             table.writerow(fields)
             out.write("\r\n" if line.endswith("\r\n") else "\n")
-    return len(times)
+    return f"{len(moved)} rows"
 
 
-Each = Callable[[], Iterator[tuple[Any, int, bytes, bool, bool]]]
+Each = Callable[[], Iterator[tuple[Any, int, bytes, str]]]
 
 
 def _bag(recording: Recording, clock: DeviceClock, out: Path, how: str) -> str:
-    return _mcap(recording, clock, out) if how == "mcap" else _rosbag(recording, clock, out)
+    if how == "mcap":
+        return _mcap(recording, clock, out)
+    return (_bare if bags.is_bare(recording.path) else _rosbag)(recording, clock, out)
 
 
 def _moved(
     recording: Recording, clock: DeviceClock, each: Each, put: Callable[[Any, int, bytes], None]
 ) -> str:
-    """Each message (its channel, log time, bytes, whether of ROS 1, whether a header leads) with
-    log time and header's stamp on the first clock."""
+    """Puts each message (its channel, log time, bytes, encoding if a header leads) with log time
+    and header's stamp on the first clock."""
     no = np.iinfo(np.int64).min
     logs, stamps, own = [], [], []
-    for channel, log, raw, ros1, has_header in each():
-        found = bags.stamp(raw, ros1) if has_header else None
+    for channel, log, raw, how in each():
+        found = bags.stamp_ns(raw, how)
         logs.append(log)
-        stamps.append(found[1] * 10**9 + found[2] if found else no)
+        stamps.append(no if found is None else found)
         own.append(channel.topic == recording.topic)
     log, stamp, of_gyro = np.array(logs), np.array(stamps), np.array(own)
     apart = int(np.median((log - stamp)[of_gyro & (stamp != no)]))
@@ -157,12 +170,9 @@ def _moved(
         raise Unreadable(
             f"{recording.path}: times before the first clock's zero cannot be in a bag; put it first"
         )
-    for number, (channel, _, raw, ros1, _) in enumerate(each()):
+    for number, (channel, _, raw, how) in enumerate(each()):
         if near[number]:
-            order = (bags.stamp(raw, ros1) or "<")[0]
-            buffer = bytearray(raw)
-            struct.pack_into(f"{order}iI", buffer, 4, *divmod(int(stamp[number]), 10**9))
-            raw = bytes(buffer)
+            raw = bags.stamped(raw, how, int(stamp[number]))
         put(channel, int(log[number]), raw)
     kept = int(((np.array(stamps) != no) & ~near).sum())
     return (
@@ -186,19 +196,15 @@ def _mcap(recording: Recording, clock: DeviceClock, out: Path) -> str:
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
-    def each() -> Iterator[tuple[Any, int, bytes, bool, bool]]:
+    def each() -> Iterator[tuple[Any, int, bytes, str]]:
         for schema, channel, message in bags.mcap_messages(recording.path, []):
-            has_header = schema is not None and _leads_with_header(
-                schema.data.decode(errors="replace")
-            )
+            how = channel.message_encoding
+            if how in ("cdr", "ros1") and not (
+                schema is not None and _leads_with_header(schema.data.decode(errors="replace"))
+            ):
+                how = ""
             channel.of_message = (schema, message)
-            yield (
-                channel,
-                message.log_time,
-                message.data,
-                channel.message_encoding == "ros1",
-                has_header,
-            )
+            yield channel, message.log_time, message.data, how
 
     with out.open("xb") as file, recording.path.open("rb") as source:
         writer = Writer(file)
@@ -236,17 +242,39 @@ def _mcap(recording: Recording, clock: DeviceClock, out: Path) -> str:
     return said
 
 
+def _has_header(definitions: Any, kind: str) -> bool:
+    parts = definitions.get(kind, ([], []))[1]
+    return bool(parts) and parts[0][1][1] == "std_msgs/msg/Header"
+
+
+def _bare(recording: Recording, clock: DeviceClock, out: Path) -> str:
+    """Copies the storage of a ROS 2 bag and changes its messages."""
+    from rosbags.typesys import Stores, get_typestore
+
+    definitions = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    query = "SELECT t.name, t.type, m.timestamp, m.data, m.id FROM messages m JOIN topics t ON m.topic_id = t.id"
+
+    def each() -> Iterator[tuple[Any, int, bytes, str]]:
+        for name, kind, log, raw, number in bags.db3(recording.path).execute(query):
+            channel = SimpleNamespace(topic=name, number=number)
+            yield channel, log, raw, "cdr" if _has_header(definitions, kind) else ""
+
+    shutil.copyfile(recording.path, out)
+    with sqlite3.connect(out) as copy:
+        change = "UPDATE messages SET timestamp = ?, data = ? WHERE id = ?"
+        return _moved(recording, clock, each, lambda c, log, raw: copy.execute(change, (log, raw, c.number)))
+
+
 def _rosbag(recording: Recording, clock: DeviceClock, out: Path) -> str:
     from rosbags import rosbag1, rosbag2
 
     with bags.reader(recording.path) as bag:
         definitions = bag.typestore.fielddefs
 
-        def each() -> Iterator[tuple[Any, int, bytes, bool, bool]]:
+        def each() -> Iterator[tuple[Any, int, bytes, str]]:
             for connection, log, raw in bag.messages():
-                parts = definitions.get(connection.msgtype, ([], []))[1]
-                has_header = bool(parts) and parts[0][1][1] == "std_msgs/msg/Header"
-                yield connection, log, raw, not bag.is2, has_header
+                leads = _has_header(definitions, connection.msgtype)
+                yield connection, log, raw, ("cdr" if bag.is2 else "ros1") if leads else ""
 
         if bag.is2:
             is_mcap = any(recording.path.glob("*.mcap"))
