@@ -82,6 +82,7 @@ pub(crate) fn build_and_test() -> Result<()> {
     process::run(
         process::command(&python)
             .args("-m unittest discover -s host/sync/twist-sync-python/tests".split(' '))
-            .env("SYNC_BENCH", &twists),
+            .env("SYNC_BENCH", &twists)
+            .env("WHEELS", process::target_dir().join("wheels")),
     )
 }

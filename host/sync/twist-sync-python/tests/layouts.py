@@ -48,7 +48,7 @@ class Motion:
 
 @dataclass
 class Made:
-    """What a file is made of: `rate` samples a second of a motion, read on a clock that shows
+    """Content of a file: `rate` samples a second of a motion, read on a clock that shows
     `start` ns when the motion is at 0 and is fast by `skew`."""
 
     motion: Motion

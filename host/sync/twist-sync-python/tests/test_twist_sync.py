@@ -1,12 +1,20 @@
 """Tests of the estimates, as `cargo xtask wheel` runs them.
 
-SYNC_BENCH names a folder of twists with the crate's results (`sync_bench --export`).
+SYNC_BENCH names a folder of twists with the crate's results (`sync_bench --export`), WHEELS that of
+the package's wheel.
 """
 
 import csv
+import email
+import functools
+import http.server
 import json
 import os
 import pathlib
+import subprocess
+import sys
+import tempfile
+import threading
 import time
 import unittest
 
@@ -285,6 +293,52 @@ class Networks(unittest.TestCase):
         print(
             f"{LOOPS} loops close to {rms[0]:.3f} µs rms, stated {rms[1]:.2f}; clocks: error over sigma {ratio:.2f} rms"
         )
+
+
+class Package(unittest.TestCase):
+    def test_pip_installs_the_wheel_from_an_index_and_its_command_runs(self):
+        """WHEELS names the folder of the wheel."""
+        (wheel,) = pathlib.Path(os.environ["WHEELS"]).glob("twist_sync-*.whl")
+        # One wheel for every Python from 3.10 on.
+        self.assertIn("-cp310-abi3-", wheel.name)
+        with tempfile.TemporaryDirectory() as name:
+            folder = pathlib.Path(name)
+            (folder / "simple/twist-sync").mkdir(parents=True)
+            (folder / "simple/twist-sync" / wheel.name).write_bytes(wheel.read_bytes())
+            server = http.server.ThreadingHTTPServer(
+                ("127.0.0.1", 0),
+                functools.partial(Quiet, directory=name),
+            )
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            try:
+                index = f"http://127.0.0.1:{server.server_port}/simple"
+                pip = "-m pip install --quiet --no-deps --disable-pip-version-check twist-sync"
+                target = folder / "site"
+                run = [sys.executable, *pip.split(), "--index-url", index, "--target", target]
+                subprocess.run(run, check=True, capture_output=True)
+            finally:
+                server.shutdown()
+                server.server_close()
+            env = {**os.environ, "PYTHONPATH": str(target)}
+            done = subprocess.run(
+                [target / "bin/twist-sync", "--example"], env=env, capture_output=True, text=True
+            )
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("smartphone_gyro_data.csv - mcu_gyro_data.csv", done.stdout)
+            (metadata,) = target.glob("twist_sync-*.dist-info/METADATA")
+            about = email.message_from_string(metadata.read_text())
+            self.assertEqual(about["Description-Content-Type"].split(";")[0], "text/markdown")
+            # Links of the page would lead nowhere.
+            self.assertNotRegex(about.get_payload(), r"\]\((?!https://)")
+            extras = set(about.get_all("Provides-Extra"))
+            self.assertEqual(
+                extras, {"ardupilot", "bags", "mat", "plot", "protobuf", "ulg", "video", "xlsx"}
+            )
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
 
 
 class Documents(unittest.TestCase):

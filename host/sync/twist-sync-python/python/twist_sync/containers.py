@@ -85,7 +85,9 @@ def npz(path: Path) -> Read:
 
 def mat(path: Path) -> Read:
     """Reads variables of MATLAB up to version 7, also those within structures."""
-    if path.open("rb").read(128)[124:126] in (b"\0\2", b"\2\0"):
+    with path.open("rb") as file:
+        version = file.read(128)[124:126]
+    if version in (b"\0\2", b"\2\0"):
         raise Unreadable("a MAT-file of version 7.3, which is HDF5: save it with -v7")
     try:
         from scipy.io import loadmat
@@ -161,7 +163,8 @@ def ardupilot(path: Path) -> Read:
         from pymavlink.DFReader import DFReader_binary, DFReader_text
     except ImportError:
         raise missing("ardupilot", "pymavlink", "a log of ArduPilot") from None
-    is_binary = path.open("rb").read(2) == b"\xa3\x95"
+    with path.open("rb") as file:
+        is_binary = file.read(2) == b"\xa3\x95"
     log = (DFReader_binary if is_binary else DFReader_text)(str(path))
     rows: dict[str, list[dict[str, Any]]] = {}
     while (message := log.recv_match(type=["IMU", "IMU2", "IMU3", "GYR"])) is not None:

@@ -40,7 +40,7 @@ TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 #: The same of units that files name and no option does.
 _MORE_TIME = {**TIME_UNITS, "0.1 ms": 10**5, "min": 60 * 10**9, "h": 3600 * 10**9, "days": 86400 * 10**9}
 
-#: What a unit measures, the unit, and how it is written without spaces, signs of powers and
+#: Quantity and name of a unit, and its spelling without spaces, signs of powers and
 #: products.
 UNITS = (
     ("rate", "rad/s", r"rad(ian)?s?(/s|s-1|ps|persec)(ec|econds?)?"),
@@ -61,7 +61,7 @@ UNITS = (
     ("other", "", r"[umn]?t(esla)?|m?gauss|ga|m|mm|cm|met(er|re)s?|°?c|degc|h?pa|k|v|m?v|hz|m/s|a\.?u\.?|lx|%"),
 )  # fmt: skip
 
-#: What a group of columns measures, by words of its name and of its table's; the first wins.
+#: Quantity of a group of columns, by words of its name and of its table's; the first wins.
 KINDS = (
     (
         "other",
@@ -90,7 +90,7 @@ TIMES = (
     (3, r"secs?|seconds?|s|since"),
 )  # fmt: skip
 _TIMES = [(rank, re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])")) for rank, words in TIMES]
-#: What is a time, but of no clock.
+#: Durations, which are times of no clock.
 _DURATION = re.compile(r"\b(dt|duration|exposure|latency|interval|period|offset|delay|gps accuracy)\b")
 _COUNTER = re.compile(r"\b(packet ?counter|counter|count|sample ?(no|number|count\w*)?|index|frame|seq|f|row|n)\b")
 #: A column that tells sensors or bodies apart.
@@ -882,7 +882,7 @@ def _by_gravity(t: np.ndarray, w: np.ndarray, acc: np.ndarray) -> str | None:
 
 @dataclass
 class Asked:
-    """What was said about a file: names or numbers of columns, units, rate in Hz, sensor."""
+    """Settings for a file: names or numbers of columns, units, rate in Hz, sensor."""
 
     topic: str | None = None
     columns: list[str] | None = None

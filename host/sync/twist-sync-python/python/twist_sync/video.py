@@ -7,13 +7,13 @@ the first frame, as far as the package knows.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from . import orientation
 from ._recording import Recording, Unreadable
 
 HINT = (
@@ -29,25 +29,6 @@ def _orientations(parser: Any) -> Iterator[tuple[float, dict[str, float]]]:
             yield data["t"], data["v"]
 
 
-def turning(samples: Iterable[tuple[float, dict[str, float]]]) -> Iterator[tuple[float, ...]]:
-    """Returns the rates that turn each orientation into the next, midway between them: videos of
-    DJI have no gyroscope, <https://github.com/gyroflow/gyroflow/issues/1139>."""
-    last = None
-    for t, q in samples:
-        if last and t > last[0]:
-            t0, p = last
-            w = p["w"] * q["w"] + p["x"] * q["x"] + p["y"] * q["y"] + p["z"] * q["z"]
-            x = p["w"] * q["x"] - p["x"] * q["w"] - p["y"] * q["z"] + p["z"] * q["y"]
-            y = p["w"] * q["y"] + p["x"] * q["z"] - p["y"] * q["w"] - p["z"] * q["x"]
-            z = p["w"] * q["z"] - p["x"] * q["y"] + p["y"] * q["x"] - p["z"] * q["w"]
-            sine = math.sqrt(x * x + y * y + z * z)
-            # An orientation and its negative are the same.
-            angle = 2 * math.degrees(math.atan2(math.copysign(sine, w), abs(w)))
-            rate = angle / (t - t0) * 1e3 / sine if sine else 0
-            yield (t0 + t) / 2, x * rate, y * rate, z * rate
-        last = t, q
-
-
 def read(path: Path) -> Recording:
     """Reads the gyroscope, or the orientation, and the times of the frames."""
     try:
@@ -57,20 +38,26 @@ def read(path: Path) -> Recording:
     parser = Parser(str(path))
     form = f"{parser.camera} ({parser.model or 'no model'}) by telemetry-parser"
     rows = [(s["timestamp_ms"], *s["gyro"]) for s in parser.normalized_imu() if s["gyro"]]
-    if not rows:
+    is_oriented = not rows
+    if is_oriented:
+        # Videos of DJI have no gyroscope, <https://github.com/gyroflow/gyroflow/issues/1139>.
         form += ", rates of its orientation"
-        rows = list(turning(_orientations(parser)))
+        rows = [(t, *(q[k] for k in "wxyz")) for t, q in _orientations(parser)]
     if not rows:
         raise Unreadable(f"{form}: neither a gyroscope nor an orientation in it")
     table = np.array(rows, dtype=float)
+    times, rates, notes = np.round(table[:, 0] * 1e6).astype(np.int64), table[:, 1:], []
+    if is_oriented:
+        times, rates, notes = orientation.rates(times, rates)
     with path.open("rb") as file:
         frames = mp4_frames(file)
     return Recording(
         path,
-        f"{form}, times from the first frame in ms, rates in deg/s",
-        np.round(table[:, 0] * 1e6).astype(np.int64),
-        np.radians(table[:, 1:4]),
+        f"{form}, times from the first frame in ms, rates in {'rad/s' if is_oriented else 'deg/s'}",
+        times,
+        rates if is_oriented else np.radians(rates),
         {"frames": frames} if len(frames) else {},
+        notes,
     )
 
 
