@@ -55,7 +55,10 @@ fn newest(folder: &Path) -> SystemTime {
     let mut newest = SystemTime::UNIX_EPOCH;
     for entry in std::fs::read_dir(folder).unwrap() {
         let entry = entry.unwrap();
-        if entry.file_name() == "tests" || entry.file_name() == "fuzz" {
+        if ["tests", "dev"]
+            .iter()
+            .any(|other| entry.file_name() == *other)
+        {
             continue;
         }
         let metadata = entry.metadata().unwrap();
