@@ -29,6 +29,10 @@ pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 /// keeps ([`protocol::BoardSettings`]).
 pub const OUTPUT_START_DELAY: u8 = 2;
 
+/// Lowest supply at which the flash is written, in mV: the 2.7 V that 32 bits at once need (RM0090
+/// 3.6.2), and 1.5 % for the reference that it is measured by.
+pub const FLASH_SUPPLY_MV: u16 = 2_740;
+
 /// Most panics that are kept in flash, of the 910 entries that it takes: a board that panics
 /// at each start leaves room for settings.
 pub const MOST_PANICS: u32 = 800;
@@ -173,6 +177,10 @@ pub const WATCHDOG_US: u32 = 4_000_000;
 /// Seconds in which the host sends and the board's core sends nothing, until the board leaves the
 /// bus and comes back. Status alone goes out every second.
 pub const TRANSMIT_SILENT_S: u32 = 5;
+
+/// Seconds from a bus reset without a configuration by the host, until the board leaves the bus
+/// and comes back: several times the 5 s that a host waits for one control transfer.
+pub const UNCONFIGURED_S: u32 = 30;
 
 /// From the answer to a self test to the failure, in ms: the answer has left.
 pub const SELF_TEST_DELAY_MS: u64 = 50;

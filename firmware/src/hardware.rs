@@ -32,6 +32,7 @@ pub(crate) mod imu_bus;
 pub(crate) mod imu_clock;
 pub(crate) mod irq_priority;
 pub(crate) mod leds;
+pub(crate) mod leftovers;
 pub(crate) mod masked;
 #[cfg(not(feature = "discovery"))]
 mod missing_outputs;
@@ -43,7 +44,7 @@ pub(crate) mod outputs;
 pub(crate) mod rng;
 pub(crate) mod stack;
 pub(crate) mod thermometer;
-mod tim1;
+pub(crate) mod tim1;
 pub(crate) mod tim2;
 pub(crate) mod triggers;
 

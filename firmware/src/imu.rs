@@ -260,8 +260,10 @@ impl<B: I2c> Registers<B> {
         self.set(register, (before & !mask) | value).await
     }
 
+    /// Reads a register, and the next: of a single byte the STOP must be asked for while that is
+    /// on the wire (AN2824), and this driver can be interrupted.
     async fn read(&mut self, register: u8) -> Result<u8, ImuFault> {
-        let [value] = self.read_all(register).await?;
+        let [value, _] = self.read_all(register).await?;
         Ok(value)
     }
 

@@ -5,7 +5,6 @@ use embassy_executor::{SpawnError, SpawnToken, Spawner};
 #[cfg(feature = "developer")]
 use embassy_stm32::pac;
 use embassy_stm32::peripherals::IWDG;
-use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::uid;
 use embassy_stm32::wdg::IndependentWatchdog;
 use firmware::boards::BOARD;
@@ -15,7 +14,10 @@ use protocol::{Hello, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
 
 use crate::hardware::imu_bus::ImuBus;
 use crate::hardware::imu_clock::ImuClockOutput;
-use crate::hardware::{clocks, cycles, faults, flash, handover, idle, leds, outputs, stack, tim2};
+use crate::hardware::thermometer::Thermometer;
+use crate::hardware::{
+    clocks, cycles, faults, flash, handover, idle, leds, leftovers, outputs, stack, tim1, tim2,
+};
 #[cfg(feature = "discovery")]
 use crate::hardware::{nmea_port, rng};
 use crate::state;
@@ -36,16 +38,19 @@ const IMAGE: &str = concat!(
 #[cortex_m_rt::entry]
 fn main() -> ! {
     faults::start_rom_if_asked();
+    leftovers::clear();
     clocks::set_priorities();
     faults::init();
     cycles::keep_running();
     let reset_cause = clocks::take_reset_cause();
-    let run = faults::begin_run(reset_cause);
     let watchdog = start_watchdog();
     clocks::start_crystal();
+    // Only now: a run without a crystal is over before it could report what ended the last one.
+    let run = faults::begin_run(reset_cause);
 
     let p = embassy_stm32::init(clocks::config());
     clocks::set_priorities();
+    clocks::watch_crystal();
     clocks::enable_flash_accelerator();
     clocks::enable_peripherals();
     #[cfg(feature = "discovery")]
@@ -63,25 +68,36 @@ fn main() -> ! {
     // starts again.
     #[cfg(feature = "developer")]
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
+    let thermometer = Thermometer::new(p.ADC1);
     let (panics, kept_panic) = flash::init(p.FLASH, last_panic.as_deref());
     let (trigger_events, output_events) = handover::init(p.SPI3);
     #[cfg(feature = "discovery")]
-    let lines = (p.TIM1, p.TIM5, p.PE9, p.PE11, p.PE13, p.PE14);
-    #[cfg(feature = "discovery")]
     let led_pins = (p.PD12, p.PD13, p.PD14, p.PD15);
     #[cfg(not(feature = "discovery"))]
-    let lines = (p.TIM1, p.TIM5);
-    #[cfg(not(feature = "discovery"))]
     let led_pins = (p.PB12, p.PB13, p.PC13, p.PB15);
+    let lines = tim1::Owned {
+        edges: p.TIM1,
+        wakes: p.TIM5,
+        #[cfg(feature = "discovery")]
+        pps: p.PE9,
+        #[cfg(feature = "discovery")]
+        second: p.PE11,
+        #[cfg(feature = "discovery")]
+        third: p.PE13,
+        #[cfg(feature = "discovery")]
+        fourth: p.PE14,
+    };
     outputs::init(lines, output_events);
-    let trigger = (p.TIM2, p.PA5, p.PA1, p.PA2, p.PA3, p.DMA1_CH5);
+    let trigger = tim2::Owned {
+        timer: p.TIM2,
+        trigger: p.PA5,
+        data_ready: p.PA1,
+        strobe: p.PA2,
+        readback: p.PA3,
+        _falling_edges: p.DMA1_CH5,
+    };
     tim2::init(trigger, trigger_events);
     leds::init(led_pins);
-
-    // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
-    let mut clock_out = McoConfig::default();
-    clock_out.prescaler = McoPrescaler::DIV5;
-    let _imu_clock = Mco::new(p.MCO1, p.PA8, Mco1Source::PLL, clock_out);
 
     let failed = last_panic.is_some() || reset_cause == ResetCause::Watchdog;
     leds::show_failed_run(failed);
@@ -128,7 +144,7 @@ fn main() -> ! {
         rx: p.DMA1_CH0,
     };
 
-    let imu_clock = ImuClockOutput::new(p.TIM3, p.PB0);
+    let imu_clock = ImuClockOutput::new((p.TIM3, p.PB0), (p.MCO1, p.PA8));
     clocks::check_priorities();
     // Taken before the HAL gave it.
     let _taken = p.IWDG;
@@ -136,14 +152,14 @@ fn main() -> ! {
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
         spawn(spawner, tasks::usb::watch_terminal(usb.control));
-        spawn(spawner, tasks::usb::watch_transmit());
+        spawn(spawner, tasks::usb::watch_core());
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
         spawn(spawner, tasks::imu::run(imu_bus, imu_clock));
         spawn(spawner, tasks::gnss::run());
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());
-        spawn(spawner, tasks::status::run(watchdog, p.ADC1));
+        spawn(spawner, tasks::status::run(watchdog, thermometer));
     })
 }
 

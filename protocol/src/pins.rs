@@ -3,7 +3,8 @@
 //! on that board.
 
 /// The table of `pins.md`, a line a pin. A number of a header is a place on P1 or P2 of an STM32F4DISCOVERY
-/// (UM1472, table of the extension connectors).
+/// (UM1472, table of the extension connectors). VDD is the board's supply; what is pulled in the
+/// chip takes no more than 0.3 V above it (DS8626 table 14, note 6).
 pub const PINS: &str = include_str!("pins.md");
 
 /// The pins, and for each its header and its signal.

@@ -52,6 +52,8 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         args: Vec<String>,
     },
+    /// Boot a Linux kernel in QEMU with the simulated board at its USB, and work with it there.
+    LinuxUsb,
     /// Check formatting, lints, dependencies, the rules of the source tree and the book.
     Check {
         /// Check the book's links without building the book: building mdBook
@@ -92,6 +94,7 @@ fn run(command: Command) -> Result<()> {
         Command::HilSim { args } => hil_sim(&args),
         Command::Check { no_book } => check(no_book),
         Command::Readers => readers(),
+        Command::LinuxUsb => linux_usb(),
         Command::Bench { part, size } => bench(&part, size),
         Command::Release => release::make(),
         Command::Wheel => wheel::build_and_test(),
@@ -152,6 +155,22 @@ fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() ->
 fn readers() -> Result<()> {
     tools::ensure_readers()?;
     let args = "-p hil-sim --test it -- --ignored --nocapture readers::";
+    test(&args.split(' ').map(str::to_owned).collect::<Vec<_>>())
+}
+
+/// Runs the simulated board at the USB of a real kernel.
+fn linux_usb() -> Result<()> {
+    tools::ensure_program("qemu-system-x86_64", "qemu-system-x86")?;
+    tools::ensure_program("cpio", "cpio")?;
+    process::cargo("build --release --workspace --bin smartdepthsync".split(' '))?;
+    let target = process::target_dir();
+    process::run(
+        process::command("bash")
+            .arg("xtask/linux_usb.sh")
+            .arg(target.join("tmp/linux-usb"))
+            .arg(target.join("release/smartdepthsync")),
+    )?;
+    let args = "-p smartdepthsync-rig --test it -- --ignored --nocapture linux_kernel";
     test(&args.split(' ').map(str::to_owned).collect::<Vec<_>>())
 }
 

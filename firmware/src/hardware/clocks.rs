@@ -45,7 +45,7 @@ pub(crate) fn config() -> Config {
     config.rcc.apb1_pre = APBPrescaler::DIV4;
     config.rcc.apb2_pre = APBPrescaler::DIV2;
     config.dma_interrupt_priority = Priority::P8;
-    // ES0182 2.1.3: see `idle`.
+    // Followed later by `follow_debugger`.
     config.enable_debug_during_sleep = DCB::is_debugger_attached();
     config
 }
@@ -67,6 +67,20 @@ pub(crate) fn start_crystal() {
     }
 }
 
+/// Has a crystal that stops end the run: a timebase from anything else would go on unnoticed. The
+/// chip's clock security raises the NMI (RM0090 7.2.7). To be called once the HAL runs on it.
+pub(crate) fn watch_crystal() {
+    pac::RCC.cr().modify(|w| w.set_csson(true));
+}
+
+/// Lets the core be debugged in sleep while a debugger is there. Without one it costs power, and a
+/// condition of ES0182 2.1.3: see `idle`.
+pub(crate) fn follow_debugger() {
+    pac::DBGMCU
+        .cr()
+        .modify(|w| w.set_dbg_sleep(DCB::is_debugger_attached()));
+}
+
 /// Gives the peripherals of the board's own drivers their clocks. The read behind each
 /// register's write lasts until they have arrived: an access that comes earlier is lost
 /// (ES0182, "delay after an RCC peripheral clock enabling").
@@ -79,17 +93,10 @@ pub(crate) fn enable_peripherals() {
         w.set_usb_otg_fsen(true);
     });
     let _ = pac::RCC.ahb2enr().read();
-    pac::RCC.apb1enr().modify(|w| {
-        w.set_tim2en(true);
-        w.set_tim5en(true);
-        #[cfg(feature = "discovery")]
-        w.set_uart5en(true);
-    });
+    #[cfg(feature = "discovery")]
+    pac::RCC.apb1enr().modify(|w| w.set_uart5en(true));
     let _ = pac::RCC.apb1enr().read();
-    pac::RCC.apb2enr().modify(|w| {
-        w.set_tim1en(true);
-        w.set_adc1en(true);
-    });
+    pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
     let _ = pac::RCC.apb2enr().read();
 }
 

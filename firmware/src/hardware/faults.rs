@@ -103,8 +103,14 @@ pub(crate) fn restart_into_rom() -> ! {
 /// the ROM expects it: as it comes from a reset.
 pub(crate) fn start_rom_if_asked() {
     let to_rom = (&raw mut TO_ROM).cast::<[u32; 2]>();
-    // SAFETY: every bit pattern is a value, and nobody else runs yet.
-    if unsafe { to_rom.replace([0; 2]) } != GO_TO_ROM {
+    // SAFETY: every bit pattern is a value, and nobody else runs yet. Volatile: the compiler knows
+    // of nobody that has written it.
+    let asked = unsafe {
+        let asked = to_rom.read_volatile();
+        to_rom.write_volatile([0; 2]);
+        asked
+    };
+    if asked != GO_TO_ROM {
         return;
     }
     pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
@@ -174,6 +180,11 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
         cfsr,
         hfsr
     ))
+}
+
+#[exception]
+unsafe fn NonMaskableInt() -> ! {
+    fail(format_args!("the crystal has stopped"))
 }
 
 #[exception]

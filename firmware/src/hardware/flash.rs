@@ -1,6 +1,7 @@
 //! The end of the flash, where [`firmware::storage`] is. The core runs from the same flash and
 //! pauses while a word is written, some 16 µs (DS8626 table 40): to be written only while no
-//! output runs.
+//! output runs, and only with the supply that the HAL's width of 32 bits needs, which a reset by a
+//! dip may lack.
 
 #![allow(unsafe_code, reason = "memory that the linker script names")]
 
@@ -11,12 +12,14 @@ use embassy_stm32::Peri;
 use embassy_stm32::flash::{Blocking, FLASH_BASE, Flash};
 use embassy_stm32::peripherals::FLASH;
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
-use firmware::config::{INPUT_FILTER, MOST_PANICS, OUTPUT_START_DELAY};
+use firmware::config::{FLASH_SUPPLY_MV, INPUT_FILTER, MOST_PANICS, OUTPUT_START_DELAY};
 use firmware::storage::{self, DEFAULTS, SLOT, Stored};
 use heapless::String;
 use protocol::{
     BoardSettings, MAX_CRYSTAL_PPB, MAX_INPUT_DELAY, MAX_PANIC, MAX_START_DELAY, Refusal,
 };
+
+use crate::hardware::thermometer;
 
 // Addresses of the linker script (memory.x).
 unsafe extern "C" {
@@ -85,7 +88,8 @@ pub(crate) fn init(
 ///
 /// # Errors
 ///
-/// A setting above its most; no place is left, or the flash took something else.
+/// A setting above its most; no place is left, the supply is too low, or the flash took something
+/// else.
 pub(crate) fn store(settings: BoardSettings) -> Result<BoardSettings, Refusal> {
     let is_in_range = settings.output_start_delay <= MAX_START_DELAY
         && settings.input_delay <= MAX_INPUT_DELAY
@@ -108,6 +112,9 @@ fn apply(settings: BoardSettings) {
 
 /// Writes the next slot and reads it back. The flash refuses one that lies after its end.
 fn append(slot: [u8; SLOT]) -> bool {
+    if thermometer::supply_mv().is_none_or(|supply| supply < FLASH_SUPPLY_MV) {
+        return false;
+    }
     let start = (&raw const _storage_start).addr() - FLASH_BASE;
     STORAGE.lock(|cell| {
         let mut storage = cell.borrow_mut();

@@ -14,45 +14,48 @@
 //! [`config::OUTPUT_REACH`] ahead. TIM5 has 32 bits, the rate of TIM2 and no pins: its
 //! channel of the same number makes [`Action::Wake`].
 
-use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+use core::mem::forget;
+
 use embassy_stm32::pac::timer::regs::{SrAdv, SrGp16};
 use embassy_stm32::pac::timer::vals::{Ocm, Sms, Ts};
+use embassy_stm32::timer::low_level::Timer;
 use embassy_stm32::{Peri, pac, peripherals};
-use firmware::boards::BOARD;
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput};
 
 use crate::hardware::{flash, tim2};
+#[cfg(feature = "discovery")]
+use {
+    crate::hardware::tim2::OUTPUT_PIN,
+    embassy_stm32::timer::simple_pwm::PwmPin,
+    embassy_stm32::timer::{Ch1, Ch2, Ch3, Ch4},
+};
+
+#[cfg(feature = "discovery")]
+type Pin<C> = PwmPin<'static, peripherals::TIM1, C>;
 
 const TIM1: pac::timer::TimAdv = pac::TIM1;
 const TIM5: pac::timer::TimGp32 = pac::TIM5;
 
-/// Pins on port E, by channel; all on alternate function 1 (data sheet, table 9).
-const PINS: [usize; 4] = [9, 11, 13, 14];
-const ALTERNATE_FUNCTION: u8 = 1;
-
 /// Peripherals of this driver: the timers, and the pins of a board that has the outputs.
-#[cfg(feature = "discovery")]
-pub(crate) type Owned = (
-    Peri<'static, peripherals::TIM1>,
-    Peri<'static, peripherals::TIM5>,
-    Peri<'static, peripherals::PE9>,
-    Peri<'static, peripherals::PE11>,
-    Peri<'static, peripherals::PE13>,
-    Peri<'static, peripherals::PE14>,
-);
-#[cfg(not(feature = "discovery"))]
-pub(crate) type Owned = (
-    Peri<'static, peripherals::TIM1>,
-    Peri<'static, peripherals::TIM5>,
-);
+pub(crate) struct Owned {
+    pub(crate) edges: Peri<'static, peripherals::TIM1>,
+    pub(crate) wakes: Peri<'static, peripherals::TIM5>,
+    #[cfg(feature = "discovery")]
+    pub(crate) pps: Peri<'static, peripherals::PE9>,
+    #[cfg(feature = "discovery")]
+    pub(crate) second: Peri<'static, peripherals::PE11>,
+    #[cfg(feature = "discovery")]
+    pub(crate) third: Peri<'static, peripherals::PE13>,
+    #[cfg(feature = "discovery")]
+    pub(crate) fourth: Peri<'static, peripherals::PE14>,
+}
 
 /// Sets the timers up to be started by TIM2's start, which must come after this.
-pub(super) fn init(_: Owned) {
-    TIM1.psc().write_value(0);
-    TIM1.arr().write(|w| w.set_arr(u16::MAX));
-    TIM1.egr().write(|w| w.set_ug(true));
-    for channel in 0..PINS.len() {
+pub(super) fn init(owned: Owned) {
+    // Reset, with their whole range and no prescaler. What is dropped is given back.
+    forget((Timer::new(owned.edges), Timer::new(owned.wakes)));
+    for channel in 0..4 {
         TIM1.ccmr_output(channel / 2)
             .modify(|w| w.set_ocm(channel % 2, Ocm::FORCE_INACTIVE));
         TIM1.ccer().modify(|w| w.set_cce(channel, true));
@@ -64,32 +67,19 @@ pub(super) fn init(_: Owned) {
     });
     TIM1.sr().write_value(SrAdv(0));
 
-    TIM5.psc().write_value(0);
-    TIM5.arr().write_value(u32::MAX);
-    TIM5.egr().write(|w| w.set_ug(true));
     TIM5.smcr().modify(|w| {
         w.set_ts(Ts::ITR0);
         w.set_sms(Sms::TRIGGER_MODE);
     });
     TIM5.sr().write_value(SrGp16(0));
 
-    if !BOARD.model.has_outputs() {
-        return;
-    }
-    for pin in PINS {
-        pac::GPIOE
-            .afr(pin / 8)
-            .modify(|w| w.set_afr(pin % 8, ALTERNATE_FUNCTION));
-        pac::GPIOE
-            .pupdr()
-            .modify(|w| w.set_pupdr(pin, Pupdr::FLOATING));
-        pac::GPIOE
-            .ospeedr()
-            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
-        pac::GPIOE
-            .moder()
-            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
-    }
+    #[cfg(feature = "discovery")]
+    forget((
+        Pin::<Ch1>::new_with_config(owned.pps, OUTPUT_PIN),
+        Pin::<Ch2>::new_with_config(owned.second, OUTPUT_PIN),
+        Pin::<Ch3>::new_with_config(owned.third, OUTPUT_PIN),
+        Pin::<Ch4>::new_with_config(owned.fourth, OUTPUT_PIN),
+    ));
 }
 
 /// Bit of a channel's compare flag and interrupt, in both timers.

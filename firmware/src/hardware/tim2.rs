@@ -16,15 +16,20 @@
 //! pulled down, so that one with nothing wired to it is silent.
 
 use core::cell::RefCell;
+use core::mem::forget;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use cortex_m::interrupt::{Mutex, free as with_all_masked};
 use cortex_m::peripheral::NVIC;
-use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+use embassy_stm32::gpio::{OutputType, Pull, Speed};
 use embassy_stm32::pac::timer::regs::SrGp16;
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Mms, Ocm};
-use embassy_stm32::peripherals::{DMA1_CH5, PA1, PA2, PA3, PA5};
-use embassy_stm32::{Peri, interrupt, pac, peripherals};
+use embassy_stm32::peripherals::{DMA1_CH5, PA1, PA2, PA3, PA5, TIM2};
+use embassy_stm32::timer::input_capture::CapturePin;
+use embassy_stm32::timer::low_level::Timer;
+use embassy_stm32::timer::simple_pwm::{PwmPin, PwmPinConfig};
+use embassy_stm32::timer::{Ch1, Ch2, Ch3, Ch4};
+use embassy_stm32::{Peri, interrupt, pac};
 use firmware::capture::{Bucket, direction};
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
@@ -45,12 +50,15 @@ const DATA_READY: usize = 1;
 const STROBE: usize = 2;
 const READBACK: usize = 3;
 
-/// Pins on port A; all on alternate function 1 (data sheet, table 9).
-const TRIGGER_PIN: usize = 5;
-const DATA_READY_PIN: usize = 1;
+/// Properties of a pin that makes edges.
+pub(super) const OUTPUT_PIN: PwmPinConfig = PwmPinConfig {
+    output_type: OutputType::PushPull,
+    speed: Speed::High,
+    pull: Pull::None,
+};
+
+/// The strobe's pin on port A.
 const STROBE_PIN: usize = 2;
-const READBACK_PIN: usize = 3;
-const ALTERNATE_FUNCTION: u8 = 1;
 
 pub(super) static TIMEBASE: Timebase = Timebase::new();
 static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
@@ -115,25 +123,23 @@ struct Shared {
 }
 
 /// Peripherals of this driver: the timer, its pins, and the stream of [`falling_edges`].
-pub(crate) type Owned = (
-    Peri<'static, peripherals::TIM2>,
-    Peri<'static, PA5>,
-    Peri<'static, PA1>,
-    Peri<'static, PA2>,
-    Peri<'static, PA3>,
-    Peri<'static, DMA1_CH5>,
-);
+pub(crate) struct Owned {
+    pub(crate) timer: Peri<'static, TIM2>,
+    pub(crate) trigger: Peri<'static, PA5>,
+    pub(crate) data_ready: Peri<'static, PA1>,
+    pub(crate) strobe: Peri<'static, PA2>,
+    pub(crate) readback: Peri<'static, PA3>,
+    pub(crate) _falling_edges: Peri<'static, DMA1_CH5>,
+}
 
 /// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events` receives the
 /// handler's events.
 ///
 /// TIM1 and TIM5 must have been set up: this start starts them too.
-pub(crate) fn init(_: Owned, events: Producer<'static, Event>) {
+pub(crate) fn init(owned: Owned, events: Producer<'static, Event>) {
+    // Reset, with its whole range and no prescaler. What is dropped is given back.
+    forget(Timer::new(owned.timer));
     TIM.cr2().modify(|w| w.set_mms(Mms::ENABLE));
-    TIM.psc().write_value(0);
-    TIM.arr().write_value(u32::MAX);
-    TIM.egr().write(|w| w.set_ug(true));
-
     TIM.ccmr_output(0)
         .modify(|w| w.set_ocm(0, Ocm::FORCE_INACTIVE));
     // IC2 on TI2, IC3 on TI3, IC4 on TI4: value 1 in each field.
@@ -156,23 +162,12 @@ pub(crate) fn init(_: Owned, events: Producer<'static, Event>) {
         }
     });
 
-    for pin in [DATA_READY_PIN, STROBE_PIN, READBACK_PIN, TRIGGER_PIN] {
-        pac::GPIOA
-            .afr(0)
-            .modify(|w| w.set_afr(pin, ALTERNATE_FUNCTION));
-        let pull = if pin == TRIGGER_PIN {
-            Pupdr::FLOATING
-        } else {
-            Pupdr::PULL_DOWN
-        };
-        pac::GPIOA.pupdr().modify(|w| w.set_pupdr(pin, pull));
-        pac::GPIOA
-            .ospeedr()
-            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
-        pac::GPIOA
-            .moder()
-            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
-    }
+    forget((
+        PwmPin::<TIM2, Ch1>::new_with_config(owned.trigger, OUTPUT_PIN),
+        CapturePin::<TIM2, Ch2>::new(owned.data_ready, Pull::Down),
+        CapturePin::<TIM2, Ch3>::new(owned.strobe, Pull::Down),
+        CapturePin::<TIM2, Ch4>::new(owned.readback, Pull::Down),
+    ));
 
     TIM.sr().write_value(SrGp16(0));
     TIM.dier().modify(|w| {

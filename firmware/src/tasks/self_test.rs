@@ -53,7 +53,7 @@ pub(crate) async fn run() {
             Failure::HardFault => faults::undefined_instruction(),
             Failure::StackOverflow => overflow(0),
             Failure::SlowHandler => tim2::slow_down(),
-            Failure::LeaveBus => otg::reconnect().await,
+            Failure::LeaveBus => otg::restart().await,
             Failure::Stall => STALLED.store(true, Ordering::Relaxed),
             Failure::Hang => loop {
                 core::hint::spin_loop();

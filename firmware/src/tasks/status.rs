@@ -2,29 +2,28 @@
 
 use core::sync::atomic::Ordering;
 
-use embassy_stm32::Peri;
-use embassy_stm32::peripherals::{ADC1, IWDG};
+use embassy_stm32::peripherals::IWDG;
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_time::{Duration, Ticker};
 use firmware::config::TRIGGER_OVERDUE;
 use protocol::{DeviceToHost, Handlers, Hello, Output, Status};
 
 use crate::hardware::thermometer::{Measured, Thermometer};
-use crate::hardware::{cycles, idle, masked, outputs, stack, tim2, triggers};
+use crate::hardware::{clocks, cycles, idle, masked, outputs, stack, tim2, triggers};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
 use crate::tasks::{gnss, imu, usb};
 
 #[embassy_executor::task]
 pub(crate) async fn run(
     mut watchdog: IndependentWatchdog<'static, IWDG>,
-    adc: Peri<'static, ADC1>,
+    mut thermometer: Thermometer,
 ) {
     let mut ticker = Ticker::every(Duration::from_secs(1));
     let mut seq = 0_u32;
-    let mut thermometer = Thermometer::new(adc);
     loop {
         ticker.next().await;
         cycles::keep_running();
+        clocks::follow_debugger();
         if ALIVE.all() && !triggers::is_overdue(TRIGGER_OVERDUE) {
             watchdog.pet();
         }

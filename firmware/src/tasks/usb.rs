@@ -15,7 +15,7 @@ use embassy_time::Timer;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Handler, UsbDevice};
 use firmware::boards::BOARD;
-use firmware::config::{TRANSMIT_SILENT_S, USB_PACKET};
+use firmware::config::{TRANSMIT_SILENT_S, UNCONFIGURED_S, USB_PACKET};
 use heapless::String;
 use protocol::UsbCounters;
 use static_cell::StaticCell;
@@ -36,8 +36,11 @@ struct Timed;
 #[allow(unsafe_code, reason = "a handler around the driver's")]
 impl interrupt::typelevel::Handler<interrupt::typelevel::OTG_FS> for Timed {
     unsafe fn on_interrupt() {
-        // SAFETY: called by the vector of this interrupt alone, as it asks for.
-        USB_TIME.measure(|| unsafe { InterruptHandler::<USB_OTG_FS>::on_interrupt() });
+        USB_TIME.measure(|| {
+            otg::before_interrupt();
+            // SAFETY: called by the vector of this interrupt alone, as it asks for.
+            unsafe { InterruptHandler::<USB_OTG_FS>::on_interrupt() }
+        });
     }
 }
 
@@ -95,7 +98,8 @@ pub(crate) fn build(
     config.manufacturer = Some(protocol::usb::MANUFACTURER);
     config.product = Some(protocol::usb::PRODUCT);
     config.serial_number = Some(buffers.serial.as_str());
-    config.self_powered = true;
+    // A board that can lose its session without losing power has power of its own.
+    config.self_powered = BOARD.senses_vbus;
 
     let mut builder = Builder::new(
         driver,
@@ -129,10 +133,11 @@ pub(crate) fn packet_sent() {
     SENT.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Leaves the bus and comes back if nothing is sent although the host talks to the board: the
-/// core's transmitter has stopped for a reason that is not known.
+/// Restarts the core if nothing is sent although the host talks to the board, or if a host that
+/// has reset the bus does not get as far as a configuration: the core has stopped for a reason
+/// that is not known.
 #[embassy_executor::task]
-pub(crate) async fn watch_transmit() {
+pub(crate) async fn watch_core() {
     let progress = || {
         (
             SENT.load(Ordering::Relaxed),
@@ -141,22 +146,33 @@ pub(crate) async fn watch_transmit() {
     };
     let (mut sent, mut received) = progress();
     let mut silent = 0;
+    let mut unconfigured = 0;
     loop {
         Timer::after_secs(1).await;
         let now = progress();
-        let is_linked = LINK.load(Ordering::Relaxed) == LINKED;
-        if !is_linked || now.0 != sent {
+        let link = LINK.load(Ordering::Relaxed);
+        if link != LINKED || now.0 != sent {
             silent = 0;
         } else if now.1 != received {
             silent += 1;
         }
         (sent, received) = now;
-        if silent >= TRANSMIT_SILENT_S {
-            defmt::error!("the USB core does not send: leaving the bus");
-            silent = 0;
-            STUCK.fetch_add(1, Ordering::Relaxed);
-            otg::reconnect().await;
-        }
+        unconfigured = if link & CONFIGURED == 0 && otg::HAS_HOST.load(Ordering::Relaxed) {
+            unconfigured + 1
+        } else {
+            0
+        };
+        let cause = if silent >= TRANSMIT_SILENT_S {
+            &STUCK
+        } else if unconfigured >= UNCONFIGURED_S {
+            &UNCONFIGURED
+        } else {
+            continue;
+        };
+        defmt::error!("the USB core has stopped: restarting it");
+        (silent, unconfigured) = (0, 0);
+        cause.fetch_add(1, Ordering::Relaxed);
+        otg::restart().await;
     }
 }
 
@@ -197,13 +213,14 @@ fn update(condition: u8, on: bool) {
 static RESETS: AtomicU32 = AtomicU32::new(0);
 static SUSPENDS: AtomicU32 = AtomicU32::new(0);
 static STUCK: AtomicU32 = AtomicU32::new(0);
+static UNCONFIGURED: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the counts of bus events since the board's reset.
 pub(crate) fn counters() -> UsbCounters {
     UsbCounters {
         resets: RESETS.load(Ordering::Relaxed),
         suspends: SUSPENDS.load(Ordering::Relaxed),
-        stuck: STUCK.load(Ordering::Relaxed),
+        stuck: STUCK.load(Ordering::Relaxed) + UNCONFIGURED.load(Ordering::Relaxed),
     }
 }
 

@@ -407,6 +407,10 @@ impl PinModel for DepthCamera {
         vec![(wiring::TRIGGER, self.config.input_high)]
     }
 
+    fn outputs(&self) -> Vec<(Pin, f64)> {
+        vec![(wiring::STROBE, wiring::DIVIDED_HIGH)]
+    }
+
     fn power_on(&mut self, io: &mut PinIo<'_>) {
         if self.config.photodiode {
             io.drive(wiring::STROBE, Drive::Low);

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Part, Sim, SimBuilder, Timer};
-use stm32f4_sim::time::UNITS_PER_SECOND;
+use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 
 /// Environment variable that names the ELF which tests and tools use.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
@@ -47,6 +47,9 @@ pub const OUTPUTS: [Pin; 3] = [Pin::PE11, Pin::PE13, Pin::PE14];
 /// the 74AHCT125, at 4.5 to 5.5 V).
 pub const GATE_HIGH: f64 = 2.0;
 
+/// Highest voltage at an input behind the divider for 5 V: 5.25 V through 1.8 kΩ and 2.2 kΩ of 5 %.
+pub(crate) const DIVIDED_HIGH: f64 = 5.25 * 2.31 / (2.31 + 1.71);
+
 /// Frequency of the crystals (UM1472 6.10; WeAct's circuit diagram).
 const CRYSTAL_HZ: u64 = 8_000_000;
 const BLACK_PILL_CRYSTAL_HZ: u64 = 25_000_000;
@@ -75,7 +78,10 @@ pub fn board_of(kind: BoardKind, elf: Option<&Path>) -> SimBuilder {
             };
             board()
                 .elf(elf)
-                .chip(|chip| chip.part = Part::Stm32f411ce)
+                .chip(|chip| {
+                    chip.part = Part::Stm32f411ce;
+                    chip.die.supply = 3.3;
+                })
                 .crystal(Rate::hz(BLACK_PILL_CRYSTAL_HZ))
         }
     };
@@ -94,6 +100,7 @@ pub fn board() -> SimBuilder {
         )
         .crystal(Rate::hz(CRYSTAL_HZ))
         .i2c_bus(SCL, SDA)
+        .chip(|chip| chip.shortest_detach = SimDuration::from_millis(3))
 }
 
 /// Default path of the firmware's ELF: what the environment variable says, else where

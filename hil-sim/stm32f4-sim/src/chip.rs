@@ -94,6 +94,9 @@ pub struct ChipConfig {
     pub broken_rng: bool,
     /// Temperature and supply.
     pub die: Die,
+    /// Time without its USB pull-up before which the chip is not seen when it comes back. Drivers
+    /// that know of none work on most chips; some were not enumerated (Zephyr #108825).
+    pub shortest_detach: SimDuration,
 }
 
 /// Revision of the chip.
@@ -138,7 +141,7 @@ pub(crate) struct Soc {
     iwdg: Iwdg,
     uart: Uart,
     pub(crate) rng: Rng,
-    adc: Adc,
+    pub(crate) adc: Adc,
     flash: FlashControl,
     part: Part,
     revision: Revision,
@@ -163,6 +166,8 @@ pub(crate) struct Soc {
     pub(crate) edge_counts: [u64; Pin::PORTS * 16],
     /// Interrupt requests, a bit each.
     pub(crate) irq: u128,
+    /// The chip asks for the NMI.
+    pub(crate) nmi: bool,
     /// A request came that the core has not seen.
     pub(crate) attention: bool,
     /// Core cycle at which the present slice ends.
@@ -230,6 +235,7 @@ impl Soc {
             edge_log: Vec::new(),
             edge_counts: [0; Pin::PORTS * 16],
             irq: 0,
+            nmi: false,
             attention: false,
             slice_end: 0,
             event_cycle: u64::MAX,
@@ -237,6 +243,7 @@ impl Soc {
             reset_request: None,
         };
         soc.rng.broken = config.broken_rng;
+        soc.usb.shortest_detach = config.shortest_detach;
         if let Some(wires) = config.i2c {
             // An I2C bus has pull-ups.
             soc.gpio.drive(wires.scl, Drive::PullUp);
@@ -264,6 +271,7 @@ impl Soc {
         self.otg.reset();
         self.cells.clear();
         self.irq = 0;
+        self.nmi = false;
         self.attention = false;
         self.after_reset();
     }
@@ -489,6 +497,27 @@ impl Soc {
     }
 
     // ---- reset ------------------------------------------------------------------------
+
+    /// The crystal stops, or swings again.
+    pub(crate) fn set_crystal(&mut self, swings: bool) {
+        match self.rcc.set_crystal(swings) {
+            Some(true) => (self.nmi, self.attention) = (true, true),
+            Some(false) => self.forbid(rules::Rule::UnwatchedCrystal),
+            None => {}
+        }
+        self.apply_clocks();
+    }
+
+    /// The chip as the ROM's bootloader leaves it after a download.
+    pub(crate) fn leave_as_rom(&mut self) {
+        self.rcc.leave_as_rom(self.now);
+        // One wait state, prefetch and caches.
+        self.cells.write(rules::FLASH_ACR, 0x601);
+        self.flash.leave_unlocked();
+        self.otg.leave_as_rom();
+        self.gpio.leave_usb();
+        self.after_reset();
+    }
 
     /// Fills the RAM with noise, as it is at power-on.
     pub(crate) fn fill_ram(&mut self, random: &mut Random) {

@@ -37,6 +37,7 @@ use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
 
 use crate::bus::Bus;
 use crate::chip::Soc;
+use crate::random::{RAM_STREAM, Random, Seed};
 use crate::shared::lock;
 use code::Code;
 use exec::Stop;
@@ -49,8 +50,13 @@ const SVC: u32 = 0xdf;
 const WFI: u32 = 0xbf30;
 /// Where the ROM's vectors are (RM0090 table 5).
 const ROM: u32 = 0x1fff_0000;
+/// Top of its stack, which its vectors give.
+pub(crate) const ROM_STACK: u32 = 0x2000_2d40;
 /// The catch of HardFault in DEMCR.
 const VC_HARDERR: u32 = 1 << 10;
+
+/// Interrupt of the USB core.
+const OTG_FS: sys::Exception = sys::Exception(16 + 67);
 
 /// Numbers of the exceptions HardFault and BusFault.
 const HARD_FAULT: usize = 3;
@@ -124,8 +130,8 @@ pub(crate) struct Cpu {
     breakpoints: Vec<u32>,
     /// A breakpoint to pass over once.
     passing: Option<u32>,
-    /// The ROM has started the program, with its own vectors.
-    by_rom: bool,
+    /// The ROM is about to start the program, and leaves what this number draws.
+    by_rom: Option<u64>,
     /// A fault halts the core while DEMCR says so.
     catches_faults: bool,
     /// Core cycles of sleep.
@@ -170,7 +176,7 @@ impl Cpu {
             known_irq: 0,
             breakpoints: Vec::new(),
             passing: None,
-            by_rom: false,
+            by_rom: None,
             catches_faults: false,
             slept: 0,
         })
@@ -198,9 +204,35 @@ impl Cpu {
         self.code.plant(addr);
     }
 
-    /// The next reset is a start by the ROM's bootloader, which leaves its vectors.
-    pub(crate) fn start_by_rom(&mut self) {
-        self.by_rom = true;
+    /// The next instruction is the first after the ROM's bootloader, which leaves its vectors and
+    /// its stack, SysTick, a fault's status, and some of all interrupts enabled and pending, and
+    /// all masked: what was not masked the ROM would have served.
+    pub(crate) fn start_by_rom(&mut self, random: &mut Random) {
+        self.by_rom = Some(random.bits());
+    }
+
+    /// The state of the core after the ROM, once it has its program counter.
+    fn leave_as_rom(&mut self, drawn: u64) {
+        let mut random = Seed(drawn).stream(RAM_STREAM);
+        let mut regs = self.arm.regs();
+        regs.msp = ROM_STACK - 8 * (drawn as u32 % 32);
+        regs.r[13] = regs.msp;
+        regs.primask = true;
+        self.arm.set_regs(regs);
+        self.arm.with_sys(|s| {
+            s.vtor = ROM;
+            for words in [&mut s.enable, &mut s.pending] {
+                for word in words.iter_mut() {
+                    *word |= random.bits() as u32 & random.bits() as u32;
+                }
+                // Exceptions of the core itself are not the NVIC's.
+                words[0] &= !0xffff;
+            }
+            s.set_enable(OTG_FS, true);
+            s.set_pending(OTG_FS, true);
+            (s.syst_rvr, s.syst_csr) = (60_000, 7);
+            s.cfsr = 1 << 25;
+        });
     }
 
     /// True if the program has gone on to the ROM.
@@ -228,6 +260,11 @@ impl Cpu {
     /// The process stack pointer, while a handler runs.
     pub(crate) fn process_stack(&self) -> u32 {
         self.regs.psp
+    }
+
+    /// The main stack pointer, while tasks run on the other.
+    pub(crate) fn main_stack(&self) -> u32 {
+        self.regs.msp
     }
 
     /// Fault status: CFSR, HFSR, MMFAR, BFAR.
@@ -311,6 +348,10 @@ impl Cpu {
             soc.at_cycle(self.cycles);
             now_irq = soc.irq;
             soc.attention = false;
+            if std::mem::take(&mut soc.nmi) {
+                self.arm
+                    .with_sys(|s| s.set_pending(sys::Exception::NMI, true));
+            }
         }
         let mut changed = now_irq ^ self.known_irq;
         while changed != 0 {
@@ -369,8 +410,8 @@ impl Cpu {
         if executed && word >> 16 == WFI {
             lock(&self.soc).require_safe_sleep(pc);
         }
-        if std::mem::take(&mut self.by_rom) {
-            self.arm.with_sys(|s| s.vtor = ROM);
+        if let Some(drawn) = self.by_rom.take() {
+            self.leave_as_rom(drawn);
         }
 
         self.regs = self.arm.regs();

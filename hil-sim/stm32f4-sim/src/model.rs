@@ -68,6 +68,11 @@ pub trait PinModel: Send {
         Vec::new()
     }
 
+    /// Its outputs whose high level is not the board's supply, and that level, in V.
+    fn outputs(&self) -> Vec<(Pin, f64)> {
+        Vec::new()
+    }
+
     /// Called once at the board's power-on (time zero), to drive the idle levels.
     fn power_on(&mut self, io: &mut PinIo<'_>) {
         let _ = io;

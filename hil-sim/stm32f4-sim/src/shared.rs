@@ -49,6 +49,10 @@ impl<T: PinModel> PinModel for Shared<T> {
     fn watched_pins(&self) -> Vec<Pin> {
         lock(self).watched_pins()
     }
+    fn outputs(&self) -> Vec<(Pin, f64)> {
+        lock(self).outputs()
+    }
+
     fn inputs(&self) -> Vec<(Pin, f64)> {
         lock(self).inputs()
     }

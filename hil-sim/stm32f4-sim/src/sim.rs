@@ -263,10 +263,12 @@ impl Sim {
         self.cpu.is_in_rom()
     }
 
-    /// Has the bootloader start the program, as it does after a download.
+    /// Has the bootloader start the program, as it does after a download. ST publishes neither its
+    /// program nor what it leaves: that is drawn from all that it may use.
     pub fn leave_rom(&mut self) {
         self.cpu.reset();
-        self.cpu.start_by_rom();
+        lock(&self.soc).leave_as_rom();
+        self.cpu.start_by_rom(&mut self.random);
         self.rtt.restart();
     }
 
@@ -312,6 +314,12 @@ impl Sim {
     /// Use that the core made of its time.
     pub const fn cpu_stats(&self) -> CpuStats {
         self.cpu.stats()
+    }
+
+    /// The main stack pointer, while tasks run on the other.
+    #[must_use]
+    pub fn handler_stack(&self) -> u32 {
+        self.cpu.main_stack()
     }
 
     /// Present rate of the core clock.

@@ -3,6 +3,7 @@
 mod descriptors;
 mod host;
 
+pub use crate::chip::otg::{Handshake, Token};
 pub use descriptors::{CdcAcm, DeviceInfo};
 pub(crate) use host::UsbHost;
-pub use host::UsbState;
+pub use host::{UsbCut, UsbState};

@@ -72,6 +72,13 @@ impl PinModel for Jumpers {
         [&others[..], &wiring::OUTPUTS].concat()
     }
 
+    fn outputs(&self) -> Vec<(Pin, f64)> {
+        let divided = self
+            .buffer
+            .map(|_| (wiring::READBACK, wiring::DIVIDED_HIGH));
+        divided.into_iter().collect()
+    }
+
     fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         if pin == wiring::TRIGGER {
             let [rise, fall] = self.buffer.unwrap_or([SimDuration::ZERO; 2]);

@@ -17,6 +17,8 @@ fn black_pill() -> SimBuilder {
 fn it_boots_keeps_time_and_reports_its_model() {
     let mut board = Board::boot(black_pill());
     assert_eq!(board.hellos[0].board, BoardModel::BlackPill);
+    // It takes its power from the bus.
+    assert_eq!(board.rig.usb_device().attributes, 0x80);
     assert!(!BoardModel::BlackPill.has_outputs());
     // 25 MHz through the PLL are the same ticks as 8 MHz are.
     let (sim_before, before) = (board.rig.now(), board.now());

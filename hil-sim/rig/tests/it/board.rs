@@ -15,10 +15,13 @@ use stm32f4_sim::firmware::Firmware;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Die, FailureKind, ResetCause as BoardReset, Revision, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};
-use stm32f4_sim::usb::UsbState;
+use stm32f4_sim::usb::{UsbCut, UsbState};
 
 /// 30 a second.
 const PERIOD: Period = Period::from_ticks(TICK_HZ / 30);
+
+/// Transactions of an enumeration: two or three for each of the 11 requests until the port is open.
+const TRANSACTIONS: usize = 34;
 
 /// Ticks in a virtual second, as the board counts them.
 const SECOND: u64 = TICK_HZ as u64;
@@ -40,13 +43,64 @@ fn it_boots_to_hello() {
     let device = board.rig.usb_device();
     assert_eq!((device.vendor, device.product), (VENDOR_ID, PRODUCT_ID));
     assert_eq!(device.serial, serial_number(&hello.board_id).as_str());
-    // The IMU's reference clock, from the same crystal.
-    let clock = board.rig.clock_output().expect("a clock on PA8");
-    assert_eq!(clock, stm32f4_sim::clock::Rate::hz(19_200_000));
+    // It has power of its own.
+    assert_eq!(device.attributes, 0xc0);
     assert_eq!(
         board.rig.core_rate(),
         stm32f4_sim::clock::Rate::hz(96_000_000)
     );
+}
+
+/// The clock on PA8 is for the sensors that take it, with no steeper edges than it needs.
+#[test]
+fn an_imu_gets_the_clock_that_it_takes() {
+    const GPIOA_OSPEEDR: u32 = 0x4002_0008;
+    for (model, clock) in [
+        (SensorModel::Mpu9150, Some(19_200_000)),
+        (SensorModel::Icm42688P, None),
+    ] {
+        let bench = ImuBench::on(wiring::board(), model, Motion::rest(), &[]);
+        let rig = &bench.board.rig;
+        let clock = clock.map(stm32f4_sim::clock::Rate::hz);
+        assert_eq!(rig.clock_output(), clock, "{model:?}");
+        if clock.is_some() {
+            let speeds = rig.stored_register(GPIOA_OSPEEDR).unwrap();
+            assert_eq!(speeds >> 16 & 3, 1, "25 MHz");
+        }
+    }
+}
+
+/// A crystal that stops ends the run, and the next one says so.
+#[test]
+fn a_crystal_that_stops_is_reported() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    board.rig.set_crystal(false);
+    board.run(2_000);
+    assert!(board.rig.level(Pin::PD14).is_high(), "the LED of faults");
+    board.run(10_000);
+    board.rig.set_crystal(true);
+    let hello = next_run(&mut board);
+    let message = hello.kept_panic.expect("the message of the panic");
+    assert!(message.contains("the crystal has stopped"), "{message}");
+}
+
+/// A board whose supply is too low for the flash's width keeps nothing and says so.
+#[test]
+fn the_flash_is_not_written_with_a_low_supply() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    let settings = board.ask(QueryBoard).unwrap();
+    let changed = BoardSettings {
+        crystal_ppb: Some(1),
+        ..settings
+    };
+    board.rig.set_supply(2.65);
+    assert_eq!(board.ask(SetBoard(changed)), Err(Refusal::NotKept));
+    self_test(&mut board, Failure::Panic);
+    let hello = next_run(&mut board);
+    assert!(hello.last_panic.is_some());
+    assert_eq!((hello.panics, hello.kept_panic), (0, None));
+    board.rig.set_supply(2.8);
+    assert_eq!(board.ask(SetBoard(changed)), Ok(changed));
 }
 
 /// More than six wraps of the 32-bit counter, and a status every second.
@@ -143,8 +197,79 @@ fn the_link_comes_back_after_any_interruption_in_a_packet() {
     assert!(board.rig.failures().is_empty());
 }
 
+/// Cuts control transfers short at drawn instants of an enumeration, or of the requests that open
+/// the port later: after the SETUP, within the data, before the status. The host must always get
+/// to the serial port in the end, without the help of the board's watch.
+fn cut_control_transfers(kind: BoardKind, times: u32, seed: u64) {
+    let mut board = Board::boot(wiring::board_of(kind, None));
+    let mut random = Seed(seed).stream(Stream::Test);
+    for n in 0..times {
+        let what = [UsbCut::Unplug, UsbCut::Reset, UsbCut::Retry][n as usize % 3];
+        let is_enumerated = random.below(5) > 0;
+        let transactions = if is_enumerated {
+            board.rig.usb_reset_bus();
+            1 + random.below(TRANSACTIONS) as u32
+        } else {
+            board.rig.usb_open(false);
+            board.run(5);
+            board.rig.usb_open(true);
+            1 + random.below(2) as u32
+        };
+        let delay = SimDuration::from_micros(random.below(60) as u64);
+        board.rig.usb_cut(what, transactions, delay);
+        board.run(500);
+        if board.rig.usb_state() == UsbState::Unplugged {
+            board.run(random.below(20) as u64);
+            board.rig.usb_plug();
+        }
+        let ready = board
+            .rig
+            .run_until_usb_ready(SimDuration::from_millis(1_500));
+        let case = (n, what, transactions, delay);
+        assert!(ready.unwrap(), "{case:?}: {:?}", board.rig.usb_log().last());
+        board.break_link();
+        assert!(board.ask(Ping { host_time: 1 }).is_ok(), "{case:?}");
+    }
+    assert_eq!(board.next_status().usb.stuck, 0);
+    assert!(board.rig.failures().is_empty());
+}
+
+#[test]
+fn a_control_transfer_may_end_anywhere() {
+    cut_control_transfers(BoardKind::Discovery, 1_000, 1);
+    cut_control_transfers(BoardKind::BlackPill, 100, 2);
+}
+
+/// A host that clears the halts of endpoints starts again at DATA0 (USB 2.0 9.4.5), and one that
+/// sets the configuration (9.1.1.5).
+#[test]
+fn no_packet_is_lost_by_its_data_toggle() {
+    let mut board = Board::boot(wiring::board());
+    board.rig.usb_clear_halts_on_open();
+    for n in 0..20 {
+        // An odd number of packets, or an even one.
+        board.run(7 * n);
+        if n % 2 == 0 {
+            board.rig.usb_open(false);
+            board.run(10);
+            board.rig.usb_open(true);
+        } else {
+            board.rig.usb_configure_again();
+        }
+        board.run(10);
+        board.break_link();
+        assert!(board.ask(Ping { host_time: n }).is_ok(), "{n}");
+    }
+    let log = board.rig.usb_log();
+    assert!(
+        log.iter().all(|(_, note)| !note.contains("toggle")),
+        "{log:?}"
+    );
+}
+
 /// Runs trigger and IMU, and a number of times, some seconds apart, pulls the cable for a while,
-/// lets the computer sleep, or resets the bus. Every edge and sample is compared.
+/// lets the computer sleep, or resets the bus. Every other time the enumeration that follows is cut
+/// short at a drawn instant, by the cable or by a reset. Every edge and sample is compared.
 fn run_interrupted(times: u32, seconds: u64) {
     let mut bench = ImuBench::at_rest();
     let period = Period::from_picos(33_330_652_540).unwrap();
@@ -154,20 +279,40 @@ fn run_interrupted(times: u32, seconds: u64) {
     bench.board.pulses.clear();
     let first = bench.board.start(train(period, 576)).next_edge;
     let begun = bench.board.rig.now();
-    let mut samples = 0;
-    let mut last_sample = 0;
+    let mut random = Seed(11).stream(Stream::Test);
+    let (mut samples, mut last_sample, mut cuts) = (0, 0, 0);
     for n in 0..times {
         let connects = bench.board.next_status().connects;
         bench.board.run(seconds * 1_000);
         match n % 3 {
-            0 => bench.board.unplug_and_plug(3_000),
+            0 => {
+                bench.board.rig.usb_unplug();
+                bench.board.run(3_000);
+                bench.board.rig.usb_plug();
+            }
             1 => bench.board.rig.usb_suspend(SimDuration::from_secs(5)),
             _ => bench.board.rig.usb_reset_bus(),
         }
+        if n % 2 == 1 {
+            let what = [UsbCut::Unplug, UsbCut::Reset][random.below(2)];
+            let transactions = 1 + random.below(TRANSACTIONS) as u32;
+            let delay = SimDuration::from_micros(random.below(60) as u64);
+            bench.board.rig.usb_cut(what, transactions, delay);
+        }
         bench.board.break_link();
-        bench.board.wait(9_000, |board| {
-            (board.statuses.last()).is_some_and(|status| status.connects > connects)
-        });
+        for _ in 0..20 {
+            bench.board.run(500);
+            if bench.board.rig.usb_state() == UsbState::Unplugged {
+                cuts += 1;
+                bench.board.rig.usb_plug();
+                bench.board.break_link();
+            }
+            let status = bench.board.statuses.last();
+            if status.is_some_and(|status| status.connects > connects) {
+                break;
+            }
+        }
+        assert!(bench.board.next_status().connects > connects, "{n}");
         bench.board.run(1_000);
         let checked = bench.check_samples();
         samples += checked.len() as u32;
@@ -184,7 +329,8 @@ fn run_interrupted(times: u32, seconds: u64) {
         (last_sample + 1 - samples, status.dropped.imu),
     ];
     println!(
-        "{length:.0} s, {times} interruptions: {pulses} pulses and {samples} samples compared, each 0 \
+        "{length:.0} s, {times} interruptions, {cuts} more by the cable within the enumeration after \
+         one: {pulses} pulses and {samples} samples compared, each 0 \
          ticks off; missing at the host, and of them counted by the board: {missing:?}"
     );
     for (missing, dropped) in missing {
@@ -597,13 +743,24 @@ fn the_stack_ends_where_memory_ends() {
     Board::boot(wiring::board()).check_stacks([0x1000_0000, 0x1000_d000, 0x1001_0000]);
 }
 
-/// The ROM's bootloader leaves its own vectors behind (AN2606): the first interrupt would go
-/// there.
+/// The ROM's bootloader leaves its vectors, its stack, its clocks, the USB core and interrupts
+/// that are enabled and pending: whatever of it, the program starts as after a reset.
 #[test]
 fn it_runs_when_the_rom_has_started_it() {
-    let mut board = Board::boot(wiring::board().started_by_rom());
-    board.run(3_000);
-    assert_eq!(board.hellos.len(), 1);
+    for kind in [BoardKind::Discovery, BoardKind::BlackPill] {
+        for seed in 0..10 {
+            let builder = wiring::board_of(kind, None).seed(Seed(seed));
+            let mut board = Board::boot(builder.started_by_rom());
+            board.run(1_200);
+            assert_eq!(board.hellos.len(), 1);
+            let stacks = board.rig.firmware();
+            let top = stacks.symbol("_stack_start").unwrap().address;
+            let bottom = stacks.symbol("_task_stack_start").unwrap().address;
+            let status = board.statuses.last().unwrap();
+            assert!(status.stack_used < 6_144, "{status:?}");
+            assert!(board.rig.handler_stack() > bottom && board.rig.handler_stack() <= top);
+        }
+    }
 }
 
 /// A probe that detaches stops the counter that the handlers are measured with.

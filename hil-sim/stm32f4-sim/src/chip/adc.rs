@@ -84,6 +84,15 @@ impl Adc {
         }
     }
 
+    /// Supply, in V.
+    pub(crate) fn supply(&self) -> f64 {
+        self.die.supply
+    }
+
+    pub(crate) fn set_supply(&mut self, volts: f64) {
+        self.die.supply = volts;
+    }
+
     pub(crate) fn reset(&mut self) {
         *self = Self::new(self.die, self.sensor);
     }

@@ -2,10 +2,14 @@
 
 use super::Soc;
 use super::memory::FLASH_BASE;
+use super::rules::Rule;
 use crate::time::SimDuration;
 
 /// Time in which a word is programmed, typically (DS8626 table 40).
 const WORD: SimDuration = SimDuration::from_micros(16);
+
+/// Lowest supply at which a word is programmed at once, in V (RM0090 3.6.2, table 8).
+const WORD_SUPPLY: f64 = 2.7;
 
 const KEYS: [u32; 2] = [0x4567_0123, 0xcdef_89ab];
 
@@ -40,6 +44,11 @@ impl Default for FlashControl {
 }
 
 impl FlashControl {
+    /// Unlocked, to be programmed.
+    pub(super) fn leave_unlocked(&mut self) {
+        (self.keys, self.cr) = (KEYS.len(), CR_PG | CR_PSIZE_WORD);
+    }
+
     pub(super) fn read(&self, offset: u32) -> Option<u32> {
         match offset {
             0x0c => Some(self.sr),
@@ -80,6 +89,12 @@ impl Soc {
     /// The core writes to the flash, and waits until that is done: its next instruction comes
     /// from there. Bits that are 0 stay.
     pub(super) fn program(&mut self, addr: u32, bytes: &[u8]) {
+        let supply = self.adc.supply();
+        if self.flash.cr & CR_PSIZE == CR_PSIZE_WORD && supply < WORD_SUPPLY {
+            self.forbid(Rule::FlashSupply {
+                millivolts: (supply * 1e3) as u32,
+            });
+        }
         let control = &mut self.flash;
         if control.cr & (CR_PG | CR_LOCK) != CR_PG {
             control.sr |= SR_PGSERR;

@@ -26,6 +26,8 @@ struct Port {
 pub(crate) struct Gpio {
     ports: [Port; Pin::PORTS],
     outside: [[Drive; 16]; Pin::PORTS],
+    /// Voltage of a high level from outside, in V, where it is not the supply's.
+    pub(crate) volts: [Option<f64>; Pin::PORTS * 16],
     /// Levels as last computed, a word a port.
     pub(crate) levels: [u16; Pin::PORTS],
 }
@@ -35,6 +37,7 @@ impl Gpio {
         let mut gpio = Self {
             ports: [Port::default(); Pin::PORTS],
             outside: [[Drive::Floating; 16]; Pin::PORTS],
+            volts: [None; Pin::PORTS * 16],
             levels: [0; Pin::PORTS],
         };
         gpio.reset();
@@ -63,6 +66,13 @@ impl Gpio {
         };
     }
 
+    /// PA11 and PA12 are left to the USB core.
+    pub(crate) fn leave_usb(&mut self) {
+        let port = &mut self.ports[0];
+        port.moder |= 0xa << 22;
+        port.afr[1] |= 0xaa << 12;
+    }
+
     pub(crate) fn drive(&mut self, pin: Pin, drive: Drive) {
         self.outside[pin.port()][pin.number()] = drive;
     }
@@ -80,6 +90,11 @@ impl Gpio {
             2 => Mode::Alternate(((port.afr[n / 8] >> ((n % 8) * 4)) & 0xf) as u8),
             _ => Mode::Analog,
         }
+    }
+
+    /// True if the chip pulls the pin up or down.
+    pub(crate) fn is_pulled(&self, pin: Pin) -> bool {
+        (self.ports[pin.port()].pupdr >> (pin.number() * 2)) & 3 != 0
     }
 
     pub(crate) fn is_open_drain(&self, pin: Pin) -> bool {

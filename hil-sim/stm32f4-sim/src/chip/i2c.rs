@@ -373,6 +373,12 @@ impl I2c {
         })
     }
 
+    /// True if this read clears ADDR of a transfer of a single byte: it will not be acknowledged.
+    pub(crate) fn reads_one_byte(&self, offset: u32) -> bool {
+        let clears = offset == 0x18 && self.sr1 & SR1_ADDR != 0 && self.sr1_read;
+        clears && !self.transmitter && self.cr1 & CR1_ACK == 0
+    }
+
     fn address_cleared(&mut self, now: SimTime, bus: &mut I2cBus) {
         self.sr1 &= !SR1_ADDR;
         if self.phase != Phase::AwaitClear {

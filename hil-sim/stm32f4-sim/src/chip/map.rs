@@ -5,6 +5,7 @@ use super::events::Source;
 use super::memory::is_flash;
 use super::rules::{End, FLASH_ACR, Rule};
 use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, names};
+use crate::cpu::ROM_STACK;
 use crate::pin::Pin;
 use crate::time::SimTime;
 
@@ -125,6 +126,9 @@ impl Soc {
             Block::Iwdg => self.iwdg.read(offset),
             Block::Uart => self.uart.read(offset),
             Block::I2c1 => {
+                if self.i2c.reads_one_byte(offset) {
+                    self.forbid(Rule::OneByteRead);
+                }
                 let value = self.i2c.read(offset, now, &mut self.i2c_bus);
                 if matches!(offset, 0x10 | 0x14 | 0x18) {
                     self.after_i2c();
@@ -422,7 +426,7 @@ impl Soc {
     fn read_system_memory(&self, addr: u32) -> u32 {
         match addr {
             // The vectors of the ROM's bootloader: a stack, and a program that is not modelled.
-            0x1fff_0000 => 0x2000_2d40,
+            0x1fff_0000 => ROM_STACK,
             0x1fff_0004 => 0x1fff_0101,
             0x1fff_7a10 => self.uid[0],
             0x1fff_7a14 => self.uid[1],

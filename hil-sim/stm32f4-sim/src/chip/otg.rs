@@ -9,8 +9,9 @@
 //! Which OUT packets are taken follows drivers that are known to work on the
 //! silicon rather than the letter of the manual: an active endpoint whose NAK
 //! bit is clear takes a packet if it fits the receive FIFO; `EPENA` is not
-//! asked for. Not modelled: host mode, DMA (this core has none), isochronous
-//! transfers, resume from suspend (the host resets a device that was idle), data toggles (the bus of the model loses no packets).
+//! asked for. What no manual says that a bus reset does, it does not do: a driver has to.
+//! Not modelled: host mode, DMA (this core has none), isochronous transfers, resume from suspend
+//! (the host resets a device that was idle), data toggles of endpoint 0, which its stages give.
 
 mod registers;
 
@@ -21,6 +22,7 @@ pub(crate) const ENDPOINTS: usize = 4;
 /// Words of FIFO memory.
 const FIFO_WORDS: usize = 320;
 
+const GINTSTS_OTGINT: u32 = 1 << 2;
 const GINTSTS_SOF: u32 = 1 << 3;
 const GINTSTS_RXFLVL: u32 = 1 << 4;
 const GINTSTS_NPTXFE: u32 = 1 << 5;
@@ -36,10 +38,13 @@ const GINTSTS_W1C: u32 = 0xf030_fc0a;
 const GOTGINT_SEDET: u32 = 1 << 2;
 
 const EPCTL_USBAEP: u32 = 1 << 15;
+const EPCTL_DPID: u32 = 1 << 16;
 const EPCTL_NAKSTS: u32 = 1 << 17;
 const EPCTL_STALL: u32 = 1 << 21;
 const EPCTL_CNAK: u32 = 1 << 26;
 const EPCTL_SNAK: u32 = 1 << 27;
+const EPCTL_SD0PID: u32 = 1 << 28;
+const EPCTL_SD1PID: u32 = 1 << 29;
 const EPCTL_EPDIS: u32 = 1 << 30;
 const EPCTL_EPENA: u32 = 1 << 31;
 
@@ -62,11 +67,24 @@ const PKTSTS_SETUP: u32 = 6;
 
 /// Answer of the device to a transaction.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Handshake {
+pub enum Handshake {
     /// Data of an IN, or the acknowledge of an OUT (then empty).
     Ack(Vec<u8>),
+    /// Not now.
     Nak,
+    /// Not at all.
     Stall,
+}
+
+/// A transaction that a host begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Token<'a> {
+    /// A SETUP for endpoint 0.
+    Setup([u8; 8]),
+    /// An IN for this endpoint.
+    In(u8),
+    /// An OUT for this endpoint, with its data and their toggle.
+    Out(u8, &'a [u8], bool),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -164,6 +182,20 @@ impl Otg {
         self.gusbcfg = gusbcfg;
     }
 
+    /// The core as a program leaves it that has just sent its last packet: on the bus, with a
+    /// transmit on its way, an interrupt for each frame, and all others.
+    pub(crate) fn leave_as_rom(&mut self) {
+        self.gccfg = (1 << 16) | (1 << 21);
+        self.gahbcfg = 1;
+        self.gintmsk = u32::MAX;
+        self.gintsts |= GINTSTS_SOF | GINTSTS_USBSUSP;
+        self.inep[0].ctl = EPCTL_EPENA;
+        self.daintmsk = u32::MAX;
+        self.diepmsk = u32::MAX;
+        self.doepmsk = u32::MAX;
+        self.push_rx(0, PKTSTS_OUT, &[0; 8]);
+    }
+
     // ---- the host's side ----------------------------------------------
 
     /// True if the device's pull-up shows on the bus.
@@ -200,25 +232,11 @@ impl Otg {
         self.suspended = false;
         self.gintsts |= GINTSTS_USBRST;
         self.dcfg &= !(0x7f << 4);
-        for ep in &mut self.outep {
-            ep.ctl = (ep.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
-        }
         // A transmit is not stopped by a reset: the driver has to (embassy #6687).
-        for (n, ep) in self.inep.iter_mut().enumerate() {
-            if n == 0 {
-                ep.ctl = (ep.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
-            } else {
-                ep.ctl &= !(EPCTL_USBAEP | EPCTL_STALL);
-            }
+        for ep in self.inep.iter_mut().chain(&mut self.outep) {
+            ep.ctl &= !EPCTL_USBAEP;
         }
-        self.tx[0].clear();
         self.wedged = false;
-        for ep in &mut self.outep[1..] {
-            ep.ctl &= !(EPCTL_USBAEP | EPCTL_STALL);
-        }
-        self.rx_status.clear();
-        self.rx_data.clear();
-        self.rx_words = 0;
     }
 
     /// The transmitter answers no token until the next bus reset.
@@ -312,12 +330,19 @@ impl Otg {
         Some(Handshake::Ack(Vec::new()))
     }
 
-    /// An OUT transaction.
-    pub(crate) fn out(&mut self, ep: usize, data: &[u8]) -> Handshake {
+    /// An OUT transaction, with the data toggle of the host. A packet with the other one is a
+    /// repeated one: it is acknowledged and dropped (USB 2.0 8.6.3).
+    pub(crate) fn out(&mut self, ep: usize, data: &[u8], toggle: bool) -> Handshake {
         match self.out_ready(ep, data.len()) {
             None => return Handshake::Nak,
             Some(Handshake::Ack(_)) => {}
             Some(other) => return other,
+        }
+        if ep > 0 {
+            if toggle != (self.outep[ep].ctl & EPCTL_DPID != 0) {
+                return Handshake::Ack(Vec::new());
+            }
+            self.outep[ep].ctl ^= EPCTL_DPID;
         }
         self.push_rx(ep, PKTSTS_OUT, data);
         let e = &mut self.outep[ep];
@@ -370,6 +395,11 @@ impl Otg {
         size.min(max_packet) as usize
     }
 
+    /// Data toggle of the next packet of an IN endpoint.
+    pub(crate) fn in_toggle(&self, ep: usize) -> bool {
+        self.inep[ep].ctl & EPCTL_DPID != 0
+    }
+
     /// An IN transaction; the host has acknowledged the data.
     pub(crate) fn take_in(&mut self, ep: usize) -> Handshake {
         match self.in_ready(ep) {
@@ -385,6 +415,7 @@ impl Otg {
         }
         data.truncate(len);
         let e = &mut self.inep[ep];
+        e.ctl ^= EPCTL_DPID;
         let size_mask = if ep == 0 { 0x7f } else { 0x7_ffff };
         let left = (e.siz & size_mask) - (len as u32).min(e.siz & size_mask);
         let packets = ((e.siz >> 19) & if ep == 0 { 3 } else { 0x3ff }).saturating_sub(1);

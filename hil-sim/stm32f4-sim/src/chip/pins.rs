@@ -100,6 +100,9 @@ impl Soc {
             own = Some(false);
         }
         let level = self.gpio.resolve(pin, own);
+        if level {
+            self.require_voltage(pin);
+        }
         if !self.gpio.set_level(pin, level) {
             return;
         }

@@ -51,6 +51,8 @@ pub(crate) struct Clocks {
 pub(crate) struct Rcc {
     /// Frequency of the crystal; without one its oscillator never gets ready.
     crystal: Option<Rate>,
+    /// The crystal has stopped.
+    stopped: bool,
     cr: u32,
     pllcfgr: u32,
     cfgr: u32,
@@ -68,6 +70,7 @@ pub(crate) struct Rcc {
 const GATES: u32 = 0x10;
 const CR_HSION: u32 = 1;
 const CR_HSEON: u32 = 1 << 16;
+const CR_CSSON: u32 = 1 << 19;
 const CR_PLLON: u32 = 1 << 24;
 const CR_PLLI2SON: u32 = 1 << 26;
 const CSR_RMVF: u32 = 1 << 24;
@@ -76,6 +79,7 @@ impl Rcc {
     pub(crate) fn new(crystal: Option<Rate>) -> Self {
         let mut rcc = Self {
             crystal,
+            stopped: false,
             cr: 0,
             pllcfgr: 0,
             cfgr: 0,
@@ -110,6 +114,22 @@ impl Rcc {
         self.hse_ready = SimTime::NEVER;
         self.pll_ready = SimTime::NEVER;
         self.lsi_ready = SimTime::NEVER;
+    }
+
+    /// The core runs at 60 MHz from the crystal, as by the ROM's bootloader for USB (AN2606),
+    /// with clock security on, and the USB core has its clock.
+    pub(crate) fn leave_as_rom(&mut self, now: SimTime) {
+        let Some(crystal) = self.crystal else {
+            return;
+        };
+        (self.hse_ready, self.pll_ready) = (now, now);
+        self.cr |= CR_HSEON | CR_CSSON | CR_PLLON;
+        let divider = crystal.hz_rounded() as u32 / 1_000_000;
+        self.pllcfgr = (5 << 24) | (1 << 22) | (1 << 16) | (240 << 6) | divider;
+        self.cfgr = 0x9400 | (2 << 2) | 2;
+        self.gates[((0x30 - GATES) / 4) as usize] |= 0x0060_000f;
+        self.gates[((0x34 - GATES) / 4) as usize] |= 1 << 7;
+        self.gates[((0x44 - GATES) / 4) as usize] |= 1 << 14;
     }
 
     fn crystal_rate(&self) -> Rate {
@@ -187,6 +207,21 @@ impl Rcc {
             usb: if pll_on { self.pll(q) } else { Rate::hz(0) },
             mco1: mco1.map(|r| r.scaled(1, mco1_div)),
         }
+    }
+
+    /// The crystal stops, or swings again. Returns true if clock security notices that it stops:
+    /// the core then goes on from the internal oscillator (RM0090 7.2.7).
+    pub(crate) fn set_crystal(&mut self, swings: bool) -> Option<bool> {
+        self.stopped = !swings;
+        let used = self.cr & CR_HSEON != 0 && self.hse_ready != SimTime::NEVER;
+        if swings || !used {
+            return None;
+        }
+        let watched = self.cr & CR_CSSON != 0;
+        (self.hse_ready, self.pll_ready) = (SimTime::NEVER, SimTime::NEVER);
+        self.cr = (self.cr | CR_HSION) & !(CR_HSEON | CR_PLLON);
+        self.cfgr &= !0xf;
+        Some(watched)
     }
 
     /// When an oscillator that is starting gets ready.
@@ -278,7 +313,7 @@ impl Rcc {
         match offset {
             0x00 => {
                 let on = value & !self.cr;
-                if on & CR_HSEON != 0 && self.crystal.is_some() {
+                if on & CR_HSEON != 0 && self.crystal.is_some() && !self.stopped {
                     self.hse_ready = now + HSE_START;
                 }
                 if on & CR_PLLON != 0 {

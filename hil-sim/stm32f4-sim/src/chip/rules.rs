@@ -53,6 +53,14 @@ pub(crate) enum Rule {
     },
     /// A DMA stream is to reach memory that is not on its bus (RM0090 2.3.1).
     DmaMemory { address: u32 },
+    /// The flash is programmed a word at a time with a supply that is too low for that.
+    FlashSupply { millivolts: u32 },
+    /// A single byte is received by I2C.
+    OneByteRead,
+    /// The crystal stopped while the firmware relied on it unwatched.
+    UnwatchedCrystal,
+    /// A pin is driven above the supply while its pull resistor is on.
+    PinVoltage { pin: Pin, millivolts: [u32; 2] },
     /// A peripheral is touched without its clock.
     Unclocked { address: u32 },
     /// A peripheral is touched before the clock that was just enabled has arrived
@@ -78,6 +86,9 @@ pub(crate) enum Rule {
 
 /// The highest HCLK for each wait state of the flash, at 2.7 V to 3.6 V (RM0090 table 10).
 const HZ_A_WAIT_STATE: u64 = 30_000_000;
+
+/// Voltage by which a pin with its pull on may be above the supply (DS8626 table 14, note 6).
+const PULLED_ABOVE_SUPPLY: f64 = 0.3;
 
 pub(super) const FLASH_ACR: u32 = 0x4002_3c00;
 pub(super) const ACR_LATENCY: u32 = 7;
@@ -142,6 +153,27 @@ impl fmt::Display for Rule {
                 f,
                 "a DMA stream is to use memory at {address:#010x}, which it cannot reach: only \
                  SRAM and flash are on its bus (RM0090 2.3.1)"
+            ),
+            Self::FlashSupply { millivolts } => write!(
+                f,
+                "it programs the flash by 32 bits at {millivolts} mV; that takes 2.7 V (RM0090 \
+                 3.6.2): measure the supply first"
+            ),
+            Self::OneByteRead => f.write_str(
+                "it receives a single byte by I2C, whose STOP must be asked for while that is on \
+                 the wire, and interrupts are on (AN2824): read two",
+            ),
+            Self::UnwatchedCrystal => f.write_str(
+                "the crystal has stopped, and clock security is off: its time is wrong from now \
+                 on (RM0090 7.2.7)",
+            ),
+            Self::PinVoltage {
+                pin,
+                millivolts: [found, most],
+            } => write!(
+                f,
+                "{pin} is driven to {found} mV while its pull resistor is on: {most} mV at most, \
+                 0.3 V above the supply (DS8626 table 14, note 6)"
             ),
             Self::Unclocked { address } => Self::name_access(
                 f,
@@ -221,6 +253,18 @@ impl Soc {
         let is_set = |register, bit| self.cells.read(register).unwrap_or(0) & bit != 0;
         if address & 4 != 0 && is_set(DBGMCU_CR, DBG_SLEEP) && is_set(FLASH_ACR, ACR_PRFTEN) {
             self.forbid(Rule::Wfi { address });
+        }
+    }
+
+    /// Holds a pin that is high to the voltage that it may have with its pull on.
+    pub(super) fn require_voltage(&mut self, pin: Pin) {
+        let most = self.adc.supply() + PULLED_ABOVE_SUPPLY;
+        if let Some(volts) = self.gpio.volts[pin.index()]
+            && volts > most
+            && self.gpio.is_pulled(pin)
+        {
+            let millivolts = [volts, most].map(|volts| (volts * 1e3).round() as u32);
+            self.forbid(Rule::PinVoltage { pin, millivolts });
         }
     }
 

@@ -15,6 +15,8 @@ use crate::model::PinModel;
 use crate::pin::Pin;
 use crate::random::{RAM_STREAM, Seed};
 use crate::rtt::{LogLine, Rtt};
+use crate::shared::lock;
+use crate::time::SimDuration;
 
 /// Clocks that the synchroniser of a timer's input takes, unless the builder says
 /// otherwise: two flip-flops and the detector of the edge. A guess, no manual has it.
@@ -68,6 +70,7 @@ impl SimBuilder {
                 revision: Revision::Y,
                 broken_rng: false,
                 die: Die::default(),
+                shortest_detach: SimDuration::ZERO,
             },
             models: Vec::new(),
             targets: Vec::new(),
@@ -206,6 +209,9 @@ impl SimBuilder {
             soc.i2c_bus.add(target);
         }
         for model in self.models {
+            for (pin, volts) in model.outputs() {
+                soc.gpio.volts[pin.index()] = Some(volts);
+            }
             soc.add_model(model);
         }
         if self.plugged {
@@ -215,7 +221,8 @@ impl SimBuilder {
         let soc = Arc::new(Mutex::new(soc));
         let mut cpu = Cpu::new(Arc::clone(&soc), code_bytes).map_err(SimError::Setup)?;
         if self.by_rom {
-            cpu.start_by_rom();
+            lock(&soc).leave_as_rom();
+            cpu.start_by_rom(&mut random);
         }
         let mut panic_at = None;
         for name in ["rust_begin_unwind", "__rustc::rust_begin_unwind"] {

@@ -7,7 +7,7 @@ use crate::chip::Soc;
 use crate::clock::Rate;
 use crate::pin::{Drive, Level, Pin};
 use crate::time::{SimDuration, SimTime};
-use crate::usb::{DeviceInfo, UsbState};
+use crate::usb::{DeviceInfo, Handshake, Token, UsbCut, UsbHost, UsbState};
 
 impl Sim {
     // ---- USB ------------------------------------------------------------------------
@@ -85,6 +85,22 @@ impl Sim {
         self.with_chip(|s| s.usb_configure(|u| u.set_open(open)));
     }
 
+    /// Has the host clear the halts of the bulk endpoints when it opens the port, as FreeBSD does.
+    pub fn usb_clear_halts_on_open(&mut self) {
+        self.with_chip(|s| s.usb_configure(|u| u.set_clears_halts(true)));
+    }
+
+    /// Has the host set the configuration again.
+    pub fn usb_configure_again(&mut self) {
+        self.with_chip(|s| s.usb_configure(|u| u.configure_again()));
+    }
+
+    /// Has the host end a control transfer: after this number of further transactions of control
+    /// transfers, and then a time.
+    pub fn usb_cut(&mut self, what: UsbCut, transactions: u32, delay: SimDuration) {
+        self.with_chip(|s| s.usb_configure(|u| u.cut(what, transactions, delay)));
+    }
+
     /// Lets the host ask for data, or hang.
     pub fn usb_set_reading(&mut self, reading: bool) {
         self.with_chip(|s| s.usb_configure(|u| u.set_reading(reading)));
@@ -98,6 +114,50 @@ impl Sim {
     /// Flips a bit in this number of a million bytes on their way (0 for none).
     pub fn usb_corrupt(&mut self, from_device_ppm: u32, to_device_ppm: u32) {
         self.with_chip(|s| s.usb_configure(|u| u.set_corruption(from_device_ppm, to_device_ppm)));
+    }
+
+    // ---- USB, by another host than the simulated one --------------------------------
+
+    /// Takes the bus from the simulated host, until the cable is pulled.
+    pub fn usb_take_over(&mut self) {
+        self.with_chip(|s| s.usb_configure(UsbHost::leave));
+    }
+
+    /// True if the device shows its pull-up.
+    #[must_use]
+    pub fn usb_is_attached(&self) -> bool {
+        self.with_chip(|s| s.otg.attached())
+    }
+
+    /// Begins a reset of the bus, or ends it.
+    pub fn usb_drive_reset(&mut self, begins: bool) {
+        self.with_chip(|s| {
+            if begins {
+                s.otg.bus_reset();
+            } else {
+                s.otg.enumerated();
+            }
+            s.usb_configure(|_| {});
+        });
+    }
+
+    /// Makes a transaction.
+    pub fn usb_transact(&mut self, token: Token<'_>) -> Handshake {
+        self.with_chip(|s| {
+            let answer = match token {
+                Token::Setup(setup) => s.otg.setup(setup),
+                Token::In(endpoint) => s.otg.take_in(endpoint.into()),
+                Token::Out(endpoint, data, toggle) => s.otg.out(endpoint.into(), data, toggle),
+            };
+            s.usb_configure(|_| {});
+            answer
+        })
+    }
+
+    /// Data toggle of the next packet of an IN endpoint.
+    #[must_use]
+    pub fn usb_in_toggle(&self, endpoint: u8) -> bool {
+        self.with_chip(|s| s.otg.in_toggle(endpoint.into()))
     }
 
     // ---- the I2C bus -----------------------------------------------------------------
@@ -121,6 +181,12 @@ impl Sim {
     #[must_use]
     pub fn level(&self, pin: Pin) -> Level {
         Level::from(self.with_chip(|s| s.gpio.level(pin)))
+    }
+
+    /// True if the chip pulls a pin up or down.
+    #[must_use]
+    pub fn is_pulled(&self, pin: Pin) -> bool {
+        self.with_chip(|s| s.gpio.is_pulled(pin))
     }
 
     /// Logs the edges of a pin from now on, for [`Sim::take_edges`].
@@ -168,6 +234,16 @@ impl Sim {
     #[must_use]
     pub fn random_number(&self) -> Option<u32> {
         self.with_chip(|s| s.rng.last)
+    }
+
+    /// Stops the crystal, or lets it swing again.
+    pub fn set_crystal(&mut self, swings: bool) {
+        self.with_chip(|s| s.set_crystal(swings));
+    }
+
+    /// Sets the chip's supply from now on, in V.
+    pub fn set_supply(&mut self, volts: f64) {
+        self.with_chip(|s| s.adc.set_supply(volts));
     }
 
     /// Takes a debug probe off, which leaves the debug unit off (probe-rs clears DEMCR).

@@ -32,6 +32,8 @@ pub struct DeviceInfo {
     pub serial: String,
     /// Value for SET_CONFIGURATION.
     pub configuration: u8,
+    /// bmAttributes of the configuration: 0x80, and 0x40 if it has power of its own.
+    pub attributes: u8,
     /// Its serial port, if it has one.
     pub cdc: Option<CdcAcm>,
     pub(super) string_indices: [u8; 3],
@@ -55,6 +57,7 @@ pub(super) fn configuration(d: &[u8], info: &mut DeviceInfo) -> Result<(), Strin
         return Err(format!("not a configuration descriptor: {d:02x?}"));
     }
     info.configuration = d[5];
+    info.attributes = d[7];
     let mut at = 0;
     let mut interface = (0u8, 0u8);
     let mut control = None;

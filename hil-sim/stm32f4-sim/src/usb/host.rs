@@ -76,7 +76,29 @@ enum Step {
     Text(usize),
     SetConfiguration,
     LineCoding,
+    /// CLEAR_FEATURE(HALT) of the bulk IN endpoint, or of the other one.
+    ClearHalt {
+        is_in: bool,
+    },
     ControlLines,
+}
+
+/// End of a control transfer that the host does not finish.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UsbCut {
+    /// The cable is pulled.
+    Unplug,
+    /// The host resets the bus and enumerates the device again.
+    Reset,
+    /// The host gives the transfer up and begins it again.
+    Retry,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Cutting {
+    /// After this number of further transactions of control transfers, and then a time.
+    After(u32, SimDuration),
+    At(SimTime),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,6 +123,8 @@ enum Phase {
     Control(Step),
     Ready,
     Failed,
+    /// Another host has the bus.
+    Away,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,6 +171,16 @@ pub(crate) struct UsbHost {
     ready: bool,
     open: bool,
     lines_sent: Option<bool>,
+    clears_halts: bool,
+    configures: bool,
+    cut: Option<(UsbCut, Cutting)>,
+    /// Time without its pull-up before which a device that comes back is not seen.
+    pub(crate) shortest_detach: SimDuration,
+    left_at: Option<SimTime>,
+    came_back_early: bool,
+    /// Data toggles of the two bulk endpoints.
+    toggle_in: bool,
+    toggle_out: bool,
     out_turn: bool,
     to_device: VecDeque<u8>,
     from_device: VecDeque<u8>,
@@ -178,6 +212,14 @@ impl UsbHost {
             ready: false,
             open: true,
             lines_sent: None,
+            clears_halts: false,
+            configures: false,
+            cut: None,
+            shortest_detach: SimDuration::ZERO,
+            left_at: None,
+            came_back_early: false,
+            toggle_in: false,
+            toggle_out: false,
             out_turn: false,
             to_device: VecDeque::new(),
             from_device: VecDeque::new(),
@@ -251,6 +293,21 @@ impl UsbHost {
         self.open = open;
     }
 
+    /// Clears the halts of the bulk endpoints when it opens the port, as FreeBSD does.
+    pub(crate) fn set_clears_halts(&mut self, on: bool) {
+        self.clears_halts = on;
+    }
+
+    /// Sets the configuration again.
+    pub(crate) fn configure_again(&mut self) {
+        self.configures = true;
+    }
+
+    /// Ends a control transfer after this number of further transactions, and then a time.
+    pub(crate) fn cut(&mut self, what: UsbCut, transactions: u32, delay: SimDuration) {
+        self.cut = Some((what, Cutting::After(transactions, delay)));
+    }
+
     pub(crate) fn set_corruption(&mut self, in_ppm: u32, out_ppm: u32) {
         self.corrupt_in_ppm = in_ppm;
         self.corrupt_out_ppm = out_ppm;
@@ -266,6 +323,8 @@ impl UsbHost {
         }
         self.note(now, "cable plugged in");
         self.phase = Phase::NoDevice;
+        self.left_at = None;
+        self.came_back_early = false;
         self.attempts = 0;
         otg.set_vbus(true);
         self.step(now, otg);
@@ -308,6 +367,12 @@ impl UsbHost {
         };
         self.quiet_since = Some(now);
         self.step(now, otg);
+    }
+
+    /// Leaves the bus to another host.
+    pub(crate) fn leave(&mut self) {
+        self.drop_device();
+        self.phase = Phase::Away;
     }
 
     fn drop_device(&mut self) {
@@ -357,6 +422,7 @@ impl UsbHost {
         for _ in 0..16 {
             self.next = SimTime::NEVER;
             self.watch_bus(now, otg);
+            self.cut_transfer(now, otg);
             if !self.step_once(now, otg) {
                 break;
             }
@@ -379,7 +445,14 @@ impl UsbHost {
     fn watch_bus(&mut self, now: SimTime, otg: &mut Otg) {
         let attached = otg.attached();
         match self.phase {
-            Phase::Unplugged => {}
+            Phase::Unplugged | Phase::Away => {}
+            Phase::NoDevice if attached && self.came_back_early => {}
+            Phase::NoDevice
+                if attached && (self.left_at).is_some_and(|at| now < at + self.shortest_detach) =>
+            {
+                self.came_back_early = true;
+                self.note(now, "the device came back too soon: it is not seen");
+            }
             Phase::NoDevice if attached => {
                 self.phase = Phase::Debounce {
                     until: now + DEBOUNCE,
@@ -387,11 +460,16 @@ impl UsbHost {
                 self.quiet_since = Some(now);
                 self.note(now, "device attached");
             }
+            Phase::NoDevice if self.came_back_early => {
+                self.came_back_early = false;
+                self.left_at = Some(now);
+            }
             Phase::NoDevice => {}
             _ if !attached => {
                 self.note(now, "device detached");
                 self.drop_device();
                 self.phase = Phase::NoDevice;
+                self.left_at = Some(now);
                 self.quiet_since = None;
                 self.attempts = 0;
             }
@@ -411,10 +489,31 @@ impl UsbHost {
         }
     }
 
+    /// Ends a control transfer, if that was asked for and is due.
+    fn cut_transfer(&mut self, now: SimTime, otg: &mut Otg) {
+        match self.cut {
+            Some((what, Cutting::At(at))) if at <= now => {
+                self.cut = None;
+                match what {
+                    UsbCut::Unplug => self.unplug(now, otg),
+                    UsbCut::Reset => self.reset_bus(now, otg),
+                    UsbCut::Retry => {
+                        if let Phase::Control(step) = self.phase {
+                            self.inflight = None;
+                            self.begin(step, now);
+                        }
+                    }
+                }
+            }
+            Some((_, Cutting::At(at))) => self.next = self.next.min(at),
+            _ => {}
+        }
+    }
+
     /// One thing; true if there may be another at once.
     fn step_once(&mut self, now: SimTime, otg: &mut Otg) -> bool {
         match self.phase {
-            Phase::Unplugged | Phase::NoDevice | Phase::Failed => false,
+            Phase::Unplugged | Phase::NoDevice | Phase::Failed | Phase::Away => false,
             Phase::Debounce { until }
             | Phase::Settle { until }
             | Phase::Reset { until, .. }

@@ -41,6 +41,9 @@ impl Otg {
         if !self.rx_status.is_empty() {
             s |= GINTSTS_RXFLVL;
         }
+        if self.gotgint != 0 {
+            s |= GINTSTS_OTGINT;
+        }
         let daint = self.daint() & self.daintmsk;
         if daint & 0xffff != 0 {
             s |= GINTSTS_IEPINT;
@@ -241,7 +244,12 @@ impl Otg {
     fn write_diepctl(&mut self, ep: usize, value: u32) {
         let e = &mut self.inep[ep];
         let mut ctl = value & (0x03c0_0000 | EPCTL_USBAEP | 0x7ff | 0x000c_0000);
-        ctl |= e.ctl & (EPCTL_NAKSTS | EPCTL_EPENA);
+        ctl |= e.ctl & (EPCTL_NAKSTS | EPCTL_EPENA | EPCTL_DPID);
+        if value & EPCTL_SD0PID != 0 {
+            ctl &= !EPCTL_DPID;
+        } else if value & EPCTL_SD1PID != 0 {
+            ctl |= EPCTL_DPID;
+        }
         ctl |= value & EPCTL_STALL;
         if ep == 0 {
             ctl |= EPCTL_USBAEP;
@@ -270,7 +278,12 @@ impl Otg {
     fn write_doepctl(&mut self, ep: usize, value: u32) {
         let e = &mut self.outep[ep];
         let mut ctl = value & (EPCTL_USBAEP | 0x7ff | 0x000c_0000 | (1 << 20));
-        ctl |= e.ctl & (EPCTL_NAKSTS | EPCTL_EPENA);
+        ctl |= e.ctl & (EPCTL_NAKSTS | EPCTL_EPENA | EPCTL_DPID);
+        if value & EPCTL_SD0PID != 0 {
+            ctl &= !EPCTL_DPID;
+        } else if value & EPCTL_SD1PID != 0 {
+            ctl |= EPCTL_DPID;
+        }
         ctl |= value & EPCTL_STALL;
         if ep == 0 {
             ctl |= EPCTL_USBAEP | (e.ctl & EPCTL_STALL);

@@ -52,6 +52,7 @@ fn chip_like(part: Part, revision: Revision) -> Soc {
             revision,
             broken_rng: false,
             die: Default::default(),
+            shortest_detach: crate::time::SimDuration::ZERO,
         },
     )
 }

@@ -40,6 +40,15 @@ impl UsbHost {
                 data = vec![0x00, 0xc2, 0x01, 0x00, 0, 0, 8];
                 [0x21, 0x20, 0, 0, interface, 0, 7, 0]
             }
+            Step::ClearHalt { is_in } => {
+                let cdc = self.info.cdc;
+                let endpoint = if is_in {
+                    cdc.map_or(0, |c| c.data_in) | 0x80
+                } else {
+                    cdc.map_or(0, |c| c.data_out)
+                };
+                [0x02, 1, 0, 0, endpoint, 0, 0, 0]
+            }
             Step::ControlLines => {
                 let lines = if self.open { 3 } else { 0 };
                 self.lines_sent = Some(self.open);
@@ -116,7 +125,16 @@ impl UsbHost {
                 if self.info.cdc.is_none() {
                     return Err("the device has no CDC-ACM function".into());
                 }
+                (self.toggle_in, self.toggle_out) = (false, false);
                 self.begin(Step::LineCoding, now);
+            }
+            Step::ClearHalt { is_in: true } => {
+                self.toggle_in = false;
+                self.begin(Step::ClearHalt { is_in: false }, now);
+            }
+            Step::ClearHalt { is_in: false } => {
+                self.toggle_out = false;
+                self.begin(Step::ControlLines, now);
             }
             Step::LineCoding => self.begin(Step::ControlLines, now),
             Step::ControlLines => {
@@ -146,6 +164,8 @@ impl UsbHost {
             self.reset(now, Step::Descriptor8, otg);
         } else {
             self.failure = why;
+            // The port is switched off.
+            self.quiet_since = Some(now);
             self.phase = Phase::Failed;
         }
     }

@@ -21,8 +21,20 @@ impl UsbHost {
                 return true;
             }
             self.next = self.next.min(control.deadline);
+        } else if self.phase == Phase::Ready && self.configures {
+            self.configures = false;
+            self.begin(Step::SetConfiguration, now);
+            return true;
         } else if self.phase == Phase::Ready && self.lines_sent != Some(self.open) {
-            self.begin(Step::ControlLines, now);
+            let clears = self.clears_halts && self.open;
+            self.begin(
+                if clears {
+                    Step::ClearHalt { is_in: true }
+                } else {
+                    Step::ControlLines
+                },
+                now,
+            );
             return true;
         }
         let Some((transaction, bytes)) = self.choose(otg) else {
@@ -100,26 +112,37 @@ impl UsbHost {
             Transaction::Notification(ep) => {
                 otg.take_in(usize::from(ep));
             }
-            Transaction::BulkIn(ep) => match otg.take_in(usize::from(ep)) {
-                Handshake::Ack(data) => {
-                    for b in data {
-                        let b = corrupt(&mut self.random, self.corrupt_in_ppm, b);
-                        self.from_device.push_back(b);
+            Transaction::BulkIn(ep) => {
+                let toggle = otg.in_toggle(usize::from(ep));
+                match otg.take_in(usize::from(ep)) {
+                    // A repeated packet is acknowledged and dropped (USB 2.0 8.6.3).
+                    Handshake::Ack(_) if toggle != self.toggle_in => {
+                        self.note(now, "a bulk packet with the wrong data toggle");
+                    }
+                    Handshake::Ack(data) => {
+                        self.toggle_in = !self.toggle_in;
+                        for b in data {
+                            let b = corrupt(&mut self.random, self.corrupt_in_ppm, b);
+                            self.from_device.push_back(b);
+                        }
+                    }
+                    Handshake::Nak => {}
+                    Handshake::Stall => {
+                        self.note(now, "bulk IN stalled");
+                        self.broken("bulk IN stalled".into(), now, otg);
                     }
                 }
-                Handshake::Nak => {}
-                Handshake::Stall => {
-                    self.note(now, "bulk IN stalled");
-                    self.broken("bulk IN stalled".into(), now, otg);
+            }
+            Transaction::BulkOut(ep, data) => {
+                match otg.out(usize::from(ep), &data, self.toggle_out) {
+                    Handshake::Ack(_) => {
+                        self.toggle_out = !self.toggle_out;
+                        self.to_device.drain(..data.len().min(self.to_device.len()));
+                    }
+                    Handshake::Nak => {}
+                    Handshake::Stall => self.broken("bulk OUT stalled".into(), now, otg),
                 }
-            },
-            Transaction::BulkOut(ep, data) => match otg.out(usize::from(ep), &data) {
-                Handshake::Ack(_) => {
-                    self.to_device.drain(..data.len().min(self.to_device.len()));
-                }
-                Handshake::Nak => {}
-                Handshake::Stall => self.broken("bulk OUT stalled".into(), now, otg),
-            },
+            }
         }
     }
 
@@ -135,9 +158,17 @@ impl UsbHost {
         let answer = match &transaction {
             Transaction::Setup => otg.setup(control.setup),
             Transaction::ControlIn => otg.take_in(0),
-            Transaction::ControlOut(data) => otg.out(0, data),
+            Transaction::ControlOut(data) => otg.out(0, data, true),
             _ => return,
         };
+        if let Some((_, cutting)) = &mut self.cut
+            && let Cutting::After(left, delay) = *cutting
+        {
+            *cutting = match left {
+                0 | 1 => Cutting::At(now + delay),
+                _ => Cutting::After(left - 1, delay),
+            };
+        }
         let got = match answer {
             Handshake::Ack(data) => data,
             Handshake::Nak => {
