@@ -18,7 +18,9 @@ import sys
 import sysconfig
 import tempfile
 import unittest
+from types import SimpleNamespace
 
+import layouts
 import numpy as np
 
 import twist_sync
@@ -287,6 +289,60 @@ class Bags(Folder):
                     clock = twist_sync.sync([A, recording]).clock(1)
                     moved = clock.b_to_a(np.array([n for _, n in logs[0]]))
                     self.assertLess(np.abs(moved - np.array([n for _, n in logs[1]])).max(), 2)
+
+    def test_the_storage_of_a_bag_without_its_metadata_is_read_and_written_again(self):
+        write_bag(self.folder / "b", "sqlite3", W)
+        (self.folder / "b/metadata.yaml").unlink()
+        path = next((self.folder / "b").glob("*.db3"))
+        before = path.read_bytes()
+        out = self.folder / "out"
+        pair = self.offset(A, path, "--write", out)
+        self.assertAlmostEqual(pair["offset_s"], 947848.638467, delta=2e-6)
+        self.assertLess(abs(self.offset(A, out / path.name)["offset_s"]), 5e-6)
+        self.assertEqual(path.read_bytes(), before)
+
+    def test_stamps_of_json_in_mcap_are_written_again_to_the_nanosecond(self):
+        made = layouts.Made(layouts.Motion(), start=layouts.EPOCH)
+        path = self.file("b.mcap", layouts.mcap_json(made))
+        a = self.file("a.csv", layouts.sensor_logger(made.again(start=5 * 10**9, seed=3)))
+        self.offset(a, path, "--write", self.folder / "out")
+        clock = twist_sync.sync([a, path]).clock(1)
+        again = twist_sync.read(self.folder / "out/b.mcap")
+        self.assertLessEqual(np.abs(again.t - clock.b_to_a(made.ns)).max(), 1)
+        np.testing.assert_array_equal(again.w, made.w)
+
+    def test_poses_in_a_bag_are_turned_into_rates(self):
+        from rosbags import rosbag1, rosbag2
+        from rosbags.typesys import Stores, get_typestore
+
+        made = layouts.Made(layouts.Motion())
+        for ros1 in (True, False):
+            store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+            kinds = "Header std_msgs Time builtin_interfaces Point geometry_msgs Vector3 geometry_msgs Quaternion geometry_msgs Pose geometry_msgs PoseStamped geometry_msgs Transform geometry_msgs TransformStamped geometry_msgs".split()
+            make = SimpleNamespace(**{k: store.types[f"{p}/msg/{k}"] for k, p in zip(kinds[::2], kinds[1::2])})
+            for name in ("PoseStamped", "TransformStamped"):
+                with self.subTest(name=name, ros1=ros1):
+                    path = self.folder / f"{name}{ros1}{'.bag' if ros1 else ''}"
+                    writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=9)
+                    kind = f"geometry_msgs/msg/{name}"
+                    with writer:
+                        connection = writer.add_connection("/body", kind, typestore=store)
+                        for k, (ns, q) in enumerate(zip(made.ns.tolist(), made.q.tolist())):
+                            stamp = make.Time(sec=ns // 10**9, nanosec=ns % 10**9)
+                            header = make.Header(stamp=stamp, frame_id="room"[: k % 5], **({"seq": k} if ros1 else {}))
+                            turn = make.Quaternion(w=q[0], x=q[1], y=q[2], z=q[3])
+                            if name == "PoseStamped":
+                                message = make.PoseStamped(header, make.Pose(make.Point(1.0, 2.0, 3.0), turn))
+                            else:
+                                moved = make.Transform(make.Vector3(1.0, 2.0, 3.0), turn)
+                                message = make.TransformStamped(header, "body"[: k % 3], moved)
+                            pack = store.serialize_ros1 if ros1 else store.serialize_cdr
+                            writer.write(connection, ns, pack(message, kind))
+                    read = twist_sync.read(path)
+                    self.assertIn("poses' orientations", read.form)
+                    self.assertEqual(len(read.t), len(made.ns) - 1)
+                    error = read.w - made.motion.w(read.t * 1e-9)
+                    self.assertLess(np.abs(error).max(), 0.06)
 
     def test_one_of_several_topics_is_chosen(self):
         path = self.folder / "b.bag"
