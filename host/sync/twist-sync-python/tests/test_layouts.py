@@ -179,6 +179,8 @@ REFUSED = {
     "HDF5": ("a.h5", lambda m: b"\x89HDF\r\n\x1a\n" + bytes(64), "HDF5, which is not read"),
     "MATLAB's HDF5": ("a.mat", lambda m: b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM" + bytes(64), "version 7.3.*-v7"),
     "cut gzip": ("a.csv.gz", lambda m: gzip.compress(layouts.sensor_logger(m).encode())[:-900], "ended before"),
+    "damaged gzip": ("a.csv.gz", lambda m: (lambda c: c[:900] + bytes(99) + c[999:])(gzip.compress(layouts.sensor_logger(m).encode())), "a.csv.gz: "),
+    "cut UTF-16": ("a.csv", lambda m: layouts.windows_text(m)[:3], "no rows|empty"),
     "an archive of others": ("a.zip", lambda m: layouts.zipped(**{"a.doc": "b"}), "an archive without"),
     "an archive of several": ("a.zip", lambda m: layouts.zipped(**{"a.csv": layouts.sensor_logger(m), "b.csv": "x"}), "several recordings in the archive: a.csv, b.csv"),
     "JSON without rates": ("a.json", lambda m: json.dumps({"a": [1, 2, 3]}), "no rows of samples"),

@@ -11,12 +11,12 @@ import io
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -180,10 +180,13 @@ def read(
             found.notes.insert(0, f"unpacked: {own.name}")
             found.layout = None
         found.path = file
-    except (OSError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise Unreadable(f"{file}: {getattr(error, 'strerror', None) or error}") from None
     except Unreadable as error:
         raise Unreadable(f"{file}: {error}") from None
+    # Of bytes that no reader expects.
+    except (ValueError, LookupError, ArithmeticError, RuntimeError) as error:
+        raise Unreadable(f"{file}: cannot be read: {type(error).__name__}: {error}") from None
     finite = np.isfinite(found.w).all(axis=1)
     if not finite.all():
         found.notes.append(f"{len(finite) - finite.sum()} samples are no numbers and are left out")

@@ -16,7 +16,7 @@ has no names, and a row to ``tests/layouts.py``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -744,12 +744,12 @@ class Clock:
         else:
             counts, name = table.numbers(column)[self.rows], repr(table.names[column])
         usual = float(np.median(np.diff(counts))) if len(counts) > 1 else 1.0
-        counts, _ = self._unwrapped(counts, name, 1.0)
+        counts, _ = self._unwrapped(counts, name)
         ns = np.round((counts - counts[0]) / usual * 1e9 / rate).astype(np.int64)
         form = f"times by {name} at {rate:g} Hz ({by})"
         return Times(ns, form, self.notes, [], "ns")
 
-    def _unwrapped(self, raw: np.ndarray, name: str, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    def _unwrapped(self, raw: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Returns values that go on where a counter wraps, and what was added."""
         added = np.zeros(len(raw))
         steps = np.diff(raw)
@@ -806,7 +806,7 @@ class Clock:
             )
         rows = self.rows
         before = len(rows)
-        values, added = self._unwrapped(raw, repr(name), 1.0)
+        values, added = self._unwrapped(raw, repr(name))
         if len(self.rows) != before:
             # One part of several.
             start = int(np.searchsorted(rows, self.rows[0]))

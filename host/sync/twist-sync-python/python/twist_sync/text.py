@@ -342,9 +342,9 @@ def open_text(path: Path) -> IO[str]:
     with path.open("rb") as file:
         first = file.read(2)
     wide = first in (b"\xff\xfe", b"\xfe\xff")
-    return path.open(
-        encoding="utf-16" if wide else "utf-8-sig", errors="surrogateescape", newline=""
-    )
+    if wide:
+        return path.open(encoding="utf-16", errors="replace", newline="")
+    return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
 
 
 def lines_of(file: IO[str]) -> Iterator[tuple[int, str]]:
