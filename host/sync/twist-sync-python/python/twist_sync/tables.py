@@ -15,6 +15,7 @@ has no names, and a row to ``tests/layouts.py``.
 
 from __future__ import annotations
 
+import datetime
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -145,6 +146,7 @@ MODULI = [2.0**bits / part for bits in (16, 24, 32) for part in (1, 1e3, 1e6, 32
     period * unit for period in (3600, 86400, 604800) for unit in (1, 1e3, 1e6, 1e9)
 ]
 
+_EPOCH = datetime.date(1970, 1, 1)
 MOMENT = re.compile(
     r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)|(?P<a>\d\d?)[-/.](?P<b>\d\d?)[-/.](?P<y2>\d{4}))?[T ,_]*"
     r"(?P<clock>\d{1,3}(?::\d\d){1,2})(?:[.,:](?P<f>\d{1,12}))?"
@@ -170,7 +172,8 @@ def moment(text: str) -> int:
         month, day = (one["m"], one["d"]) if one["y"] else (one["b"], one["a"])
         if int(month) > 12:
             month, day = day, month
-        whole += int(np.datetime64(f"{dated}-{int(month):02}-{int(day):02}", "s").astype(np.int64))
+        days = datetime.date(int(dated), int(month), int(day)).toordinal() - _EPOCH.toordinal()
+        whole += days * 86400
     if one["zone"] and one["zone"][0] in "+-":
         away = int(one["zone"][1:3]) * 3600 + int(one["zone"][-2:]) * 60
         whole -= away if one["zone"][0] == "+" else -away

@@ -74,6 +74,11 @@ class Dialect:
 
     def number(self, field: str) -> float:
         """Returns a number; NaN for one that is missing."""
+        if self.decimal == "." and "_" not in field:
+            try:
+                return float(field)
+            except ValueError:
+                pass
         if field.lower() in MISSING:
             return np.nan
         plain = self.plain(field)
@@ -84,10 +89,13 @@ class Dialect:
 
     def is_value(self, field: str) -> bool:
         """Returns True for a number or a time."""
-        try:
-            return not np.isnan(self.number(field))
-        except ValueError:
+        if ":" in field:
             return MOMENT.fullmatch(field) is not None
+        try:
+            # NaN differs from itself.
+            return (value := self.number(field)) == value
+        except ValueError:
+            return False
 
     def is_row(self, fields: list[str]) -> bool:
         """Returns True if most of the fields are numbers or times."""
