@@ -68,10 +68,18 @@ const MAX_READS: usize = 1_000;
 pub(super) fn disarm() {
     let stream = DMA.st(STREAM);
     stream.cr().write(|_| {});
-    if !(0..MAX_READS).any(|_| !stream.cr().read().en()) {
-        defmt::panic!("the stream of the falling edges does not stop");
+    if stream.cr().read().en() {
+        wait_until_off();
     }
     clear_flags();
+}
+
+#[cold]
+fn wait_until_off() {
+    let is_off = |_| !DMA.st(STREAM).cr().read().en();
+    if !(0..MAX_READS).any(is_off) {
+        defmt::panic!("the stream of the falling edges does not stop");
+    }
 }
 
 /// If both values were loaded: the falling edge.
