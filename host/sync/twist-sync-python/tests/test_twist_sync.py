@@ -8,6 +8,7 @@ import csv
 import email
 import functools
 import http.server
+import itertools
 import json
 import os
 import pathlib
@@ -188,6 +189,24 @@ class Twists(unittest.TestCase):
         self.assertEqual(found.clock.b_to_a(int(nanos[5])), on_a[5])
         self.assertIsInstance(found.clock.b_to_a(float(t_b[5])), float)
         self.assertLess(np.abs(found.clock.a_to_b(on_a) - nanos).max(), 2)
+        # The relation at a time, of the same kinds; its sigma grows by the wander.
+        at = found.clock.at(on_a[[5, 9]].astype("M8[ns]"))
+        np.testing.assert_array_equal(at.offset, found.clock.at(on_a[[5, 9]]).offset)
+        np.testing.assert_allclose(at.reference, on_a[[5, 9]] * 1e-9, rtol=1e-12)
+        self.assertEqual(found.clock.at(60_000_000_000).offset, found.clock.at(60.0).offset)
+        with self.assertRaisesRegex(TypeError, "expected seconds"):
+            found.clock.at("noon")
+        still = twist_sync.Clock(0.0, 1.0, 0.0, np.zeros((2, 2)), wander_ppm=0.06)
+        # q = (6e-8)²/60 = 6e-17; q·60³/3.
+        self.assertAlmostEqual(still.at(60.0).offset_sigma, (6e-17 * 72_000) ** 0.5, delta=1e-12)
+        self.assertAlmostEqual(still.at(-60.0).skew_sigma, 6e-8, delta=1e-14)
+
+    def test_one_wild_stamp_at_the_end_changes_little(self):
+        t_a, w_a, t_b, w_b = recordings(9, 2)
+        right = twist_sync.estimate(t_a, w_a, t_b, w_b)
+        t_b[-1] += 1e9
+        found = twist_sync.estimate(t_a, w_a, t_b, w_b)
+        self.assertLess(abs(found.offset - right.clock.at(found.reference).offset), 1e-6)
 
     def test_values_can_be_compared_and_shown(self):
         a, b = (twist_sync.estimate(*recordings(9, seed)) for seed in (1, 2))
@@ -235,7 +254,22 @@ class Recordings(unittest.TestCase):
 class Networks(unittest.TestCase):
     @staticmethod
     def pair(offset, sigma):
-        return twist_sync.Clock(100.0, offset, 0.0, np.diag([sigma**2, 0.0]))
+        return twist_sync.Clock(100.0, offset, 0.0, np.diag([sigma**2, 0.0]), wander_ppm=0)
+
+    def test_an_open_loop_is_refused_and_its_pair_named(self):
+        def pairs(devices, wrong, by):
+            clocks = itertools.combinations(range(devices), 2)
+            return {(i, j): self.pair((j - i) + by * ((i, j) in wrong), 1e-6) for i, j in clocks}
+
+        for by in (0, 5e-6):
+            twist_sync.Network(4, pairs(4, [(0, 3)], by))
+        with self.assertRaisesRegex(twist_sync.Refused, "2 loops .* relation of 1–4 breaks it"):
+            twist_sync.Network(4, pairs(4, [(0, 3)], 6e-6))
+        with self.assertRaisesRegex(twist_sync.Refused, "relations of 1–4 and 2–3 break them"):
+            twist_sync.Network(5, pairs(5, [(0, 3), (1, 2)], 6e-6))
+        # One loop alone does not say which of its three.
+        with self.assertRaisesRegex(twist_sync.Refused, "1–2, 1–3, 2–3 .* do not say which"):
+            twist_sync.Network(3, pairs(3, [(0, 1)], -9e-3))
 
     def test_a_loop_that_does_not_close_is_shared_by_its_pairs(self):
         pairs = {

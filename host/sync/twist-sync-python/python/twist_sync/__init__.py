@@ -42,6 +42,10 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
+#: Rms change of the relative rate of two clocks within one minute, ppm: two uncompensated crystals
+#: at room temperature, with a margin; the crate's default.
+WANDER_PPM = 0.05
+
 #: Range of the distance between neighbouring samples of a gyroscope, s. Times beyond it are in
 #: another unit.
 _STEPS_S = (1e-6, 0.2)
@@ -89,6 +93,9 @@ class _Relation:
 
         Returns:
             The same kind and shape.
+
+        Raises:
+            TypeError: They are of another kind.
         """
         return _moved(a, self._offsets)
 
@@ -100,19 +107,44 @@ class _Relation:
 
         Returns:
             The same kind and shape.
+
+        Raises:
+            TypeError: They are of another kind.
         """
         return _moved(b, lambda t: -self._offsets(self._b_to_a(t)))
 
 
-def _moved(t: ArrayLike, by_seconds: Callable[[Floats], Floats]) -> Any:
+def _times(t: ArrayLike) -> NDArray[Any]:
+    """Returns times as float seconds or as int64 nanoseconds.
+
+    Raises:
+        TypeError: They are neither, nor ``datetime64``.
+    """
     t = np.asarray(t)
     if t.dtype.kind == "M":
-        return _moved(t.astype("M8[ns]").astype(np.int64), by_seconds).astype("M8[ns]")
+        return t.astype("M8[ns]").astype(np.int64)
     if t.dtype.kind in "iu":
-        by = np.round(by_seconds(t * 1e-9) * 1e9).astype(np.int64)
-        return (t.astype(np.int64) + by)[()]
-    t = t.astype(np.float64)
-    return (t + by_seconds(t))[()]
+        return t.astype(np.int64)
+    if t.dtype.kind != "f":
+        raise TypeError(
+            f"times of type {t.dtype}; expected seconds (floats), nanoseconds (integers) or datetime64"
+        )
+    return t.astype(np.float64)
+
+
+def _seconds(t: ArrayLike) -> Floats:
+    """Returns times of any kind in seconds."""
+    times = _times(t)
+    return times * 1e-9 if times.dtype.kind == "i" else times
+
+
+def _moved(t: ArrayLike, by_seconds: Callable[[Floats], Floats]) -> Any:
+    times = _times(t)
+    by = by_seconds(_seconds(times))
+    if times.dtype.kind == "i":
+        moved = times + np.round(by * 1e9).astype(np.int64)
+        return (moved.astype("M8[ns]") if np.asarray(t).dtype.kind == "M" else moved)[()]
+    return (times + by)[()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,6 +156,8 @@ class Clock(_Value, _Relation):
         offset: Clock b minus clock a at the reference, s.
         skew: Rate of clock b relative to clock a, minus one.
         covariance: Covariance of (offset, skew), shape (2, 2): s², s; s, 1.
+        wander_ppm: Rms change of the clocks' relative rate within one minute, ppm: the sigmas grow
+            by it away from the reference.
 
     :meth:`Course.at` with several times returns a clock whose fields are arrays, one row for
     each time.
@@ -133,6 +167,7 @@ class Clock(_Value, _Relation):
     offset: float
     skew: float
     covariance: Floats
+    wander_ppm: float = WANDER_PPM
 
     @property
     def offset_sigma(self) -> Any:
@@ -145,14 +180,32 @@ class Clock(_Value, _Relation):
         return np.sqrt(self.covariance[..., 1, 1])
 
     def at(self, a: ArrayLike) -> Clock:
-        """Returns the same relation with its reference at a time of clock a, s, or at several."""
-        a = np.asarray(a, dtype=np.float64)
+        """Moves the reference.
+
+        Args:
+            a: Time of clock a: seconds (floats), nanoseconds (integers) or ``datetime64``, one or
+                an array.
+
+        Returns:
+            The same relation with its reference there, in seconds; of several times its fields are
+            arrays. The covariance grows by the wander over the distance.
+
+        Raises:
+            TypeError: The times are of another kind.
+        """
+        a = _seconds(a)
         dt = a - self.reference
+        span, diffusion = np.abs(dt), (self.wander_ppm * 1e-6) ** 2 / 60
         move = np.zeros((*dt.shape, 2, 2))
         move[..., 0, 0] = move[..., 1, 1] = 1
         move[..., 0, 1] = dt
         covariance = move @ self.covariance @ np.swapaxes(move, -1, -2)
-        return Clock(a[()], self.offset + self.skew * dt, self.skew + 0 * dt, covariance)
+        covariance[..., 0, 0] += diffusion * span**3 / 3
+        covariance[..., 0, 1] += diffusion * span * dt / 2
+        covariance[..., 1, 0] += diffusion * span * dt / 2
+        covariance[..., 1, 1] += diffusion * span
+        offset, skew = self.offset + self.skew * dt, self.skew + 0 * dt
+        return Clock(a[()], offset, skew, covariance, self.wander_ppm)
 
     def _offsets(self, a: Floats) -> Floats:
         return self.offset + self.skew * (a - self.reference)
@@ -336,9 +389,17 @@ class Refused(Exception):
         self.report = report
 
 
-def _clock(found: tuple[Any, ...]) -> Clock:
+def _clock(found: tuple[Any, ...], wander_ppm: float | None) -> Clock:
     *numbers, covariance = found
-    return Clock(*numbers, np.array(covariance))
+    return Clock(*numbers, np.array(covariance), _wander(wander_ppm))
+
+
+def _wander(ppm: float | None) -> float:
+    if ppm is None:
+        return WANDER_PPM
+    if not 0 <= ppm < float("inf"):
+        raise ValueError(f"wander_ppm is {ppm}; expected 0 or more")
+    return float(ppm)
 
 
 def _report(found: tuple[Any, ...]) -> Report:
@@ -353,18 +414,20 @@ def _report(found: tuple[Any, ...]) -> Report:
 
 
 def _stream(t: ArrayLike, w: ArrayLike, name: str) -> tuple[bytes, bytes, bool]:
-    t = np.asarray(t)
-    w = np.asarray(w, dtype="<f8")
+    try:
+        t, w = _times(t), np.asarray(w, dtype="<f8")
+    except TypeError as error:
+        raise ValueError(f"t_{name} or w_{name}: {error}") from None
     if t.ndim != 1 or w.shape != (len(t), 3):
         raise ValueError(
             f"t_{name} has shape {t.shape} and w_{name} {w.shape}; expected (n,) and (n, 3)"
         )
-    if t.dtype.kind == "M":
-        t = t.astype("M8[ns]").astype(np.int64)
-    nanos = t.dtype.kind in "iu"
-    ends = t[np.isfinite(t)][[0, -1]].astype(float) if len(t) > 1 and np.isfinite(t).any() else []
-    if len(ends):
-        step = abs(ends[1] - ends[0]) / (len(t) - 1) * (1e-9 if nanos else 1.0)
+    nanos = t.dtype.kind == "i"
+    known = t[np.isfinite(t)].astype(np.float64)
+    if len(known) > 1:
+        # Wild stamps at either end do not count.
+        low, high = np.quantile(known, (0.1, 0.9))
+        step = (high - low) / (0.8 * (len(known) - 1)) * (1e-9 if nanos else 1.0)
         if step and not _STEPS_S[0] < step < _STEPS_S[1]:
             unit = "integers are nanoseconds" if nanos else "floats are seconds"
             raise ValueError(
@@ -403,20 +466,24 @@ def estimate(
         min_overlap: Least time in common, s; by default 1.5.
         handle_faults: Find faults of the streams and leave them out.
         wander_ppm: Rms change of the clocks' relative rate within one minute, ppm; by default
-            0.05.
+            0.05. The sigmas of :meth:`Clock.at` grow by it.
         search: Expected offset b - a and half-width of the search, s; by default unlimited.
 
+    Returns:
+        The relation of the clocks, and what it is based on.
+
     Raises:
-        Refused: If there is no trustworthy relation, with the reasons and the report.
-        ValueError: If arrays have other shapes or units.
+        Refused: There is no trustworthy relation; with the reasons and the report.
+        ValueError: Arrays have other shapes or units, or a setting is out of its range.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")
+    _wander(wander_ppm)
     found, reasons, report = _twist_sync.estimate(a, b, settings)
     if found is None:
         raise Refused(reasons, _report(report))
     clock, calibration, bias = found
-    return Estimate(_clock(clock), np.array(calibration), np.array(bias), _report(report))
+    return Estimate(_clock(clock, wander_ppm), np.array(calibration), np.array(bias), _report(report))
 
 
 @dataclass(frozen=True)
@@ -451,12 +518,14 @@ class Course(_Relation):
             sigma grows within them.
         warnings: Warnings of the estimates, with the number of estimates.
         span: First and last time of clock a with data, s.
+        wander_ppm: Rms change of the clocks' relative rate within one minute, ppm.
     """
 
-    def __init__(self, found: _twist_sync.Course):
+    def __init__(self, found: _twist_sync.Course, wander_ppm: float | None = None):
         self._found = found
+        self.wander_ppm = _wander(wander_ppm)
         estimates, counts, refusals, steps, unsupported, warnings, span = found.details()
-        self.estimates: list[Clock] = [_clock(e) for e in estimates]
+        self.estimates: list[Clock] = [_clock(e, wander_ppm) for e in estimates]
         self.windows, self.used, self.contradicting = counts
         self.refusals: list[tuple[Gate, int]] = [(Gate(*g), n) for g, n in refusals]
         self.steps: list[Step] = [Step(*step) for step in steps]
@@ -473,15 +542,30 @@ class Course(_Relation):
         return np.frombuffer(self._found.at(a.astype("<f8").tobytes()), "<f8").reshape(*a.shape, 5)
 
     def at(self, a: ArrayLike) -> Clock:
-        """Returns the relation at one time of clock a, s, or at several: then its fields are
-        arrays."""
-        a = np.asarray(a, dtype=np.float64)
+        """Returns the relation at times of clock a.
+
+        Args:
+            a: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
+
+        Returns:
+            The relation with its reference there, in seconds; of several times its fields are
+            arrays.
+
+        Raises:
+            TypeError: The times are of another kind.
+        """
+        a = _seconds(a)
         offset, skew, oo, os, ss = np.moveaxis(self._table(a), -1, 0)
         covariance = np.moveaxis(np.array([[oo, os], [os, ss]]), (0, 1), (-2, -1))
-        return Clock(a[()], offset[()], skew[()], covariance)
+        return Clock(a[()], offset[()], skew[()], covariance, self.wander_ppm)
 
     def offsets(self, a: ArrayLike) -> tuple[Floats, Floats]:
-        """Returns offsets and their 1-sigma, s, at times of clock a, s."""
+        """Returns the offset b - a and its 1-sigma, s, at times of clock a: seconds (floats),
+        nanoseconds (integers) or ``datetime64``.
+
+        Raises:
+            TypeError: The times are of another kind.
+        """
         there = self.at(a)
         return there.offset, there.offset_sigma  # type: ignore[return-value]
 
@@ -514,16 +598,20 @@ def course(
 ) -> Course:
     """Relates the clocks over whole recordings, by any motion in them.
 
-    The arguments are those of :func:`estimate`; ``sigma_limit`` applies to each window of 10 s
-    and is 1e-3 s by default.
+    The arguments are those of :func:`estimate`. ``sigma_limit`` applies to each window of 10 s and
+    is 1e-3 s by default; ``wander_ppm`` also joins the windows.
+
+    Returns:
+        The relation at every time of them.
 
     Raises:
-        Refused: If no part of the recordings can be related.
-        ValueError: If arrays have other shapes or units.
+        Refused: No part of the recordings can be related.
+        ValueError: Arrays have other shapes or units, or a setting is out of its range.
     """
     settings = {k: v for k, v in locals().items() if k[:2] not in ("t_", "w_")}
     a, b = _stream(t_a, w_a, "a"), _stream(t_b, w_b, "b")
+    _wander(wander_ppm)
     found, reason = _twist_sync.course(a, b, settings)
     if found is None:
         raise Refused(reason)
-    return Course(found)
+    return Course(found, wander_ppm)

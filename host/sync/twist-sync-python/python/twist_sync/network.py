@@ -22,6 +22,12 @@ from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, cours
 from ._recording import Recording, Unreadable
 from .tables import typical_rate
 
+#: Largest error over sigma, rms, of a loop that counts as closed. Three devices alone have one
+#: loop, and a Gaussian is beyond three sigmas once in 370.
+OPEN_SIGMAS = 3.0
+#: Times at which a relation over whole recordings enters the check of its loops.
+LOOKS = 61
+
 #: Longest recording that is treated as one twist, s, and longest other recording beside it, s.
 LONGEST_TWIST_S = 60.0
 LONGEST_WITH_TWIST_S = 600.0
@@ -66,7 +72,8 @@ class Network:
         pairs: Relations of devices a < b by their numbers.
 
     Raises:
-        Refused: No chain of relations leads from the first to one of them.
+        Refused: No chain of relations leads from the first to one of them, or a loop is open by
+            more than :data:`OPEN_SIGMAS`; the message names the pairs that can break it.
     """
 
     def __init__(self, devices: int, pairs: dict[tuple[int, int], Clock | Course]):
@@ -79,6 +86,56 @@ class Network:
             raise Refused(
                 f"no chain of relations leads from the first recording to number {', '.join(apart)}"
             )
+        self._check_loops()
+
+    def _informed(self, pair: tuple[int, int]) -> Floats:
+        """Returns times of the first device at which a relation has data."""
+        relation = self.pairs[pair]
+        if isinstance(relation, Course):
+            own = np.linspace(*relation.span, LOOKS)
+        else:
+            own = np.atleast_1d(np.asarray(relation.reference, dtype=np.float64))
+        first = own
+        # The offset changes by the skew, at most 1e-3, times the error before.
+        for _ in range(4):
+            first = own - self._chains(first)[0][pair[0]]
+        return first
+
+    def _check_loops(self) -> None:
+        """Refuses a network with an open loop. The sigma of a loop is at most that of three
+        independent pairs, since what belongs to one recording cancels in it."""
+        worst, closed = {}, set()
+        if len(self.pairs) < self.devices:
+            return
+        informed = {pair: self._informed(pair) for pair in self.pairs}
+        for i, j, k in itertools.combinations(range(self.devices), 3):
+            loop = ((i, j), (j, k), (i, k))
+            if not set(loop) <= self.pairs.keys():
+                continue
+            looks = np.concatenate([informed[pair] for pair in loop])
+            error, sigma = self._closure((i, j, k), looks)
+            if np.sqrt(np.mean((error / sigma) ** 2)) <= OPEN_SIGMAS:
+                closed |= set(loop)
+            else:
+                most = np.argmax(np.abs(error / sigma))
+                worst[loop] = (abs(error[most]), sigma[most])
+        if not worst:
+            return
+        loop, (error, sigma) = max(worst.items(), key=lambda own: own[1][0] / own[1][1])
+        names = ", ".join(str(k + 1) for k in sorted({k for pair in loop for k in pair}))
+        breakers = _breakers(list(worst), closed)
+        if len(breakers) == 1:
+            text = " and ".join(f"{i + 1}–{j + 1}" for i, j in breakers[0])
+            one = len(breakers[0]) == 1
+            why = f"the relation{'' if one else 's'} of {text} {'breaks it' if one else 'break them'}"
+        else:
+            pairs = sorted({pair for own in worst for pair in own})
+            each = ", ".join(f"{i + 1}–{j + 1}" for i, j in pairs)
+            why = f"one or more of the relations {each} are wrong, and the loops do not say which"
+        raise Refused(
+            f"{len(worst)} loops are open, the worst that of recordings {names}: by "
+            f"{error * 1e6:.1f} µs, where its sigmas say {sigma * 1e6:.1f} µs; {why}"
+        )
 
     def _chains(self, a: Floats) -> tuple[Floats, Floats]:
         """Finds the chain of pairs with the least variance to each device (Bellman and Ford);
@@ -130,10 +187,30 @@ class Network:
         for i, j, k in itertools.combinations(range(self.devices), 3):
             if not {(i, j), (j, k), (i, k)} <= self.pairs.keys():
                 continue
-            of = [self.pairs[p].at(a + value[p[0]]) for p in ((i, j), (j, k), (i, k))]
-            error = of[0].offset + of[1].offset - of[2].offset
-            out[i, j, k] = (error, np.sqrt(sum(r.covariance[..., 0, 0] for r in of)))
+            out[i, j, k] = self._closure((i, j, k), a, value)
         return out
+
+    def _closure(
+        self, of: tuple[int, int, int], a: Floats, value: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        i, j, k = of
+        value = self.offsets(a)[0] if value is None else value
+        each = [self.pairs[p].at(a + value[p[0]]) for p in ((i, j), (j, k), (i, k))]
+        error = each[0].offset + each[1].offset - each[2].offset
+        return error, np.sqrt(sum(r.covariance[..., 0, 0] for r in each))
+
+
+def _breakers(
+    worst: list[tuple[tuple[int, int], ...]], closed: set[tuple[int, int]]
+) -> list[tuple[tuple[int, int], ...]]:
+    """Returns the smallest sets of pairs, of one or two, without which no loop is open; a pair of
+    a closed loop is in none."""
+    suspects = sorted({pair for loop in worst for pair in loop} - closed)
+    for size in (1, 2):
+        sets = itertools.combinations(suspects, size)
+        if found := [own for own in sets if all(set(own) & set(loop) for loop in worst)]:
+            return found
+    return []
 
 
 class DeviceClock(_Relation):
