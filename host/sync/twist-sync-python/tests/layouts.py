@@ -403,17 +403,26 @@ def mat(m):
     return out.getvalue()
 
 
-def ulg(m, version=1):
-    """By <https://docs.px4.io/main/en/dev_log/ulog_file_format>."""
+def ulg(m, topic="sensor_combined"):
+    """By <https://docs.px4.io/main/en/dev_log/ulog_file_format>, of messages as in
+    <https://github.com/PX4/PX4-Autopilot/tree/main/msg>."""
 
     def message(kind, body):
         return struct.pack("<HB", len(body), ord(kind)) + body
 
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
-    out += message("F", b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;")
-    out += message("A", struct.pack("<BH", 0, 0) + b"sensor_combined")
+    columns = {
+        "sensor_combined": b"float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+        "sensor_gyro": b"uint32_t device_id;float x;float y;float z;float temperature;uint32_t error_count;",
+    }
+    out += message("F", topic.encode() + b":uint64_t timestamp;" + columns[topic])
+    out += message("A", struct.pack("<BH", 0, 0) + topic.encode())
     for n, w, a in zip(m.ns.tolist(), m.w.tolist(), m.acc.tolist()):
-        out += message("D", struct.pack("<HQfffIfff", 0, n // 1000, *w, 5000, *a))
+        if topic == "sensor_gyro":
+            sample = struct.pack("<HQI4fI", 0, n // 1000, 2490378, *w, 31.5, 0)
+        else:
+            sample = struct.pack("<HQfffIfff", 0, n // 1000, *w, 5000, *a)
+        out += message("D", sample)
     return out
 
 
@@ -608,6 +617,7 @@ LAYOUTS = [
     Layout("containers", "rotations in numpy", "poses of public SLAM code, (n, 3, 3)", lambda m: npz(m, True), "rotation matrices", ".npz", off=0.06),
     Layout("containers", "MAT-file", "mathworks.com MAT-file level 5", mat, "MAT-file", ".mat"),
     Layout("containers", "PX4 ULog", "docs.px4.io/main/en/dev_log/ulog_file_format", ulg, "sensor_combined", ".ulg"),
+    Layout("containers", "PX4 ULog of sensor_gyro", "github.com/PX4/PX4-Autopilot msg/SensorGyro.msg", lambda m: ulg(m, "sensor_gyro"), "sensor_gyro", ".ulg"),
     Layout("containers", "ArduPilot's binary log", "github.com/ArduPilot/ardupilot AP_Logger/LogStructure.h", ardupilot, "IMU 0", ".bin"),
     Layout("containers", "phyphox's Excel", "phyphox.org/wiki: export as Excel", xlsx, "Raw Data", ".xlsx"),
 ]  # fmt: skip

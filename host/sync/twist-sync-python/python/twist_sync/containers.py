@@ -138,7 +138,7 @@ def ulg(path: Path) -> Read:
         raise missing("ulg", "pyulog", "a log of PX4") from None
     topics = ULog(str(path)).data_list
     # What others compute from it is not the sensor's.
-    for wanted in (("sensor_combined",), ("sensor_gyro", "sensor_gyro_fifo"), ("vehicle_angular_velocity",)):
+    for wanted in (("sensor_combined",), ("sensor_gyro",), ("vehicle_angular_velocity",)):
         if any(topic.name in wanted for topic in topics):
             rates = wanted
             break
@@ -150,7 +150,7 @@ def ulg(path: Path) -> Read:
             name = topic.name + (f" {topic.multi_id}" if topic.multi_id else "")
             columns = {k: v for k, v in topic.data.items() if not k.startswith("accelerometer_timestamp")}
             if topic.name == "sensor_gyro":
-                columns = {k.replace("x", "gyro x").replace("y", "gyro y") if k in "xyz" else k: v for k, v in columns.items()}
+                columns = {f"gyro {k}" if k in ("x", "y", "z") else k: v for k, v in columns.items()}
             table = table_of(name, columns)
             table.units = ["us" if "timestamp" in n else "rad/s" if "gyro" in name + n or "xyz" in n else "" for n in table.names]
             out.append(table)
