@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 
 from . import Clock, Course, Estimate, Refused, Unreadable, __version__, _rotation, files
-from .network import Pair, Synchronized, sync
+from .network import LOOKS, Pair, Synchronized, sync
 from .tables import TIME_UNITS, is_unit
 
 GOOD, USAGE, REFUSED, UNREADABLE = 0, 2, 3, 5
 EXAMPLE = Path(__file__).parent / "example"
-#: Number of times in a recording at which loops and clocks are evaluated.
-LOOKS = 61
 
 EPILOG = """\
 FILE@NAME chooses one of several gyroscopes of a file, a file of an archive, or "part 2" of a file

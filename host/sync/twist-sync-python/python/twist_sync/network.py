@@ -25,7 +25,7 @@ from .tables import typical_rate
 #: Largest error over sigma, rms, of a loop that counts as closed. Three devices alone have one
 #: loop, and a Gaussian is beyond three sigmas once in 370.
 OPEN_SIGMAS = 3.0
-#: Times at which a relation over whole recordings enters the check of its loops.
+#: Number of times in a recording at which loops and clocks are evaluated.
 LOOKS = 61
 
 #: Longest recording that is treated as one twist, s, and longest other recording beside it, s.
