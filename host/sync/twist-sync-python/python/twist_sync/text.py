@@ -376,13 +376,13 @@ def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
         raise Unreadable("a line without end; expected lines of text")
     dialect = sniff(whole[:400])
     found = tables(enumerate(whole, 1), dialect, more := [])
-    if len(found) == 1 and not more and not found[0].restarts and _plain(path, found[0]):
+    if len(found) == 1 and not more and not found[0].restarts and _read_at_once(path, found[0]):
         return dialect.name, found
     with open_text(path) as file:
         return dialect.name, tables(lines_of(file), dialect, notes)
 
 
-def _plain(path: Path, table: Table) -> bool:
+def _read_at_once(path: Path, table: Table) -> bool:
     """Reads a regular file at once: the columns of numbers of its one table. Returns False for
     others, which are read line by line."""
     dialect: Dialect = table.dialect
