@@ -162,17 +162,12 @@ pub(crate) async fn watch_core() {
         } else {
             0
         };
-        let cause = if silent >= TRANSMIT_SILENT_S {
-            &STUCK
-        } else if unconfigured >= UNCONFIGURED_S {
-            &UNCONFIGURED
-        } else {
-            continue;
-        };
-        defmt::error!("the USB core has stopped: restarting it");
-        (silent, unconfigured) = (0, 0);
-        cause.fetch_add(1, Ordering::Relaxed);
-        otg::restart().await;
+        if silent >= TRANSMIT_SILENT_S || unconfigured >= UNCONFIGURED_S {
+            defmt::error!("the USB core has stopped: restarting it");
+            (silent, unconfigured) = (0, 0);
+            STUCK.fetch_add(1, Ordering::Relaxed);
+            otg::restart().await;
+        }
     }
 }
 
@@ -213,14 +208,13 @@ fn update(condition: u8, on: bool) {
 static RESETS: AtomicU32 = AtomicU32::new(0);
 static SUSPENDS: AtomicU32 = AtomicU32::new(0);
 static STUCK: AtomicU32 = AtomicU32::new(0);
-static UNCONFIGURED: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the counts of bus events since the board's reset.
 pub(crate) fn counters() -> UsbCounters {
     UsbCounters {
         resets: RESETS.load(Ordering::Relaxed),
         suspends: SUSPENDS.load(Ordering::Relaxed),
-        stuck: STUCK.load(Ordering::Relaxed) + UNCONFIGURED.load(Ordering::Relaxed),
+        stuck: STUCK.load(Ordering::Relaxed),
     }
 }
 
