@@ -19,7 +19,8 @@ pub fn python() -> PathBuf {
     // Tests of several programs may come here at a time.
     let lock = fs::File::create(target().join("venv.lock")).unwrap();
     lock.lock().unwrap();
-    if !fs::read_to_string(&stamp).is_ok_and(|have| have == wanted) {
+    let is_made = fs::read_to_string(&stamp).is_ok_and(|have| have == wanted) && python.is_file();
+    if !is_made {
         run(Command::new("python3")
             .args(["-m", "venv", "--clear"])
             .arg(&venv));
