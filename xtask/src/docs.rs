@@ -69,6 +69,8 @@ pub(crate) fn pages(program: Option<&Path>) -> Result<PathBuf> {
                 if let Some(program) = program {
                     page += &help(program, &[])?;
                 }
+            } else if line.starts_with("{{") {
+                bail!("{}: no page can ask for {line}", path.display());
             } else {
                 page.extend([line, "\n"]);
             }
