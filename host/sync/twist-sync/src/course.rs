@@ -11,6 +11,7 @@
 mod error;
 mod recording;
 mod search;
+mod together;
 
 pub use self::error::CourseError;
 pub use self::recording::{

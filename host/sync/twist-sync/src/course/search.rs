@@ -3,12 +3,13 @@
 //! All gyroscopes on a rigid body measure the same magnitude of the angular rate, in any
 //! orientation. So the magnitudes of both recordings, averaged over [`BIN`], are correlated
 //! over all lags (an FFT over the whole recording: 100 kB an hour). The best lags
-//! are then tried with [`estimate_offset`] on the parts with the most motion; the first that
-//! passes its gates is the relation.
+//! are then tried with [`estimate_offset`] on the parts with the most motion, then those at which
+//! [single parts](super::together) agree; the first that passes its gates is the relation.
 
 use std::error::Error;
 
 use super::error::CourseError;
+use super::together;
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
 use crate::estimate::{Options, estimate_offset};
@@ -25,6 +26,8 @@ const PART: usize = 300;
 /// Parts and lags that are tried.
 const PARTS: usize = 4;
 const LAGS: usize = 6;
+/// Parts that agree by themselves with b and are tried.
+const ALIKE: usize = 24;
 /// Lags closer than this are one peak, in bins: 0.84 s.
 const APART: u64 = 21;
 /// Half-width of the search around a lag, s.
@@ -48,31 +51,44 @@ pub(crate) fn first_relation<E: Error + 'static>(
     let profile_a = profile(a()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let profile_b = profile(b()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let lags = best_lags(&profile_a.bins, &profile_b.bins);
+    let busy = busiest(&profile_a.bins).into_iter();
+    let usual = busy.flat_map(|part| lags.iter().map(move |lag| (part, *lag)));
     let mut reason = None;
-    for part in busiest(&profile_a.bins) {
+    let mut tried = |(part, lag): (i64, i64)| -> Result<Option<ClockRelation>, E> {
         let from = profile_a.start.saturating_add(part * BIN);
         let window = between(a, from, from.saturating_add(PART as i64 * BIN))?;
-        for &lag in &lags {
-            // Bin i of a is bin i + lag of b.
-            let offset = profile_b
-                .start
-                .saturating_sub(profile_a.start)
-                .saturating_add(lag * BIN);
-            let margin = (MARGIN * 2e9) as i64;
-            let start = from.saturating_add(offset).saturating_sub(margin);
-            let end = from
-                .saturating_add(offset)
-                .saturating_add(PART as i64 * BIN + margin);
-            let around = between(b, start, end)?;
-            let options = Options {
-                search: Some((offset as f64 * 1e-9, MARGIN)),
-                sigma_limit_s: options.sigma_limit_s.max(FIRST_SIGMA_S),
-                ..*options
-            };
-            match estimate_offset(&window, &around, &options) {
-                Ok(estimate) => return Ok(estimate.clock),
-                Err(error) => reason = reason.or(Some(error.to_string())),
+        // Bin i of a is bin i + lag of b.
+        let offset = profile_b
+            .start
+            .saturating_sub(profile_a.start)
+            .saturating_add(lag * BIN);
+        let margin = (MARGIN * 2e9) as i64;
+        let start = from.saturating_add(offset).saturating_sub(margin);
+        let end = from
+            .saturating_add(offset)
+            .saturating_add(PART as i64 * BIN + margin);
+        let around = between(b, start, end)?;
+        let options = Options {
+            search: Some((offset as f64 * 1e-9, MARGIN)),
+            sigma_limit_s: options.sigma_limit_s.max(FIRST_SIGMA_S),
+            ..*options
+        };
+        match estimate_offset(&window, &around, &options) {
+            Ok(estimate) => Ok(Some(estimate.clock)),
+            Err(error) => {
+                reason = reason.take().or(Some(error.to_string()));
+                Ok(None)
             }
+        }
+    };
+    for candidate in usual {
+        if let Some(found) = tried(candidate)? {
+            return Ok(found);
+        }
+    }
+    for candidate in together::alike(&profile_a.bins, &profile_b.bins, PART, ALIKE) {
+        if let Some(found) = tried(candidate)? {
+            return Ok(found);
         }
     }
     Err(no(
