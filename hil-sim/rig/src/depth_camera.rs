@@ -110,9 +110,9 @@ struct Candidate {
 enum State {
     /// Switched off.
     Off,
-    /// Waiting for its first pulses; how many came.
+    /// Waiting for its first pulses, with the number of pulses so far.
     Waiting(u32),
-    /// Streaming: the place of the last pulse, or of its replacement.
+    /// Streaming, with the time of the last pulse or of its replacement.
     Streaming { base: u64 },
 }
 
@@ -124,31 +124,31 @@ pub struct DepthCamera {
     clock: Oscillator,
     state: State,
     candidate: Option<Candidate>,
-    /// When it gives up waiting for the next pulse.
+    /// Time at which it stops waiting for the next pulse.
     deadline: Option<SimTime>,
-    /// Its clock's count at the first pulse.
+    /// Count of its clock at the first pulse.
     first_pulse: Option<u64>,
     flash_log: Option<FlashLog>,
-    /// Changes of the light still to come.
+    /// Pending changes of the light.
     light: VecDeque<(SimTime, Level)>,
-    /// Pulses that counted.
+    /// Number of accepted pulses.
     pub pulses: u64,
-    /// Pulses that were too short.
+    /// Number of pulses that were too short.
     pub short_pulses: u64,
-    /// Pulses that came at the wrong place.
+    /// Number of pulses at an unexpected time.
     pub disturbances: u64,
     bad_left: u32,
     frames: VecDeque<FrameRecord>,
     /// Frames taken since power-on.
     pub frame_count: u64,
-    /// Frames that are still to be lost.
+    /// Number of frames still to be lost.
     dropping: u32,
     random: Random,
     recorder: Option<Sender<FrameRecord>>,
 }
 
 impl DepthCamera {
-    /// A camera that waits for pulses from power-on.
+    /// Creates a camera that waits for pulses from power-on.
     #[must_use]
     pub fn new(config: DepthCameraConfig, board: BoardTime, seed: Seed) -> Self {
         Self {
@@ -173,27 +173,27 @@ impl DepthCamera {
         }
     }
 
-    /// Also sends each frame that reaches the computer to a recorder.
+    /// Also sends each delivered frame to a recorder.
     pub(crate) fn record_into(&mut self, recorder: Sender<FrameRecord>) {
         self.recorder = Some(recorder);
     }
 
-    /// Writes every flash into `log` too, as it is planned (at least 9 µs before
-    /// it happens): for other cameras that see the light.
+    /// Also writes every flash into `log` when it is planned, at least 9 µs before it happens, for
+    /// the other cameras that see the light.
     #[must_use]
     pub(crate) fn with_flash_log(mut self, log: FlashLog) -> Self {
         self.flash_log = Some(log);
         self
     }
 
-    /// Switches the stream off: light and frames under way are still finished.
+    /// Ends the stream. Frames and light already under way are finished.
     pub fn stop(&mut self) {
         self.state = State::Off;
         self.candidate = None;
         self.deadline = None;
     }
 
-    /// Begins to wait for pulses, as when a recorder opens the camera.
+    /// Starts waiting for pulses, as when a recorder opens the camera.
     pub fn wait_for_pulses(&mut self) {
         self.stop();
         self.bad_left = 0;
@@ -201,45 +201,45 @@ impl DepthCamera {
         self.state = State::Waiting(0);
     }
 
-    /// The frames that were taken and not yet drained, oldest first.
+    /// Returns the frames that were taken and not drained yet, oldest first.
     #[must_use]
     pub fn frames(&self) -> &VecDeque<FrameRecord> {
         &self.frames
     }
 
-    /// Takes out the frames so far.
+    /// Removes and returns the frames so far.
     pub fn take_frames(&mut self) -> Vec<FrameRecord> {
         self.frames.drain(..).collect()
     }
 
-    /// The camera's clock.
+    /// Returns the camera's clock.
     #[must_use]
     pub fn clock(&self) -> &Oscillator {
         &self.clock
     }
 
-    /// Its configuration.
+    /// Returns the configuration.
     #[must_use]
     pub fn config(&self) -> &DepthCameraConfig {
         &self.config
     }
 
-    /// Nominal frame period, in units of the camera's clock.
+    /// Returns the nominal frame period, in units of the camera's clock.
     fn period(&self) -> u64 {
         UNITS_PER_SECOND / u64::from(DepthCameraConfig::FPS)
     }
 
-    /// Board time at which the camera's clock has counted `own` units.
+    /// Returns the board time at which the camera's clock has counted `own` units.
     fn board_at(&self, own: u64) -> SimTime {
         self.board.board_at(self.clock.when_elapsed(own))
     }
 
-    /// Units that the camera's clock has counted at a board time.
+    /// Returns the units that the camera's clock has counted at a board time.
     fn own_at(&self, at: SimTime) -> u64 {
         self.clock.elapsed_at(self.board.true_at(at))
     }
 
-    /// A rising edge that has stayed high for long enough.
+    /// Handles a rising edge that has stayed high for long enough.
     fn accept(&mut self, edge: SimTime) {
         self.pulses += 1;
         let own = self.own_at(edge);
@@ -292,14 +292,14 @@ impl DepthCamera {
         }
     }
 
-    /// When the camera goes on by itself: not while the pin is high since
-    /// before that, and it is not yet known whether this is a pulse.
+    /// Returns the time at which the camera continues on its own clock: not while a pulse that may
+    /// count is still high.
     fn patience_ends(&self) -> Option<SimTime> {
         self.deadline
             .filter(|deadline| self.candidate.is_none_or(|c| c.edge >= *deadline))
     }
 
-    /// No pulse came in time: the camera goes on by itself.
+    /// Continues on the camera's own clock, because no pulse came in time.
     fn free_run(&mut self) {
         if let State::Streaming { base } = self.state {
             let base = base + self.period();
@@ -308,7 +308,7 @@ impl DepthCamera {
         }
     }
 
-    /// Plans the flashes of a frame whose pulse is (or would be) at `base`.
+    /// Plans the flashes of a frame whose pulse is, or would be, at `base`.
     fn expose(&mut self, base: u64, source: Source) {
         let train = self.config.mode.flashes();
         let first = base + self.flash_delay();
@@ -332,7 +332,7 @@ impl DepthCamera {
         }
         let center = first + units(train.center_offset_ns());
         let center_true = self.clock.when_elapsed(center);
-        // Nothing is drawn where nothing is random: a seed keeps its frames.
+        // No random number is drawn without a random effect, so that a seed keeps its frames.
         let spoilt = self.config.spoil_probability;
         let spoilt = spoilt > 0.0 && self.random.chance(spoilt);
         let bad = self.bad_left > 0 || spoilt;
@@ -349,7 +349,7 @@ impl DepthCamera {
         };
         self.frames.push_back(record);
         if let Some(recorder) = &self.recorder {
-            // Without anybody at the other end there is nothing to record.
+            // Without a recorder there is nothing to deliver.
             let _ = recorder.send(record);
         }
         self.frame_count += 1;
@@ -366,7 +366,8 @@ impl DepthCamera {
         is_dropped
     }
 
-    /// From a pulse to the first flash of its frame, in units of the camera's time.
+    /// Returns the time from a pulse to the first flash of its frame, in units of the camera's
+    /// clock.
     fn flash_delay(&mut self) -> u64 {
         let (delay, jitter) = (self.config.flash_delay, self.config.flash_jitter);
         if jitter == SimDuration::ZERO {
@@ -378,7 +379,7 @@ impl DepthCamera {
         delay.units().saturating_add_signed(late).max(earliest)
     }
 
-    /// The camera's timestamp counter at a true time.
+    /// Returns the camera's timestamp counter at a true time.
     fn device_ticks(&self, at: TrueTime) -> u64 {
         if let Some(first) = self
             .first_pulse
@@ -428,7 +429,7 @@ impl PinModel for DepthCamera {
                 counts_from,
             });
         } else if self.candidate.take().is_some() {
-            // It fell before it counted.
+            // The pulse fell before it counted.
             self.short_pulses += 1;
         }
     }

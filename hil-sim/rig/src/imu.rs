@@ -85,12 +85,12 @@ enum Transaction {
     Reading,
 }
 
-/// The interrupt pin's state, as the sensor wants it.
+/// State of the interrupt pin as the sensor drives it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Interrupt {
     /// Data-ready is asserted.
     asserted: bool,
-    /// When the pulse ends, if it is not latched.
+    /// End of the pulse, unless it is latched.
     until: Option<SimTime>,
 }
 
@@ -105,13 +105,13 @@ pub struct SimImu {
     /// Data bytes of the newest sample.
     internal: [u8; 14],
     powered: bool,
-    /// Registers answer from here on.
+    /// Time from which registers answer.
     answers_from: SimTime,
     sampling: Sampling,
     interrupt: Interrupt,
-    /// Present drive of the pin; none before power-on.
+    /// Present drive of the pin; `None` before power-on.
     driven: Option<Drive>,
-    /// The pin must be looked at, at this time (it changed by a bus event).
+    /// Time at which the pin must be updated after a bus event.
     pin_due: Option<SimTime>,
     transaction: Transaction,
     pointer: u8,
@@ -119,9 +119,9 @@ pub struct SimImu {
     byte: u32,
     faults: faults::Schedule,
     nack: Option<(u32, u32)>,
-    /// Writes that select an external clock and are still to be lost.
+    /// Number of writes that select an external clock and are still to be lost.
     lost_at_clock: u32,
-    /// Content of WHO_AM_I, if a fault says so.
+    /// Content of WHO_AM_I under a fault.
     identity: Option<u8>,
     sda_held: bool,
     sda_pulses_left: Option<u32>,
@@ -135,7 +135,7 @@ pub struct SimImu {
 }
 
 impl SimImu {
-    /// A sensor on a rig that moves by `motion`, powered from time zero.
+    /// Creates a sensor on a rig that moves by `motion`, powered from time zero.
     #[must_use]
     pub fn new(config: SimImuConfig, motion: Arc<Motion>, board: BoardTime, seed: Seed) -> Self {
         let map = config.model.map();
@@ -165,40 +165,40 @@ impl SimImu {
             log: Vec::new(),
             unmodelled: BTreeSet::new(),
         };
-        // Some are awake from the beginning.
+        // Some sensors are awake after power-on.
         sensor.clock_changed(sensor.answers_from);
         sensor
     }
 
-    /// The same, to be given to the bus and to the board's loop.
+    /// Creates the same sensor, shared between the bus and the board's loop.
     #[must_use]
     pub fn shared(self) -> Shared<Self> {
         Arc::new(std::sync::Mutex::new(self))
     }
 
-    /// Lets `fault` happen at `at` (at the next event if that has passed).
+    /// Schedules `fault` at `at`, or at the next event if that has passed.
     pub fn schedule(&mut self, at: SimTime, fault: Fault) {
         self.faults.add(at, fault);
     }
 
-    /// The samples that were put into the registers.
+    /// Returns the samples that were written into the registers.
     #[must_use]
     pub fn log(&self) -> &[SampleRecord] {
         &self.log
     }
 
-    /// The same, taken out.
+    /// Removes and returns these samples.
     pub fn take_log(&mut self) -> Vec<SampleRecord> {
         std::mem::take(&mut self.log)
     }
 
-    /// Its configuration.
+    /// Returns the configuration.
     #[must_use]
     pub fn config(&self) -> &SimImuConfig {
         &self.config
     }
 
-    /// A register as a master would read it now, without the read's effects.
+    /// Returns a register as a master would read it now, without the side effects of a read.
     #[must_use]
     pub fn peek(&self, register: u8) -> u8 {
         match (register & 0x7f, self.identity) {
@@ -239,7 +239,7 @@ impl SimImu {
             Fault::Identity(id) => self.identity = Some(id),
             Fault::Nack { byte, times } => self.nack = (times > 0).then_some((byte, times)),
             Fault::HoldSda(pulses) => {
-                // An unpowered sensor holds nothing.
+                // An unpowered sensor keeps no state.
                 self.sda_held = self.powered && pulses != Some(0);
                 self.sda_pulses_left = pulses;
                 self.transaction = Transaction::Idle;
@@ -257,7 +257,7 @@ impl SimImu {
         }
     }
 
-    /// Something that decides the sample clock changed.
+    /// Updates the sample clock after a change of something that decides it.
     fn clock_changed(&mut self, at: SimTime) {
         let mut measuring = self.map.measuring();
         measuring.awake &= self.powered;
@@ -298,7 +298,7 @@ impl SimImu {
         });
     }
 
-    /// Present drive of the interrupt pin.
+    /// Returns the present drive of the interrupt pin.
     fn pin_drive(&self) -> Drive {
         if !self.powered || self.data_ready_cut {
             return Drive::Floating;

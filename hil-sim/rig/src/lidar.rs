@@ -34,15 +34,15 @@ pub struct LidarConfig {
     pub gate_inverts: bool,
     /// A second begins with a rising edge; otherwise with a falling one.
     pub rising: bool,
-    /// By when after its pulse a sentence must have ended.
+    /// Latest end of a sentence after its pulse.
     pub window: SimDuration,
-    /// Voltage from which an input of the board's outputs is high: the gates, or without them
-    /// the lidar itself.
+    /// Voltage above which an input of the board's outputs is high: the gates' or, without gates,
+    /// the lidar's own.
     pub input_high: f64,
 }
 
 impl Default for LidarConfig {
-    /// A VLP-16.
+    /// Returns the settings of a VLP-16.
     fn default() -> Self {
         Self {
             baud: 9_600,
@@ -60,13 +60,13 @@ impl Default for LidarConfig {
 pub struct LidarSecond {
     /// The leading edge.
     pub pulse: SimTime,
-    /// Length of the pulse; none while it lasts.
+    /// Length of the pulse; `None` while it lasts.
     pub width: Option<SimDuration>,
-    /// All sentences that came after it, with line ends.
+    /// All sentences after it, with line ends.
     pub text: String,
-    /// When the last of them ended.
+    /// End of the last sentence.
     pub ended: Option<SimTime>,
-    /// The second that it began, as Unix time, if the sentence came in time.
+    /// The second that it begins, as Unix time, if the sentence came in time.
     pub utc: Option<i64>,
 }
 
@@ -77,9 +77,9 @@ pub struct LidarFaults {
     pub framing: u64,
     /// Sentences with a wrong checksum or none.
     pub checksum: u64,
-    /// `$GPRMC` that ended too late or came before any pulse.
+    /// Number of `$GPRMC` that ended too late or came before any pulse.
     pub window: u64,
-    /// `$GPRMC` that tell no time.
+    /// Number of `$GPRMC` without a time.
     pub content: u64,
 }
 
@@ -104,7 +104,7 @@ pub struct Lidar {
 }
 
 impl Lidar {
-    /// A lidar with its inputs wired to PE9 and PC12.
+    /// Creates a lidar whose inputs are wired to PE9 and PC12.
     #[must_use]
     pub fn new(config: LidarConfig) -> Self {
         Self {
@@ -117,18 +117,18 @@ impl Lidar {
         }
     }
 
-    /// Takes out the seconds that are over: all but the last.
+    /// Removes and returns all complete seconds: all but the last.
     pub fn take_seconds(&mut self) -> Vec<LidarSecond> {
         let over = self.seconds.len().saturating_sub(1);
         self.seconds.drain(..over).collect()
     }
 
-    /// Takes out all seconds; of the last, not everything may have come.
+    /// Removes and returns all seconds. Data of the last one may be incomplete.
     pub fn take_all_seconds(&mut self) -> Vec<LidarSecond> {
         self.seconds.drain(..).collect()
     }
 
-    /// Errors so far.
+    /// Returns the errors so far.
     #[must_use]
     pub fn faults(&self) -> LidarFaults {
         self.faults
@@ -138,14 +138,14 @@ impl Lidar {
         self.line_high != self.config.idle_low
     }
 
-    /// Middle of bit `n` of a byte that began at `start`.
+    /// Returns the middle of bit `n` of a byte that began at `start`.
     fn middle(&self, start: SimTime, n: u32) -> SimTime {
         let halves = u64::from(2 * n + 1);
         let units = halves * UNITS_PER_SECOND / (2 * u64::from(self.config.baud.max(1)));
         start + SimDuration::from_units(units)
     }
 
-    /// The middle of a bit has come.
+    /// Handles the middle of a bit.
     fn sample(&mut self, receiving: Receiving, now: SimTime) {
         let mark = self.is_mark();
         let next = Receiving {
@@ -203,14 +203,14 @@ impl Lidar {
     }
 }
 
-/// The sentence between `$` and `*` if its checksum is right.
+/// Returns the sentence between `$` and `*` if its checksum is right.
 fn checked(line: &str) -> Option<&str> {
     let (body, sum) = line.trim_end().strip_prefix('$')?.split_once('*')?;
     let sum = u8::from_str_radix(sum, 16).ok()?;
     (body.bytes().fold(0, |all, byte| all ^ byte) == sum).then_some(body)
 }
 
-/// The second that a `$GPRMC` tells, as Unix time; years are of this century.
+/// Returns the second of a `$GPRMC` as Unix time; years are of this century.
 fn utc_of(body: &str) -> Option<i64> {
     let fields: Vec<&str> = body.split(',').collect();
     let (time, valid, date) = (fields.get(1)?, fields.get(2)?, fields.get(9)?);

@@ -34,13 +34,13 @@ const RARE: f64 = 10.0;
 /// A number of the models with its range.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelRange {
-    /// Name of its row on the page.
+    /// Name of its row in the book.
     pub name: &'static str,
     /// Unit; empty if it has none.
     pub unit: &'static str,
-    /// Value of the models.
+    /// Nominal value.
     pub nominal: f64,
-    /// Least and most of a real rig.
+    /// Smallest and largest value of a real rig.
     pub range: (f64, f64),
     /// Distribution over the range.
     pub draw: Draw,
@@ -205,7 +205,7 @@ fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::Dep
     }
 }
 
-/// Gives all twists of a motion this kind: strong, as the published one, or about one axis.
+/// Sets the kind of motion of all twists: strong, as the published one, or about one axis.
 fn twists(rig: &mut RigConfig, kind: f64) {
     for step in &mut rig.motion.0 {
         if step.gesture == Gesture::Twist {
@@ -276,8 +276,8 @@ impl ModelRange {
         }
     }
 
-    /// The ends of its range that are not the nominal value; of one with either sign, both
-    /// signs of the most.
+    /// Returns the ends of its range that differ from the nominal value; with either sign, both
+    /// signs of the larger end.
     #[cfg(test)]
     fn extremes(&self) -> Vec<f64> {
         let (least, most) = self.range;
@@ -296,21 +296,21 @@ impl ModelRange {
 pub struct ModelValues([f64; MODEL_RANGES.len()]);
 
 impl Default for ModelValues {
-    /// The nominal values.
+    /// Returns the nominal values.
     fn default() -> Self {
         Self(MODEL_RANGES.map(|range| range.nominal))
     }
 }
 
 impl ModelValues {
-    /// Those that a seed draws.
+    /// Draws values from the ranges by a seed.
     #[must_use]
     pub fn drawn(seed: Seed) -> Self {
         let mut random = seed.stream(Stream::ModelRanges);
         Self(MODEL_RANGES.map(|range| range.drawn(&mut random)))
     }
 
-    /// The same with another value in the range at a place of [`MODEL_RANGES`].
+    /// Returns the same values with another one at a place of [`MODEL_RANGES`].
     #[must_use]
     pub fn with(mut self, place: usize, value: f64) -> Self {
         if let Some(old) = self.0.get_mut(place) {
@@ -319,7 +319,8 @@ impl ModelValues {
         self
     }
 
-    /// The nominal values, with twists as strong as the one of a person's hand that is published.
+    /// Returns the nominal values, with twists as strong as the one of a person's hand that is
+    /// published.
     #[must_use]
     pub fn nominal_by_hand() -> Self {
         let place = MODEL_RANGES
@@ -328,7 +329,7 @@ impl ModelValues {
         Self::default().with(place.unwrap_or(MODEL_RANGES.len()), 1.0)
     }
 
-    /// The same where the exposure and the rate of the frames are locked.
+    /// Returns the same values where exposure and frame rate are locked.
     #[must_use]
     pub fn with_exposure_locked(mut self) -> Self {
         for (range, value) in MODEL_RANGES.iter().zip(&mut self.0) {
@@ -339,7 +340,8 @@ impl ModelValues {
         self
     }
 
-    /// The same with one value after the other nominal, and each of those that are not, in words.
+    /// Returns the same values with one after the other set to nominal, each with its description;
+    /// values that are nominal already are left out.
     #[must_use]
     pub fn each_without_one(&self) -> Vec<(String, Self)> {
         let ranges = MODEL_RANGES.iter().enumerate().zip(self.0);
@@ -351,7 +353,7 @@ impl ModelValues {
         without.collect()
     }
 
-    /// The value in the range at a place of [`MODEL_RANGES`].
+    /// Returns the value at a place of [`MODEL_RANGES`].
     #[cfg(test)]
     fn value(&self, place: usize) -> Option<f64> {
         self.0.get(place).copied()

@@ -27,7 +27,7 @@ pub use view::MotionView;
 /// Standard gravity, m/s².
 pub(crate) const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// A motion that was chosen, before it is drawn: gestures one after the other.
+/// A motion before its details are drawn: a sequence of gestures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionSpec(pub Vec<Step>);
 
@@ -36,12 +36,12 @@ pub struct MotionSpec(pub Vec<Step>);
 pub struct Step {
     /// Its kind.
     pub gesture: Gesture,
-    /// For how long, in seconds; nothing is for ever.
+    /// Its length, s; `None` for endless.
     pub seconds: Option<f64>,
 }
 
 impl MotionSpec {
-    /// One gesture for ever.
+    /// Returns one endless gesture.
     #[must_use]
     pub fn always(gesture: Gesture) -> Self {
         Self(vec![Step {
@@ -50,7 +50,7 @@ impl MotionSpec {
         }])
     }
 
-    /// Draws the motion's details from `random`.
+    /// Draws the details of the motion from `random`.
     #[must_use]
     pub fn build(&self, random: Random) -> Arc<Motion> {
         Arc::new(Motion::new(&self.0, random))

@@ -61,14 +61,14 @@ pub use server::LinkFault;
 pub struct Surroundings {
     /// True time as it passes.
     pub clock: TrueClock,
-    /// Motion of the rig.
+    /// The motion of the rig.
     pub motion: Arc<Motion>,
-    /// When the depth camera flashes.
+    /// The flashes of the depth camera.
     pub light: FlashLog,
 }
 
 impl Surroundings {
-    /// Returns those of a phone that is carried on a walk, without a depth camera.
+    /// Returns the surroundings of a phone that is carried on a walk, without a depth camera.
     #[must_use]
     pub fn walking(seed: Seed, clock: TrueClock) -> Self {
         let walk = MotionSpec::always(Gesture::Walk);
@@ -111,7 +111,7 @@ impl SimPhone {
         })
     }
 
-    /// Its address.
+    /// Returns its address.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.link.address()
@@ -126,7 +126,7 @@ impl SimPhone {
         ClockServer::start(Arc::clone(&self.app), link)
     }
 
-    /// Ends the app, if it has not ended itself, and opens it again.
+    /// Ends the app if it has not ended itself, and opens it again.
     ///
     /// # Errors
     ///
@@ -151,7 +151,7 @@ impl SimPhone {
         self.link.join()
     }
 
-    /// Makes something go wrong with the answers from now on.
+    /// Adds a fault to the answers from now on.
     pub fn set_fault(&self, fault: Option<LinkFault>) {
         self.link.set_fault(fault);
     }
@@ -164,8 +164,8 @@ impl Drop for SimPhone {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        // Files of the temporary folder may still be written: let them end
-        // before it goes.
+        // Files of the temporary folder may still be being written: they are finished before it is
+        // removed.
         let _ = self.app.wait_saved();
     }
 }

@@ -2,9 +2,9 @@
 
 pub use stm32f4_sim::random::{Random, Seed};
 
-/// Purpose of a stream of random numbers. The numbers are part of what a seed
-/// means: they are never given to something else. 19, 20, 28 and 29 are the
-/// simulated chip's, 18 was a part's that has gone.
+/// Purpose of a stream of random numbers. A number is part of the meaning of a seed, so it is never
+/// given to another purpose. 19, 20, 28 and 29 belong to the simulated chip; 18 belonged to a part
+/// that was removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u64)]
 pub enum Stream {
@@ -72,7 +72,7 @@ pub fn rotation(random: &mut Random) -> nalgebra::Rotation3<f64> {
         .to_rotation_matrix()
 }
 
-/// Between two numbers, even in its logarithm.
+/// Draws a number between two, uniform in its logarithm.
 pub fn log_uniform(random: &mut Random, (from, to): (f64, f64)) -> f64 {
     random.uniform(from.ln(), to.ln()).exp()
 }

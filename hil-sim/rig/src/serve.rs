@@ -28,7 +28,7 @@ use stm32f4_sim::rtt::LogLine;
 use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::SimTime;
 
-/// Interval between looks whether it should end.
+/// Interval between checks for a signal to end.
 const POLL: Duration = Duration::from_millis(2);
 
 /// Options of `serve`.
@@ -182,10 +182,10 @@ pub fn run(args: &ServeArgs) -> Result<()> {
     ended.map(drop)
 }
 
-/// The ground truth, while it is written.
+/// The file of the ground truth.
 struct Truth {
     file: File,
-    /// Ticks at which the next line is due.
+    /// Ticks of the next line.
     next: u64,
 }
 

@@ -91,7 +91,7 @@ pub fn board_of(kind: BoardKind, elf: Option<&Path>) -> SimBuilder {
     }
 }
 
-/// The board with the product's firmware ([`default_elf`]) and nothing wired to it.
+/// Returns the board with the product's firmware ([`default_elf`]) and nothing wired to it.
 #[must_use]
 pub fn board() -> SimBuilder {
     Sim::builder(default_elf())

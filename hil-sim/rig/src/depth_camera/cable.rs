@@ -24,10 +24,10 @@ use crate::interrupt;
 use crate::picture::ball;
 use stm32f4_sim::shared::{Shared, lock};
 
-/// Wait of either side between looks whether it should end.
+/// Interval at which either side checks for its end.
 const POLL: Duration = Duration::from_millis(50);
 
-/// The camera's end; the socket's file goes with it.
+/// The camera's end. The file of the socket is removed with it.
 #[derive(Debug)]
 pub struct Cable {
     path: PathBuf,
@@ -45,11 +45,11 @@ impl Cable {
         let (sender, frames) = channel();
         lock(camera).record_into(sender);
         let camera = Arc::clone(camera);
-        // Ends with the process.
+        // The thread ends with the process.
         std::thread::spawn(move || {
             for stream in listener.incoming().map_while(Result::ok) {
                 lock(&camera).wait_for_pulses();
-                // Frames from before belong to nobody.
+                // Earlier frames have no recorder.
                 frames.try_iter().for_each(drop);
                 deliver(stream, &frames);
                 lock(&camera).stop();
@@ -68,7 +68,7 @@ impl Drop for Cable {
     }
 }
 
-/// Sends frames until the recorder leaves; an empty line asks whether it is still there.
+/// Sends frames until the recorder leaves. An empty line checks that it is still connected.
 fn deliver(mut stream: UnixStream, frames: &Receiver<FrameRecord>) {
     loop {
         let line = match frames.recv_timeout(POLL) {

@@ -8,7 +8,7 @@ use stm32f4_sim::time::SimDuration;
 /// Longest pulse that does not count (Azure Kinect: it needs more than 8 µs).
 pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
-/// Distance from its expected place at which a pulse disturbs nothing.
+/// Largest deviation from its expected time at which a pulse disturbs nothing.
 pub(super) const TOLERANCE: SimDuration = SimDuration::from_micros(200);
 
 /// Frames that are bad after a disturbance, the one disturbed included.
@@ -48,7 +48,7 @@ pub struct DepthCameraConfig {
     pub mode: DepthMode,
     /// Longest pulse that does *not* count.
     pub shortest_pulse: SimDuration,
-    /// It goes on by itself when the pulses stop; others wait for each.
+    /// True if it continues by itself when the pulses stop; other cameras wait for each pulse.
     pub free_runs: bool,
     /// The pulse that makes the first frame: 2 or 3 on real cameras.
     pub first_frame: u32,
@@ -65,7 +65,7 @@ pub struct DepthCameraConfig {
     pub drop_probability: f64,
     /// Number of frames that are lost at a time.
     pub dropped_at_once: u32,
-    /// Probability that a frame's image is spoilt for no reason that is known.
+    /// Probability that a frame's image is spoilt without a known reason.
     pub spoil_probability: f64,
     /// From the begin of a flash to the photodiode's rising edge, and from its end to the
     /// falling one: rise times against the threshold of the input.
@@ -83,8 +83,8 @@ impl DepthCameraConfig {
 }
 
 impl Default for DepthCameraConfig {
-    /// A camera in NFOV unbinned at 30 fps, 300 ppm fast, that takes its first
-    /// frame on pulse 2.
+    /// Returns a camera in NFOV unbinned at 30 fps, 300 ppm fast, whose first frame comes on pulse
+    /// 2.
     fn default() -> Self {
         Self {
             mode: DepthMode::NfovUnbinned,
@@ -117,7 +117,7 @@ impl DepthCameraConfig {
         self.flash_delay.as_nanos() as f64 + self.mode.flashes().center_offset_ns() as f64
     }
 
-    /// From a pulse, or where one was expected, to where it is known whether one came.
+    /// Returns the time from a pulse, or its expected time, to the decision of whether it came.
     pub(super) fn earliest_flash(&self) -> SimDuration {
         TOLERANCE + self.shortest_pulse + SimDuration::from_micros(1)
     }

@@ -56,7 +56,7 @@ impl Family {
         let mut random = seed.stream(Stream::DepthFamily);
         let mut draw = |(from, to): (f64, f64)| random.uniform(from, to);
         let other = DepthCameraConfig {
-            // 100 µs by all makers; what they see below that is not known.
+            // 100 µs by all makers; the effect of shorter pulses is not known.
             shortest_pulse: micros(draw((60.0, 99.0))),
             first_frame: draw((1.0, 5.0)) as u32,
             photodiode: false,
@@ -64,7 +64,7 @@ impl Family {
         };
         match self {
             Self::AzureKinect => camera,
-            // When its first flash comes is not published.
+            // The time of the first flash is not published.
             Self::Femto => DepthCameraConfig {
                 flash_delay: micros(draw((350.0, 4_000.0))),
                 ..other
@@ -72,7 +72,7 @@ impl Family {
             Self::Gemini330 => shutter(other, draw((150.0, 1_500.0)), draw(EXPOSURE_US)),
             // 790 µs (librealsense #9220).
             Self::RealSense => shutter(other, draw((740.0, 840.0)), draw(EXPOSURE_US)),
-            // The exposure ends with the next pulse, more or less.
+            // The exposure ends roughly with the next pulse.
             Self::Oak => {
                 let exposure_us = draw(EXPOSURE_US);
                 let before_us = draw((50.0, 1_000.0));
@@ -86,7 +86,7 @@ impl Family {
 /// Exposure of a shutter, µs.
 const EXPOSURE_US: (f64, f64) = (2_000.0, 12_000.0);
 
-/// One that waits for each pulse, and whose exposure is set.
+/// Returns the settings of a camera that waits for each pulse, and whose exposure is set.
 fn shutter(camera: DepthCameraConfig, begins_us: f64, exposure_us: f64) -> DepthCameraConfig {
     DepthCameraConfig {
         mode: DepthMode::Shutter {

@@ -153,7 +153,7 @@ impl Drawn {
                 term.amplitude *= scale;
             }
         }
-        // Hands that turn it less hold it more quietly.
+        // Hands that turn an axis less hold it more quietly.
         drawn.add_tremor(random, target.map(|peak| (peak / STRONG.0).min(1.0)));
         drawn
     }
@@ -222,7 +222,7 @@ impl Drawn {
 }
 
 impl Pose {
-    /// Angular rate about the rig's axes.
+    /// Returns the angular rate about the rig's axes.
     fn body_rate(&self) -> [f64; 3] {
         let [roll, pitch, _] = self.angle;
         let [roll_rate, pitch_rate, yaw_rate] = self.rate;
@@ -278,7 +278,7 @@ struct Act {
 }
 
 impl Act {
-    /// Loudness and its derivative.
+    /// Amplitude and its derivative.
     fn envelope(&self, t: f64) -> (f64, f64) {
         let (up, up_slope) = step((t - self.from) / FADE);
         let (down, down_slope) = step((self.until - t) / FADE);
@@ -293,7 +293,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// No motion at all.
+    /// Returns a motion at rest.
     #[must_use]
     pub fn rest() -> Arc<Self> {
         Arc::new(Self { acts: Vec::new() })

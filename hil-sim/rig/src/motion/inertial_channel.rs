@@ -1,4 +1,4 @@
-//! One three-axis inertial sensor: what becomes of the rig's motion in it.
+//! A three-axis inertial sensor: from the rig's motion to its readings.
 //!
 //! The same model serves the board's IMU and the phone's, gyroscopes and
 //! accelerometers. In this order: rotation into the sensor's axes, low-pass with
@@ -106,8 +106,8 @@ struct Noise {
 }
 
 impl Channel {
-    /// A sensor with internal samples every `tick_s` seconds; all that is random
-    /// comes from `random`.
+    /// Creates a sensor with internal samples every `tick_s` seconds, whose random numbers come
+    /// from `random`.
     #[must_use]
     pub fn new(config: ChannelConfig, low_pass: LowPass, tick_s: f64, random: Random) -> Self {
         let mut channel = Self {
@@ -196,7 +196,7 @@ impl Noise {
         }
         let length = self.kernel.len();
         let end = tick + length as u64;
-        // Samples that no kernel will ever see are not drawn.
+        // Samples that no kernel will use are not drawn.
         let missing = end.saturating_sub(self.end).min(length as u64);
         for _ in 0..missing {
             self.window.push_back(random.normal3());
@@ -215,7 +215,7 @@ impl Noise {
     }
 }
 
-/// A Gaussian of standard deviation one, not normalised.
+/// Returns a Gaussian of standard deviation one, not normalised.
 fn gaussian(x: f64) -> f64 {
     libm::exp(-0.5 * x * x)
 }

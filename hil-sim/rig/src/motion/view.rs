@@ -1,4 +1,4 @@
-//! A quick look at a motion for a sensor that samples it often.
+//! A fast view of a motion for a sensor that samples it often.
 //!
 //! A synthetic motion costs a microsecond a look, and a low-pass takes a dozen
 //! looks a sample. [`MotionView`] evaluates it once a millisecond, on a fixed
@@ -27,7 +27,7 @@ pub struct MotionView {
 }
 
 impl MotionView {
-    /// A view of `motion`.
+    /// Creates a view of `motion`.
     #[must_use]
     pub fn new(motion: Arc<Motion>) -> Self {
         Self {
@@ -117,7 +117,7 @@ mod tests {
             let mut view = MotionView::new(Arc::clone(&motion));
             let mut random = Seed(3).stream(Stream::Test);
             for k in 0..20_000 {
-                // Mostly forward, with looks back and far jumps.
+                // Mostly forward, with steps back and far jumps.
                 let t = match k % 1000 {
                     999 => random.uniform(0.0, 100.0),
                     n => f64::from(n) * 1.7e-3 + random.uniform(-0.1, 0.1),

@@ -29,7 +29,7 @@ const PHASE_TIMEOUT_MS: u64 = 10_000;
 /// Interval between looks for the phase, in milliseconds.
 const PHASE_POLL_MS: u64 = 50;
 
-/// Interval between looks whether a video that is asked for is closed, in milliseconds.
+/// Interval between looks at whether a requested video is closed, in milliseconds.
 const CLOSED_POLL_MS: f64 = 50.0;
 
 /// An answer of the app.
@@ -46,9 +46,9 @@ pub(super) enum Reply {
         /// The name to announce.
         name: String,
     },
-    /// None: the app's process has ended.
+    /// No answer: the app's process has ended.
     Crash,
-    /// None: the app was opened again, and has forgotten the request.
+    /// No answer: the app was opened again, and has lost the request.
     Forgotten,
 }
 
@@ -71,31 +71,31 @@ impl Reply {
 
 /// Progress of a request.
 pub(super) enum Progress {
-    /// It is answered.
+    /// It has been answered.
     Done(Reply),
-    /// It goes on at a time.
+    /// It continues at a time.
     Waits {
         /// The time.
         until: TrueTime,
-        /// The request that goes on then.
+        /// The request that continues then.
         request: Request,
     },
 }
 
-/// A request that takes its time.
+/// A request that takes some time.
 pub(super) enum Request {
     /// The sensors run.
     Sensors(SensorRecording),
-    /// A video was started, and its phase is looked for.
+    /// A video was started, and its phase is awaited.
     Phase {
         /// Until when.
         deadline: TrueTime,
     },
-    /// The last video is asked for, and not closed yet.
+    /// The last video was requested, and is not closed yet.
     Video {
         /// Number of times that the app had been opened.
         opened: u64,
-        /// It has waited before.
+        /// True if it has waited before.
         waited: bool,
     },
 }
@@ -201,7 +201,7 @@ pub struct App {
     /// Number of times that the app was opened again.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
-    /// When which recordings close, where the app has no threads.
+    /// Times at which recordings close, where the app has no threads.
     agenda: Mutex<Option<Vec<(TrueTime, usize)>>>,
 }
 
@@ -252,7 +252,7 @@ impl App {
         })
     }
 
-    /// The same without threads: what is due happens when it is [caught up](App::catch_up).
+    /// Creates an app without threads: pending work is done when it is [caught up](App::catch_up).
     pub(super) fn without_threads(self) -> Self {
         *lock(&self.agenda) = Some(Vec::new());
         self
@@ -266,13 +266,13 @@ impl App {
         }
         let app = Arc::clone(self);
         std::thread::spawn(move || {
-            // Where the rig is stopped before, it is closed all the same.
+            // If the rig is stopped before, it is closed all the same.
             let _ = app.wait_until(at);
             app.end_recording(number, at);
         });
     }
 
-    /// Does what was due until now, where the app has no threads.
+    /// Does the work that is due by now, where the app has no threads.
     pub(super) fn catch_up(self: &Arc<Self>) {
         loop {
             let next = lock(&self.agenda).as_mut().and_then(|agenda| {
@@ -317,12 +317,12 @@ impl App {
         TrueTime::from_units(self.clock.now().units().saturating_add(units))
     }
 
-    /// True if true time has come to `at`.
+    /// Returns true if true time has reached `at`.
     pub(super) fn has_come(&self, at: TrueTime) -> bool {
         self.clock.now() >= at
     }
 
-    /// The boot clock now.
+    /// Returns the boot clock now.
     pub(super) fn now_ns(&self) -> i64 {
         self.oscillator.nanos_at(self.clock.now())
     }
@@ -364,7 +364,7 @@ impl App {
         }
     }
 
-    /// Goes on with a request whose time has come.
+    /// Continues a request whose time has come.
     pub(super) fn go_on(&self, request: Request) -> Progress {
         match request {
             Request::Sensors(recording) => Progress::Done(self.end_sensors(recording)),

@@ -1,4 +1,4 @@
-//! The phone's camera: when its frames are exposed, and what they show.
+//! The phone's camera: the times and the content of its frames.
 
 use std::path::Path;
 
@@ -65,7 +65,7 @@ impl FrameTimes {
         self.camera.exposure_ns
     }
 
-    /// The frames that the app gets, in order, without an end.
+    /// Returns the endless sequence of frames that the app gets.
     fn delivered(&self) -> impl Iterator<Item = usize> + use<> {
         let (at_once, doubled) = (self.camera.lost_at_once.max(1), self.camera.doubled);
         let lost = self.camera.lost / f64::from(at_once);

@@ -1,5 +1,5 @@
-//! The readings of the phone's clocks on a port, as our program on a phone reports them, with the
-//! delays of a link on the way.
+//! Serves the readings of the phone's clocks on a port, as our program on a phone does, with the
+//! delays of a link.
 //!
 //! It stands for the program, for `adb`'s forwarding and for the cable: the delays there and
 //! back are drawn from the ranges of links, in true time.
@@ -83,7 +83,7 @@ fn serve(
             return;
         }
         let Ok(stream) = stream else { continue };
-        // A host that has gone is no reason to end.
+        // A host that has disconnected does not end the server.
         let _ = answer(stream, app, &mut link);
     }
 }

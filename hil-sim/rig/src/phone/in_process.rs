@@ -35,7 +35,7 @@ pub enum Answer {
     Closed,
 }
 
-/// A phone that is asked by calls.
+/// A phone whose requests are calls.
 pub struct AskedPhone {
     /// The app on it.
     pub app: Arc<App>,
@@ -118,7 +118,7 @@ impl AskedPhone {
         }
     }
 
-    /// The answer to a request, once it is there; it is given once.
+    /// Returns the answer to a request, once, as soon as it exists.
     pub fn take_answer(&mut self, id: RequestId) -> Option<Answer> {
         let at = self.answers.iter().position(|(of, _)| *of == id)?;
         Some(self.answers.swap_remove(at).1)

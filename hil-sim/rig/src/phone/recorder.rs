@@ -186,7 +186,7 @@ impl App {
         if path.exists() {
             return Ok(());
         }
-        // Encoded beside it first, so that nobody finds half a video.
+        // Encoded under another name first, so that no reader finds half a video.
         let part = path.with_extension("part.mp4");
         let truth = &recording.truth;
         let count = truth.count.unwrap_or(0);

@@ -28,7 +28,7 @@ const BLOCK: u64 = 2048;
 pub(super) enum Kind {
     Accelerometer,
     Gyroscope,
-    /// This phone has none: its file is empty.
+    /// This phone lacks the sensor: its file is empty.
     Magnetometer,
 }
 

@@ -94,7 +94,7 @@ impl Link {
     }
 }
 
-/// A listener that does not block.
+/// Returns a non-blocking listener.
 fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
     let listener = TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
@@ -247,7 +247,7 @@ impl<'a> Client<'a> {
         Ok(())
     }
 
-    /// Sends, with what the fault does to it.
+    /// Sends bytes, subject to the fault.
     fn send(&mut self, bytes: &[u8]) -> Result<(), Gone> {
         while self.link.fault() == Some(LinkFault::Held) && !self.app.closing.load(Ordering::SeqCst)
         {
@@ -287,7 +287,7 @@ impl<'a> Client<'a> {
         }
     }
 
-    /// Writes; to a client that has gone, nothing.
+    /// Writes to the client; does nothing if it has gone.
     fn put(&mut self, bytes: &[u8]) {
         if !self.deaf && self.stream.write_all(bytes).is_err() {
             self.deaf = true;

@@ -20,7 +20,7 @@ use stm32f4_sim::sim::SimBuilder;
 /// The parts around the board, as plain data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigConfig {
-    /// Everything random comes from this.
+    /// Seed of everything random.
     pub seed: Seed,
     /// The board.
     pub board: BoardKind,
@@ -66,7 +66,7 @@ impl RigConfig {
         }
     }
 
-    /// The same with another motion.
+    /// Returns the same rig with another motion.
     #[must_use]
     pub fn with_motion(mut self, motion: MotionSpec) -> Self {
         self.motion = motion;
@@ -83,14 +83,14 @@ impl RigConfig {
         Some(camera.center_delay_ns() * 1e-3 * rate)
     }
 
-    /// The same with another IMU.
+    /// Returns the same rig with another IMU.
     #[must_use]
     pub fn with_imu(mut self, model: SensorModel) -> Self {
         self.imu = self.imu.map(|imu| imu.with_model(model));
         self
     }
 
-    /// Draws everything.
+    /// Draws the parts.
     #[must_use]
     pub fn build(self) -> RigParts {
         let seed = self.seed;
@@ -130,7 +130,7 @@ pub struct RigParts {
     pub imu: Option<Shared<SimImu>>,
     /// The depth camera.
     pub depth_camera: Option<Shared<DepthCamera>>,
-    /// Its flashes, for the cameras that see them.
+    /// The camera's flashes, for the cameras that see them.
     pub flashes: FlashLog,
 }
 

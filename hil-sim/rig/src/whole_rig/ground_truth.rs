@@ -23,7 +23,7 @@ pub struct RunTruth {
     /// All samples of the board's IMU as they were in its registers, in order
     /// (48 bytes each: 86 MB an hour at 500 Hz).
     pub imu: Vec<SampleRecord>,
-    /// When the board's tick count was zero in its first run.
+    /// Board time at which the tick count was zero in the board's first run.
     pub zero: Option<SimTime>,
     /// Clocks and videos of the phones, the one that the trigger is aligned to first.
     pub phones: Vec<(Oscillator, Vec<VideoTruth>)>,
@@ -31,7 +31,7 @@ pub struct RunTruth {
     pub end: SimTime,
 }
 
-/// Notes so far.
+/// The records so far.
 #[derive(Debug, Default)]
 pub(crate) struct Noted {
     depth: Vec<FrameRecord>,
@@ -41,7 +41,7 @@ pub(crate) struct Noted {
 }
 
 impl Noted {
-    /// Takes what the models have noted, so that they keep little.
+    /// Collects the records of the models, so that these stay small.
     pub(crate) fn take(&mut self, board: &Sim, parts: &RigParts) {
         if board.now() < FIRST_WRAP && !self.was_reset && board.failures().is_empty() {
             self.zero = zero_of(board);
@@ -54,23 +54,24 @@ impl Noted {
         }
     }
 
-    /// Forgets frames and samples.
+    /// Discards frames and samples.
     pub(crate) fn forget(&mut self) {
         (self.depth, self.imu) = (Vec::new(), Vec::new());
     }
 
-    /// The board's tick count at a board time; `None` after a reset, and before it was seen.
+    /// Returns the board's tick count at a board time; `None` after a reset, and before the count
+    /// was observed.
     pub(crate) fn ticks(&self, at: SimTime) -> Option<u64> {
         let zero = self.zero.filter(|_| !self.was_reset)?;
         Some(at.units().checked_sub(zero.units())? / wiring::UNITS_PER_TICK)
     }
 
-    /// The board has been reset: its count begins again.
+    /// Notes a reset of the board, which restarts its count.
     pub(crate) fn was_reset(&mut self) {
         self.was_reset = true;
     }
 
-    /// The frames of the depth camera so far.
+    /// Returns the frames of the depth camera so far.
     pub(crate) fn depth(&self) -> &[FrameRecord] {
         &self.depth
     }

@@ -21,7 +21,7 @@ pub struct Pty {
 }
 
 impl Pty {
-    /// Makes a new pseudo-terminal.
+    /// Creates a pseudo-terminal.
     ///
     /// # Errors
     ///
@@ -44,7 +44,7 @@ impl Pty {
         Ok(Self { master, path })
     }
 
-    /// Path that other programs open.
+    /// Returns the path that other programs open.
     #[must_use]
     pub fn path(&self) -> &std::path::Path {
         &self.path
@@ -75,7 +75,7 @@ impl Pty {
     pub fn read(&self, buffer: &mut [u8]) -> std::io::Result<usize> {
         match rustix::io::read(&self.master, buffer) {
             Ok(n) => Ok(n),
-            // EIO: nobody has it open.
+            // EIO: no program has it open.
             Err(Errno::AGAIN | Errno::INTR | Errno::IO) => Ok(0),
             Err(e) => Err(e.into()),
         }

@@ -103,11 +103,11 @@ struct Shared {
     noted: Mutex<Noted>,
 }
 
-/// A rig that runs. It is switched off when dropped.
+/// A running rig. It is switched off when dropped.
 pub struct RunningRig {
     parts: RigParts,
     clock: TrueClock,
-    /// Dropped before the board's thread is joined: it waits for true time.
+    /// Dropped before the board's thread is joined, which waits for true time.
     phone: Option<SimPhone>,
     port: PathBuf,
     orders: Sender<Order>,
@@ -154,7 +154,7 @@ impl RunningRig {
         };
         let (ready, started) = channel();
         let thread = std::thread::spawn(move || {
-            // A rig cannot be sent between threads: it is built where it runs.
+            // A rig cannot be sent between threads, so it is built where it runs.
             match runner.boot(rig) {
                 Ok((rig, port)) => {
                     let _ = ready.send(Ok(()));
@@ -208,19 +208,19 @@ impl RunningRig {
         owner_profile(&self.parts.config, phones, &[])
     }
 
-    /// The parts and their clocks.
+    /// Returns the parts and their clocks.
     #[must_use]
     pub fn parts(&self) -> &RigParts {
         &self.parts
     }
 
-    /// Board time now.
+    /// Returns the present board time.
     #[must_use]
     pub fn now(&self) -> SimTime {
         SimTime::from_units(self.shared.now.load(Ordering::Relaxed))
     }
 
-    /// Forgets the ground truth so far, in a run of any length that does not need it.
+    /// Discards the ground truth so far, in a long run that does not need it.
     pub(crate) fn forget(&self) {
         lock(&self.shared.noted).forget();
     }
@@ -283,7 +283,7 @@ impl RunningRig {
 
 impl Drop for RunningRig {
     fn drop(&mut self) {
-        // What it has to say was asked for by `stop`, or is not wanted.
+        // Its result was returned by `stop`, or nobody needs it.
         let _ = self.end();
     }
 }
@@ -297,7 +297,7 @@ struct Runner {
     inbox: Receiver<Order>,
 }
 
-/// Keeps true time from passing faster than it shall.
+/// Limits the speed of true time.
 pub(crate) struct Pacer {
     speed: Option<f64>,
     began: SimTime,
@@ -305,7 +305,7 @@ pub(crate) struct Pacer {
 }
 
 impl Pacer {
-    /// From `now` on, as [`Pace::speed`] has it.
+    /// Sets the pace from `now` on.
     pub(crate) fn new(speed: Option<f64>, now: SimTime) -> Self {
         Self {
             speed: speed.map(|speed| speed.max(1e-3)),
@@ -314,24 +314,24 @@ impl Pacer {
         }
     }
 
-    /// Board time between two looks at the pseudo-terminal.
+    /// Returns the board time between two looks at the pseudo-terminal.
     pub(crate) fn step(&self) -> SimDuration {
         let steps = self.speed.unwrap_or(MOST_STEPS).clamp(1.0, MOST_STEPS);
         SimDuration::from_nanos((STEP.as_nanos() as f64 * steps) as u64)
     }
 
-    /// Waits until it is time for `now`.
+    /// Waits until `now` is due.
     pub(crate) fn wait(&mut self, now: SimTime) {
         let Some(speed) = self.speed else { return };
         let due = Duration::from_nanos(now.as_nanos() - self.began.as_nanos()).div_f64(speed);
         let passed = self.begun.elapsed();
         if passed > due + CATCH_UP.div_f64(speed) {
-            // The machine is slower, or stood still: no race to catch up.
+            // The machine is slower, or stood still: lost time is not made up for.
             *self = Self::new(self.speed, now);
         } else if let Some(ahead) = due.checked_sub(passed)
             && ahead > Duration::from_millis(1)
         {
-            // A call costs as much as a shorter wait.
+            // A call takes as long as a shorter wait.
             std::thread::sleep(ahead);
         }
     }
@@ -341,7 +341,7 @@ impl Pacer {
 pub(crate) struct Port {
     pub(crate) pty: Pty,
     open: bool,
-    /// From the board, not yet taken by the program.
+    /// Bytes from the board that the program has not read yet.
     waiting: Vec<u8>,
 }
 
@@ -380,7 +380,7 @@ impl Runner {
         if ready && port.is_none() {
             *port = Some(self.new_port(rig)?);
         } else if !ready && port.is_some() {
-            // The name goes first, so that no program opens a port that ends.
+            // The name is removed first, so that no program opens a port that is about to end.
             let _ = std::fs::remove_file(&self.link);
             drop(port.take());
             self.shared.plugged.store(false, Ordering::SeqCst);
@@ -421,7 +421,7 @@ impl Runner {
         }
     }
 
-    /// Takes what the models have noted, so that they keep little.
+    /// Collects the records of the models, so that these stay small.
     fn note(&self, rig: &Sim) {
         self.shared.now.store(rig.now().units(), Ordering::Relaxed);
         lock(&self.shared.noted).take(rig, &self.parts);
@@ -440,7 +440,7 @@ impl Port {
         })
     }
 
-    /// Moves bytes both ways; false if the program does not take its own.
+    /// Moves bytes in both directions; returns false if the program does not read its own.
     pub(crate) fn move_bytes(&mut self, rig: &mut Sim) -> Result<bool> {
         let open = self.pty.is_open()?;
         if open != self.open {

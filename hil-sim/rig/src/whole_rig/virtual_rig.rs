@@ -20,13 +20,13 @@ use stm32f4_sim::usb::UsbState;
 /// Virtual time between two looks.
 const STEP: SimDuration = SimDuration::from_millis(1);
 
-/// The address of its phones: nobody connects to it.
+/// Address of its phones, to which nothing connects.
 const ADDRESS: &str = "192.0.2.1:6969";
 
-/// Something that happens to a rig.
+/// An event on a rig.
 pub type Happening = Box<dyn FnOnce(&mut VirtualRig)>;
 
-/// A rig that is stepped.
+/// A rig that its caller steps.
 pub struct VirtualRig {
     /// The board.
     pub sim: Sim,
@@ -34,11 +34,11 @@ pub struct VirtualRig {
     pub phones: Vec<AskedPhone>,
     parts: RigParts,
     noted: Noted,
-    /// The connection that the host has open, and the one that it had last.
+    /// The connection that the host has open, and the last one.
     open: bool,
     connection: u64,
     pending: Vec<u8>,
-    /// Happenings to come, the next one last.
+    /// Pending events, the next one last.
     agenda: Vec<(SimTime, Happening)>,
     failure: Option<String>,
 }
@@ -75,7 +75,7 @@ impl VirtualRig {
         })
     }
 
-    /// The parts and their clocks.
+    /// Returns the parts and their clocks.
     #[must_use]
     pub fn parts(&self) -> &RigParts {
         &self.parts
@@ -93,19 +93,19 @@ impl VirtualRig {
         owner_profile(&self.parts.config, phones, names)
     }
 
-    /// Virtual time.
+    /// Returns virtual time.
     #[must_use]
     pub fn now(&self) -> SimTime {
         self.sim.now()
     }
 
-    /// Lets something happen at a time, or at the next step if that is over.
+    /// Schedules an event at a time, or at the next step if that has passed.
     pub fn at(&mut self, at: SimTime, what: impl FnOnce(&mut Self) + 'static) {
         self.agenda.push((at, Box::new(what)));
         self.agenda.sort_by_key(|(at, _)| Reverse(*at));
     }
 
-    /// Lets time pass.
+    /// Advances time.
     pub fn pass(&mut self, length: SimDuration) {
         let end = self.sim.now() + length;
         while self.sim.now() < end {
@@ -113,14 +113,14 @@ impl VirtualRig {
         }
     }
 
-    /// Lets time pass while the host takes nothing from the board.
+    /// Advances time while the host reads nothing from the board.
     pub fn pass_unread(&mut self, length: SimDuration) {
         self.sim.usb_set_buffer_limit(0);
         self.pass(length);
         self.sim.usb_set_buffer_limit(usize::MAX);
     }
 
-    /// Lets time pass until something is so; false if `patience` is over before.
+    /// Advances time until a condition holds; returns false if `patience` ends before.
     pub fn pass_until(
         &mut self,
         patience: Duration,
@@ -175,15 +175,15 @@ impl VirtualRig {
         self.sim.usb_state() == UsbState::Ready
     }
 
-    /// Opens the board's port; gives the number of the connection. Nothing if it is not
-    /// there, or somebody has it open.
+    /// Opens the board's port and returns the number of the connection; `None` if the port is
+    /// absent or in use.
     pub fn connect(&mut self) -> Option<u64> {
         if self.open || !self.is_plugged() {
             return None;
         }
         self.connection += 1;
         self.open = true;
-        // What lay in the driver's buffer is gone with the former connection.
+        // Bytes in the driver's buffer are lost with the former connection.
         self.sim.usb_read();
         self.pending.clear();
         self.sim.usb_open(true);
@@ -212,7 +212,7 @@ impl VirtualRig {
         }
     }
 
-    /// Returns the bytes that have come for a connection, after waiting for them up to a time.
+    /// Returns the bytes that have arrived for a connection, waiting for some up to a time.
     pub fn receive(&mut self, connection: u64, wait: Duration) -> Vec<u8> {
         let end = self.sim.now() + duration(wait);
         while self.pending.is_empty() && self.has(connection) && self.sim.now() < end {
@@ -224,7 +224,7 @@ impl VirtualRig {
         std::mem::take(&mut self.pending)
     }
 
-    /// The frames of the depth camera so far.
+    /// Returns the frames of the depth camera so far.
     #[must_use]
     pub fn depth_frames(&self) -> &[FrameRecord] {
         self.noted.depth()
