@@ -8,6 +8,7 @@
 //! whole chain: the firmware, the link and the session's steps.
 #![allow(dead_code, reason = "the tests and an example each use a part of it")]
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -16,8 +17,9 @@ use std::sync::Arc;
 use board::imu::Sample;
 use clock::{ClockRelation, Wander};
 use protocol::{EdgeGrid, ImuFlags, Period, Pulse, TICK_HZ, Ticks};
+use recording::contents::TopicContents;
 use recording::profile::Profile;
-use recording::session_file::SessionFile;
+use recording::session_file::{Marker, SessionFile, SessionOutcome, Span};
 use recording::writer::Writer;
 use rig::clocks::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use rig::depth_camera::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
@@ -27,6 +29,7 @@ use rig::motion::{Motion, MotionSpec, MotionView, Step};
 use rig::random::{Random, Seed, Stream, rotation};
 use rig::wiring::UNITS_PER_TICK;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
+use system::ReadMonitor;
 
 /// Low-pass of the board's gyroscope (MPU-9150, DLPF 188 Hz).
 const BOARD_PASS: LowPass = LowPass {
@@ -245,7 +248,7 @@ pub(crate) fn make(folder: &Path, config: &Synthetic) -> Truth {
         .map(|pulse| pulse.at.as_nanos() as i64)
         .collect();
 
-    write_board(folder, config, &mut rig, &train, end_ticks, &mut truth);
+    let topics = write_board(folder, config, &mut rig, &train, end_ticks, &mut truth);
     if config.phone {
         write_phone(
             folder,
@@ -259,7 +262,7 @@ pub(crate) fn make(folder: &Path, config: &Synthetic) -> Truth {
     if config.depth {
         write_depth(folder, &mut rig, config, &train, &mut truth);
     }
-    write_session(folder, &rig);
+    write_session(folder, config, &rig, &train, topics);
     let second = |rig: &Rig, at: u64| rig.board_of_phone(949_113e9 + at as f64 * 1e9);
     let (from, to) = (second(&rig, 1), second(&rig, config.seconds - 1));
     truth.skew_ppm = ((config.seconds - 2) as f64 * 1e9 / (to - from) - 1.0) * 1e6;
@@ -316,7 +319,7 @@ fn write_board(
     train: &[Pulse],
     end: u64,
     truth: &mut Truth,
-) {
+) -> BTreeMap<String, TopicContents> {
     let mut writer = Writer::create(folder).unwrap();
     let mut gyro = rig.channel(8.7e-5, BOARD_PASS, 1e-3, Stream::ImuGyro);
     let mut accel = rig.channel(3.9e-3, BOARD_PASS, 1e-3, Stream::ImuAccel);
@@ -353,7 +356,7 @@ fn write_board(
     for pulse in pulses {
         writer.pulse(pulse).unwrap();
     }
-    writer.finish().unwrap();
+    writer.finish().unwrap()
 }
 
 fn write_phone(
@@ -520,7 +523,13 @@ impl CameraImu {
     }
 }
 
-fn write_session(folder: &Path, rig: &Rig) {
+fn write_session(
+    folder: &Path,
+    config: &Synthetic,
+    rig: &Rig,
+    train: &[Pulse],
+    topics: BTreeMap<String, TopicContents>,
+) {
     let mut profile = Profile::published().unwrap();
     profile.phone.exposure_us = EXPOSURE_NS / 1000.0;
     profile.phone.readout_us = READOUT_NS / 1000.0;
@@ -542,6 +551,23 @@ fn write_session(folder: &Path, rig: &Rig) {
         wander: Wander::default(),
     });
     session.imu = Some(imu_info());
+    session.recorded = train.first().zip(train.last()).map(|(first, last)| Span {
+        from: first.at,
+        to: last.at,
+    });
+    let at = |second: u64| Ticks(second * u64::from(TICK_HZ));
+    session.markers = config
+        .marks
+        .iter()
+        .map(|mark| Marker {
+            at: at(*mark),
+            label: String::from("sequence"),
+        })
+        .collect();
+    session.close(SessionOutcome::Good, Some(topics));
+    session
+        .close_files(folder, &ReadMonitor::default())
+        .unwrap();
     session.save(folder).unwrap();
 }
 

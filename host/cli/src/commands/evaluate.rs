@@ -10,14 +10,14 @@ use crate::context::Context;
 use crate::decimal::{parse_micros, parse_seconds};
 use crate::options::one_of;
 use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
-use evaluate::calibrate::{read_bias, write_bias};
+use evaluate::calibrate::{read_profile, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
 use evaluate::footage::Region;
 use evaluate::precision::{self, BiasStatistics, Precision, RecordingResult};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
-use evaluate::{EvaluateError, Settings};
+use evaluate::{EvaluateError, KnownReadout, Settings};
 use recording::profile::Direction;
 use report::evaluation::{drift_summary, precision_summary};
 
@@ -234,6 +234,11 @@ impl From<EvaluateError> for Failure {
                  the depth camera runs, so that it also shows the scene alone; or give --row-time \
                  if it is known",
             ),
+            E::RowTime { .. } => (
+                ExitStatus::Refused,
+                "switch lamps off that are dimmed; if the readout of the profile is a guess, say so with \
+                 a `readout_sigma_us` as large as that guess is uncertain",
+            ),
             E::NotInStep { .. } => (
                 ExitStatus::Refused,
                 "if the trigger is still being aligned there, choose a later time with --from; \
@@ -253,10 +258,11 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     args.common.check_targets()?;
     let mut settings = args.common.settings()?;
     // A profile that cannot be read is found out before hours of work.
-    let profile_bias = match &args.calibrate {
-        Some(profile) => read_bias(profile)?,
-        None => 0.0,
-    };
+    let profile = args.calibrate.as_deref().map(read_profile).transpose()?;
+    let profile_bias = profile
+        .as_ref()
+        .map_or(0.0, |known| known.frame_sync.bias_us);
+    settings.known_readout = profile.map(|known| KnownReadout::of_phone(&known.phone));
     let count = args.inputs.len();
     let mut done = 0;
     let mut each = |path: &Path, result: &Result<RecordingResult, String>| {

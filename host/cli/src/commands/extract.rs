@@ -207,6 +207,10 @@ impl From<ExtractError> for Failure {
                 ExitStatus::Usage,
                 "replace it with --overwrite, or give another folder with --out",
             ),
+            ExtractError::OutputDir(OutputDirError::Busy { .. }) => (
+                ExitStatus::Usage,
+                "wait until it has ended, or give another folder with --out",
+            ),
             ExtractError::OutputDir(_) => (
                 ExitStatus::Usage,
                 "give another folder with --out, or remove this one",

@@ -13,11 +13,12 @@ use report::verification;
 use serde::Serialize;
 use system::ReadMonitor;
 
-/// Check a recording: checksums, the board's numbers and counters, the pulses'
-/// grid, times that go on. Its report is written again, into its folder.
+/// Check a recording: every message and file against what it held when it was closed, and
+/// checksums, numbers, times, grid and clocks against each other. Its report is written again,
+/// into its folder.
 ///
-/// Ends with exit code 0 if the recording is whole, 4 if something is missing or
-/// damaged, 13 if it cannot be read at all.
+/// Ends with exit code 0 if nothing is missing or changed, 4 if something is missing,
+/// damaged or cannot be compared, 13 if it cannot be read at all.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync verify recordings/walk")]
 pub(crate) struct VerifyArgs {

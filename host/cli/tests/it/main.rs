@@ -17,3 +17,4 @@ mod sentences;
 mod support;
 mod trigger_imu;
 mod verify_command;
+mod verify_mutations;

@@ -43,7 +43,7 @@ fn a_whole_recording_is_whole() {
     assert_eq!(checked.status.code(), Some(0), "{checked:?}");
     let report = checked.json();
     assert_eq!(report["severity"], "good", "{report}");
-    assert_eq!(report["form"], 2);
+    assert_eq!(report["form"], 3);
     assert_eq!(report["streams"]["imu"]["received"], SECONDS * 500);
     assert_eq!(report["streams"]["pulses"]["missing"], 0);
     assert_eq!(report["grid"]["checked"], SECONDS * 30);

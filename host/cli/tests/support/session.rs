@@ -1,9 +1,13 @@
 //! The session file of a recording that went well, of a rig that is not there.
 
+use std::collections::BTreeMap;
+use std::path::Path;
+
 use clock::alignment::GridPlan;
 use clock::frames::{FramePeriodSource, Frames};
 use clock::{ClockRelation, Wander};
 use protocol::{Period, TICK_HZ, Ticks};
+use recording::contents::TopicContents;
 use recording::profile::Profile;
 use recording::session_file::{Alignment, SessionFile, SessionOutcome, Span};
 
@@ -57,4 +61,16 @@ pub(crate) fn session(
     });
     session.outcome = Some(SessionOutcome::Good);
     session
+}
+
+/// Closes a recording as a session does, with the messages that were written.
+pub(crate) fn close(
+    session: &mut SessionFile,
+    topics: BTreeMap<String, TopicContents>,
+    folder: &Path,
+) {
+    session.close(SessionOutcome::Good, Some(topics));
+    let monitor = system::ReadMonitor::default();
+    session.close_files(folder, &monitor).unwrap();
+    session.save(folder).unwrap();
 }

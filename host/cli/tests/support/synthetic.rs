@@ -6,13 +6,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use board::finding::Severity;
 use board::imu::Sample;
 use protocol::{
     Dropped, EdgeGrid, ImuClock, ImuFlags, ImuState, ImuStatus, Output, Period, Pulse, Status,
     TICK_HZ, Ticks, TrainState, TriggerStatus,
 };
+use recording::messages::{ClockExchange, Header};
 use recording::profile::Profile;
-use recording::session_file::SessionFile;
+use recording::session_file::{Marker, SessionFile};
 use recording::writer::Writer;
 
 use super::session;
@@ -35,6 +37,8 @@ pub(crate) struct Wrong {
     pub(crate) imu_silence: Option<(u64, ImuFlags)>,
     /// There is an auxiliary output, and these of its pulses never come.
     pub(crate) outputs_lost: &'static [u64],
+    /// Not wrong: there is a message on every topic that a session writes, and a depth recording.
+    pub(crate) every_topic: bool,
 }
 
 fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Status {
@@ -77,6 +81,46 @@ pub(crate) fn session() -> SessionFile {
     clock.covariance[1][0] = 2e-19;
     let frame_period_ns = 33_330_652.0;
     session::session(profile, clock, (ANCHOR, PERIOD), frame_period_ns, SECONDS)
+}
+
+/// Writes messages on the topics that have none yet.
+fn write_rest(writer: &mut Writer, session: &mut SessionFile) {
+    let end = Ticks(ANCHOR.0 + SECONDS * u64::from(TICK_HZ));
+    let clock = session.alignment.unwrap().plan.clock;
+    writer.clock_model(end, None, &clock, "twist 1").unwrap();
+    session.phones[0].clock = Some(clock);
+    let label = String::from("door");
+    writer.marker(end, None, &label).unwrap();
+    session.markers.push(Marker { at: end, label });
+    writer
+        .log(end, Severity::Good, "recording", "for 6 s")
+        .unwrap();
+    let exchange = ClockExchange {
+        header: Header::default(),
+        sent_ns: 1,
+        received_ns: 5,
+        clock_ns: 3,
+        monotonic_ns: 0,
+    };
+    writer.exchange(end, "board", exchange).unwrap();
+    for second in 0..SECONDS {
+        let at = Ticks(ANCHOR.0 + second * u64::from(TICK_HZ));
+        let seq = second as u32;
+        let utc = 1_800_000_000 + second as i64;
+        writer
+            .pps(&protocol::Pps { seq, at, utc }, "VLP-16")
+            .unwrap();
+        let pulse = Pulse {
+            output: Output::Two,
+            seq,
+            train: 1,
+            number: second,
+            at,
+            ..Pulse::default()
+        };
+        writer.output_pulse(&pulse, "left").unwrap();
+    }
+    writer.frame(end, vec![1, 2, 255]).unwrap();
 }
 
 /// Writes a recording into `parent/walk`.
@@ -172,9 +216,13 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
         }
     }
     let mut session = session();
-    writer.finish().unwrap();
+    if wrong.every_topic {
+        write_rest(&mut writer, &mut session);
+        fs::write(folder.join("depth.mkv"), "no pictures").unwrap();
+    }
+    let topics = writer.finish().unwrap();
     fs::write(folder.join("twist_1_phone_gyro.csv"), "0,0,0,1\n").unwrap();
     session.files.push(String::from("twist_1_phone_gyro.csv"));
-    session.save(&folder).unwrap();
+    session::close(&mut session, topics, &folder);
     folder
 }

@@ -20,13 +20,13 @@ use toml_edit::{Datetime, value};
 
 use crate::EvaluateError;
 
-/// Reads the bias in the profile, µs; zero if there is none.
+/// Reads the profile that is to be calibrated.
 ///
 /// # Errors
 ///
 /// Fails if the profile cannot be read or is not valid.
-pub fn read_bias(path: &Path) -> Result<f64, EvaluateError> {
-    Ok(Profile::load(path)?.frame_sync.bias_us)
+pub fn read_profile(path: &Path) -> Result<Profile, EvaluateError> {
+    Ok(Profile::load(path)?)
 }
 
 /// Writes the bias, its standard uncertainty (both in µs) and the date of the measurement into
@@ -64,6 +64,10 @@ mod tests {
     use jiff::civil::date;
 
     use super::*;
+
+    fn read_bias(path: &Path) -> Result<f64, EvaluateError> {
+        Ok(read_profile(path)?.frame_sync.bias_us)
+    }
 
     fn profile(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
         let dir = tempfile::tempdir().unwrap();

@@ -102,6 +102,19 @@ pub enum EvaluateError {
         "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the frames do not fall into some clearly with them and some clearly without, and they do not move with the trigger{}", suffix(.lamp)
     )]
     Unproven { path: PathBuf, lamp: Option<String> },
+    /// The row time of the bands is not that of the camera.
+    #[error(
+        "{path}: the bands fit a row time of {found_us:.1} µs, and the phone's readout in the rig profile is {expected_us:.1} ± {expected_sigma_us:.1} µs a row: they are not the depth camera's flashes, or the readout is wrong"
+    )]
+    RowTime {
+        path: PathBuf,
+        /// Row time that fits the bands, µs.
+        found_us: f64,
+        /// Row time by the profile, µs.
+        expected_us: f64,
+        /// Its 1-sigma, µs.
+        expected_sigma_us: f64,
+    },
     /// The bands move, so they are not flashes of a camera in step with the phone.
     #[error(
         "{path}: the bands move by {motion_us_per_s:.0} µs/s, {scatter_us:.0} µs about it: not the flashes of a camera in step with the phone{}", suffix(.lamp)

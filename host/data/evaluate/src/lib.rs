@@ -52,7 +52,7 @@ pub mod train;
 pub use error::EvaluateError;
 
 use footage::{Footage, Region};
-use recording::profile::Direction;
+use recording::profile::{Direction, Phone};
 use system::ReadMonitor;
 use train::TrainGeometry;
 
@@ -69,6 +69,9 @@ pub struct Settings {
     pub exposure_us: Option<f64>,
     /// Row time, µs, if known (to about 0.5 %).
     pub row_time_us: Option<f64>,
+    /// Readout of the phone in a rig profile; the measured row time must not contradict it.
+    #[serde(skip)]
+    pub known_readout: Option<KnownReadout>,
     /// Row time found in another recording of the same camera, µs; it is tried first.
     #[serde(skip)]
     pub row_time_hint_us: Option<f64>,
@@ -89,11 +92,49 @@ pub struct Settings {
     pub monitor: ReadMonitor,
 }
 
+/// Deviation of a row time from the known one that counts as a contradiction, in 1-sigmas.
+const CONTRADICTS_SIGMAS: f64 = 3.0;
+
+/// Accepted relative deviation besides, of a video that is cropped or scaled by a few rows.
+const ROWS: f64 = 0.02;
+
+/// Readout of a phone's whole picture as a rig profile states it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownReadout {
+    /// Time from the start of exposure of the first row to that of the last, µs.
+    pub readout_us: f64,
+    /// Its 1-sigma, µs.
+    pub sigma_us: f64,
+}
+
+impl KnownReadout {
+    /// Returns the readout in a phone's profile.
+    #[must_use]
+    pub const fn of_phone(phone: &Phone) -> Self {
+        Self {
+            readout_us: phone.readout_us,
+            sigma_us: phone.readout_sigma_us,
+        }
+    }
+
+    /// Compares a row time and its 1-sigma, µs, of a picture with `rows` rows. Returns the expected
+    /// row time and its 1-sigma if they contradict each other.
+    fn contradicts(&self, row_time_us: f64, sigma_us: f64, rows: usize) -> Option<(f64, f64)> {
+        let steps = rows.saturating_sub(1).max(1) as f64;
+        let (expected, known) = (self.readout_us / steps, self.sigma_us / steps);
+        let most = CONTRADICTS_SIGMAS * sigma_us.hypot(known) + ROWS * expected;
+        ((row_time_us - expected).abs() > most).then_some((expected, known))
+    }
+}
+
 impl Settings {
-    /// Returns the settings with the exposure in the recording's session as a hint.
+    /// Returns the settings with the exposure in the recording's session as a hint, and the readout
+    /// of its profile unless another is known.
     fn with_session(&self, footage: &Footage) -> Self {
         let known = footage.applied.map(|a| a.exposure_us);
+        let readout = footage.applied.map(|a| a.readout);
         Self {
+            known_readout: self.known_readout.or(readout),
             exposure_hint_us: known.filter(|e| (1.0..=1e5).contains(e)),
             ..self.clone()
         }

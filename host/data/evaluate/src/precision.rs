@@ -218,6 +218,18 @@ fn measure(
         reference: track.reference,
         notes,
     };
+    let rows = footage.reducer.sensor_rows();
+    let known = settings.known_readout.and_then(|known| {
+        known.contradicts(joint.row_time_us, joint.row_time_sigma_us * allowance, rows)
+    });
+    if let Some((expected_us, expected_sigma_us)) = known {
+        return Err(EvaluateError::RowTime {
+            path: footage.path,
+            found_us: joint.row_time_us,
+            expected_us,
+            expected_sigma_us,
+        });
+    }
     let doubt = evidence::doubt(evidence, &footage, settings);
     let evaluated = Evaluated {
         result,

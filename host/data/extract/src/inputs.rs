@@ -13,6 +13,7 @@ use crate::depth::DepthInput;
 use crate::depth::ros2_bag::Ros2Bag;
 use crate::geometry::CameraFacts;
 use crate::options::Options;
+use phone::coverage::AssumedFrames;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::RecordingError;
 use recording::bag::{is_bag, mcap_in};
@@ -20,6 +21,7 @@ use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::depth_files::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
+use recording::verify::assumed_frames;
 
 /// Phone and its files.
 #[derive(Clone, Debug, Default)]
@@ -34,6 +36,8 @@ pub(crate) struct PhoneInput {
     pub(crate) profile: Option<Phone>,
     /// Clock of its sensors minus clock of its frames, ns.
     pub(crate) boot_minus_frames_ns: i64,
+    /// Its frames as the session assumed them.
+    pub(crate) assumed: Option<AssumedFrames>,
     /// Folder below the output; empty, for the output itself, if the trigger was aligned to
     /// this phone.
     pub(crate) folder: PathBuf,
@@ -297,6 +301,9 @@ fn find_phones(
         constants,
         profile: Some(session.profile.phone.clone()),
         boot_minus_frames_ns: boot_minus_frames_ns(session.reference()),
+        assumed: session
+            .reference()
+            .and_then(|record| assumed_frames(session, record)),
         folder: PathBuf::new(),
     };
     let mut others = Vec::new();
@@ -308,6 +315,7 @@ fn find_phones(
             constants: constants.for_other(phone, record, profile),
             profile: Some(phone.clone()),
             boot_minus_frames_ns: boot_minus_frames_ns(record),
+            assumed: record.and_then(|record| assumed_frames(session, record)),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }

@@ -47,7 +47,11 @@ use crate::report::{
     BoardReport, ClockReport, ExtractReport, Loss, LossPart, PairsReport, SensorReport,
 };
 use crate::time::BoardNanos;
+use board::finding::{Finding, Severity};
+use recording::SESSION_FILE;
+use recording::contents::FileSums;
 use recording::error_budget::ErrorPart;
+use recording::verify::{Verification, verify_with};
 use system::ReadMonitor;
 
 /// Largest number of gaps between pulses that are listed one by one.
@@ -197,20 +201,30 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
 }
 
 /// Returns marks of all input files, by which a later run recognises them.
-fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
+fn file_marks(
+    inputs: &Inputs,
+    sums: &mut FileSums,
+    monitor: &ReadMonitor,
+) -> Result<Vec<FileMark>, ExtractError> {
     let depth = inputs.depth.as_ref().map(DepthInput::files);
-    let mut paths: Vec<&Path> = vec![&inputs.board];
+    let session = system::folder_of(&inputs.board).join(SESSION_FILE);
+    let mut paths: Vec<&Path> = vec![&inputs.board, &session];
     let phones = std::iter::once(&inputs.phone).chain(&inputs.others);
     for phone in phones.filter_map(|phone| phone.files.as_ref()) {
         let files = [&phone.video, &phone.frames, &phone.gyro, &phone.accel];
         paths.extend(files.into_iter().flatten().map(PathBuf::as_path));
     }
     paths.extend(depth.iter().flatten().map(PathBuf::as_path));
-    // A file that has vanished meanwhile is reported when it is read.
-    paths
-        .into_iter()
-        .filter_map(|path| FileMark::read(path).ok())
-        .collect()
+    let mut marks = Vec::new();
+    for path in paths {
+        match FileMark::read(path, sums, monitor) {
+            Ok(mark) => marks.push(mark),
+            Err(_) if monitor.is_cancelled() => return Err(ExtractError::Cancelled),
+            // A file that cannot be read is reported where it is used.
+            Err(_) => {}
+        }
+    }
+    Ok(marks)
 }
 
 impl<'a> Extraction<'a> {
@@ -223,17 +237,34 @@ impl<'a> Extraction<'a> {
             &job.options,
         )?;
         check_outside(&job.out, &job.recording)?;
-        let marks = file_marks(&inputs);
+        let mut sums = FileSums::default();
+        let marks = file_marks(&inputs, &mut sums, &job.monitor)?;
         let output = OutputDir::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
+        let verification = verify_with(&inputs.board, &mut sums, &job.monitor)?;
         Ok(Self {
             job,
+            losses: losses_of(&verification),
             remarks: inputs.remarks.clone(),
             inputs,
             output,
-            losses: Vec::new(),
             unfinished: false,
         })
     }
+}
+
+/// Returns what the check of the recording found missing, damaged or contradictory. The phone's files
+/// may be elsewhere, and are compared where they are read.
+fn losses_of(verification: &Verification) -> Vec<Loss> {
+    let findings = verification.findings.iter();
+    let findings = findings.filter(|finding| {
+        let is_of_phone = finding.kind.to_string().starts_with("phone_");
+        finding.severity != Severity::Good && !is_of_phone
+    });
+    let loss = |finding: &Finding| Loss {
+        part: LossPart::Board,
+        what: finding.words(),
+    };
+    findings.map(loss).collect()
 }
 
 impl Extraction<'_> {
@@ -311,8 +342,8 @@ impl Extraction<'_> {
 
     /// Reports losses of the board's recording.
     fn judge_board(&mut self, survey: &Survey) {
-        for damage in &survey.damage {
-            self.lose(LossPart::Board, damage.clone());
+        for left_out in &survey.left_out {
+            self.lose(LossPart::Board, left_out.clone());
         }
         // The counts come from a file and may be absurd.
         let counts = survey.missing_pulses().map(|(_, _, count)| count);

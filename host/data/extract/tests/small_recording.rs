@@ -12,8 +12,10 @@ use std::path::{Path, PathBuf};
 
 use board::imu::Sample;
 use clock::{BoardToPhone, ClockRelation, PhoneNanos, Wander};
+use extract::error::ExtractError;
 use extract::layout::Format;
 use extract::options::Options;
+use extract::output::folder::OutputDirError;
 use extract::report::{ExtractReport, LossPart};
 use extract::run::{Job, run};
 use protocol::{Output, Pps, Pulse, TICK_HZ, Ticks};
@@ -21,7 +23,7 @@ use recording::messages::camera::Image;
 use recording::messages::{Header, Time, to_cdr};
 use recording::profile::Profile;
 use recording::rosbag2::{Bag, METADATA_FILE};
-use recording::session_file::SessionFile;
+use recording::session_file::{Marker, SessionFile, SessionOutcome};
 use recording::walk::{Event, Walk};
 use recording::writer::Writer;
 use system::ReadMonitor;
@@ -61,7 +63,7 @@ fn relation() -> ClockRelation {
     }
 }
 
-fn write_board(folder: &Path) {
+fn write_board(folder: &Path) -> SessionFile {
     let mut writer = Writer::create(folder).unwrap();
     let edges = edges();
     let mut pulses = (0..).zip(edges.iter().copied()).peekable();
@@ -111,12 +113,17 @@ fn write_board(folder: &Path) {
         };
         writer.imu(&sample, number as u32).unwrap();
     }
-    writer.finish().unwrap();
+    let topics = writer.finish().unwrap();
     let mut profile = Profile::published().unwrap();
     profile.phone.gyro_delay_us = 0.0;
     let mut session = SessionFile::new("walk".into(), profile);
     session.phones[0].clock = Some(relation());
-    session.save(folder).unwrap();
+    session.markers.push(Marker {
+        at: Ticks(FIRST - 5_000 + 500 * 192_000),
+        label: String::from("door"),
+    });
+    session.close(SessionOutcome::Good, Some(topics));
+    session
 }
 
 /// Depth frames from the fourth pulse on, without three, on a clock that is 300 ppm fast.
@@ -180,15 +187,24 @@ fn write_phone(folder: &Path) {
 fn make(parent: &Path) -> PathBuf {
     let folder = parent.join("walk");
     fs::create_dir(&folder).unwrap();
-    write_board(&folder);
+    let mut session = write_board(&folder);
     write_depth(&folder.join("depth"));
     write_phone(&folder.join("20260131_140327"));
+    session
+        .close_files(&folder, &ReadMonitor::default())
+        .unwrap();
+    session.save(&folder).unwrap();
     folder
 }
 
 fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
+    let job = job(recording, format);
+    (run(&job).unwrap(), job.out)
+}
+
+fn job(recording: &Path, format: Format) -> Job {
     let out = recording.with_file_name(format.name());
-    let job = Job {
+    Job {
         recording: recording.to_owned(),
         phone: None,
         depth: None,
@@ -197,8 +213,7 @@ fn extract(recording: &Path, format: Format) -> (ExtractReport, PathBuf) {
         options: Options::default(),
         overwrite: false,
         monitor: ReadMonitor::default(),
-    };
-    (run(&job).unwrap(), out)
+    }
 }
 
 fn lines(path: &Path) -> Vec<String> {
@@ -217,10 +232,12 @@ fn times_are_those_of_the_edges() {
     let depth = report.depth.unwrap();
     assert_eq!((depth.frames, depth.matched), (114, 114), "{depth:?}");
     assert_eq!(depth.missing, [20, 21, 75]);
+    // There is no recorded span.
+    assert!(report.losses[0].what.contains("nothing was recorded"));
     let parts: Vec<_> = report.losses.iter().map(|loss| loss.part).collect();
     assert_eq!(
         parts,
-        [LossPart::Phone, LossPart::Depth],
+        [LossPart::Board, LossPart::Phone, LossPart::Depth],
         "{:#?}",
         report.losses
     );
@@ -319,6 +336,127 @@ fn frames_on_another_clock_and_a_shifted_trigger_keep_their_times() {
         .iter()
         .any(|remark| remark.contains("+400.0 µs earlier"));
     assert!(said, "{:?}", report.remarks);
+}
+
+/// Returns true if a loss of a part has these words.
+fn lacks(report: &ExtractReport, part: LossPart, words: &str) -> bool {
+    let mut losses = report.losses.iter();
+    losses.any(|loss| loss.part == part && loss.what.contains(words))
+}
+
+#[test]
+fn a_data_set_is_of_one_session_file() {
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    let (before, out) = extract(&recording, Format::Euroc);
+    // Taught again: all depth times would be others, and the images keep their names.
+    let session = SessionFile::load(&recording).unwrap();
+    let other = SessionFile {
+        profile: {
+            let mut profile = session.profile.clone();
+            profile.depth.center_offset_us += 1_000.0;
+            profile
+        },
+        ..session
+    };
+    other.save(&recording).unwrap();
+    let refused = run(&job(&recording, Format::Euroc));
+    assert!(
+        matches!(
+            refused,
+            Err(ExtractError::OutputDir(OutputDirError::Other { .. }))
+        ),
+        "{refused:?}"
+    );
+    let again = Job {
+        overwrite: true,
+        ..job(&recording, Format::Euroc)
+    };
+    let after = run(&again).unwrap();
+    assert_ne!(after.constants, before.constants);
+    for part in ["seq_0", "seq_1"] {
+        let camera = out.join(part).join("mav0/depth0");
+        let listed = lines(&camera.join("data.csv")).split_off(1);
+        assert!(!listed.is_empty());
+        for row in listed {
+            let name = row.split(',').nth(1).unwrap().to_owned();
+            assert!(camera.join("data").join(&name).exists(), "{name}");
+        }
+    }
+    // Gone, cut, edited: constants that are not known are a loss.
+    let path = recording.join("session.json");
+    let whole = fs::read_to_string(&path).unwrap();
+    for text in [
+        None,
+        Some(String::from("{\"format\":")),
+        Some(whole[..whole.len() / 2].to_owned()),
+        Some(whole.replacen("center_offset_us\": 7", "center_offset_us\": 8", 1)),
+    ] {
+        match text {
+            None => fs::remove_file(&path).unwrap(),
+            Some(text) => {
+                assert_ne!(text, whole);
+                fs::write(&path, text).unwrap();
+            }
+        }
+        let report = run(&again).unwrap();
+        assert!(
+            lacks(&report, LossPart::Board, "session.json"),
+            "{:#?}",
+            report.losses
+        );
+    }
+}
+
+#[test]
+fn an_image_that_is_missing_or_damaged_is_written_again() {
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    let (before, out) = extract(&recording, Format::Euroc);
+    let folder = out.join("seq_0/mav0/depth0/data");
+    let images = test_support::below(&folder);
+    let contents = |paths: &[PathBuf]| -> Vec<Vec<u8>> {
+        paths.iter().map(|path| fs::read(path).unwrap()).collect()
+    };
+    let whole = contents(&images);
+    fs::remove_file(&images[0]).unwrap();
+    fs::write(&images[1], "").unwrap();
+    fs::write(&images[2], &whole[2][..whole[2].len() / 2]).unwrap();
+    fs::write(&images[3], &whole[4]).unwrap();
+    fs::write(&images[4], &whole[3]).unwrap();
+    let (after, _) = extract(&recording, Format::Euroc);
+    assert_eq!(after, before);
+    assert!(contents(&images) == whole);
+    // After a run that was killed within the images.
+    fs::remove_file(out.join(".extraction/depth.json")).unwrap();
+    fs::write(&images[5], "").unwrap();
+    extract(&recording, Format::Euroc);
+    assert!(contents(&images) == whole);
+}
+
+#[test]
+fn a_sensor_of_the_phone_that_ends_early_is_a_loss() {
+    let parent = tempfile::tempdir().unwrap();
+    let recording = make(parent.path());
+    for (name, what) in [("gyro", "gyroscope"), ("accel", "accelerometer")] {
+        let path = recording.join(format!("20260131_140327/VID_20260131_140327{name}.csv"));
+        let whole = fs::read_to_string(&path).unwrap();
+        let rows: Vec<&str> = whole.split_inclusive('\n').collect();
+        for part in [0, 1, 10, 50, 80] {
+            fs::write(&path, rows[..rows.len() * part / 100].concat()).unwrap();
+            let job = Job {
+                out: parent.path().join(format!("{name}_{part}")),
+                ..job(&recording, Format::Euroc)
+            };
+            let report = run(&job).unwrap();
+            assert!(
+                lacks(&report, LossPart::Phone, what),
+                "{name} {part}: {:#?}",
+                report.losses
+            );
+        }
+        fs::write(&path, whole).unwrap();
+    }
 }
 
 #[test]

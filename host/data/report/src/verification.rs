@@ -10,8 +10,11 @@ use crate::summary::Summary;
 #[must_use]
 pub fn summary(verification: &Verification) -> Summary {
     let text = match verification.severity {
-        Severity::Good => "Good: every byte and every number is right.",
-        Severity::Check => "Check: what is there is right, something is missing.",
+        Severity::Good if verification.is_bare => {
+            "Good as a file: nothing in it is damaged. There is nothing that says what it should hold."
+        }
+        Severity::Good => "Good: nothing is missing or changed since the recording was closed.",
+        Severity::Check => "Check: something is missing, or cannot be compared.",
         Severity::Bad => "Bad: parts cannot be read or contradict each other.",
     };
     let alignment = verification.alignment.iter();
@@ -59,6 +62,8 @@ pub fn summary(verification: &Verification) -> Summary {
         let text = format!("{checked} pulses held against it, {off} off{most}");
         facts.push(("grid", text));
     }
+    let compared = verification.compared.iter();
+    facts.extend(compared.map(|compared| ("compared", compared.clone())));
     if verification.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
         let next = "`smartdepthsync extract` reads what is there, after the damage too; for other \
                     programs `mcap recover` makes a whole file of what is before it";

@@ -396,6 +396,15 @@ impl PhoneClient {
     }
 }
 
+/// Checks the form of a phone's address; nothing is contacted.
+///
+/// # Errors
+///
+/// It has no host, or a port that is none.
+pub fn check_address(address: &str) -> Result<(), PhoneError> {
+    with_port(address).map(drop)
+}
+
 /// Returns `address` with the app's port unless it names one, and an IPv6 address in brackets.
 fn with_port(address: &str) -> Result<String, PhoneError> {
     let wrong = |reason| PhoneError::Address {

@@ -12,7 +12,8 @@
 //!
 //! Besides the app, [`adb`] copies files from the phone's storage, and [`agent`] reads the phone's
 //! clocks by a program of ours there. The app's files are read by [`rows`] and
-//! [`frame_timestamps`] and found by [`video_files`]; [`video`] decodes videos with ffmpeg.
+//! [`frame_timestamps`], found by [`video_files`] and compared with each other by [`coverage`];
+//! [`video`] decodes videos with ffmpeg.
 //!
 //! Limits: no encryption and no authentication, as the app has none; use it on a network of your
 //! own. The time of a request is not used for synchronisation, so a slow network costs time, never
@@ -23,6 +24,7 @@ pub mod agent;
 pub mod answer;
 pub mod client;
 mod connection;
+pub mod coverage;
 mod download;
 pub mod error;
 pub mod file_name;

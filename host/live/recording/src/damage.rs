@@ -96,6 +96,18 @@ pub enum Damage {
     /// The record that closes the data is damaged.
     #[error("the record that closes the data is damaged")]
     NoEndOfData,
+    /// The head of a chunk states other times than its messages have.
+    #[error("the chunk at byte {at} states other times than its messages have")]
+    ChunkTimes {
+        /// Byte at which it begins.
+        at: u64,
+    },
+    /// The index names other chunks than the file has.
+    #[error("the index at the end names other chunks than the file has")]
+    ChunkIndex,
+    /// The file's statistics state other topics, chunks or times than it has.
+    #[error("the file's statistics state other counts or times than its messages have")]
+    Statistics,
     /// The file's statistics state another number of messages.
     #[error("{found} messages can be read where the file's statistics say {expected}")]
     MessageCount {
@@ -123,6 +135,9 @@ impl Damage {
             Self::DataChecksum => "data_checksum",
             Self::IndexChecksum => "index_checksum",
             Self::NoEndOfData => "no_end_of_data",
+            Self::ChunkTimes { .. } => "chunk_times",
+            Self::ChunkIndex => "chunk_index",
+            Self::Statistics => "statistics",
             Self::MessageCount { .. } => "message_count",
         }
     }

@@ -16,13 +16,15 @@
 //! Files:
 //! - [`folder`]: the folder. [`bag`]: the one MCAP file of a recording or of another program's
 //!   bag. [`depth_files`]: the depth recordings.
-//! - [`session_file`]: `session.json`. [`rosbag2`]: `metadata.yaml`.
+//! - [`session_file`]: `session.json`. [`contents`]: what a closed recording holds. [`rosbag2`]:
+//!   `metadata.yaml`.
 //!
 //! Content of the MCAP file:
 //! - [`topic`]: the table of topics. [`messages`]: their ROS 2 types. `diagnostics`: the board's
 //!   status as such a message.
 //! - [`writer`]: writes them so that a kill loses at most a second.
-//! - `scan`, `chunks`: records of the file over any `damage`. [`walk`]: topics and messages from
+//! - `scan`, `chunks`: records of the file over any `damage`. `index`: its index,
+//!   compared with them. [`walk`]: topics and messages from
 //!   the records. [`reader`]: messages as Rust values. [`samples`]: joins the messages of an IMU
 //!   sample. [`grid`]: the grid of the trigger's pulses.
 //! - [`verify`]: checks that a recording is complete and agrees with itself.
@@ -32,12 +34,14 @@
 pub mod bag;
 pub mod camera;
 mod chunks;
+pub mod contents;
 mod damage;
 pub mod depth_files;
 mod diagnostics;
 pub mod error_budget;
 pub mod folder;
 pub mod grid;
+mod index;
 pub mod kalibr;
 pub mod messages;
 pub mod profile;

@@ -374,7 +374,7 @@ impl Profile {
     ///
     /// As [`Profile::load`].
     pub fn parse(text: &str, path: Option<&Path>) -> Result<Self, ProfileError> {
-        let syntax = |error: toml::de::Error| syntax(path, error.to_string());
+        let syntax = |error: toml::de::Error| syntax(path, &error.to_string());
         // Into a table first: a text that is not TOML at all is reported with its line.
         let mut given: toml::Table = text.parse().map_err(syntax)?;
         let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;

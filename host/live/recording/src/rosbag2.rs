@@ -93,7 +93,8 @@ impl<'a> Bag<'a> {
     }
 
     /// Adds a message in its CDR form at a time in ns. Without a `number`, it gets the one after
-    /// the last on its topic. A message of a topic that was not added is left out.
+    /// the last on its topic. Returns the header that was written, or `None` for a topic that was
+    /// not added, whose message is left out.
     ///
     /// # Errors
     ///
@@ -104,9 +105,9 @@ impl<'a> Bag<'a> {
         number: Option<u32>,
         nanos: u64,
         cdr: &[u8],
-    ) -> Result<(), McapError> {
+    ) -> Result<Option<MessageHeader>, McapError> {
         let Some((channel_id, next)) = self.topics.get_mut(topic) else {
-            return Ok(());
+            return Ok(None);
         };
         let number = number.unwrap_or(*next);
         *next = number.wrapping_add(1);
@@ -116,7 +117,8 @@ impl<'a> Bag<'a> {
             log_time: nanos,
             publish_time: nanos,
         };
-        self.mcap.write_to_known_channel(&header, cdr)
+        self.mcap.write_to_known_channel(&header, cdr)?;
+        Ok(Some(header))
     }
 
     /// Closes the file, and returns the text of `metadata.yaml` for the name of the file.
@@ -125,7 +127,7 @@ impl<'a> Bag<'a> {
     ///
     /// Returns an error if writing fails.
     pub fn finish(mut self, file: &str) -> Result<String, McapError> {
-        Ok(text(file, &self.mcap.finish()?))
+        Ok(text_of(file, &self.mcap.finish()?))
     }
 }
 
@@ -136,20 +138,51 @@ impl<'a> Bag<'a> {
 /// Returns an error if it cannot be written.
 pub(crate) fn save(folder: &Path, summary: &Summary) -> Result<(), RecordingError> {
     let path = folder.join(METADATA_FILE);
-    system::replace(&path, text(MCAP_FILE, summary).as_bytes())
+    system::replace(&path, text_of(MCAP_FILE, summary).as_bytes())
         .map_err(RecordingError::io("write", &path))
 }
 
-/// Returns the content of `metadata.yaml` for a bag of one MCAP file.
-fn text(file: &str, summary: &Summary) -> String {
+/// Returns the content of `metadata.yaml` for a bag of one MCAP file with this summary.
+fn text_of(file: &str, summary: &Summary) -> String {
     let stats = summary.stats.as_ref();
-    let (start, end, count) = stats.map_or((0, 0, 0), |stats| {
+    let (times, count) = stats.map_or(([0; 2], 0), |stats| {
         (
-            stats.message_start_time,
-            stats.message_end_time,
+            [stats.message_start_time, stats.message_end_time],
             stats.message_count,
         )
     });
+    let mut channels: Vec<_> = summary.channels.values().collect();
+    channels.sort_by_key(|channel| channel.id);
+    let topics = channels.iter().map(|channel| BagTopic {
+        name: &channel.topic,
+        kind: channel.schema.as_ref().map_or("", |schema| &schema.name),
+        encoding: &channel.message_encoding,
+        qos: channel.metadata.get(QOS_KEY).map_or("", String::as_str),
+        messages: stats
+            .and_then(|stats| stats.channel_message_counts.get(&channel.id))
+            .copied()
+            .unwrap_or(0),
+    });
+    text(file, times, count, topics)
+}
+
+/// A topic in `metadata.yaml`.
+pub(crate) struct BagTopic<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) kind: &'a str,
+    pub(crate) encoding: &'a str,
+    pub(crate) qos: &'a str,
+    pub(crate) messages: u64,
+}
+
+/// Returns the content of `metadata.yaml` for a bag of one MCAP file: times of its first and last
+/// message (ns), number of messages, and its topics in their order in the file.
+pub(crate) fn text<'a>(
+    file: &str,
+    [start, end]: [u64; 2],
+    count: u64,
+    topics: impl Iterator<Item = BagTopic<'a>>,
+) -> String {
     let duration = end.saturating_sub(start);
     let mut text = format!(
         "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  \
@@ -157,25 +190,18 @@ fn text(file: &str, summary: &Summary) -> String {
          starting_time:\n    nanoseconds_since_epoch: {start}\n  \
          message_count: {count}\n  topics_with_message_count:\n"
     );
-    let mut channels: Vec<_> = summary.channels.values().collect();
-    channels.sort_by_key(|channel| channel.id);
-    for channel in channels {
-        let messages = stats
-            .and_then(|stats| stats.channel_message_counts.get(&channel.id))
-            .copied()
-            .unwrap_or(0);
-        let kind = channel.schema.as_ref().map_or("", |schema| &schema.name);
-        let qos = channel.metadata.get(QOS_KEY).map_or("", String::as_str);
+    for topic in topics {
         // Writing into a String cannot fail.
         let _ = write!(
             text,
             "    - topic_metadata:\n        name: {}\n        type: {}\n        \
              serialization_format: {}\n        offered_qos_profiles: {}\n      \
-             message_count: {messages}\n",
-            quoted(&channel.topic),
-            quoted(kind),
-            quoted(&channel.message_encoding),
-            quoted(qos)
+             message_count: {}\n",
+            quoted(topic.name),
+            quoted(topic.kind),
+            quoted(topic.encoding),
+            quoted(topic.qos),
+            topic.messages
         );
     }
     let _ = write!(

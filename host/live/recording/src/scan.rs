@@ -17,6 +17,7 @@ use system::{Input, ReadMonitor, Sparse as _};
 
 use super::chunks::{self, Budget, Chunk, MAX_RECORD};
 use super::damage::{Damage, FileReport};
+use super::index::ChunkPlace;
 use super::ticks_of_nanos;
 
 /// Bytes of opcode and length before each record.
@@ -38,7 +39,7 @@ const MAX_NAME: usize = 8;
 #[derive(Debug)]
 pub(crate) enum Piece {
     /// Records of a chunk whose checksum is right.
-    Chunk(Chunk),
+    Chunk(Chunk, ChunkPlace),
     /// A record outside of chunks: its opcode and body.
     Record(u8, Vec<u8>),
     /// A part that cannot be read, or whose checksum is wrong.
@@ -114,7 +115,7 @@ impl Scan {
         let piece = self.read_piece()?;
         let report = &mut self.report;
         match &piece {
-            Some(Piece::Chunk(_)) => report.chunks += 1,
+            Some(Piece::Chunk(..)) => report.chunks += 1,
             Some(Piece::End) => report.closed = true,
             Some(Piece::Damage(Damage::Chunk { .. })) => report.bad_chunks += 1,
             Some(Piece::Damage(Damage::CutOff { at, .. })) => report.cut_off_at = Some(*at),
@@ -202,7 +203,7 @@ impl Scan {
                 let memory = std::mem::take(&mut self.memory);
                 let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), memory));
                 return Ok(Some(match chunk {
-                    Ok(chunk) => Piece::Chunk(chunk),
+                    Ok(chunk) => Piece::Chunk(chunk, ChunkPlace::new(at, HEAD + length, &header)),
                     Err(why) => Piece::Damage(Damage::Chunk {
                         at,
                         why,

@@ -2,14 +2,17 @@
 //! be judged and evaluated years later.
 //!
 //! It is written again at every step (to a temporary file that then replaces it), so a kill
-//! leaves the state of the last step, without an outcome.
+//! leaves the state of the last step, without an outcome. Its last field is a checksum over all
+//! bytes before it: JSON has none of its own, and a changed digit is a changed time.
 
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use protocol::{ImuSetup, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
+use crate::contents::{Contents, FileContents, TopicContents, files_of};
 use crate::error_budget::{COARSE_US, ErrorPart, together};
 use crate::profile::{Phone, Profile};
 use board::finding::Finding;
@@ -18,9 +21,10 @@ use board::{BoardInfo, StreamCounts};
 use clock::alignment::{GridPlan, Placement};
 use clock::twists::report::TwistReport;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos};
+use system::ReadMonitor;
 
 /// Version of the form of this file.
-pub const FORMAT: u32 = 3;
+pub const FORMAT: u32 = 4;
 
 /// Longest file that is read, bytes. An hour with a twist a minute and a problem a
 /// second is below 2 MB.
@@ -58,6 +62,9 @@ pub struct SessionFile {
     pub alignment: Option<Alignment>,
     /// Tracking of the phone's clock during the recording; nothing if there was none.
     pub tracking: Option<TrackInfo>,
+    /// Length of the recording that was asked for, s; nothing to record until stopped.
+    #[serde(default)]
+    pub asked_s: Option<f64>,
     /// Recorded span of board time: from the arrival of the trigger on the phone's frames to the
     /// stop.
     pub recorded: Option<Span>,
@@ -73,6 +80,10 @@ pub struct SessionFile {
     pub problems: Vec<Finding>,
     /// Files in the folder besides `recording.mcap` and this one.
     pub files: Vec<String>,
+    /// Contents of the closed recording; nothing while it runs, after a kill, or if `recording.mcap`
+    /// could not be closed.
+    #[serde(default)]
+    pub contents: Option<Contents>,
 }
 
 /// Outcome of a session.
@@ -188,6 +199,15 @@ impl Video {
     #[must_use]
     pub const fn on_boot_clock(&self) -> PhoneNanos {
         PhoneNanos(self.phase.0.saturating_add(self.boot_minus_frames_ns))
+    }
+
+    /// Returns true if a phone's video can have these values: 1 to 1,000 frames a second, clocks that
+    /// are less than 30 years apart.
+    fn is_possible(&self) -> bool {
+        const YEARS_NS: u64 = 1_000_000_000_000_000_000;
+        (1e6..=1e9).contains(&self.frame_duration_ns)
+            && self.boot_minus_frames_ns.unsigned_abs() < YEARS_NS
+            && self.exposure_ns.is_none_or(|ns| ns <= 10_000_000_000)
     }
 
     /// Returns the exposure, µs, if the app reported one.
@@ -311,6 +331,8 @@ impl SessionFile {
             reconnects: 0,
             problems: Vec::new(),
             files: Vec::new(),
+            asked_s: None,
+            contents: None,
         }
     }
 
@@ -362,6 +384,42 @@ impl SessionFile {
         self.reference()?.clock
     }
 
+    /// Enters the outcome, and the topics of a `recording.mcap` that was closed.
+    pub fn close(
+        &mut self,
+        outcome: SessionOutcome,
+        topics: Option<BTreeMap<String, TopicContents>>,
+    ) {
+        self.outcome = Some(outcome);
+        self.contents = topics.map(|topics| Contents {
+            topics,
+            files: None,
+        });
+    }
+
+    /// Enters size and checksum of each file of a closed recording.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if a file cannot be read.
+    pub fn close_files(
+        &mut self,
+        folder: &Path,
+        monitor: &ReadMonitor,
+    ) -> Result<(), RecordingError> {
+        let Some(contents) = &mut self.contents else {
+            return Ok(());
+        };
+        let mut files = BTreeMap::new();
+        for name in files_of(folder, &self.files).map_err(RecordingError::io("read", folder))? {
+            let path = folder.join(&name);
+            let found = FileContents::read(&path, monitor);
+            files.insert(name, found.map_err(RecordingError::io("read", &path))?);
+        }
+        contents.files = Some(files);
+        Ok(())
+    }
+
     /// Writes the file into the recording's folder; an older one is replaced only by a complete
     /// one.
     ///
@@ -370,12 +428,13 @@ impl SessionFile {
     /// Returns an error if it cannot be written.
     pub fn save(&self, folder: &Path) -> Result<(), RecordingError> {
         let path = folder.join(SESSION_FILE);
-        let mut text =
-            serde_json::to_string_pretty(self).map_err(|error| RecordingError::Session {
-                path: path.clone(),
-                reason: error.to_string(),
-            })?;
-        text.push('\n');
+        let wrong = |error: serde_json::Error| RecordingError::Session {
+            path: path.clone(),
+            reason: error.to_string(),
+        };
+        let text = with_checksum(&serde_json::to_string_pretty(self).map_err(wrong)?);
+        // A number that is none becomes `null`, which no reader takes.
+        serde_json::from_str::<Self>(&text).map_err(wrong)?;
         system::replace(&path, text.as_bytes()).map_err(RecordingError::io("write", &path))
     }
 
@@ -383,8 +442,8 @@ impl SessionFile {
     ///
     /// # Errors
     ///
-    /// Returns an error if it cannot be read, has another version, or holds a value or a name
-    /// that this program never writes.
+    /// Returns an error if it cannot be read, has another version, was changed after it was written,
+    /// or holds a value or a name that this program never writes.
     pub fn load(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(SESSION_FILE);
         let text =
@@ -402,12 +461,18 @@ impl SessionFile {
         }
         let session: Self =
             serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        if !is_unchanged(&text) {
+            return Err(wrong(String::from(
+                "its checksum is not that of its content: it was changed after the session wrote it",
+            )));
+        }
         session.check().map_err(wrong)?;
         Ok(session)
     }
 
-    /// Checks that the profile is valid, that the phones are those of the profile, and that every
-    /// name stays in the recording's folder: the file may come from anywhere.
+    /// Checks that the profile is valid, that the phones are those of the profile, that clocks and
+    /// times can be, and that every name stays in the recording's folder: the file may come from
+    /// anywhere.
     fn check(&self) -> Result<(), String> {
         self.profile.check().map_err(|error| error.to_string())?;
         let names: Vec<&str> = self.phones.iter().map(|p| p.name.as_str()).collect();
@@ -418,14 +483,82 @@ impl SessionFile {
             ));
         }
         let twists = self.phones.iter().flat_map(|phone| &phone.twists);
+        let clocks = twists.clone().filter_map(|twist| twist.clock);
+        let clocks = clocks.chain(self.phones.iter().filter_map(|phone| phone.clock));
+        let mut clocks = clocks.chain(self.alignment.map(|alignment| alignment.plan.clock));
+        if let Some(clock) = clocks.find(|clock| !is_possible(clock)) {
+            return Err(format!(
+                "no two clocks have the relation {clock:?}; expected a rate within 1 % and a covariance"
+            ));
+        }
+        let mut videos = self.phones.iter().filter_map(|phone| phone.video);
+        if let Some(video) = videos.find(|video| !video.is_possible()) {
+            return Err(format!("no phone records a video like {video:?}"));
+        }
+        if self.recorded.is_some_and(|span| span.to < span.from) {
+            return Err(String::from("its recorded span ends before it begins"));
+        }
         let files = twists.filter_map(|twist| twist.phone_gyro.as_ref());
-        match self.files.iter().chain(files).find(|name| !is_below(name)) {
+        let contents = self.contents.iter().filter_map(|all| all.files.as_ref());
+        let named = self.files.iter().chain(files);
+        let mut named = named.chain(contents.flat_map(BTreeMap::keys));
+        match named.find(|name| !is_below(name)) {
             Some(name) => Err(format!(
                 "it names the file {name:?}; expected one in the recording's folder"
             )),
             None => Ok(()),
         }
     }
+}
+
+/// Returns true if two clocks can have this relation: finite values, a rate within 1 % (crystals are
+/// within 0.01 %), and a covariance that is one.
+#[must_use]
+pub fn is_possible(clock: &ClockRelation) -> bool {
+    let [[offset, both], [also_both, skew]] = clock.covariance;
+    let is_covariance = offset >= 0.0
+        && skew >= 0.0
+        && both == also_both
+        && both * both <= offset * skew * (1.0 + 1e-6) + f64::MIN_POSITIVE;
+    // 300 years; a phone counts from its start, or from 1970.
+    let is_time = |seconds: f64| seconds.abs() < 1e10;
+    let is_sigma = |value: f64| (0.0..1e20).contains(&value);
+    is_time(clock.reference)
+        && is_time(clock.offset)
+        && clock.skew.abs() <= 1e-2
+        && is_covariance
+        && is_sigma(offset)
+        && is_sigma(skew)
+        && is_sigma(clock.wander.0)
+}
+
+/// Field that ends the file.
+const CHECKSUM: &str = ",\n  \"checksum\": \"";
+
+/// Returns the text of a JSON object with a checksum over it as its last field.
+#[must_use]
+pub fn with_checksum(object: &str) -> String {
+    let object = object.trim_end();
+    sealed(object.strip_suffix('}').unwrap_or(object).trim_end())
+}
+
+/// Ends a JSON object, given without its last brace, with a checksum over it.
+fn sealed(open: &str) -> String {
+    let sum = crc32fast::hash(open.as_bytes());
+    format!("{open}{CHECKSUM}{sum:08x}\"\n}}\n")
+}
+
+/// Returns the text of a JSON object without the checksum at its end, if it has one.
+#[must_use]
+pub fn without_checksum(text: &str) -> String {
+    let end = text.rfind(CHECKSUM).and_then(|end| text.get(..end));
+    end.map_or_else(|| text.to_owned(), |open| format!("{open}\n}}"))
+}
+
+/// Returns true if the checksum at the end of a text is that of what precedes it.
+fn is_unchanged(text: &str) -> bool {
+    let end = text.rfind(CHECKSUM);
+    end.is_some_and(|end| text.get(..end).map(sealed).as_deref() == Some(text))
 }
 
 /// Returns true if a relative path stays below the folder that it begins in.

@@ -9,7 +9,7 @@ use board::Stream;
 
 use super::messages::{
     Capture, CdrError, ClockExchange, ClockModel, DiagnosticArray, Imu, ImuFlags, LinkFrame, Log,
-    Pulse, RosMessage as _, Temperature, TimeReference, TriggerPeriod, from_cdr, to_cdr,
+    Pulse, RosMessage as _, Temperature, Time, TimeReference, TriggerPeriod, from_cdr, to_cdr,
 };
 
 macro_rules! topics {
@@ -122,6 +122,29 @@ topics! {
     Period: TriggerPeriod = "/session/trigger_period",
     /// Every frame of the link as it came, on request.
     Link: LinkFrame = "/link/frames",
+}
+
+impl Item {
+    /// Returns the board time that the message states itself, if that is when it was recorded: a
+    /// relation of clocks states its reference.
+    pub(crate) const fn stamp(&self) -> Option<Time> {
+        Some(match self {
+            Self::Imu(message) => message.header.stamp,
+            Self::Temperature(message) => message.header.stamp,
+            Self::ImuFlags(message) => message.header.stamp,
+            Self::Pulse(message) | Self::Output(message) => message.header.stamp,
+            Self::Capture(message) => message.header.stamp,
+            Self::Status(message) => message.header.stamp,
+            Self::Marker(message) | Self::HostTime(message) | Self::Gnss(message) => {
+                message.header.stamp
+            }
+            Self::Log(message) => message.stamp,
+            Self::Exchange(message) => message.header.stamp,
+            Self::Period(message) => message.header.stamp,
+            Self::Link(message) => message.header.stamp,
+            Self::Clock(_) | Self::PhoneClock(_) => return None,
+        })
+    }
 }
 
 impl Topic {

@@ -1,37 +1,49 @@
 //! Checks that a recording is complete, and that its parts agree with each other.
 //!
 //! - [`walk`](crate::walk): bytes. Checksums of every chunk, of the data and of the index;
-//!   where the file breaks and where reading can resume.
+//!   where the file breaks and where reading can resume; the index against the messages.
 //! - `content`: messages. The numbers that the board gave are followed, and missing messages are
 //!   attributed by the board's own counters (`numbers`); pulses must lie on their grid
-//!   (`pulses`), times must increase.
+//!   (`pulses`), times must increase, be in step, and be those that the messages state.
+//! - `held`: the closed recording's [`contents`](crate::contents), its files, and `metadata.yaml`.
+//! - `stated`: clocks, markers, spans and counts of `session.json` against the messages.
 //!
-//! Damage and contradictions are [`Severity::Bad`], known losses [`Severity::Check`], remarks
-//! [`Severity::Good`]. The verdict is that of the worst finding.
+//! Damage and contradictions are [`Severity::Bad`]; known losses, and what cannot be compared,
+//! [`Severity::Check`]; remarks [`Severity::Good`]. The verdict is that of the worst finding, and
+//! [`Verification::compared`] lists what it rests on. `fault` is the table of everything that is
+//! found.
 //!
-//! Limits: the files of the phone and of the depth recorder must exist but are not read;
-//! `smartdepthsync extract` reads them.
+//! Limits: videos and depth recordings are compared by their bytes with those at the end of the
+//! session; what is in them is read by `smartdepthsync extract`. A file that was added since is
+//! compared with nothing.
 
 mod content;
+mod fault;
 mod findings;
+mod held;
 mod numbers;
 mod pulses;
+mod stated;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use board::Stream;
 use board::finding::{Finding, Severity};
 use serde::Serialize;
 use system::ReadMonitor;
 
 use self::content::Content;
+use self::fault::Fault;
 use self::findings::Findings;
+pub use self::held::assumed_frames;
+use super::contents::FileSums;
 use super::session_file::{SessionFile, SessionOutcome};
 use super::walk::{FileReport, Walk};
 use super::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 
 /// Version of the JSON form of [`Verification`].
-const FORM: u32 = 2;
+const FORM: u32 = 3;
 
 /// Counts of one numbered stream of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -62,9 +74,11 @@ pub struct Verification {
     pub form: u32,
     /// The recording as it was named.
     pub recording: String,
-    /// Good: every byte and every number is right. Check: what is there is right, something
-    /// is missing. Bad: bytes are damaged, or parts contradict each other.
+    /// Good: everything in [`Self::compared`] is as it was written. Check: something is missing, or
+    /// cannot be compared. Bad: bytes are damaged, or parts contradict each other.
     pub severity: Severity,
+    /// True without a readable `session.json`: the file can be compared with itself alone.
+    pub is_bare: bool,
     /// State of the file as bytes.
     pub file: FileReport,
     /// First and last board time, s.
@@ -75,6 +89,8 @@ pub struct Verification {
     pub streams: BTreeMap<&'static str, StreamCheck>,
     /// The pulses against their grid; `None` without `session.json`.
     pub grid: Option<GridCheck>,
+    /// Comparisons that were made, in words.
+    pub compared: Vec<String>,
     /// Everything that was found.
     pub findings: Vec<Finding>,
     /// The session's statement of how well the cameras expose together.
@@ -88,87 +104,123 @@ pub struct Verification {
 /// Returns an error if the file cannot be read or is no MCAP file at all. Damage is not an
 /// error: it is among the findings.
 pub fn verify(recording: &Path, monitor: &ReadMonitor) -> Result<Verification, RecordingError> {
+    verify_with(recording, &mut FileSums::default(), monitor)
+}
+
+/// Checks a recording as [`verify`] does, with checksums of files that were read already.
+///
+/// # Errors
+///
+/// As [`verify`].
+pub fn verify_with(
+    recording: &Path,
+    sums: &mut FileSums,
+    monitor: &ReadMonitor,
+) -> Result<Verification, RecordingError> {
     let path = mcap_of(recording);
+    let folder = system::folder_of(&path);
+    let is_in_folder = path.file_name().is_some_and(|name| name == MCAP_FILE);
     let mut findings = Findings::default();
-    let session = load_session(&path, &mut findings);
+    let session = match is_in_folder.then(|| SessionFile::load(folder)) {
+        Some(Ok(session)) => Some(session),
+        Some(Err(_)) if !folder.join(SESSION_FILE).exists() => None,
+        Some(Err(error)) => {
+            findings.add(&Fault::SessionDamaged(error), None);
+            None
+        }
+        None => None,
+    };
+    let is_readable = session.is_some() || findings.worst() == Severity::Good;
     let mut content = Content::new(session.as_ref());
     let mut walk = Walk::open(&path, monitor)?;
     while walk.next_part(&mut |event| content.check(event, &mut findings))? {}
     let file = walk.report().clone();
-    if let Some(session) = &session {
-        check_session(session, &path, &mut findings);
+    let mut compared = Vec::new();
+    if file.closed && !content.is_damaged {
+        compared.push(format!(
+            "{} chunks, the data and the index with their checksums; the index with {} messages",
+            file.chunks, file.messages
+        ));
+    }
+    if session.is_none() && is_readable && (is_in_folder || content.is_own) {
+        findings.add(&Fault::NoSession, None);
+    }
+    let topics = content.tally.topics();
+    if content.is_own {
+        compared.push(format!(
+            "{} stamps of messages with their times; numbers and times of each topic with each other",
+            content.stamps
+        ));
+    }
+    let is_whole = file.closed && !content.is_damaged;
+    if is_in_folder && is_whole {
+        let expected = walk.metadata(MCAP_FILE);
+        compared.extend(held::metadata(folder, &expected, &mut findings));
     }
     let damaged_frames = content.numbers.damaged_frames();
     let streams = content.numbers.finish(&mut findings);
+    if let Some(session) = &session {
+        check_outcome(session, &mut findings);
+        match &session.contents {
+            Some(contents) => compared.push(held::topics(contents, &topics, &mut findings)),
+            None if is_whole && session.outcome.is_some() => {
+                findings.add(&Fault::NoContents, None);
+            }
+            None => {}
+        }
+        if is_whole {
+            let missing = streams.get(Stream::Pulses.name());
+            let missing = missing.map_or(0, |stream| stream.missing);
+            let stated = content.stated;
+            compared.extend(stated.finish(&topics, content.span, missing, &mut findings));
+        }
+        compared.extend(held::files(session, folder, sums, monitor, &mut findings)?);
+        compared.extend(held::phones(session, folder, monitor, &mut findings)?);
+    }
+    let grid = content.pulses.report();
+    compared
+        .extend(grid.map(|grid| format!("{} pulses with the grid of the alignment", grid.checked)));
     let alignment = session.as_ref().and_then(|session| session.alignment);
     Ok(Verification {
         form: FORM,
         recording: recording.display().to_string(),
         severity: findings.worst(),
+        is_bare: session.is_none(),
         file,
         board_time_s: content.span.map(|span| span.map(|at| at.as_secs_f64())),
         damaged_frames,
         streams,
-        grid: content.pulses.report(),
+        grid,
+        compared,
         findings: findings.into_vec(),
         alignment: alignment.map(|alignment| alignment.promise()),
     })
 }
 
-/// Loads the session file beside a recording's MCAP file, if it exists and can be read.
-fn load_session(mcap: &Path, findings: &mut Findings) -> Option<SessionFile> {
-    let folder = mcap.parent()?;
-    if mcap.file_name()? != MCAP_FILE {
-        return None;
-    }
-    if !folder.join(SESSION_FILE).exists() {
-        findings.check("no_session_file", None, || {
-            format!("there is no {SESSION_FILE} beside the recording: settings are not known")
-        });
-        return None;
-    }
-    match SessionFile::load(folder) {
-        Ok(session) => Some(session),
-        Err(error) => {
-            findings.bad("session_file_damaged", None, || error.to_string());
-            None
-        }
-    }
-}
-
-/// Checks the outcome of a session, and that the files that it names exist.
-fn check_session(session: &SessionFile, path: &Path, findings: &mut Findings) {
+/// Checks the outcome of a session.
+fn check_outcome(session: &SessionFile, findings: &mut Findings) {
     match session.outcome {
-        None => findings.check("not_finished", None, || {
-            String::from("the program was ended before it could close the session")
-        }),
-        Some(SessionOutcome::Failed) => findings.check("failed", None, || {
+        None => findings.add(&Fault::NotFinished, None),
+        Some(SessionOutcome::Failed) => {
             let why = session.problems.last();
             let why = why.map_or(String::new(), |problem| format!(": {}", problem.text));
-            format!("the session failed{why}")
-        }),
-        Some(SessionOutcome::Interrupted) => findings.note("interrupted", || {
-            String::from("the session was stopped by its user")
-        }),
+            findings.add(&Fault::Failed(why), None);
+        }
+        Some(SessionOutcome::Interrupted) => findings.note(Finding::good(
+            "interrupted",
+            "the session was stopped by its user",
+        )),
         Some(SessionOutcome::Good | SessionOutcome::Loss) => {}
     }
     if session.outcome.is_some() && !session.has_recorded() {
-        findings.check("nothing_recorded", None, || {
-            String::from("nothing was recorded between begin and end")
-        });
+        findings.add(&Fault::NothingRecorded, None);
     }
     if let Some(problem) = session.problems.first() {
-        let many = (problem.at, session.problems.len() as u64);
-        findings.add(Severity::Good, "problems_recorded", many, || {
-            format!("the session itself noted: {}", problem.text)
+        let text = format!("the session itself noted: {}", problem.text);
+        findings.note(Finding {
+            at: problem.at,
+            count: session.problems.len() as u64,
+            ..Finding::good("problems_recorded", text)
         });
-    }
-    let folder = path.parent().unwrap_or(Path::new("."));
-    for name in &session.files {
-        if !folder.join(name).exists() {
-            findings.check("file_missing", None, || {
-                format!("{name}, which the session names, is not in its folder")
-            });
-        }
     }
 }

@@ -27,7 +27,9 @@ use system::ReadMonitor;
 use super::chunks::{BadChunk, parse};
 use super::damage::MAX_NAME;
 pub use super::damage::{Damage, FileReport};
+use super::index::Index;
 use super::messages::CdrError;
+use super::rosbag2::{self, BagTopic, QOS_KEY};
 use super::scan::{Piece, Scan};
 use super::topic::{Item, Topic};
 use super::{RecordingError, bag, ticks_of_nanos, writer};
@@ -103,8 +105,8 @@ struct Topics {
     assumed: bool,
     /// Messages that were read.
     messages: u64,
-    /// Messages by the file's statistics.
-    counted: u64,
+    /// The file's index, and what it must state.
+    index: Index,
 }
 
 /// Receives what is read.
@@ -169,8 +171,26 @@ impl Walk {
         self.topics.channels.values()
     }
 
-    fn end(&self, each: Each<'_>) -> Result<(), RecordingError> {
-        let (report, expected) = (&self.scan.report, self.topics.counted);
+    /// Returns `metadata.yaml` as a bag of these topics and messages has it.
+    pub(crate) fn metadata(&self, file: &str) -> String {
+        let mut channels: Vec<&Channel> = self.topics().collect();
+        channels.sort_by_key(|channel| channel.described.id);
+        let topics = channels.into_iter().map(|channel| {
+            let described = &channel.described;
+            BagTopic {
+                name: &described.topic,
+                kind: &channel.kind,
+                encoding: &described.message_encoding,
+                qos: described.metadata.get(QOS_KEY).map_or("", String::as_str),
+                messages: self.topics.index.messages_of(described.id),
+            }
+        });
+        let times = self.topics.index.times().unwrap_or_default();
+        rosbag2::text(file, times, self.topics.messages, topics)
+    }
+
+    fn end(&mut self, each: Each<'_>) -> Result<(), RecordingError> {
+        let report = &self.scan.report;
         if !self.scan.has_magic() && report.chunks == 0 {
             return Err(RecordingError::mcap(&self.path)(mcap::McapError::BadMagic));
         }
@@ -178,22 +198,31 @@ impl Walk {
             each(Event::Damage(Damage::NoEndOfData));
         }
         let found = self.topics.messages;
-        if report.closed && expected != 0 && expected != found {
+        let index = &mut self.topics.index;
+        let expected = index.counted().unwrap_or(found);
+        if report.closed && expected != found {
             each(Event::Damage(Damage::MessageCount { found, expected }));
+        } else if report.closed && report.bad_chunks == 0 && report.skipped_bytes == 0 {
+            index
+                .compare()
+                .unwrap_or_else(|damage| each(Event::Damage(damage)));
         }
         Ok(())
     }
 
     fn piece(&mut self, piece: Piece, each: Each<'_>) {
         match piece {
-            Piece::Chunk(chunk) => {
+            Piece::Chunk(chunk, place) => {
                 for (opcode, body) in chunk.records() {
                     self.topics.record(opcode, body, each);
                 }
                 let bytes = chunk.cut_off();
                 self.scan.reuse(chunk);
+                let times = self.topics.index.chunk(place);
                 if bytes > 0 {
                     each(Event::Damage(Damage::ChunkEnd { bytes }));
+                } else if let Err(damage) = times {
+                    each(Event::Damage(damage));
                 }
             }
             // A writer of chunks puts every message into one: a message outside, without a
@@ -229,8 +258,9 @@ impl Topics {
             }
             Some(Record::Message { header, data }) => self.message(header, &data, each),
             Some(Record::Statistics(statistics)) => {
-                self.counted = statistics.message_count;
+                self.index.statistics(statistics);
             }
+            Some(Record::ChunkIndex(entry)) => self.index.listed(&entry),
             None if matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) => {
                 each(Event::Damage(Damage::Record));
             }
@@ -239,6 +269,7 @@ impl Topics {
     }
 
     fn message(&mut self, header: MessageHeader, data: &[u8], each: Each<'_>) {
+        self.index.message(&header);
         if self.channels.is_empty() && !self.assumed {
             self.assume(each);
         }

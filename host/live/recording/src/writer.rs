@@ -10,6 +10,7 @@
 //! `log_time` and `publish_time` are board time in nanoseconds. Ticks of 20.83 ns round to
 //! different nanoseconds, so `round(ns · 6 / 125)` restores them exactly.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -18,6 +19,7 @@ use std::time::{Duration, Instant, SystemTime};
 use protocol::{TICK_HZ, Ticks};
 
 use super::chunks::Chunk;
+use super::contents::{Tally, TopicContents};
 use super::rosbag2::{self, Bag, options};
 use super::topic::Topic;
 use super::{MCAP_FILE, RecordingError};
@@ -41,6 +43,7 @@ pub struct Writer {
     waits_since: Option<Duration>,
     synced: Instant,
     dirty: bool,
+    written: Tally,
     pub(crate) wall: WallClock,
 }
 
@@ -67,6 +70,7 @@ impl Writer {
             waits_since: None,
             synced: Instant::now(),
             dirty: true,
+            written: Tally::default(),
             wall: Box::new(SystemTime::now),
         };
         writer.flush()?;
@@ -128,7 +132,9 @@ impl Writer {
         data: &[u8],
     ) -> Result<(), RecordingError> {
         let put = self.bag.put(topic as usize, number, at.as_nanos(), data);
-        put.map_err(RecordingError::mcap(&self.path))?;
+        if let Some(header) = put.map_err(RecordingError::mcap(&self.path))? {
+            self.written.add(topic.name(), &header, data);
+        }
         self.dirty = true;
         let from = *self.chunk_from.get_or_insert(at);
         if at.0.abs_diff(from.0) >= CHUNK_TICKS {
@@ -138,16 +144,17 @@ impl Writer {
     }
 
     /// Writes index and end of the file, synchronises it with the disk, and writes
-    /// `metadata.yaml` beside it.
+    /// `metadata.yaml` beside it. Returns what was written, by topic.
     ///
     /// # Errors
     ///
     /// As [`Writer::imu`].
-    pub fn finish(mut self) -> Result<(), RecordingError> {
+    pub fn finish(mut self) -> Result<BTreeMap<String, TopicContents>, RecordingError> {
         let summary = self.bag.mcap.finish();
         let summary = summary.map_err(RecordingError::mcap(&self.path))?;
         self.sync()?;
-        rosbag2::save(system::folder_of(&self.path), &summary)
+        rosbag2::save(system::folder_of(&self.path), &summary)?;
+        Ok(self.written.topics())
     }
 }
 

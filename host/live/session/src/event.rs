@@ -444,6 +444,15 @@ pub enum SessionEvent {
         /// Commands that copy them: by USB, and by MTP.
         commands: [String; 2],
     },
+    /// The files of a phone contradict each other, or what the phone had reported.
+    FilesDisagree {
+        /// The phone.
+        phone: PhoneName,
+        /// The contradiction.
+        fault: String,
+        /// Advice.
+        next_step: &'static str,
+    },
     /// The session is over.
     Ended {
         /// Its outcome.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, SessionOutcome};
+use system::ReadMonitor;
 
 use crate::checks::Checks;
 use crate::devices::{Clock, Connector, DepthRecorder, Operator, Phone, PhoneClockStarter};
@@ -77,8 +78,12 @@ pub fn run(
     let result = steps::run(&mut session, options, checked, devices.host_checks);
     let result = close(&mut session, options, result);
     let outcome = session.outcome_of(&result);
-    session.file.outcome = Some(outcome);
-    let saved = session.save();
+    // Checksums of long files take their time: until then the file states all else.
+    let saved = session.save().and_then(|()| {
+        let folder = session.log.folder.clone();
+        let files = session.file.close_files(&folder, &ReadMonitor::default());
+        session.save().and(files)
+    });
     let (folder, file) = (session.log.folder.clone(), session.file.clone());
     session.enter(Phase::Ended);
     let ended = SessionEvent::Ended {

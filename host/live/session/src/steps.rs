@@ -271,7 +271,10 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
                 let now = session.now();
                 mark(session, now, label)?;
             }
-            Some(Wish::Stop) => return Ok(Some(())),
+            Some(Wish::Stop) => {
+                session.file.asked_s = None;
+                return Ok(Some(()));
+            }
             None => {}
         }
         let now = session.link.overdue(session.now());

@@ -8,7 +8,7 @@ use recording::depth_files::is_mkv;
 use recording::folder::entries;
 use recording::session_file::SessionFile;
 
-use crate::EvaluateError;
+use crate::{EvaluateError, KnownReadout};
 
 /// Alignment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,6 +17,8 @@ pub(crate) struct Applied {
     pub bias_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
+    /// Readout of the profile with which it was recorded.
+    pub readout: KnownReadout,
 }
 
 /// The video that an input (a video, or the folder of a recording) stands for.
@@ -42,9 +44,13 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
         } else {
             path.to_owned()
         },
-        applied: session.and_then(|s| s.alignment).map(|alignment| Applied {
-            bias_us: alignment.bias_us + alignment.shift_us,
-            exposure_us: alignment.exposure_us,
+        applied: session.and_then(|session| {
+            let alignment = session.alignment?;
+            Some(Applied {
+                bias_us: alignment.bias_us + alignment.shift_us,
+                exposure_us: alignment.exposure_us,
+                readout: KnownReadout::of_phone(&session.profile.phone),
+            })
         }),
     })
 }
@@ -105,6 +111,7 @@ mod tests {
             applied: Some(Applied {
                 bias_us: -3.5,
                 exposure_us: 500.0,
+                readout: KnownReadout::of_phone(&session.profile.phone),
             }),
         };
         assert_eq!(resolve(dir.path()).unwrap(), expected);

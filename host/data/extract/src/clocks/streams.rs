@@ -47,7 +47,8 @@ pub(crate) struct OtherGyro<'a> {
     pub(crate) prior: Option<Prior>,
 }
 
-/// Calls `each` for everything that the board recorded. Returns descriptions of unreadable parts.
+/// Calls `each` for everything that the board recorded. Returns descriptions of messages that were
+/// left out.
 ///
 /// # Errors
 ///
@@ -61,7 +62,7 @@ pub(crate) fn each_event(
     while let Some(event) = stream.next_event()? {
         each(event)?;
     }
-    Ok(stream.damage())
+    Ok(stream.left_out())
 }
 
 /// Opens the board's gyroscope within a span, without the samples that the board marked: the rates

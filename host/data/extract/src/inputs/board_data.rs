@@ -22,7 +22,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use clock::tracker::{Asked, Exchange};
-use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos, Wander};
+use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos};
 use protocol::Ticks;
 use recording::messages::{self, RosMessage, Time, TimeReference, from_cdr};
 use recording::samples::{RecordedSample, SampleJoiner};
@@ -152,8 +152,8 @@ impl BoardStream {
     ///
     /// # Errors
     ///
-    /// Returns an error if reading fails. Damage is not an error: see
-    /// [`BoardStream::damage`].
+    /// Returns an error if reading fails. Messages that are left out are no error: see
+    /// [`BoardStream::left_out`].
     pub(crate) fn next_event(&mut self) -> Result<Option<BoardEvent>, RecordingError> {
         loop {
             if let Some(event) = self.sorter.events.pop_front() {
@@ -162,10 +162,8 @@ impl BoardStream {
             let sorter = &mut self.sorter;
             let more = self.walk.next_part(&mut |event| match event {
                 Event::Message(message) => sorter.message(&message),
-                Event::Damage(damage) if damage.is_loss() => {
-                    sorter.faults.add(damage.to_string());
-                }
-                _ => {}
+                // The check of the recording reports damage.
+                Event::Damage(_) => {}
             })?;
             if !more {
                 let left = sorter.samples.drain().map(BoardEvent::Sample);
@@ -177,9 +175,9 @@ impl BoardStream {
         }
     }
 
-    /// Returns the damage so far, in words.
-    pub(crate) fn damage(&self) -> Vec<String> {
-        self.sorter.faults.summary("damaged parts")
+    /// Returns the messages that were left out so far, in words.
+    pub(crate) fn left_out(&self) -> Vec<String> {
+        self.sorter.faults.summary("messages")
     }
 }
 
@@ -226,7 +224,10 @@ impl Sorter {
             Item::Gnss(times) => self.times(Reference::Lidar, &times),
             Item::Exchange(exchange) => self.events.push_back(exchange_of(&exchange)),
             Item::Clock(model) => {
-                let relation = relation(&model);
+                // `verify` reports a relation that cannot be.
+                let Some(relation) = model.relation() else {
+                    return;
+                };
                 let at = stamp(&model.header);
                 let phone = relation.to_phone(BoardSeconds(at.0 as f64 * 1e-9));
                 self.pair(Reference::Phone, at, phone.nanos().0);
@@ -234,9 +235,10 @@ impl Sorter {
                 self.events.push_back(BoardEvent::Clock(None, relation));
             }
             Item::PhoneClock(model) => {
-                let relation = relation(&model);
+                let relation = model.relation();
                 let name = Some(model.header.frame_id);
-                self.events.push_back(BoardEvent::Clock(name, relation));
+                let clock = relation.map(|relation| BoardEvent::Clock(name, relation));
+                self.events.extend(clock);
             }
             Item::Capture(_)
             | Item::Status(_)
@@ -324,17 +326,6 @@ fn stamp(header: &messages::Header) -> BoardNanos {
 /// Returns the stamp of a message as board time.
 pub(crate) fn board_time(stamp: Time) -> BoardNanos {
     BoardNanos(stamp.nanos())
-}
-
-fn relation(model: &messages::ClockModel) -> ClockRelation {
-    let [a, b, c, d] = model.covariance;
-    ClockRelation {
-        reference: model.reference_s,
-        offset: model.offset_s,
-        skew: model.skew,
-        covariance: [[a, b], [c, d]],
-        wander: Wander(model.wander),
-    }
 }
 
 fn exchange_of(exchange: &messages::ClockExchange) -> BoardEvent {

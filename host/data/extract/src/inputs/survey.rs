@@ -46,8 +46,8 @@ pub(crate) struct Survey {
     pub(crate) exchanges: Vec<(Asked, Exchange)>,
     /// True if the recording is a bag of the published system.
     pub(crate) published: bool,
-    /// Descriptions of unreadable parts.
-    pub(crate) damage: Vec<String>,
+    /// Descriptions of messages that were left out.
+    pub(crate) left_out: Vec<String>,
 }
 
 /// Summary of an IMU's samples.
@@ -200,14 +200,14 @@ impl Collector {
 pub(crate) fn survey(board: &Path, monitor: &ReadMonitor) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
     let mut collector = Collector::new(length);
-    let mut damage = each_event(board, monitor, |event| {
+    let mut words = each_event(board, monitor, |event| {
         collector.add(event);
         Ok(())
     })?;
     let left_out = collector.left_out.iter();
-    damage.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));
+    words.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));
     let mut out = collector.out;
-    out.damage = damage;
+    out.left_out = words;
     out.pulses.sort_by_key(|pulse| (pulse.at, pulse.number));
     out.pulses.dedup_by_key(|pulse| (pulse.train, pulse.number));
     Ok(out)

@@ -1,23 +1,26 @@
 //! The output folder: which extraction it belongs to, and which steps are finished.
 //!
-//! A hidden folder `.extraction` has the inputs and options of the extraction
-//! (names, sizes, modification times, no paths), and the outcomes of the
-//! long steps. A second run with the same inputs continues where the first stopped; a
-//! run with others is refused so that the two do not mix.
+//! A hidden folder `.extraction` has the inputs and options of the extraction (names, sizes and
+//! checksums of all files, no paths), and the outcomes of the long steps. A second run with the same
+//! inputs continues where the first stopped; a run with others is refused so that the two do not
+//! mix. One program at a time writes: it holds a lock of the operating system on a file there, which
+//! ends with the program, however that ends.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
+use recording::contents::{FileContents, FileSums};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::whole_file::write_whole;
+use system::ReadMonitor;
 
 /// Version of the output folder's contents; an extraction does not continue in another version's.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const FOLDER: &str = ".extraction";
+const LOCK: &str = "lock";
 
 /// Reason why the output folder cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +47,12 @@ pub enum OutputDirError {
         /// The folder.
         path: PathBuf,
     },
+    /// Another program writes into the folder.
+    #[error("another extraction writes into the output folder {path}")]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The folder is within the recording.
     #[error(
         "the output folder {path} lies in the recording, which is never written to; give another with --out"
@@ -58,8 +67,8 @@ pub enum OutputDirError {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct FileMark {
     name: String,
-    size: u64,
-    changed_ns: u128,
+    #[serde(flatten)]
+    contents: FileContents,
 }
 
 impl FileMark {
@@ -67,18 +76,16 @@ impl FileMark {
     ///
     /// # Errors
     ///
-    /// Fails if the file cannot be examined.
-    pub(crate) fn read(path: &Path) -> io::Result<Self> {
-        let meta = fs::metadata(path)?;
-        let changed = meta.modified()?.duration_since(UNIX_EPOCH);
+    /// Fails if the file cannot be read.
+    pub(crate) fn read(
+        path: &Path,
+        sums: &mut FileSums,
+        monitor: &ReadMonitor,
+    ) -> io::Result<Self> {
+        let name = path.file_name().unwrap_or_default();
         Ok(Self {
-            name: path
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned(),
-            size: meta.len(),
-            changed_ns: changed.map_or(0, |since| since.as_nanos()),
+            name: name.to_string_lossy().into_owned(),
+            contents: sums.of(path, monitor)?,
         })
     }
 }
@@ -88,6 +95,8 @@ impl FileMark {
 pub(crate) struct OutputDir {
     /// Path of the folder.
     pub(crate) out: PathBuf,
+    /// Holds the lock while it is open.
+    _lock: File,
 }
 
 /// Content of `job.json`, which identifies an extraction.
@@ -121,27 +130,40 @@ impl OutputDir {
             options,
         })
         .map_err(|error| fail(error.into()))?;
-        let mark = out.join(FOLDER).join("job.json");
+        let own = out.join(FOLDER);
+        let mark = own.join("job.json");
         fs::create_dir_all(out).map_err(fail)?;
+        // An extraction that could not write its mark leaves its own folder alone.
+        let is_strange = |path: &Path| path.file_name().is_some_and(|name| name != FOLDER);
+        if !mark.exists()
+            && entries(out)
+                .map_err(fail)?
+                .iter()
+                .any(|path| is_strange(path))
+        {
+            return Err(OutputDirError::NotEmpty {
+                path: out.to_owned(),
+            });
+        }
+        fs::create_dir_all(&own).map_err(fail)?;
+        let lock = lock(&own.join(LOCK)).map_err(fail)?;
+        let lock = lock.ok_or_else(|| OutputDirError::Busy {
+            path: out.to_owned(),
+        })?;
         match fs::read(&mark) {
             Ok(old) if old == job => {}
             Ok(_) if overwrite => {
-                // Only the contents are removed: the folder may be the target of a link.
-                for entry in fs::read_dir(out).map_err(fail)? {
-                    let path = entry.map_err(fail)?.path();
-                    let is_folder = path.symlink_metadata().map_err(fail)?.is_dir();
-                    // The mark is removed last, so that an interrupted removal can be repeated.
-                    if path.file_name().is_some_and(|name| name == FOLDER) {
-                        continue;
-                    }
-                    let removed = if is_folder {
-                        fs::remove_dir_all(&path)
-                    } else {
-                        fs::remove_file(&path)
-                    };
-                    removed.map_err(fail)?;
-                }
-                fs::remove_dir_all(out.join(FOLDER)).map_err(fail)?;
+                // Only the contents are removed: the folder may be the target of a link. The mark is
+                // removed last, so that an interrupted removal can be repeated, and the lock never.
+                let data = entries(out).map_err(fail)?;
+                let data = data.iter().filter(|path| is_strange(path));
+                let steps = entries(&own).map_err(fail)?;
+                let steps = steps
+                    .iter()
+                    .filter(|path| **path != mark && !path.ends_with(LOCK));
+                data.chain(steps)
+                    .try_for_each(|path| remove(path))
+                    .map_err(fail)?;
                 write_whole(&mark, &job).map_err(fail)?;
             }
             Ok(_) => {
@@ -150,17 +172,13 @@ impl OutputDir {
                 });
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                if fs::read_dir(out).map_err(fail)?.next().is_some() {
-                    return Err(OutputDirError::NotEmpty {
-                        path: out.to_owned(),
-                    });
-                }
                 write_whole(&mark, &job).map_err(fail)?;
             }
             Err(error) => return Err(fail(error)),
         }
         Ok(Self {
             out: out.to_owned(),
+            _lock: lock,
         })
     }
 
@@ -181,6 +199,36 @@ impl OutputDir {
 
     fn step_path(&self, step: &str) -> PathBuf {
         self.out.join(FOLDER).join(format!("{step}.json"))
+    }
+}
+
+/// Locks a file, which is created; returns `None` if another program holds the lock. A file system
+/// without locks is used without.
+fn lock(path: &Path) -> io::Result<Option<File>> {
+    let file = File::options().create(true).append(true).open(path)?;
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {
+            Ok(Some(file))
+        }
+        Err(TryLockError::Error(error)) => Err(error),
+    }
+}
+
+/// Returns the entries of a folder.
+fn entries(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    fs::read_dir(folder)?
+        .map(|entry| Ok(entry?.path()))
+        .collect()
+}
+
+/// Removes a file, or a folder with its contents. A link is removed, not its target.
+fn remove(path: &Path) -> io::Result<()> {
+    if path.symlink_metadata()?.is_dir() {
+        fs::remove_dir_all(path)
+    } else {
+        fs::remove_file(path)
     }
 }
 
@@ -214,39 +262,75 @@ pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), OutputDi
 mod tests {
     use super::*;
 
+    fn mark(path: &Path) -> FileMark {
+        let (mut sums, monitor) = (FileSums::default(), ReadMonitor::default());
+        FileMark::read(path, &mut sums, &monitor).unwrap()
+    }
+
     #[test]
     fn only_the_same_extraction_continues_in_a_folder() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
         let input = folder.path().join("input");
         fs::write(&input, "x").unwrap();
-        let files = [FileMark::read(&input).unwrap()];
-        let output = OutputDir::open(&out, &files, 1, false).unwrap();
+        let files = [mark(&input)];
+        let open = |files: &[FileMark], options: u32, overwrite| {
+            OutputDir::open(&out, files, options, overwrite)
+        };
+        let output = open(&files, 1, false).unwrap();
         assert_eq!(output.outcome::<u32>("depth"), None);
         output.store("depth", &7).unwrap();
-        assert_eq!(
-            OutputDir::open(&out, &files, 1, true)
-                .unwrap()
-                .outcome::<u32>("depth"),
-            Some(7)
-        );
-        assert!(matches!(
-            OutputDir::open(&out, &files, 2, false),
-            Err(OutputDirError::Other { .. })
-        ));
-        assert!(matches!(
-            OutputDir::open(&out, &[], 1, false),
-            Err(OutputDirError::Other { .. })
-        ));
+        drop(output);
+        let outcome = open(&files, 1, true).unwrap().outcome::<u32>("depth");
+        assert_eq!(outcome, Some(7));
+        let others: [(&[FileMark], u32); 2] = [(&files, 2), (&[], 1)];
+        for (files, options) in others {
+            let refused = open(files, options, false);
+            assert!(matches!(refused, Err(OutputDirError::Other { .. })));
+        }
+        // Another content of the same length at the same time is another input.
+        let changed = input.metadata().unwrap().modified().unwrap();
+        fs::write(&input, "y").unwrap();
+        fs::File::options()
+            .write(true)
+            .open(&input)
+            .unwrap()
+            .set_modified(changed)
+            .unwrap();
+        let refused = open(&[mark(&input)], 1, false);
+        assert!(matches!(refused, Err(OutputDirError::Other { .. })));
         // Only an earlier extraction is replaced, and all of it.
         let taken = OutputDir::open(folder.path(), &files, 1, true);
         assert!(matches!(taken, Err(OutputDirError::NotEmpty { .. })));
         fs::create_dir(out.join("mav0")).unwrap();
         fs::write(out.join("mav0/data.csv"), "old").unwrap();
-        let output = OutputDir::open(&out, &files, 2, true).unwrap();
+        let output = open(&files, 2, true).unwrap();
         assert_eq!(output.outcome::<u32>("depth"), None);
         assert!(!out.join("mav0").exists());
-        assert!(OutputDir::open(&out, &files, 2, false).is_ok());
+        drop(output);
+        assert!(open(&files, 2, false).is_ok());
+    }
+
+    #[test]
+    fn one_program_at_a_time_writes() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        let open = |overwrite| OutputDir::open(&out, &[], 1, overwrite);
+        let first = open(false).unwrap();
+        for overwrite in [false, true] {
+            assert!(matches!(open(overwrite), Err(OutputDirError::Busy { .. })));
+        }
+        drop(first);
+        assert!(open(false).is_ok());
+    }
+
+    #[test]
+    fn a_folder_whose_mark_could_not_be_written_is_used() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        fs::create_dir_all(out.join(FOLDER)).unwrap();
+        fs::write(out.join(FOLDER).join("job.json.partial"), "{").unwrap();
+        assert!(OutputDir::open(&out, &[], 1, false).is_ok());
     }
 
     #[test]

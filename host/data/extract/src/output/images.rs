@@ -1,10 +1,11 @@
 //! Writes images in parallel: one thread reads the source, the others encode.
 //!
-//! An existing image is not written again (files appear only when they are complete),
-//! so that a stopped extraction continues. Memory is limited to a few
-//! batches.
+//! An image that exists is compared with the one that would be written, and written again if it
+//! differs. A finished step keeps a checksum over all its images, by which a later run sees
+//! whether they are still there. Memory is limited to a few batches.
 
 use std::borrow::Cow;
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
@@ -71,6 +72,8 @@ pub(crate) struct DepthOutcome {
     pub(crate) color: Vec<usize>,
     /// Indices of colour images that are not complete JPEG files.
     pub(crate) color_broken: Vec<usize>,
+    /// Checksum over all images.
+    pub(crate) images: ImageSum,
 }
 
 /// Writes the images of the depth camera.
@@ -131,7 +134,7 @@ fn write_jpeg(
         one.color_broken.push(index);
         return Ok(one);
     }
-    write_missing(path, || Ok(jpeg.into()))?;
+    one.images = write_image(path, || Ok(jpeg.into()))?;
     one.color.push(index);
     Ok(one)
 }
@@ -140,6 +143,7 @@ impl DepthOutcome {
     /// Adds the outcome of other images.
     fn add(&mut self, other: Self) {
         self.written += other.written;
+        self.images.add(other.images);
         self.out_of_range += other.out_of_range;
         for (list, others) in [
             (&mut self.infrared, other.infrared),
@@ -178,35 +182,87 @@ fn write_one(
         let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
         let size = registration.map_or(view.size, |registration| registration.out);
-        write_png(path, size, PngPixels::Gray16(&pixels))?;
+        one.images = write_png(path, size, PngPixels::Gray16(&pixels))?;
         one.written = 1;
     }
     if let (Some(path), Some(pixels)) = (&place.infrared, &image.infrared) {
-        write_png(path, view.size, PngPixels::Gray16(pixels))?;
+        one.images
+            .add(write_png(path, view.size, PngPixels::Gray16(pixels))?);
         one.infrared.push(image.index);
     }
     Ok(one)
 }
 
-/// Writes a PNG image unless it exists.
-fn write_png(path: &Path, size: (u32, u32), pixels: PngPixels<'_>) -> Result<(), ExtractError> {
-    write_missing(path, || Ok(encode_png(size.0, size.1, pixels)?.into()))
+/// Checksum over images in any order: the sum of those over name and content of each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub(crate) struct ImageSum(u64);
+
+impl ImageSum {
+    fn of(path: &Path, image: &[u8]) -> Self {
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(path.file_name().unwrap_or_default().as_encoded_bytes());
+        hasher.update(image);
+        Self(hasher.finalize().into())
+    }
+
+    fn add(&mut self, other: Self) {
+        self.0 = self.0.wrapping_add(other.0);
+    }
+
+    /// Returns the sum over the images that can be read.
+    fn of_files(paths: &[&Path]) -> Self {
+        let read = |path: &&Path| match fs::read(path) {
+            Ok(image) => Self::of(path, &image),
+            Err(_) => Self::default(),
+        };
+        let sums = paths.par_iter().map(read);
+        sums.reduce(Self::default, |a, b| Self(a.0.wrapping_add(b.0)))
+    }
 }
 
-/// Writes an image unless it exists.
-fn write_missing<'a>(
+impl DepthOutcome {
+    /// Returns true if the images at these places are those that were written.
+    pub(crate) fn is_there(&self, paths: &CameraPaths) -> bool {
+        let depth = paths.depth.iter();
+        let depth = depth.flat_map(|place| [&place.depth, &place.infrared]);
+        let all = depth.chain(&paths.color).flatten();
+        self.images == ImageSum::of_files(&all.map(PathBuf::as_path).collect::<Vec<_>>())
+    }
+}
+
+impl VideoOutcome {
+    /// Returns true if the images at these places are those that were written.
+    pub(crate) fn is_there(&self, places: &[Option<PathBuf>]) -> bool {
+        let all = places.iter().flatten().map(PathBuf::as_path);
+        self.images == ImageSum::of_files(&all.collect::<Vec<_>>())
+    }
+}
+
+/// Writes a PNG image.
+fn write_png(
+    path: &Path,
+    size: (u32, u32),
+    pixels: PngPixels<'_>,
+) -> Result<ImageSum, ExtractError> {
+    write_image(path, || Ok(encode_png(size.0, size.1, pixels)?.into()))
+}
+
+/// Writes an image unless it is there.
+fn write_image<'a>(
     path: &Path,
     image: impl FnOnce() -> io::Result<Cow<'a, [u8]>>,
-) -> Result<(), ExtractError> {
-    if path.exists() {
-        return Ok(());
-    }
-    image()
-        .and_then(|image| write_whole(path, &image))
-        .map_err(|error| ExtractError::Write {
-            path: path.to_owned(),
-            error,
-        })
+) -> Result<ImageSum, ExtractError> {
+    let write = || {
+        let image = image()?;
+        if fs::read(path).ok().as_deref() != Some(&*image) {
+            write_whole(path, &image)?;
+        }
+        Ok(ImageSum::of(path, &image))
+    };
+    write().map_err(|error| ExtractError::Write {
+        path: path.to_owned(),
+        error,
+    })
 }
 
 /// Outcome of writing the phone's images.
@@ -216,6 +272,8 @@ pub(crate) struct VideoOutcome {
     pub(crate) decoded: u64,
     /// Number of images that exist.
     pub(crate) written: u64,
+    /// Checksum over all images.
+    pub(crate) images: ImageSum,
     /// Width and height.
     pub(crate) size: Option<(u32, u32)>,
     /// Reason why decoding ended early.
@@ -247,14 +305,14 @@ pub(crate) fn write_video(
     let written = in_batches(frames, bytes, |batch| {
         outcome.decoded += batch.len() as u64;
         outcome.size.get_or_insert(size);
-        let written: Result<Vec<bool>, ExtractError> = batch
+        let written: Result<Vec<ImageSum>, ExtractError> = batch
             .par_iter()
-            .map(|(index, frame)| match places.get(*index) {
-                Some(Some(path)) => write_png(path, size, PngPixels::Rgb8(frame)).map(|()| true),
-                _ => Ok(false),
-            })
+            .filter_map(|(index, frame)| Some((places.get(*index)?.as_ref()?, frame)))
+            .map(|(path, frame)| write_png(path, size, PngPixels::Rgb8(frame)))
             .collect();
-        outcome.written += written?.into_iter().filter(|&written| written).count() as u64;
+        let written = written?;
+        outcome.written += written.len() as u64;
+        written.into_iter().for_each(|sum| outcome.images.add(sum));
         Ok(())
     });
     match written {

@@ -258,7 +258,8 @@ impl Extraction<'_> {
             depth: frames.iter().map(paths_of).collect(),
             color: depth.color.iter().map(color_path).collect(),
         };
-        let outcome = match self.output.outcome::<DepthOutcome>("depth") {
+        let stored = self.output.outcome::<DepthOutcome>("depth");
+        let outcome = match stored.filter(|outcome| outcome.is_there(&paths)) {
             Some(outcome) => outcome,
             None => {
                 let view = DepthImageView {

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use phone::coverage;
 use phone::video::{Pixels, Video, VideoError, presentation_times};
 use phone::video_files::VideoFiles;
 
@@ -65,6 +66,7 @@ impl Extraction<'_> {
         for what in files.missing() {
             self.lose(LossPart::Phone, input.about(&format!("there is no {what}")));
         }
+        self.compare_files(input, &files)?;
         let mut rows_of_frames = Vec::new();
         if let Some(path) = &files.frames {
             let read = PhoneRows::open(path, &self.job.monitor);
@@ -125,6 +127,25 @@ impl Extraction<'_> {
             frames,
             clock,
         }))
+    }
+
+    /// Reports where the phone's files contradict each other or the alignment of the trigger.
+    fn compare_files(
+        &mut self,
+        input: &PhoneInput,
+        files: &VideoFiles,
+    ) -> Result<(), ExtractError> {
+        match coverage::check(files, input.assumed.as_ref(), &self.job.monitor) {
+            Ok(faults) => {
+                for fault in faults {
+                    self.lose(LossPart::Phone, input.about(&fault.to_string()));
+                }
+            }
+            Err(_) if self.job.monitor.is_cancelled() => return Err(ExtractError::Cancelled),
+            // It is reported where the file's rows are used.
+            Err(_) => {}
+        }
+        Ok(())
     }
 
     /// Finds the row of the timestamps for each frame of the video.
@@ -196,7 +217,8 @@ impl Extraction<'_> {
             Some(name) => format!("video-{name}"),
             None => String::from("video"),
         };
-        let outcome = match self.output.outcome::<VideoOutcome>(&step) {
+        let stored = self.output.outcome::<VideoOutcome>(&step);
+        let outcome = match stored.filter(|outcome| outcome.is_there(&paths)) {
             Some(outcome) => outcome,
             None => match Video::open(&video, Pixels::Rgb, &self.job.monitor) {
                 Ok(decoder) => {

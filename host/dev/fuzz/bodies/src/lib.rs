@@ -167,11 +167,18 @@ pub fn calibration(data: &[u8]) {
     }
 }
 
-/// Loads any bytes as a session file: no panic.
+/// Loads any bytes as a session file, and any text with a checksum that is right: no panic.
 pub fn session_file(data: &[u8]) {
+    use recording::session_file::{SessionFile, with_checksum, without_checksum};
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("session.json"), data).unwrap();
-    let _ = recording::session_file::SessionFile::load(folder.path());
+    let load = |data: &[u8]| {
+        std::fs::write(folder.path().join("session.json"), data).unwrap();
+        let _ = SessionFile::load(folder.path());
+    };
+    load(data);
+    if let Ok(text) = std::str::from_utf8(data) {
+        load(with_checksum(&without_checksum(text)).as_bytes());
+    }
 }
 
 /// Decodes any bytes, in any split, as commands from the host, like the firmware: the same

@@ -1,8 +1,10 @@
 //! Relations of clocks.
 
+use ::clock::{ClockRelation, Wander};
 use serde::{Deserialize, Serialize};
 
 use super::{Header, RosMessage, Time};
+use crate::session_file::is_possible;
 
 /// `sensor_msgs/msg/TimeReference`: one instant in two times.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -39,6 +41,22 @@ pub struct ClockModel {
     pub wander: f64,
     /// Origin of the relation: `twist 1`, `twists 1 and 2`.
     pub source: String,
+}
+
+impl ClockModel {
+    /// Returns the relation; `None` if no two clocks can have it.
+    #[must_use]
+    pub fn relation(&self) -> Option<ClockRelation> {
+        let [a, b, c, d] = self.covariance;
+        let relation = ClockRelation {
+            reference: self.reference_s,
+            offset: self.offset_s,
+            skew: self.skew,
+            covariance: [[a, b], [c, d]],
+            wander: Wander(self.wander),
+        };
+        is_possible(&relation).then_some(relation)
+    }
 }
 
 impl RosMessage for ClockModel {

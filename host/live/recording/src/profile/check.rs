@@ -8,6 +8,7 @@ use protocol::ImuConfig;
 
 use crate::camera::Model;
 
+use super::error::shortened;
 use super::{Depth, Learnt, Lidar, Phone, Profile, ProfileError, TriggerOutput};
 
 /// Key of a table, its value, the accepted range, and the unit.
@@ -92,6 +93,14 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
             "a name that can be a folder's, without a slash or '='",
         ));
     }
+    // The published rig's has none.
+    if !phone.address.is_empty() && ::phone::client::check_address(&phone.address).is_err() {
+        return Err(wrong(
+            "phone.address",
+            format!("{:?}", phone.address),
+            "<host> or <host>:<port>, with a port of 1 to 65535",
+        ));
+    }
     within(
         "phone",
         &[
@@ -148,6 +157,12 @@ fn check_learnt(learnt: &Learnt) -> Result<(), ProfileError> {
             ("exposure_us", or_0(learnt.exposure_us), SPAN, "µs"),
             ("skew", or_0(learnt.skew), -1e-3..=1e-3, ""),
             ("skew_sigma", or_0(learnt.skew_sigma), 0.0..=1e-3, ""),
+            (
+                "board_temperature_c",
+                or_0(learnt.board_temperature_c),
+                -100.0..=200.0,
+                "°C",
+            ),
         ],
     )
 }
@@ -208,6 +223,7 @@ impl Profile {
             &[
                 ("bias_us", sync.bias_us, SIGNED, "µs"),
                 ("bias_sigma_us", sync.bias_sigma_us, SPAN, "µs"),
+                ("shift_us", sync.shift_us, SIGNED, "µs"),
             ],
         )?;
         self.imu_config().map(drop)
@@ -266,7 +282,7 @@ pub(super) fn wrong(
         path: None,
         line: None,
         key: key.into(),
-        found,
+        found: shortened(&found),
         expected: expected.into(),
     }
 }

@@ -16,7 +16,7 @@ pub fn open(text: &str, path: &Path) -> Result<(Profile, DocumentMut), ProfileEr
     let profile = Profile::parse(text, Some(path))?;
     let document = text
         .parse()
-        .map_err(|error: TomlError| syntax(Some(path), error.to_string()))?;
+        .map_err(|error: TomlError| syntax(Some(path), &error.to_string()))?;
     Ok((profile, document))
 }
 
@@ -44,7 +44,7 @@ pub fn phone_table<'a>(
             .get_mut("phones")
             .and_then(|phones| phones.as_array_of_tables_mut())
             .and_then(|phones| phones.get_mut(place))
-            .ok_or_else(|| syntax(Some(path), String::from("`phones` is not a list of tables"))),
+            .ok_or_else(|| syntax(Some(path), "`phones` is not a list of tables")),
         None => table(document, "phone", path),
     }
 }
@@ -75,5 +75,5 @@ pub fn table<'a>(
         .entry(name)
         .or_insert(toml_edit::table())
         .as_table_mut()
-        .ok_or_else(|| syntax(Some(path), format!("`{name}` is not a table")))
+        .ok_or_else(|| syntax(Some(path), &format!("`{name}` is not a table")))
 }

@@ -42,10 +42,22 @@ fn place(path: Option<&Path>, line: Option<usize>) -> String {
     in_file(path) + &line
 }
 
-pub(super) fn syntax(path: Option<&Path>, reason: String) -> ProfileError {
+/// Most characters of a line of the text, or of a value, that an error shows.
+const MAX_SHOWN: usize = 200;
+
+pub(super) fn syntax(path: Option<&Path>, reason: &str) -> ProfileError {
+    let lines: Vec<String> = reason.lines().map(shortened).collect();
     ProfileError::Syntax {
         path: path.map(Path::to_owned),
-        reason,
+        reason: lines.join("\n"),
+    }
+}
+
+/// Cuts a text that is too long to be read.
+pub(super) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(MAX_SHOWN) {
+        Some((end, _)) => format!("{} ...", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
     }
 }
 
@@ -65,7 +77,7 @@ pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) 
     let line = key.and_then(|key| line_of(text, &key));
     let line = line.map_or(String::new(), |line| format!("line {line}: "));
     // The parser puts the table on a line of its own.
-    syntax(path, format!("{line}{}", reason.replace('\n', " ")))
+    syntax(path, &format!("{line}{}", reason.replace('\n', " ")))
 }
 
 /// Adds file and line to an error.

@@ -13,8 +13,8 @@ fn the_default_profile_is_valid_and_is_the_published_rig() {
     assert_eq!(profile.phone.learnt, None);
 }
 
-#[test]
-fn the_commented_examples_are_valid_too() {
+/// Returns the default profile with the examples of its comments.
+fn with_examples() -> String {
     let mut text = String::new();
     for line in DEFAULT.lines() {
         // Examples are comments that look like TOML; prose has no '=' or '['.
@@ -33,6 +33,12 @@ fn the_commented_examples_are_valid_too() {
         }
         text.push('\n');
     }
+    text
+}
+
+#[test]
+fn the_commented_examples_are_valid_too() {
+    let text = with_examples();
     let profile = Profile::parse(&text, None).unwrap();
     let learnt = profile.phone.learnt.unwrap();
     assert_eq!(learnt.skew, Some(1.2e-5));
@@ -184,4 +190,62 @@ fn a_written_profile_can_be_added_to_and_read_again() {
     assert_eq!(profile.outputs.len(), 1);
     let text = profile.to_toml().unwrap();
     assert_eq!(Profile::parse(&text, None).unwrap(), profile);
+}
+
+/// Calls `each` with the place of every number below a value.
+fn each_number(value: &mut toml::Value, each: &mut dyn FnMut(&mut toml::Value)) {
+    match value {
+        toml::Value::Table(table) => table
+            .iter_mut()
+            .for_each(|(_, value)| each_number(value, each)),
+        toml::Value::Array(list) => list.iter_mut().for_each(|value| each_number(value, each)),
+        toml::Value::Float(_) | toml::Value::Integer(_) => each(value),
+        _ => {}
+    }
+}
+
+#[test]
+fn no_number_can_be_none_or_beyond_all_reason() {
+    let mut whole: toml::Value = with_examples().parse::<toml::Table>().unwrap().into();
+    let mut count = 0;
+    each_number(&mut whole, &mut |_| count += 1);
+    assert!(count > 40, "{count}");
+    for place in 0..count {
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308, -1e308] {
+            let mut changed = whole.clone();
+            let mut number = 0;
+            let mut before = None;
+            each_number(&mut changed, &mut |value| {
+                if number == place {
+                    before = Some(std::mem::replace(value, toml::Value::Float(wrong)));
+                }
+                number += 1;
+            });
+            let text = toml::to_string(&changed).unwrap();
+            let read = Profile::parse(&text, None);
+            assert!(
+                read.is_err(),
+                "{wrong} in place of {before:?}, number {place}"
+            );
+        }
+    }
+}
+
+#[test]
+fn errors_are_short_and_an_address_must_be_one() {
+    let long = "x".repeat(1 << 20);
+    for text in [
+        format!("name = {long}"),
+        format!("{long} = 1"),
+        format!("[phone]\nname = \"{long}/\""),
+        format!("[depth]\ncamera = \"{long}\""),
+    ] {
+        let error = Profile::parse(&text, None).unwrap_err().to_string();
+        assert!(error.len() < 2_000, "{} bytes", error.len());
+    }
+    for wrong in ["10.0.0.7:99999", "10.0.0.7:0", "http://10.0.0.7", ":6969"] {
+        let text = format!("[phone]\naddress = \"{wrong}\"");
+        let error = Profile::parse(&text, None).unwrap_err().to_string();
+        assert!(error.contains("phone.address"), "{error}");
+    }
 }

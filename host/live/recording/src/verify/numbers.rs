@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use board::finding::Severity;
 use board::{Stream, follow};
-use protocol::{TICK_HZ, Ticks};
+use protocol::Ticks;
 
 use super::StreamCheck;
+use super::fault::Fault;
 use super::findings::Findings;
 use crate::diagnostics::BoardCounters;
 use crate::messages::ImuFlags;
@@ -51,9 +51,7 @@ impl Numbers {
     /// Counts a frame of the link that arrived damaged, for the reason `why`.
     pub(super) fn damaged(&mut self, why: &str, at: Ticks, findings: &mut Findings) {
         self.damaged_frames += 1;
-        findings.check("frame_damaged", Some(at), || {
-            format!("a frame of the link was damaged when it came: {why}")
-        });
+        findings.add(&Fault::FrameDamaged(why.to_owned()), Some(at));
     }
 
     /// Forgets the last sample: messages may be missing in the file here.
@@ -68,9 +66,7 @@ impl Numbers {
             .replace(epoch)
             .is_some_and(|known| known != epoch)
         {
-            findings.check("board_reset", Some(at), || {
-                String::from("the board was reset within the recording")
-            });
+            findings.add(&Fault::BoardReset, Some(at));
             for stream in &mut self.streams {
                 stream.expected = None;
             }
@@ -91,9 +87,7 @@ impl Numbers {
             return;
         };
         match follow(&mut numbered.expected, number) {
-            None => findings.bad("number_backwards", Some(at), || {
-                format!("the board's numbers of {stream} go back to {number}")
-            }),
+            None => findings.add(&Fault::NumberBackwards { stream, number }, Some(at)),
             Some(gap) => numbered.counts.missing += u64::from(gap),
         }
         numbered.counts.received += 1;
@@ -122,16 +116,12 @@ impl Numbers {
         if silence <= interval.saturating_mul(steps).saturating_add(interval / 2) || after_gap {
             return;
         }
-        let ms = silence as f64 * 1e3 / f64::from(TICK_HZ);
-        if has_reason {
-            findings.check("imu_gap", Some(at), || {
-                format!("{ms:.1} ms without IMU samples, as the board itself says")
-            });
+        let fault = if has_reason {
+            Fault::ImuGap(silence)
         } else {
-            findings.bad("imu_gap_unexplained", Some(at), || {
-                format!("{ms:.1} ms without IMU samples, and the board does not say why")
-            });
-        }
+            Fault::ImuGapUnexplained(silence)
+        };
+        findings.add(&fault, Some(at));
     }
 
     pub(super) const fn damaged_frames(&self) -> u64 {
@@ -148,14 +138,12 @@ impl Numbers {
                 ..
             } = stream.counts;
             if missing > 0 {
-                let lost = missing - dropped;
-                findings.add(Severity::Check, "messages_missing", (None, missing), || {
-                    format!(
-                        "{missing} messages of {name} are missing by the board's numbers: {dropped} \
-                         the board dropped itself, {lost} were lost on the link or with a damaged \
-                         part"
-                    )
-                });
+                let fault = Fault::MessagesMissing {
+                    stream: name,
+                    missing,
+                    dropped,
+                };
+                findings.add_many(&fault, None, missing);
             }
         }
         let streams = Stream::ALL.iter().zip(&self.streams);

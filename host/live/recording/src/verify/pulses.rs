@@ -1,6 +1,7 @@
 //! Checks that the pulses of the trigger lie on the grid of the alignment.
 
 use super::GridCheck;
+use super::fault::Fault;
 use super::findings::Findings;
 use crate::grid::FollowedGrid;
 use crate::messages::{Pulse, TriggerPeriod};
@@ -55,10 +56,8 @@ impl Pulses {
         if off != 0 {
             self.check.off += 1;
             self.check.worst_ticks = self.check.worst_ticks.max(off);
-            findings.bad("off_grid", Some(at), || {
-                let number = pulse.number;
-                format!("pulse {number} is {off} ticks off the grid of the alignment")
-            });
+            let number = pulse.number;
+            findings.add(&Fault::OffGrid { number, off }, Some(at));
         }
     }
 }

@@ -428,6 +428,11 @@ impl SessionEvent {
                 Kind::PhoneFiles,
                 format!("{count} files of {phone} were copied"),
             ),
+            Self::FilesDisagree {
+                phone,
+                fault,
+                next_step,
+            } => bad(Kind::PhoneFiles, format!("{phone}: {fault}"), next_step),
             Self::FilesNotFetched {
                 phone,
                 error,

@@ -1,11 +1,14 @@
 //! The phones' videos: start, watch, stop, and download.
 
+use std::path::Path;
 use std::time::Duration;
 
 use clock::BoardToPhone;
 use phone::adb::{copy_command, get_files_command};
-use phone::{Asked, VideoStart};
+use phone::{Asked, VideoStart, coverage, video_files};
 use recording::session_file::Video;
+use recording::verify::assumed_frames;
+use system::ReadMonitor;
 
 use crate::alignment::placement;
 use crate::error::{Stop, is_phone_fault};
@@ -286,5 +289,29 @@ pub(crate) fn fetch_files(session: &mut Session<'_>, place: usize) -> Result<(),
         },
         None => return Ok(()),
     };
-    session.log.report(event)
+    let is_fetched = matches!(event, SessionEvent::FilesFetched { .. });
+    session.log.report(event)?;
+    if is_fetched {
+        compare_files(session, place, &folder)?;
+    }
+    Ok(())
+}
+
+/// Compares a phone's files with each other, and with the frames that the trigger was aligned to.
+fn compare_files(session: &mut Session<'_>, place: usize, folder: &Path) -> Result<(), Stop> {
+    let Ok(Some(files)) = video_files::find(folder, None) else {
+        return Ok(());
+    };
+    let assumed = assumed_frames(&session.file, &session.file.phones[place]);
+    // A file that cannot be read is found by those who need it.
+    let faults = coverage::check(&files, assumed.as_ref(), &ReadMonitor::default());
+    for fault in faults.unwrap_or_default() {
+        let phone = session.phones.name(place);
+        session.log.report(SessionEvent::FilesDisagree {
+            phone,
+            fault: fault.to_string(),
+            next_step: fault.next_step(),
+        })?;
+    }
+    Ok(())
 }

@@ -191,11 +191,16 @@ fn report_failure(
     }
 }
 
-/// Finishes the files.
+/// Finishes `recording.mcap`.
 fn finish(session: &mut Session<'_>, result: Result<(), Stop>) -> Result<(), Stop> {
     session.closing = true;
     let writer = session.log.writer.take();
-    session.file.outcome = Some(session.outcome_of(&result));
-    let finished = writer.map_or(Ok(()), recording::writer::Writer::finish);
-    result.and(finished.map_err(Stop::from))
+    let finished = writer.map(recording::writer::Writer::finish).transpose();
+    let (topics, finished) = match finished {
+        Ok(topics) => (topics, Ok(())),
+        Err(error) => (None, Err(Stop::from(error))),
+    };
+    let result = result.and(finished);
+    session.file.close(session.outcome_of(&result), topics);
+    result
 }

@@ -204,6 +204,7 @@ fn create_files<'a>(
         .file_name()
         .map_or(name, |name| name.to_string_lossy().into_owned());
     let mut file = SessionFile::new(name, profile.clone());
+    file.asked_s = options.duration.map(|ticks| Ticks(ticks).as_secs_f64());
     file.started = now.strftime("%Y-%m-%dT%H:%M:%S%:z").to_string();
     file.board = Some(BoardInfo::new(sides.board.hello()));
     file.imu = Some(sides.imu.clone());
