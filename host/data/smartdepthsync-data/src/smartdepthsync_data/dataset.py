@@ -17,12 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .files import Files
+from .files import DatasetError, Files, is_below
 from .samples import Camera, Imu, Pair
-
-
-class DatasetError(Exception):
-    """A folder is not a readable data set. The message says why, and what to do."""
 
 
 class Dataset(Sequence):
@@ -40,6 +36,10 @@ class Dataset(Sequence):
             self.files = Files(self.path)
             self.report: dict[str, Any] = json.loads(self.files.read("report.json"))
             kind, parts = self.report["format"], [p["folder"] for p in self.report["sequences"]]
+            if not all(isinstance(part, str) and is_below(part) for part in parts):
+                raise ValueError(f"its parts {parts} are not all folders below it")
+            if not isinstance(self.report["recording"], str):
+                raise ValueError("it does not name its recording")
         except Exception as error:
             raise DatasetError(
                 f"{path} has no readable report.json ({error}); expected the output of "
@@ -155,8 +155,13 @@ class Dataset(Sequence):
     def cameras(self) -> dict[str, Camera]:
         """Cameras by name: ``phone``, ``depth`` (as written, after any registration), and the depth
         camera's ``color``."""
-        known = json.loads(self.files.read("cameras.json")) if "cameras.json" in self.files else {}
-        return {name: Camera.from_json(known.get(name, {})) for name in ("phone", "color", "depth")}
+        names = ("phone", "color", "depth")
+        try:
+            text = self.files.read("cameras.json") if "cameras.json" in self.files else "{}"
+            known = json.loads(text)
+            return {name: Camera.from_json(known.get(name, {})) for name in names}
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise DatasetError(f"cameras.json in {self.path} is damaged: {error}") from error
 
     @cached_property
     def board_imu(self) -> Imu:

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from .files import Files
+from .files import DatasetError, Files
 
 MILLIMETRES = 1000.0
+#: Most pixels of an image: 8K video has 33 million.
+MAX_PIXELS = 40_000_000
 
 
 @dataclass(frozen=True)
@@ -88,12 +90,12 @@ class Pair:
     @cached_property
     def image(self) -> np.ndarray:
         """The phone's image: (height, width, 3), 8 bits, in the order red, green, blue."""
-        return np.array(_open(self.files, self.image_path).convert("RGB"))
+        return _pixels(self.files, self.image_path, "RGB")
 
     @cached_property
     def depth_mm(self) -> np.ndarray:
         """Depth as stored: (height, width), whole millimetres in 16 bits; 0 is none."""
-        return np.array(_open(self.files, self.depth_path)).astype(np.uint16)
+        return _pixels(self.files, self.depth_path).astype(np.uint16)
 
     @property
     def depth(self) -> np.ndarray:
@@ -101,5 +103,13 @@ class Pair:
         return self.depth_mm.astype(np.float32) / np.float32(MILLIMETRES)
 
 
-def _open(files: Files, name: str) -> Image.Image:
-    return Image.open(io.BytesIO(files.read(name)))
+def _pixels(files: Files, name: str, mode: str | None = None) -> np.ndarray:
+    """Decodes an image. Its head is read first, so that a small file takes little memory."""
+    try:
+        image = Image.open(io.BytesIO(files.read(name)))
+        width, height = image.size
+        if width * height > MAX_PIXELS:
+            raise ValueError(f"{width} x {height} pixels are more than any camera here has")
+        return np.array(image if mode is None else image.convert(mode))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DatasetError(f"the image {name} in {files.path} cannot be read: {error}") from error
