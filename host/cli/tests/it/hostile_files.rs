@@ -11,6 +11,7 @@ use board::finding::Finding;
 use board::imu::Sample;
 use protocol::{HostToDevice, ImuFlags, Pulse, Ticks};
 use recording::SESSION_FILE;
+use recording::session_file::with_checksum;
 use recording::writer::Writer;
 use serde_json::Value;
 
@@ -65,7 +66,8 @@ fn with_session(parent: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
     let path = folder.join(SESSION_FILE);
     let mut session: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     change(&mut session);
-    fs::write(&path, session.to_string()).unwrap();
+    session.as_object_mut().unwrap().remove("checksum");
+    fs::write(&path, with_checksum(&session.to_string())).unwrap();
     folder
 }
 

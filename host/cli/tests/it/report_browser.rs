@@ -77,7 +77,8 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         .arg(&folder)
         .output()
         .unwrap();
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    // The marks and the gyroscope are not those of the session.
+    assert_eq!(output.status.code(), Some(4), "{output:?}");
     let written: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let report = folder.join("report.html");
     assert_eq!(written["report"], report.to_str().unwrap());

@@ -247,6 +247,9 @@ fn no_change_of_a_recording_is_called_good() {
     let text = fs::read_to_string(&path).unwrap();
     let document: Value = serde_json::from_str(&without_checksum(&text)).unwrap();
     each_change(&document, &mut |place, changed| {
+        if place.is_empty() {
+            return;
+        }
         let changed = serde_json::to_string_pretty(changed).unwrap();
         fs::write(&path, &changed).unwrap();
         judge(format!("session.json without a checksum: {place}"));

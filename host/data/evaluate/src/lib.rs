@@ -98,6 +98,10 @@ const CONTRADICTS_SIGMAS: f64 = 3.0;
 /// Accepted relative deviation besides, of a video that is cropped or scaled by a few rows.
 const ROWS: f64 = 0.02;
 
+/// Largest 1-sigma of a readout that is known, relative to it. A guess contradicts nothing: readouts
+/// of phones take 5 to 33 ms.
+const KNOWN: f64 = 0.05;
+
 /// Readout of a phone's whole picture as a rig profile states it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownReadout {
@@ -123,7 +127,8 @@ impl KnownReadout {
         let steps = rows.saturating_sub(1).max(1) as f64;
         let (expected, known) = (self.readout_us / steps, self.sigma_us / steps);
         let most = CONTRADICTS_SIGMAS * sigma_us.hypot(known) + ROWS * expected;
-        ((row_time_us - expected).abs() > most).then_some((expected, known))
+        let is_off = (row_time_us - expected).abs() > most;
+        (known <= KNOWN * expected && is_off).then_some((expected, known))
     }
 }
 
@@ -173,5 +178,30 @@ impl Settings {
             ));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_time_is_compared_with_a_readout_that_is_known() {
+        let readout = |sigma_us| KnownReadout {
+            readout_us: 11_005.8,
+            sigma_us,
+        };
+        // 180 rows: 61.5 µs a row.
+        let contradicts = |sigma_us, row_time_us| {
+            let found = readout(sigma_us).contradicts(row_time_us, 0.3, 180);
+            found.is_some()
+        };
+        for row_time_us in [23.0, 53.0, 65.0, 120.0] {
+            assert!(contradicts(0.0, row_time_us), "{row_time_us}");
+            assert!(!contradicts(3_000.0, row_time_us), "{row_time_us}");
+        }
+        for row_time_us in [60.0, 61.5, 63.0] {
+            assert!(!contradicts(0.0, row_time_us), "{row_time_us}");
+        }
     }
 }

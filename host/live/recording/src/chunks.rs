@@ -128,6 +128,7 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         op::CHANNEL => (4, 2),
         op::CHUNK => (28, 1),
         op::ATTACHMENT => (16, 2),
+        op::CHUNK_INDEX => return chunk_index_fits(body),
         op::FOOTER | op::MESSAGE | op::STATISTICS | op::DATA_END => return Some(()),
         _ => return None,
     };
@@ -149,6 +150,19 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         }
     }
     Some(())
+}
+
+/// Returns `Some` if the map and the string of an entry of the index fit into it.
+fn chunk_index_fits(body: &[u8]) -> Option<()> {
+    let skip = |bytes: &'_ [u8]| -> Option<usize> {
+        let long = u32::from_le_bytes(*bytes.first_chunk()?);
+        usize::try_from(long).ok()?.checked_add(4)
+    };
+    // Times, place and length of the chunk; places of its messages; their length.
+    let places = body.get(32..)?;
+    let rest = places.get(skip(places)?..)?.get(8..)?;
+    // The compression, and two lengths.
+    rest.get(skip(rest)?..)?.get(..16).map(drop)
 }
 
 /// Unpacks and checks the records of a chunk.
