@@ -23,7 +23,7 @@ use recording::messages::camera::Image;
 use recording::messages::{Header, Time, to_cdr};
 use recording::profile::Profile;
 use recording::rosbag2::{Bag, METADATA_FILE};
-use recording::session_file::{Marker, SessionFile, SessionOutcome};
+use recording::session_file::{Marker, SessionFile, SessionOutcome, Span};
 use recording::walk::{Event, Walk};
 use recording::writer::Writer;
 use system::ReadMonitor;
@@ -118,6 +118,10 @@ fn write_board(folder: &Path) -> SessionFile {
     profile.phone.gyro_delay_us = 0.0;
     let mut session = SessionFile::new("walk".into(), profile);
     session.phones[0].clock = Some(relation());
+    session.recorded = edges.first().zip(edges.last()).map(|(first, last)| Span {
+        from: *first,
+        to: *last,
+    });
     session.markers.push(Marker {
         at: Ticks(FIRST - 5_000 + 500 * 192_000),
         label: String::from("door"),
@@ -232,12 +236,10 @@ fn times_are_those_of_the_edges() {
     let depth = report.depth.unwrap();
     assert_eq!((depth.frames, depth.matched), (114, 114), "{depth:?}");
     assert_eq!(depth.missing, [20, 21, 75]);
-    // There is no recorded span.
-    assert!(report.losses[0].what.contains("nothing was recorded"));
     let parts: Vec<_> = report.losses.iter().map(|loss| loss.part).collect();
     assert_eq!(
         parts,
-        [LossPart::Board, LossPart::Phone, LossPart::Depth],
+        [LossPart::Phone, LossPart::Depth],
         "{:#?}",
         report.losses
     );

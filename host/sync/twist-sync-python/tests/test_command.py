@@ -7,6 +7,7 @@ are written by the libraries of others: rosbags, mcap, numpy.
 import bz2
 import contextlib
 import ctypes as C
+import gzip
 import io
 import json
 import os
@@ -19,6 +20,7 @@ import sysconfig
 import tempfile
 import unittest
 from types import SimpleNamespace
+from unittest import mock
 
 import layouts
 import numpy as np
@@ -473,6 +475,36 @@ class Others(Folder):
                 code, out, err = run(A, self.file(name, content))
                 self.assertEqual((code, out), (5, ""), err)
 
+    def test_small_files_cost_little(self):
+        held = np.zeros((20_000_000, 3), np.float32)
+        np.savez_compressed(self.folder / "memory.npz", time=held[:, 0], gyro=held)
+        np.savez(self.folder / "samples.npz", time=NS, gyro=W)
+        self.enterContext(mock.patch.multiple(files, SMALL_SAMPLES=99, SAMPLES_A_BYTE=0))
+        with gzip.open(self.folder / "text.csv.gz", "wb") as file:
+            file.write(b"0,0,0,0\n" * 10_000_000)
+        os.mkfifo(self.folder / "pipe.csv")
+        for name, said in [
+            ("memory.npz", "of memory would be needed"),
+            ("samples.npz", "samples; a file of its size"),
+            ("text.csv.gz", "an archive that holds more than"),
+            ("pipe.csv", "not a regular file"),
+        ]:
+            with self.subTest(name):
+                path = self.folder / name
+                if path.is_file():
+                    # Far below what it would take, and far above nothing.
+                    self.assertLess(path.stat().st_size, 2_000_000)
+                code, out, err = run(A, path)
+                self.assertEqual((code, out, said in err), (5, "", True), err)
+
+    def test_nothing_of_a_file_acts_on_the_terminal(self):
+        evil = self.file("\x1b]0;title\x07.csv", "time,x,y,z\n" + "\x1b[2J\x9b31m,0,0,0\n" * 9)
+        for files_given in [(A, evil), (A, self.folder / "none\x1b[2J.csv")]:
+            code, out, err = run(*files_given)
+            self.assertEqual(code, 5)
+            self.assertEqual([c for c in out + err if c != "\n" and not c.isprintable()], [])
+            self.assertIn("\\x1b", err)
+
     def test_a_reader_that_hangs_crashes_or_takes_all_memory_is_ended(self):
         video = self.file("a.mp4", b"\0\0\0\x10ftypmp41\0\0\0\0")
         parser = "class Parser:\n camera, model = 'Cam', 'A\\x1b1'\n def __init__(self, path): pass\n def normalized_imu(self): "
@@ -484,7 +516,7 @@ class Others(Folder):
             ("import time; time.sleep(99)", "ended with -14"),
             ("import os; os.abort()", "ended with -6"),
             ("import os; os._exit(7)", "ended with 7"),
-            ("return bytearray(9 << 30)", "MemoryError"),
+            ("return bytearray(1 << 30)", "of memory would be needed"),
             ("raise ValueError('No metadata')", "ValueError: No metadata"),
             ("print('noise'); return []", "telemetry"),
         ]:

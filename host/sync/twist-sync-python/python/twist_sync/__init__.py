@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _twist_sync
-from ._recording import Recording, Unreadable
+from ._recording import Recording, Unreadable, mean_step
 
 __version__: str = _twist_sync.version
 __all__ = [
@@ -423,11 +423,8 @@ def _stream(t: ArrayLike, w: ArrayLike, name: str) -> tuple[bytes, bytes, bool]:
             f"t_{name} has shape {t.shape} and w_{name} {w.shape}; expected (n,) and (n, 3)"
         )
     nanos = t.dtype.kind == "i"
-    known = t[np.isfinite(t)].astype(np.float64)
-    if len(known) > 1:
-        # Wild stamps at either end do not count.
-        low, high = np.quantile(known, (0.1, 0.9))
-        step = (high - low) / (0.8 * (len(known) - 1)) * (1e-9 if nanos else 1.0)
+    if len(t) > 1:
+        step = mean_step(t) * (1e-9 if nanos else 1.0)
         if step and not _STEPS_S[0] < step < _STEPS_S[1]:
             unit = "integers are nanoseconds" if nanos else "floats are seconds"
             raise ValueError(

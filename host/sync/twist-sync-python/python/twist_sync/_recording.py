@@ -13,6 +13,15 @@ class Unreadable(Exception):
     """A file without a readable gyroscope; the message says what was expected and what to do."""
 
 
+def mean_step(t: np.ndarray) -> float:
+    """Returns the mean distance of times, in their unit; wild stamps at either end do not count."""
+    known = t[np.isfinite(t)].astype(np.float64)
+    if len(known) < 2:
+        return 0.0
+    low, high = np.quantile(known, (0.1, 0.9))
+    return float(high - low) / (0.8 * (len(known) - 1))
+
+
 @dataclass(eq=False)
 class Recording:
     """A gyroscope's recording.

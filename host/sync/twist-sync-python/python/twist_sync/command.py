@@ -129,6 +129,11 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
+def _plain(text: str) -> str:
+    """Replaces what would act on a terminal: names and lines of files are printed."""
+    return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def _once(text: str) -> str:
     return f"{text}; once for all, or once for each in their order"
 
@@ -146,7 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return GOOD
     except (Unreadable, OSError) as error:
-        print(f"twist-sync: {error}", file=sys.stderr)
+        print(_plain(f"twist-sync: {error}"), file=sys.stderr)
         return UNREADABLE
     except KeyboardInterrupt:
         return 130
@@ -180,9 +185,9 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(_finite({**found, "written": written})))
     else:
-        print(_text(solved, found))
+        print(_plain(_text(solved, found)))
         for line in written:
-            print(f"written: {line}")
+            print(_plain(f"written: {line}"))
         if solved.network:
             paths = ", ".join(repr(path) for path in options.recordings)
             print(f"in Python, t in ns: twist_sync.sync([{paths}]).clock(1).b_to_a(t)")

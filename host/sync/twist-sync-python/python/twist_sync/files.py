@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import math
 import os
 import re
 import signal
@@ -23,15 +24,19 @@ from typing import Any
 import numpy as np
 
 from . import text
-from ._recording import Recording, Unreadable
+from ._recording import Recording, Unreadable, mean_step
 from .tables import Asked
 from .tables import read as read_tables
 
-#: Longest time, s, and most memory, bytes, of a reader in another process.
-LIMIT_S = 600
-LIMIT_BYTES = 8 << 30
-#: Most bytes that an archive may hold, unpacked.
-LARGEST = 4 << 30
+#: Longest time, s, and most memory, bytes, of a reader in another process; and those of a small
+#: file, with what each of its bytes adds.
+LIMIT_S, SMALL_S, S_A_BYTE = 600.0, 40.0, 2e-6
+LIMIT_BYTES, SMALL_BYTES, BYTES_A_BYTE = 8 << 30, 256 << 20, 60
+#: Most bytes that an archive may hold, unpacked; and those of a small one, with what each of its bytes
+#: adds: text of numbers is packed to a tenth.
+LARGEST, SMALL_LARGEST, LARGEST_A_BYTE = 4 << 30, 16 << 20, 30
+#: Most samples of a small file, and those that each of its bytes adds.
+SMALL_SAMPLES, SAMPLES_A_BYTE = 250_000, 1
 #: Mean distance of samples that no gyroscope's exceeds, s, and the share of rows that may repeat
 #: the values of the one before without a remark.
 LARGEST_STEP_S, MOST_HELD = 0.2, 0.1
@@ -94,6 +99,9 @@ def kind(path: Path) -> str:
     """Selects the reader of a file by its first bytes."""
     if path.is_dir():
         return "bag"
+    # A pipe would be waited for, and cannot be read twice.
+    if path.exists() and not path.is_file():
+        raise Unreadable("not a regular file: write it into one first")
     with path.open("rb") as file:
         first = file.read(64)
     if first.startswith(b"PK\x03\x04"):
@@ -118,11 +126,12 @@ def _unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Pa
         name, topic = (named[0], None) if len(named) == 1 else (_best(names, "archive"), topic)
         source = archive.open(name)
     out = folder / Path(name).name
+    most = min(LARGEST, SMALL_LARGEST + LARGEST_A_BYTE * file.stat().st_size)
     with source, out.open("wb") as copy:
         while block := source.read(1 << 20):
             copy.write(block)
-            if copy.tell() > LARGEST:
-                raise Unreadable(f"an archive of more than {LARGEST >> 30} GiB: unpack it")
+            if copy.tell() > most:
+                raise Unreadable(f"an archive that holds more than {most >> 20} MiB: unpack it")
     return out, topic
 
 
@@ -185,7 +194,7 @@ def read(
     except Unreadable as error:
         raise Unreadable(f"{file}: {error}") from None
     # Of bytes that no reader expects.
-    except (ValueError, LookupError, ArithmeticError, RuntimeError) as error:
+    except (ValueError, LookupError, ArithmeticError, RuntimeError, MemoryError, subprocess.TimeoutExpired) as error:
         raise Unreadable(f"{file}: cannot be read: {type(error).__name__}: {error}") from None
     finite = np.isfinite(found.w).all(axis=1)
     if not finite.all():
@@ -193,7 +202,7 @@ def read(
         found.t, found.w = found.t[finite], found.w[finite]
     if len(found.t) < 2:
         raise Unreadable(f"{file}: {found.form}: no samples of a gyroscope")
-    step = found.seconds / (len(found.t) - 1)
+    step = mean_step(found.t) * 1e-9
     if not 0 < step < LARGEST_STEP_S:
         raise Unreadable(
             f"{file}: {found.form}: its samples are {step:.3g} s apart, which no gyroscope's are: give "
@@ -208,14 +217,23 @@ def read(
     return found
 
 
+def _size(path: Path) -> int:
+    """Returns the length of a file, or of all files of a folder, bytes."""
+    return sum(one.stat().st_size for one in (path.rglob("*") if path.is_dir() else [path]) if one.is_file())
+
+
 def _in_process(path: Path, how: str, asked: Asked) -> Recording:
-    arguments = json.dumps([os.fspath(path.absolute()), how, vars(asked), LIMIT_S, LIMIT_BYTES])
+    size = _size(path)
+    seconds = math.ceil(min(LIMIT_S, SMALL_S + S_A_BYTE * size))
+    memory = min(LIMIT_BYTES, SMALL_BYTES + BYTES_A_BYTE * size)
+    samples = SMALL_SAMPLES + SAMPLES_A_BYTE * size
+    arguments = json.dumps([os.fspath(path.absolute()), how, vars(asked), seconds, memory, samples])
     done = subprocess.run(
         [sys.executable, "-c", _CHILD, arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        timeout=LIMIT_S + 60,
+        timeout=seconds + 20,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
     if done.returncode == -signal.SIGINT:
@@ -225,8 +243,8 @@ def _in_process(path: Path, how: str, asked: Asked) -> Recording:
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         said = "".join(c for c in said if c.isprintable())[:200]
         raise Unreadable(
-            f"its reader ended with {done.returncode} ({said or 'no word'}); it may take {LIMIT_S} s "
-            f"and {LIMIT_BYTES / 2**30:.3g} GB of memory"
+            f"its reader ended with {done.returncode} ({said or 'no word'}); it may take {seconds} s "
+            f"and {memory / 2**30:.3g} GiB of memory for a file of {size} bytes"
         )
     found = json.loads(head)
     if "error" in found:
@@ -240,7 +258,7 @@ def _in_process(path: Path, how: str, asked: Asked) -> Recording:
 
 
 def _child() -> None:
-    path, how, asked, seconds, memory = json.loads(sys.argv[1])
+    path, how, asked, seconds, memory, samples = json.loads(sys.argv[1])
     # Libraries may print to the standard output.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -250,12 +268,15 @@ def _child() -> None:
         # The system ends it, even within a long call, and even if its parent has gone.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.alarm(seconds)
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
         memory = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (memory, hard))
+        # Of what is allocated: libraries and threads map far more than they use.
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
         found = _read_here(Path(path), how, Asked(**asked))
+        if len(found.t) > samples:
+            raise Unreadable(f"{len(found.t)} samples; a file of its size holds up to {samples}: unpack it")
         head = {
             "form": found.form,
             "notes": found.notes,
@@ -268,6 +289,8 @@ def _child() -> None:
     # A panic of Rust is no Exception.
     except BaseException as error:
         said = str(error) if isinstance(error, Unreadable) else f"{type(error).__name__}: {error}"
+        if isinstance(error, MemoryError):
+            said = f"more than {memory / 2**30:.3g} GiB of memory would be needed for it"
         head, arrays = {"error": "".join(c for c in said if c.isprintable())[:1000]}, []
     out.write(json.dumps(head).encode() + b"\n")
     for array in arrays:

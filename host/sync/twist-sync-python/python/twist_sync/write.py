@@ -6,6 +6,7 @@ import csv
 import re
 import shutil
 import sqlite3
+import zipfile
 from collections.abc import Callable, Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -69,7 +70,11 @@ def _again(recording: Recording, clock: DeviceClock, out: Path) -> str:
         if len(times) == len(recording.t):
             kind = "M8[ns]" if times.dtype.kind == "M" else np.int64
             arrays[recording.topic] = clock.b_to_a(recording.t).astype(kind)
-            np.savez(out, **arrays)
+            # Not by numpy.savez: an array may have the name of one of its arguments.
+            with zipfile.ZipFile(out, "x") as archive:
+                for name, array in arrays.items():
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                        np.lib.format.write_array(file, array, allow_pickle=False)
             return f"{out}: times of {recording.topic!r} in ns"
     table = out.with_name(f"{out.name}_gyro.csv")
     _list(table, clock, recording.t, recording.w)
