@@ -223,6 +223,11 @@ pub(crate) trait Layout: Sync {
         (Cow::Borrowed(millimetres), 0)
     }
 
+    /// Returns the file into which the images of a sequence are joined; `None` if they stay files.
+    fn joined(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Returns the table of the board's IMU.
     fn board_imu(&self) -> ImuTable;
 

@@ -49,7 +49,7 @@ use crate::report::{
 use crate::time::BoardNanos;
 use board::finding::{Finding, Severity};
 use recording::SESSION_FILE;
-use recording::contents::FileSums;
+use recording::contents::{FileContents, FileSums};
 use recording::error_budget::ErrorPart;
 use recording::verify::{Verification, verify_with};
 use system::ReadMonitor;
@@ -93,7 +93,14 @@ struct Extraction<'a> {
     remarks: Vec<String>,
     /// True if images are missing that the next run may write.
     unfinished: bool,
+    /// True if an earlier run joined the images into larger files, which are as it wrote them.
+    is_joined: bool,
+    /// The larger files of this run, relative to the output.
+    joined: Vec<PathBuf>,
 }
+
+/// Larger files into which images were joined, by their paths, as a finished step keeps them.
+type Joined = BTreeMap<PathBuf, FileContents>;
 
 /// Extracts a data set, and returns its report.
 ///
@@ -196,6 +203,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
         remarks: run.remarks.clone(),
     };
     run.check_stop()?;
+    run.keep_joined()?;
     run.write_report(&report)?;
     Ok(report)
 }
@@ -240,6 +248,12 @@ impl<'a> Extraction<'a> {
         let mut sums = FileSums::default();
         let marks = file_marks(&inputs, &mut sums, &job.monitor)?;
         let output = OutputDir::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
+        let joined = output.outcome::<Joined>("joined").unwrap_or_default();
+        let is_whole = |(path, held): (&PathBuf, &FileContents)| {
+            let found = FileContents::read(&output.out.join(path), &job.monitor);
+            found.is_ok_and(|found| found == *held)
+        };
+        let is_joined = !joined.is_empty() && joined.iter().all(is_whole);
         let verification = verify_with(&inputs.board, &mut sums, &job.monitor)?;
         Ok(Self {
             job,
@@ -248,6 +262,8 @@ impl<'a> Extraction<'a> {
             inputs,
             output,
             unfinished: false,
+            is_joined,
+            joined: Vec::new(),
         })
     }
 }
@@ -293,6 +309,20 @@ impl Extraction<'_> {
             path: self.output.out.clone(),
             error,
         }
+    }
+
+    /// Keeps what a later run compares the larger files with into which the images were joined.
+    fn keep_joined(&self) -> Result<(), ExtractError> {
+        if self.unfinished || self.joined.is_empty() {
+            return Ok(());
+        }
+        let read = |path: &PathBuf| {
+            let contents = FileContents::read(&self.output.out.join(path), &self.job.monitor)?;
+            Ok((path.clone(), contents))
+        };
+        let joined: io::Result<Joined> = self.joined.iter().map(read).collect();
+        let kept = joined.and_then(|joined| self.output.store("joined", &joined));
+        kept.map_err(|error| self.failed(error))
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {

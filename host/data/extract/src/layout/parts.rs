@@ -24,16 +24,9 @@ pub(super) fn join(
         &tables.infrared,
     ];
     let mut images = images.into_iter().flatten();
-    let gone = images.find(|row| !folder.join(&row.path).exists());
-    match gone {
-        Some(_) if whole.exists() => {}
-        Some(_) => {
-            return Err(io::Error::other(format!(
-                "{} is gone, and so are the images that it was made of; extract again with --overwrite",
-                whole.display()
-            )));
-        }
-        None => make()?,
+    // If the larger file were not whole, the images would have been written again.
+    if !whole.exists() || images.all(|row| folder.join(&row.path).exists()) {
+        make()?;
     }
     let parts = folder.join(".parts");
     if parts.exists() && !tables.unfinished {

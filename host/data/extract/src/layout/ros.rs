@@ -29,6 +29,7 @@ use crate::output::png_file::{Decoded, read_png};
 use crate::output::whole_file::{WholeFile, write_whole};
 use crate::time::BoardNanos;
 
+const BAG: &str = "ros2/data.mcap";
 const BOARD_IMU: &str = ".parts/imu0.csv";
 const PHONE_IMU: &str = ".parts/imu1.csv";
 const MCAP_FILE: &str = "data.mcap";
@@ -58,6 +59,10 @@ impl Layout for Ros2 {
         Some(ImuTable::plain(PHONE_IMU, ""))
     }
 
+    fn joined(&self) -> Option<&'static str> {
+        Some(BAG)
+    }
+
     fn finish(
         &self,
         folder: &Path,
@@ -66,7 +71,7 @@ impl Layout for Ros2 {
     ) -> io::Result<()> {
         super::auxiliary::write(folder, tables)?;
         write_offset(folder)?;
-        let path = folder.join("ros2").join(MCAP_FILE);
+        let path = folder.join(BAG);
         parts::join(folder, &path, tables, || {
             write_bag(&path, folder, tables, facts)
         })

@@ -259,7 +259,7 @@ impl Extraction<'_> {
             color: depth.color.iter().map(color_path).collect(),
         };
         let stored = self.output.outcome::<DepthOutcome>("depth");
-        let outcome = match stored.filter(|outcome| outcome.is_there(&paths)) {
+        let outcome = match stored.filter(|outcome| self.is_joined || outcome.is_there(&paths)) {
             Some(outcome) => outcome,
             None => {
                 let view = DepthImageView {

@@ -61,6 +61,8 @@ impl Extraction<'_> {
             layout
                 .finish(&data, &tables, facts)
                 .map_err(|error| self.failed(error))?;
+            let joined = layout.joined().map(|name| below.join(&folder).join(name));
+            self.joined.extend(joined);
             let folder = folder.display().to_string();
             reports.push(SequenceReport {
                 folder: if folder.is_empty() {

@@ -218,7 +218,7 @@ impl Extraction<'_> {
             None => String::from("video"),
         };
         let stored = self.output.outcome::<VideoOutcome>(&step);
-        let outcome = match stored.filter(|outcome| outcome.is_there(&paths)) {
+        let outcome = match stored.filter(|outcome| self.is_joined || outcome.is_there(&paths)) {
             Some(outcome) => outcome,
             None => match Video::open(&video, Pixels::Rgb, &self.job.monitor) {
                 Ok(decoder) => {
