@@ -2,7 +2,7 @@
 //!
 //! mdBook itself does not fail on a broken link, so the links are walked here:
 //! a relative target must exist, a fragment must be the slug of a heading of
-//! its page, every page must be listed in `SUMMARY.md`. A file of the source tree
+//! its page, every page must be listed in `SUMMARY.md`, and the book stays short. A file of the source tree
 //! that a page names in code, from the root, must exist too. So must what README and
 //! CONTRIBUTING link to.
 
@@ -17,6 +17,9 @@ use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
 
+/// The most words of all pages, without the help of the commands and the files that they show.
+const MOST_WORDS: usize = 18_000;
+
 /// The folders whose files the book names by their path from the root.
 const SOURCES: [&str; 6] = [
     "firmware/",
@@ -27,16 +30,35 @@ const SOURCES: [&str; 6] = [
     "docs/",
 ];
 
-/// Fails on any broken local link of the book.
+/// Fails on any broken local link of the book, and if it is too long.
 pub(crate) fn check() -> Result<()> {
-    check_links(&pages(None)?, &process::root())
+    check_links(&pages(None)?, &process::root())?;
+    let mut count = 0;
+    for path in process::files_below(&process::root().join("docs"))? {
+        if path.extension().is_some_and(|extension| extension == "md") {
+            count += words(&fs::read_to_string(path)?);
+        }
+    }
+    if count > MOST_WORDS {
+        bail!("the book has {count} words, expected at most {MOST_WORDS}: shorten it");
+    }
+    println!("the book's links hold; it has {count} words of at most {MOST_WORDS}");
+    Ok(())
 }
 
-/// Builds the book into `target/book` and fails on any broken local link.
+/// Counts what has a letter or a digit, so that the bars of tables are no words.
+fn words(text: &str) -> usize {
+    let words = text.split_whitespace();
+    words
+        .filter(|word| word.contains(char::is_alphanumeric))
+        .count()
+}
+
+/// Builds the book into `target/book` and checks it.
 pub(crate) fn build_and_check() -> Result<()> {
     process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
+    check()?;
     let source = pages(Some(&process::program("smartdepthsync")))?;
-    check_links(&source, &process::root())?;
     let features = ["--no-default-features", "--features", "search"];
     let mdbook = tools::ensure_cargo_tool("mdbook", MDBOOK_VERSION, &features)?;
     let book = process::target_dir().join("book");
@@ -227,6 +249,14 @@ mod tests {
     #[test]
     fn the_pages_of_this_tree_are_whole() {
         check().unwrap();
+    }
+
+    #[test]
+    fn bars_of_tables_are_no_words() {
+        assert_eq!(
+            words("# Two words\n\n| a | 3 |\n|---|---|\n| `c d` | – |\n"),
+            6
+        );
     }
 
     #[test]
