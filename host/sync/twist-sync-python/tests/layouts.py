@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 #: The motion lasts so long, s.
-LENGTH = 13.0
+LENGTH = 7.0
 
 
 class Motion:
@@ -28,11 +28,14 @@ class Motion:
         self.p = rng.uniform(0, 2 * np.pi, (3, 8))
         self.size = size
         fine = np.arange(-0.5, LENGTH + 0.5, 1 / 2000)
-        steps = Rotation.from_rotvec(self.w(fine[:-1] + 0.25e-3) / 2000).as_quat()
-        out = [Rotation.from_euler("zyx", [0.4, 0.3, -0.2])]
-        for step in steps:
-            out.append(out[-1] * Rotation.from_quat(step))
-        self.turns = Slerp(fine, Rotation.concatenate(out))
+        # Products of ever more of them, by doubling.
+        turns = Rotation.from_rotvec(self.w(fine[:-1] + 0.25e-3) / 2000)
+        far = 1
+        while far < len(turns):
+            turns = Rotation.concatenate([turns[:far], turns[:-far] * turns[far:]])
+            far *= 2
+        first = Rotation.from_euler("zyx", [0.4, 0.3, -0.2])
+        self.turns = Slerp(fine, Rotation.concatenate([first, first * turns]))
 
     def w(self, t):
         waves = np.sin(2 * np.pi * self.f * np.asarray(t)[:, None, None] + self.p)

@@ -26,7 +26,7 @@ import layouts
 import numpy as np
 
 import twist_sync
-from twist_sync import command, files, text, video
+from twist_sync import command, files, report, text, video
 
 ROOT = pathlib.Path(__file__).resolve().parents[4]
 A = command.EXAMPLE / "mcu_gyro_data.csv"
@@ -128,13 +128,17 @@ class Texts(Folder):
                 step = (read.t - read.t[0]) - (NS - NS[0])
                 self.assertLess(np.abs(step).max(), 1001)
 
-    def test_plain_tables_are_not_read_line_by_line(self):
-        slow = text.lines_of
-        self.addCleanup(setattr, text, "lines_of", slow)
-        text.lines_of = lambda *_: self.fail("line by line")
-        for name in ("OpenCamera-Sensors", "Sensor Logger", "phyphox", "EuRoC", "PX4"):
+    def test_fields_of_regular_rows_are_not_judged_one_by_one(self):
+        judged = []
+        is_row = text.Dialect.is_row
+        self.addCleanup(setattr, text.Dialect, "is_row", is_row)
+        text.Dialect.is_row = lambda own, fields: judged.append(1) or is_row(own, fields)
+        for name in ("OpenCamera-Sensors", "Sensor Logger", "phyphox, decimal commas", "EuRoC", "PX4"):
+            judged.clear()
             path = self.file("b.csv", TEXTS[name][0])
             self.assertEqual(len(twist_sync.read(path).t), len(T))
+            # Those by which the separators are found, and one of the table.
+            self.assertLess(len(judged), 400 * 9 + 9)
 
     def test_what_cannot_be_found_can_be_said(self):
         path = self.file("b.txt", "7\n" + rows("5 {2} {3} {1} {0}", (T - T[0]) * 1e6))
@@ -341,7 +345,7 @@ class Bags(Folder):
                             pack = store.serialize_ros1 if ros1 else store.serialize_cdr
                             writer.write(connection, ns, pack(message, kind))
                     read = twist_sync.read(path)
-                    self.assertIn("poses' orientations", read.form)
+                    self.assertIn("quaternions", read.form)
                     self.assertEqual(len(read.t), len(made.ns) - 1)
                     error = read.w - made.motion.w(read.t * 1e-9)
                     self.assertLess(np.abs(error).max(), 0.06)
@@ -350,10 +354,10 @@ class Bags(Folder):
         path = self.folder / "b.bag"
         write_bag(path, "ros1", W, ("/imu/data", "/other"))
         code, _, err = run(A, path)
-        self.assertEqual((code, "several gyroscopes: /imu/data, /other" in err), (5, True), err)
+        self.assertEqual((code, "several gyroscopes: @/imu/data" in err), (5, True), err)
         self.assertTrue(self.offset(A, f"{path}@/other")["accepted"])
         code, _, err = run(A, f"{path}@/chat")
-        self.assertEqual((code, "its topics: /chat" in err), (5, True), err)
+        self.assertEqual((code, "no gyroscope named" in err and "/chat" in err), (5, True), err)
 
 
 def insta360(t, w):
@@ -646,9 +650,76 @@ class Command(Folder):
         self.assertLess(
             abs(pair["offset_s"] - 7 - 2e-5 * pair["reference_s"]), 5 * pair["offset_sigma_s"]
         )
-        self.assertIn("windows", run(a, b)[1])
+        self.assertRegex(run(a, b)[1], r"^RELATED: .* to ± .* \(95 %\); 7 of 7 stretches agree")
+        self.assertIn("7 windows: 7 estimates used", run(a, b, "-v")[1])
         self.assertIsNone(self.offset(a, b, "--twist")["windows"])
         self.assertIsNotNone(self.offset(A, B, "--whole", "--max-sigma-us", "5000")["windows"])
+
+    def test_recordings_that_were_together_only_at_times_are_related_there(self):
+        rng = np.random.default_rng(8)
+
+        def motion(t):
+            f, p = rng.uniform(0.3, 3, 12), rng.uniform(0, 6, (12, 3))
+            return sum(np.sin(2 * np.pi * f * t[:, None] + p) for f, p in zip(f, p))
+
+        t = np.arange(0, 400, 1 / 100)
+        together = ((t > 10) & (t < 50)) | ((t > 350) & (t < 390))
+        a, b = motion(t), 1.5 * motion(t)
+        b[together] = a[together] @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+        form = "{:.9f},{:.6f},{:.6f},{:.6f}"
+        noisy = lambda w: w + rng.normal(0, 3e-3, w.shape)  # noqa: E731
+        first = self.file("a.csv", "t (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + rows(form, t, noisy(a)))
+        second = self.file("b.csv", "t (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + rows(form, t * (1 + 2e-5) + 7, noisy(b)))
+        code, out, err = run(first, second)
+        self.assertEqual(code, 0, out + err)
+        self.assertRegex(out, r"^RELATED: .*, to ± [\d.]+ µs \(95 %\) where they were together; 8 of 8 stretches agree")
+        self.assertRegex(out, r"b.csv - a.csv, 50\.0 to 350\.0 s: nothing supports the relation there")
+        relation = twist_sync.sync([first, second]).pairs[0].found
+        for at in (30.0, 370.0):
+            there = relation.at(at)
+            self.assertLess(abs(there.offset - 2e-5 * at), 4 * there.offset_sigma)
+            self.assertLess(there.offset_sigma, 20e-6)
+        self.assertGreater(relation.at(200.0).offset_sigma, 1e-3)
+        # Nothing else in common.
+        alone = self.file("c.csv", "t (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + rows(form, t, noisy(1.5 * motion(t))))
+        code, out, _ = run(first, alone)
+        self.assertEqual((code, out.startswith("NOT RELATED: ")), (3, True), out)
+
+    def test_mirrored_axes_and_units_that_cannot_be_are_said(self):
+        made = layouts.Made(layouts.Motion())
+        form = "t,x rad/s,y rad/s,z rad/s\n"
+        right = self.file("a.csv", form + rows("{},{},{},{}", made.s, made.w))
+        for axes in ([0, 1, 2], [1, 0, 2]):
+            w = made.again(seed=4).w[:, axes] * ([1, 1, -1] if axes[0] == 0 else 1)
+            mirrored = self.file("b.csv", form + rows("{},{},{},{}", made.s, w))
+            code, out, _ = run(right, mirrored)
+            self.assertEqual(code, 0)
+            self.assertRegex(out, "^RELATED.*mind the warning")
+            self.assertIn("mirrored: in one of them two axes are exchanged", out)
+            pair = self.offset(right, mirrored)
+            self.assertEqual((pair["mirrored"], pair["rotation"]), (True, None))
+        self.assertFalse(self.offset(A, B)["mirrored"])
+        wrong = self.file("c.csv", "t,x,y,z\n" + rows("{},{},{},{}", T, W))
+        code, out, _ = run(B, wrong, "--unit", "rad/s", "--unit", "deg/s")
+        self.assertEqual(code, 3)
+        self.assertRegex(out.splitlines()[0], r"57 times as fast as c\.csv.*the unit of .*c\.csv \(given\) is doubted.*Next: give it with --unit")
+
+    def test_a_refusal_is_drawn_with_its_gates_and_ten_recordings_end_in_ten_rows(self):
+        from twist_sync import plot
+
+        other = self.file("other.csv", "t,x rad/s,y rad/s,z rad/s\n" + rows("{},{},{},{}", T, np.roll(W[::-1], 700, axis=0)))
+        solved = twist_sync.sync([A, other])
+        figure = plot.figure(solved)
+        self.assertRegex(figure.axes[0].get_title(), "^NOT RELATED: ")
+        self.assertEqual([len(axes.patches) > 3 or len(axes.lines) == 2 for axes in figure.axes], [True, True])
+        figure = plot.figure(twist_sync.sync([A, B]))
+        self.assertRegex(figure.axes[0].get_title(), r"^RELATED: .* \(95 %\)")
+        self.assertEqual([line.get_label()[-6:] for line in figure.axes[0].lines][-1], " after")
+        read = [twist_sync.read(p) for p in (A, B)]
+        solved = twist_sync.sync([read[k % 2] for k in range(4)])
+        lines = report.text_of(solved, report.object_of(solved), None, False).splitlines()
+        self.assertIn("its clock less the first", lines[-5])
+        self.assertEqual([line.split()[0] for line in lines[-4:]], [r.name for r in solved.recordings])
 
     def test_commands_of_the_documents_are_those_of_the_program(self):
         pages = [

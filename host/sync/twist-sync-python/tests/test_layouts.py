@@ -16,7 +16,7 @@ from layouts import LAYOUTS, Made, Motion, xyz
 from scipy.spatial.transform import Rotation
 
 import twist_sync
-from twist_sync import command, files, write
+from twist_sync import command, files, held, network, report, write
 
 MOTION = Motion()
 BY_NAME = {layout.name: layout for layout in LAYOUTS}
@@ -24,7 +24,11 @@ SINCE_2000 = 946_684_800 * 10**9
 
 
 class Folder(unittest.TestCase):
+    """With readers in this process; that of others is tested in `test_command`."""
+
     def setUp(self):
+        self.addCleanup(setattr, files, "_in_process", files._in_process)
+        files._in_process = files._read_here
         self.folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory()))
 
     def file(self, name, content):
@@ -50,7 +54,7 @@ class Layouts(Folder):
                     start = read.t[0] - round(0.0525e9 if layout.kind == "orientations" else 0.05e9)
                 elif layout.name.startswith("Polar"):
                     start = layouts.EPOCH - SINCE_2000
-                self.assertGreater(read.seconds, 11.8)
+                self.assertGreater(read.seconds, layouts.LENGTH - 1.2)
                 expected = MOTION.w((read.t - start) * 1e-9)
                 self.assertLess(np.abs(read.w - expected).max(), layout.off, read.form)
 
@@ -61,28 +65,29 @@ class Layouts(Folder):
         self.assertEqual(len(kinds), 7)
         self.assertTrue(all(layout.source for layout in LAYOUTS))
 
-    def test_every_text_is_written_again_with_its_times_moved_exactly(self):
+    def test_every_file_is_written_again_with_its_times_moved_exactly(self):
         moved = 1_234_567_891
-        clock = SimpleNamespace(b_to_a=lambda t: t + moved)
-        count = 0
+        clock = SimpleNamespace(b_to_a=lambda t: t + moved, offset=lambda t: (0 * t, 0 * t))
+        kept = 0
         for layout in LAYOUTS:
-            made = Made(MOTION, start=layout.start)
-            read = self.read(layout, made)
-            if read.layout is None:
-                continue
             with self.subTest(layout.name):
-                out = io.StringIO(newline="")
-                said = write._text(read, clock, out)
-                self.assertGreaterEqual(int(said.split()[0]), len(read.t) // 2)
-                path = self.file("again" + layout.suffix, out.getvalue().encode(errors="surrogateescape"))
-                again = twist_sync.read(f"{path}@{layout.topic}" if layout.topic else path, **layout.options)
+                made = Made(MOTION, start=layout.start)
+                read = self.read(layout, made)
+                out = self.folder / f"again{layout.suffix}"
+                out.unlink(missing_ok=True)
+                said = write.again(read, clock, out)
+                path = pathlib.Path(said.partition(": ")[0])
+                is_kept = path == out
+                again = twist_sync.read(f"{path}@{layout.topic}" if layout.topic and is_kept else path, **layout.options if is_kept else {})
+                path.unlink()
+                self.assertLess(np.abs(again.t - read.t - moved).max(), 300)
+                if not is_kept:
+                    np.testing.assert_allclose(again.w, read.w, rtol=1e-12)
+                    self.assertIn(layout.kind, ("containers", "orientations", "time"))
+                    continue
                 np.testing.assert_array_equal(again.w, read.w)
-                away = again.t - read.t - moved
-                self.assertLess(np.abs(away).max(), 300)
-                lines = read.path.read_bytes().decode("utf-16" if b"\0" in read.path.read_bytes()[:9] else "utf-8")
-                self.assertEqual(len(out.getvalue().splitlines()), len(lines.splitlines()))
-                count += 1
-        self.assertGreater(count, 35)
+                kept += 1
+        self.assertGreater(kept, 55)
 
 
 def case(a, b, bound, a_zero=None, b_zero=None, **more):
@@ -218,9 +223,6 @@ class Refusals(Folder):
                 raise ImportError(name)
             return real(name, *more, **also)
 
-        # In this process, where the libraries can be hidden.
-        self.addCleanup(setattr, files, "_in_process", files._in_process)
-        files._in_process = files._read_here
         self.addCleanup(setattr, builtins, "__import__", real)
         for name, extra in [
             ("MAT-file", "mat"),
@@ -247,12 +249,81 @@ class Refusals(Folder):
         again = twist_sync.read(path, columns=["1", "5", "6", "7", "8"], unit="world-to-body")
         self.assertGreater(np.abs(again.w - read.w).max(), 1)
 
-    def test_held_values_and_gaps_of_orientations_are_said(self):
-        made = Made(MOTION)
-        path = self.file("a.csv", "t (s),gx,gy,gz\n" + made.rows("{:.4f},{:.5f},{:.5f},{:.5f}", made.s, *xyz(np.repeat(made.w[::2], 2, axis=0)[: len(made.s)])))
-        self.assertRegex(str(twist_sync.read(path).notes), "50% of its rows repeat .* up to 5 ms older")
-        read = self.read(BY_NAME["Motive, quaternions"], made)
+    def test_gaps_of_orientations_are_said(self):
+        read = self.read(BY_NAME["Motive, quaternions"], Made(MOTION))
         self.assertRegex(str(read.notes), r"and 20 more: .* is no row.*1 gaps of its orientations")
+
+
+class HeldValues(unittest.TestCase):
+    """Rows of a logger that repeat the latest value of a sensor at other rates."""
+
+    @staticmethod
+    def sensor(rate, phase=0.0013, length=6.9):
+        t = np.arange(0.01 + phase, length, 1 / rate)
+        return t, MOTION.w(t) + np.random.default_rng(1).normal(0, 2e-3, (len(t), 3))
+
+    @staticmethod
+    def polled(rows, t, w):
+        rows = rows[rows >= t[0]]
+        return rows, w[np.searchsorted(t, rows, side="right") - 1]
+
+    def off(self, t, w):
+        """Error of the offset to an ordinary gyroscope, its sigma, s, and notes."""
+        ns, (t_b, w_b) = np.round(t * 1e9).astype(np.int64), self.sensor(333.0, 0.0)
+        a = twist_sync.Recording(pathlib.Path("a"), "", ns, w)
+        if found := held.samples(ns, w):
+            a.t, a.w, a.open_s, a.notes = found.t, w[found.rows], found.open_s, [found.note]
+        b = twist_sync.Recording(pathlib.Path("b"), "", np.round(t_b * 1e9).astype(np.int64), w_b)
+        one = network.relate(a, b, False, sigma_limit=20e-3)
+        between = (b.t[0] - a.t[0]) * 1e-9
+        return one.offset + between, one.clock.offset_sigma, a.notes
+
+    def test_samples_of_a_sensor_with_a_clock_of_its_own_lie_between_the_rows(self):
+        rng = np.random.default_rng(2)
+        regular, irregular = np.arange(0.02, 6.8, 1 / 200), 0.02 + np.cumsum(rng.uniform(0.003, 0.007, 1350))
+        for rate, rows in ((104.0, regular), (52.0, regular), (150.0, regular), (180.0, regular), (99.1, regular), (104.0, irregular)):
+            with self.subTest(rate):
+                error, sigma, notes = self.off(*self.polled(rows, *self.sensor(rate)))
+                self.assertIn("a clock of its own", notes[0])
+                self.assertLess(abs(error), 2.5 * sigma)
+                # Half the distance of the rows, if the first row of each were taken.
+                self.assertLess(abs(error), 0.7e-3)
+
+    def test_rows_that_follow_the_sensor_are_taken_as_they_are(self):
+        t, w = self.sensor(100.0)
+        t = t + np.random.default_rng(3).normal(0, 1e-4, len(t))
+        events = np.sort(np.r_[t, np.arange(0.02, 6.8, 1 / 173)])
+        error, sigma, notes = self.off(*self.polled(events + 1e-8, t, w))
+        self.assertLess(abs(error), 5 * sigma)
+        self.assertLess(sigma, 20e-6)
+        self.assertIn("the first row of each", notes[0])
+        # Too short to show that the sensor has no clock of its own.
+        rows = np.arange(t[0], 6.8, 1 / 200)
+        even = np.arange(t[0] - 1e-9, 6.8, 1 / 100)
+        _, sigma, notes = self.off(*self.polled(rows, even, MOTION.w(even)))
+        self.assertGreater(sigma, 1e-3)
+        self.assertIn("up to 5 ms older", notes[0])
+
+    def test_other_repeats_are_left_to_the_estimator(self):
+        t, w = self.sensor(200.0)
+        ns = np.round(t * 1e9).astype(np.int64)
+        self.assertIsNone(held.samples(ns, w))
+        # Coarse values repeat where the body turns slowly.
+        self.assertIsNone(held.samples(ns, np.round(w * 50) / 50))
+        for copied in (np.arange(7, len(w), 10), np.flatnonzero(np.random.default_rng(4).random(len(w)) < 0.08)[1:]):
+            faulty = w.copy()
+            faulty[copied] = faulty[copied - 1]
+            self.assertIsNone(held.samples(ns, faulty))
+
+    def test_what_held_values_leave_open_is_a_refusal_that_says_so(self):
+        t_b, w_b = self.sensor(333.0, 0.0)
+        ns = [np.round(t * 1e9).astype(np.int64) for t in (t_b, t_b)]
+        a, b = (twist_sync.Recording(pathlib.Path(n), "", t, w_b) for n, t in zip("ab", ns, strict=True))
+        a.open_s = 0.9e-3
+        solved = twist_sync.sync([a, b])
+        self.assertRegex(report.object_of(solved)["pairs"][0]["reasons"][0], "the values of a are held, .* 900 µs .*--max-sigma-us 1080")
+        solved = twist_sync.sync([a, b], sigma_limit=1.08e-3)
+        self.assertAlmostEqual(solved.pairs[0].found.clock.offset_sigma, 0.9e-3, delta=1e-5)
 
 
 if __name__ == "__main__":

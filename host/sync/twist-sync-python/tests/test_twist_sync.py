@@ -384,7 +384,7 @@ class Documents(unittest.TestCase):
         for cell in cells:
             self.assertEqual(cell["outputs"], [])
             exec("".join(cell["source"]), names)
-        self.assertEqual(len(names["figure"].axes), 6)
+        self.assertEqual(len(names["figure"].axes), 4)
         np.testing.assert_allclose(
             names["solved"].clock(1).b_to_a(names["phone"].t), names["on_board"], atol=2
         )

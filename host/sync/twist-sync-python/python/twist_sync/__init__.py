@@ -11,7 +11,7 @@ Convention: ``b = a + offset + skew * (a - reference)``, in seconds.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -363,9 +363,26 @@ class Estimate(_Value):
         return self.report.gates
 
     @property
-    def rotation(self) -> Floats:
-        """The rotation from the axes of a to those of b that is nearest to the calibration."""
-        return _rotation(self.calibration)
+    def rotation(self) -> Floats | None:
+        """The rotation from the axes of a to those of b that is nearest to the calibration; None if
+        the axes of one are mirrored."""
+        return None if self.mirrored else _rotation(self.calibration)
+
+    @property
+    def mirrored(self) -> bool:
+        """True if the axes of one are left-handed: two are exchanged or one has the wrong sign."""
+        sizes = np.linalg.svd(self.calibration)[1]
+        return bool(np.linalg.det(self.calibration) < 0 and sizes[2] > 0.5 * sizes[0])
+
+    def _moved(self, a_s: float, between_s: float) -> Estimate:
+        """Returns the same for clocks that read less: a by the first, the offset by the second."""
+        moved = replace(self.clock, reference=self.clock.reference - a_s, offset=self.clock.offset - between_s)
+        return replace(self, clock=moved)
+
+    def _opened(self, by_s: float) -> Estimate:
+        """Returns the same with this 1-sigma of the times in addition, s."""
+        covariance = self.clock.covariance + np.diag([by_s**2, 0])
+        return replace(self, clock=replace(self.clock, covariance=covariance))
 
     def __repr__(self) -> str:
         return f"Estimate({self.clock!r}, {self.report!r})"
@@ -519,7 +536,7 @@ class Course(_Relation):
     """
 
     def __init__(self, found: _twist_sync.Course, wander_ppm: float | None = None):
-        self._found = found
+        self._found, self._open_s = found, 0.0
         self.wander_ppm = _wander(wander_ppm)
         estimates, counts, refusals, steps, unsupported, warnings, span = found.details()
         self.estimates: list[Clock] = [_clock(e, wander_ppm) for e in estimates]
@@ -535,8 +552,13 @@ class Course(_Relation):
         """Number of windows that are in no estimate."""
         return sum(count for _, count in self.refusals)
 
+    def _opened(self, by_s: float) -> Course:
+        self._open_s = by_s
+        return self
+
     def _table(self, a: Floats) -> Floats:
-        return np.frombuffer(self._found.at(a.astype("<f8").tobytes()), "<f8").reshape(*a.shape, 5)
+        there = np.frombuffer(self._found.at(a.astype("<f8").tobytes()), "<f8").reshape(*a.shape, 5)
+        return there + [0, 0, self._open_s**2, 0, 0]
 
     def at(self, a: ArrayLike) -> Clock:
         """Returns the relation at times of clock a.

@@ -34,6 +34,9 @@ class Recording:
         frames: Times of the frames of each video track by the track's name, integer nanoseconds.
         notes: Remarks about parts that could not be read.
         topic: The topic that was read, for files with topics.
+        unit_by: What says the unit of the rates, such as "given", "named" or "by their size".
+        member: Name of the file within an archive.
+        open_s: 1-sigma of the times that nothing in the file settles, s.
     """
 
     path: Path
@@ -43,7 +46,9 @@ class Recording:
     frames: dict[str, np.ndarray] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     topic: str | None = None
-    unit_is_guess: bool = False
+    unit_by: str = ""
+    open_s: float = 0.0
+    member: str = ""
     layout: Any = None
 
     @property

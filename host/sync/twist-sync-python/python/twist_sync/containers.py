@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ._recording import Unreadable
-from .tables import Table, sensor_of
+from .columns import Table, sensor_of, table_of
 
 Read = tuple[str, list[Table]]
 
@@ -23,27 +23,6 @@ Read = tuple[str, list[Table]]
 def missing(extra: str, package: str, what: str) -> Unreadable:
     """Returns the error of an extra that is not installed."""
     return Unreadable(f'{what} is read by {package}: pip install "twist-sync[{extra}]"')
-
-
-def table_of(name: str, columns: dict[str, Any], **more: Any) -> Table:
-    """Returns a table of arrays; those with rows of several numbers become columns x, y, z, or
-    rotation matrices."""
-    names: list[str] = []
-    data: list[np.ndarray] = []
-    for own, array in columns.items():
-        array = np.asarray(array)
-        if array.ndim == 3 and array.shape[1:] in ((3, 3), (4, 4)):
-            ends = [f"m{r}{c}" for r in range(3) for c in range(3)]
-            array = array[:, :3, :3].reshape(len(array), 9)
-        elif array.ndim == 2 and array.shape[1] == 3:
-            ends = list("xyz")
-        else:
-            ends = [str(k + 1) for k in range(array.shape[1])] if array.ndim == 2 else [""]
-        array = array.reshape(len(array), -1)
-        for k, end in enumerate(ends):
-            names.append(f"{own} {end}".strip())
-            data.append(array[:, k])
-    return Table(name, names, [""] * len(names), data=dict(enumerate(data)), **more)
 
 
 def arrays(found: dict[str, Any]) -> list[Table]:
@@ -65,8 +44,7 @@ def arrays(found: dict[str, Any]) -> list[Table]:
         if len(columns) == 1 and (whole := np.asarray(next(iter(columns.values())))).ndim == 2:
             # One matrix: its columns have no names.
             names = [str(k + 1) for k in range(whole.shape[1])]
-            data = {k: whole[:, k] for k in range(whole.shape[1])}
-            out.append(Table("", names, [""] * len(names), named=False, data=data))
+            out.append(Table("", names, list(whole.T), named=False))
         else:
             out.append(table_of("", columns))
     return out
@@ -118,7 +96,8 @@ def xlsx(path: Path) -> Read:
     from . import text
 
     out: list[Table] = []
-    for sheet in load_workbook(path, read_only=True, data_only=True).worksheets:
+    book = load_workbook(path, read_only=True, data_only=True)
+    for sheet in book.worksheets:
         lines = [
             "\t".join("" if c is None else str(c) for c in row) for row in sheet.iter_rows(values_only=True)
         ]
@@ -127,6 +106,7 @@ def xlsx(path: Path) -> Read:
             for table in text.tables(enumerate(lines, 1), dialect, []):
                 table.name = table.name or sheet.title
                 out.append(table)
+    book.close()
     return "XLSX", out
 
 
@@ -216,10 +196,8 @@ def of_records(name: str, records: list[dict[str, Any]], units: str = "") -> Ite
         if len(rows) > 1 and len(names) > 2:
             own = " ".join(filter(None, [name, word]))
             # As text, so that no digits of whole numbers are lost.
-            fields = [(k, ["" if v is None else repr(v) if isinstance(v, float) else str(v) for v in row]) for k, row in enumerate(rows, 1)]
-            table = Table(own, list(names), [units if "value" in n else "" for n in names], dialect=dialect)
-            table.rows = fields
-            yield table
+            fields = [["" if v is None else repr(v) if isinstance(v, float) else str(v) for v in column] for column in zip(*rows, strict=True)]
+            yield Table(own, list(names), fields, [units if "value" in n else "" for n in names], dialect=dialect)
 
 
 def of_json(name: str, value: Any, units: str = "") -> Iterator[Table]:
@@ -308,13 +286,13 @@ def gpmf(path: Path) -> Read:
     names = ["time", *(f"gyro {axis}" for axis in order)]
     if len(starts) != len(payloads) or len(starts) < 2:
         # Of cameras up to HERO5.
-        return form + ", without times of its own", [Table("", names[1:], units[1:], data=dict(enumerate(w.T)))]
+        return form + ", without times of its own", [Table("", names[1:], list(w.T), units[1:])]
     counts = np.array([len(p) for p in payloads])
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     ends = [*starts, starts[-1] + (starts[-1] - starts[-2]) * counts[-1] / counts[-2]]
     t = np.interp(np.arange(counts.sum()), [*first, counts.sum()], np.array(ends) - starts[0]) + starts[0]
     units[0] = "us"
-    return form, [Table("", names, units, data=dict(enumerate([t, *w.T])))]
+    return form, [Table("", names, [t, *w.T], units)]
 
 
 #: Readers by kind of file.

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from . import text
+from . import held, text
 from ._recording import Recording, Unreadable, mean_step
 from .tables import Asked
 from .tables import read as read_tables
@@ -37,9 +37,8 @@ LIMIT_BYTES, SMALL_BYTES, BYTES_A_BYTE = 8 << 30, 256 << 20, 60
 LARGEST, SMALL_LARGEST, LARGEST_A_BYTE = 4 << 30, 16 << 20, 30
 #: Most samples of a small file, and those that each of its bytes adds.
 SMALL_SAMPLES, SAMPLES_A_BYTE = 250_000, 1
-#: Mean distance of samples that no gyroscope's exceeds, s, and the share of rows that may repeat
-#: the values of the one before without a remark.
-LARGEST_STEP_S, MOST_HELD = 0.2, 0.1
+#: Mean distance of samples that no gyroscope's exceeds, s.
+LARGEST_STEP_S = 0.2
 #: Text up to this size is read in this process, bytes.
 SMALL_TEXT = 256 << 20
 
@@ -113,17 +112,18 @@ def kind(path: Path) -> str:
     return next((k for k, form in _BY_BYTES if re.match(form, first, re.DOTALL)), "text")
 
 
-def _unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Path, str | None]:
-    """Unpacks the recording of an archive; returns its file, and the topic unless that named the
-    file."""
+def unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Path, str]:
+    """Unpacks the recording of an archive, or the one that `topic` names; returns its file, and
+    its name in the archive."""
+    folder.mkdir(exist_ok=True)
+    source: Any = None
     if how == "gzip":
-        name = file.name.removesuffix(".gz")
-        source: Any = gzip.open(file)
+        name, source = file.name.removesuffix(".gz"), gzip.open(file)
     else:
         archive = zipfile.ZipFile(file)
         names = [n for n in archive.namelist() if not n.endswith("/") and "__MACOSX" not in n]
-        named = [n for n in names if topic and (n == topic or Path(n).stem.lower() == topic.lower() or Path(n).name == topic)]
-        name, topic = (named[0], None) if len(named) == 1 else (_best(names, "archive"), topic)
+        named = [n for n in names if topic and topic.lower() in (n.lower(), Path(n).stem.lower(), Path(n).name.lower())]
+        name = named[0] if len(named) == 1 else _best(names, "archive")
         source = archive.open(name)
     out = folder / Path(name).name
     most = min(LARGEST, SMALL_LARGEST + LARGEST_A_BYTE * file.stat().st_size)
@@ -132,7 +132,7 @@ def _unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Pa
             copy.write(block)
             if copy.tell() > most:
                 raise Unreadable(f"an archive that holds more than {most >> 20} MiB: unpack it")
-    return out, topic
+    return out, name
 
 
 def read(
@@ -177,8 +177,12 @@ def read(
             file = _only(file)
         with tempfile.TemporaryDirectory() as folder:
             own, how = file, kind(file)
+            member = ""
             while how in ("gzip", "zip"):
-                own, topic = _unpacked(own, how, topic, Path(folder))
+                own, name = unpacked(own, how, topic, Path(folder))
+                member = name if not member else "?"
+                if topic and topic.lower() in (name.lower(), Path(name).stem.lower(), Path(name).name.lower()):
+                    topic = None
                 how = kind(own)
             asked = Asked(topic, columns, unit, time_unit, rate)
             if how == "text" and own.stat().st_size <= SMALL_TEXT:
@@ -187,8 +191,7 @@ def read(
                 found = _in_process(own, how, asked)
         if own != file:
             found.notes.insert(0, f"unpacked: {own.name}")
-            found.layout = None
-        found.path = file
+        found.path, found.member = file, member
     except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise Unreadable(f"{file}: {getattr(error, 'strerror', None) or error}") from None
     except Unreadable as error:
@@ -208,12 +211,10 @@ def read(
             f"{file}: {found.form}: its samples are {step:.3g} s apart, which no gyroscope's are: give "
             "--columns and --time-unit, or --rate"
         )
-    held = (np.diff(found.w, axis=0) == 0).all(axis=1) & (found.w[1:] != 0).any(axis=1)
-    if held.mean() > MOST_HELD:
-        found.notes.append(
-            f"{held.mean():.0%} of its rows repeat the values before. If the sensor runs beside the logger, they are up "
-            f"to {float(np.median(np.diff(found.t))) * 1e-6:.3g} ms older than their times say"
-        )
+    if own_samples := held.samples(found.t, found.w):
+        found.t, found.w = own_samples.t, found.w[own_samples.rows]
+        found.open_s = own_samples.open_s
+        found.notes.append(own_samples.note)
     return found
 
 
@@ -252,9 +253,8 @@ def _in_process(path: Path, how: str, asked: Asked) -> Recording:
     arrays = io.BytesIO(body)
     t, w, *frames = (np.load(arrays, allow_pickle=False) for _ in range(2 + len(found["frames"])))
     of_frames = dict(zip(found["frames"], frames, strict=True))
-    return Recording(
-        path, found["form"], t, w, of_frames, found["notes"], found["topic"], found["guess"], found["layout"]
-    )
+    more = {name: found[name] for name in ("notes", "topic", "unit_by", "layout")}
+    return Recording(path, found["form"], t, w, of_frames, **more)
 
 
 def _child() -> None:
@@ -282,7 +282,7 @@ def _child() -> None:
             "notes": found.notes,
             "topic": found.topic,
             "frames": list(found.frames),
-            "guess": found.unit_is_guess,
+            "unit_by": found.unit_by,
             "layout": found.layout,
         }
         arrays = [found.t, found.w, *found.frames.values()]
@@ -323,7 +323,4 @@ def _read_here(path: Path, how: str, asked: Asked) -> Recording:
         if how not in containers.READERS:
             raise Unreadable("a file of HDF5, which is not read: save its arrays as .npz, .mat (-v7) or CSV")
         form, found = containers.READERS[how](path)
-    recording = read_tables(found, path, form, asked, notes)
-    if how != "text":
-        recording.layout = None
-    return recording
+    return read_tables(found, path, form, asked, notes)

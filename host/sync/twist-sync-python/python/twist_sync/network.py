@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, course, estimate, files
 from ._recording import Recording, Unreadable
-from .tables import typical_rate
+from .tables import BY_SIZE, typical_rate
 
 #: Largest error over sigma, rms, of a loop that counts as closed. Three devices alone have one
 #: loop, and a Gaussian is beyond three sigmas once in 370.
@@ -42,12 +42,14 @@ class Pair:
         b: Number of the second.
         found: Their relation, with times in s from the first sample of each; None if refused.
         refused: The refusal, if there is no relation.
+        doubts: What in the files may be the cause of a refusal, in words.
     """
 
     a: int
     b: int
     found: Estimate | Course | None
     refused: Refused | None
+    doubts: list[str] = field(default_factory=list)
 
     @property
     def relation(self) -> Clock | Course:
@@ -287,25 +289,56 @@ class Synchronized:
         return DeviceClock(self.network, number, (int(first[0][0]), int(first[1][0])))
 
 
+#: Ratios of units that are taken for each other.
+_RATIOS = {"rad/s and deg/s": 180 / np.pi, "deg/s and mdps": 1e3, "rad/s and mdps": 180e3 / np.pi}
+
+
 def _in_one_unit(recordings: list[Recording]) -> list[Recording]:
     """Corrects rates in a wrong unit, where no unit is named: gyroscopes on one body turn at the
     same rate, so a ratio near 57 or 1000 is one of units."""
     typical = [typical_rate(r.w) for r in recordings]
-    known = [t for t, r in zip(typical, recordings, strict=True) if not r.unit_is_guess] or [
-        min(typical)
-    ]
+    known = [t for t, r in zip(typical, recordings, strict=True) if r.unit_by != BY_SIZE] or [min(typical)]
     out = []
     for own, recording in zip(typical, recordings, strict=True):
-        factors = [
-            f for f in (180 / np.pi, 1e3, 180e3 / np.pi) if 0.5 < own / max(known[0], 1e-9) / f < 2
-        ]
-        if factors and recording.unit_is_guess:
+        factors = [f for f in _RATIOS.values() if 0.5 < own / max(known[0], 1e-9) / f < 2]
+        if factors and recording.unit_by == BY_SIZE:
             note = f"its rates are {own / known[0]:.0f} times those of the others: divided by {factors[0]:.5g}"
-            recording = replace(
-                recording, w=recording.w / factors[0], notes=[*recording.notes, note]
-            )
+            recording = replace(recording, w=recording.w / factors[0], notes=[*recording.notes, note])
         out.append(recording)
     return out
+
+
+def _doubts(a: Recording, b: Recording, refused: Refused) -> list[str]:
+    """Returns what makes a relation of two recordings fail before the estimator sees it, as a user
+    can change it: units that cannot be, coarse times, values that are held."""
+    out = []
+    rates = [typical_rate(r.w) for r in (a, b)]
+    fast, slow = (a, b) if rates[0] > rates[1] else (b, a)
+    for units, ratio in _RATIOS.items():
+        if min(rates) > 0 and 0.7 < max(rates) / min(rates) / ratio < 1.4:
+            said = " and ".join(f"{r.name} ({r.unit_by or 'by its format'})" for r in (fast, slow))
+            out.append(
+                f"{fast.name} turns {max(rates) / min(rates):.0f} times as fast as {slow.name}, as if {units} were "
+                f"taken for each other, so the unit of {said} is doubted; give it with --unit"
+            )
+    failed = [gate.name for gate in refused.report.gates if not gate.passed] if refused.report else ["sigma"]
+    for r in (a, b) if "sigma" in failed else ():
+        if max(step := _step(r.t), r.open_s * 1e9) > 150_000:
+            why, remedy = f"the times of {r.name} have steps of {step * 1e-6:.3g} ms", "with more digits"
+            if step < r.open_s * 1e9:
+                why, remedy = f"the values of {r.name} are held", "with each sample once"
+            sigma_us = max(step / 2e3, r.open_s * 1e6)
+            out.append(
+                f"{why}, which leaves {sigma_us:.0f} µs (1 sigma) open; export it {remedy}, or accept it with "
+                f"--max-sigma-us {1.2 * sigma_us:.0f}"
+            )
+    return out
+
+
+def _step(t: np.ndarray) -> int:
+    """Returns the step of times, ns: the largest power of ten that divides their distances."""
+    apart = np.diff(t[: 1 << 16])
+    return next((step for step in (10**8, 10**7, 10**6, 10**5) if np.ptp(apart) and not (apart % step).any()), 1)
 
 
 def relate(
@@ -323,7 +356,12 @@ def relate(
         lengths = sorted((a.seconds, b.seconds))
         whole = lengths[0] > LONGEST_TWIST_S or lengths[1] > LONGEST_WITH_TWIST_S
     how = course if whole else estimate
-    return how(a.t - a.t[0], a.w, b.t - b.t[0], b.w, **settings)
+    found = how(a.t - a.t[0], a.w, b.t - b.t[0], b.w, **settings)
+    open_s = float(np.hypot(a.open_s, b.open_s))
+    limit = settings.get("sigma_limit") or (1e-3 if whole else 100e-6)
+    if open_s > limit:
+        raise Refused(f"the 1-sigma of the offset is too large: {open_s * 1e6:.0f} µs (limit {limit * 1e6:.0f} µs)")
+    return found._opened(open_s) if open_s else found
 
 
 def sync(
@@ -364,7 +402,7 @@ def sync(
         try:
             pairs.append(Pair(a, b, relate(read[a], read[b], whole, **of_pair, **settings), None))
         except Refused as refused:
-            pairs.append(Pair(a, b, None, refused))
+            pairs.append(Pair(a, b, None, refused, _doubts(read[a], read[b], refused)))
     try:
         network = Network(len(read), {(p.a, p.b): p.relation for p in pairs if p.found})
         return Synchronized(read, pairs, network, None)

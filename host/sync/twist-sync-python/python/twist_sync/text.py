@@ -7,19 +7,19 @@ table is its header. Which column is what, is decided in :mod:`twist_sync.tables
 from __future__ import annotations
 
 import csv
+import itertools
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from decimal import Decimal
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
 from ._recording import Unreadable
-from .tables import MISSING, MOMENT, Table, is_sensor, sensor_of, unit_of
+from .columns import Table, is_sensor, sensor_of, unit_of
+from .rules import MISSING, MOMENT
 
 #: Characters in which the first rows of samples must lie.
 HEAD = 1 << 18
@@ -35,6 +35,7 @@ _THOUSANDS = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
 }
 _COMMENT = re.compile(r"\s*(#|%|//)+\s*")
+Row = tuple[int, list[str]]
 
 
 @dataclass(frozen=True)
@@ -51,34 +52,25 @@ class Dialect:
 
     def split(self, line: str) -> list[str]:
         """Returns the fields of a line without their quotes."""
-        if "−" in line:
-            line = line.replace("−", "-")
+        line = line.replace("−", "-").strip("\r\n")
         if self.delimiter is None:
             return line.split()
-        if '"' in line:
-            return [f.strip() for f in next(csv.reader([line], delimiter=self.delimiter), [])]
-        return [field.strip() for field in line.split(self.delimiter)]
+        fields = next(csv.reader([line], delimiter=self.delimiter), []) if '"' in line else line.split(self.delimiter)
+        return [field.strip() for field in fields]
 
     def plain(self, field: str) -> str:
         """Returns a number with a decimal point and without separators of thousands."""
         field = re.sub(r"[\u00a0\u202f']", "", field)
         if _THOUSANDS[self.decimal].fullmatch(field):
             field = field.replace("," if self.decimal == "." else ".", "")
-        if self.decimal == ",":
-            if "." in field:
-                raise ValueError(f"{field[:40]!r} has a decimal point, other numbers have commas")
-            field = field.replace(",", ".")
+        if self.decimal == "," and "." in field:
+            raise ValueError(f"{field[:40]!r} has a decimal point, other numbers have commas")
         if "_" in field:
             raise ValueError(f"could not convert {field[:40]!r}")
-        return field
+        return field.replace(",", ".") if self.decimal == "," else field
 
     def number(self, field: str) -> float:
         """Returns a number; NaN for one that is missing."""
-        if self.decimal == "." and "_" not in field:
-            try:
-                return float(field)
-            except ValueError:
-                pass
         if field.lower() in MISSING:
             return np.nan
         plain = self.plain(field)
@@ -86,6 +78,16 @@ class Dialect:
             return float(plain)
         except ValueError:
             raise ValueError(f"could not convert {field[:40]!r}") from None
+
+    def plain_numbers(self, texts: list[str]) -> np.ndarray | None:
+        """Returns fields of which each is a plain number, at once; None for others."""
+        whole = "".join(texts)
+        if "_" in whole or (self.decimal == "," and "." in whole):
+            return None
+        try:
+            return np.array([float(t.replace(",", ".")) for t in texts] if self.decimal == "," else list(map(float, texts)))
+        except ValueError:
+            return None
 
     def is_value(self, field: str) -> bool:
         """Returns True for a number or a time."""
@@ -100,19 +102,15 @@ class Dialect:
     def is_row(self, fields: list[str]) -> bool:
         """Returns True if most of the fields are numbers or times."""
         values = sum(map(self.is_value, fields))
-        texts = sum(field.lower() not in MISSING for field in fields) - values
-        return values >= 3 and values >= texts
+        return values >= 3 and values >= sum(field.lower() not in MISSING for field in fields) - values
 
     @property
     def name(self) -> str:
         between = {None: "white space", "\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars"}
-        return f"text with {between[self.delimiter]}" + (
-            ", decimal commas" if self.decimal == "," else ""
-        )
+        return f"text with {between[self.delimiter]}{', decimal commas' if self.decimal == ',' else ''}"
 
 
-_DIALECTS = [Dialect(*d) for d in (";.", ";,", "\t.", "\t,", ",.", ",,", "|.")]
-_DIALECTS += [Dialect(None, "."), Dialect(None, ",")]
+_DIALECTS = [Dialect(*d) for d in (";.", ";,", "\t.", "\t,", ",.", ",,", "|.")] + [Dialect(None, "."), Dialect(None, ",")]
 
 
 def sniff(lines: list[str]) -> Dialect:
@@ -121,23 +119,19 @@ def sniff(lines: list[str]) -> Dialect:
     Raises:
         Unreadable: No line has three numbers in any.
     """
-    best, most = None, 0
-    for one in _DIALECTS:
+
+    def score(one: Dialect) -> int:
         # Unquoted, commas cannot be both.
         if one == Dialect(",", ",") and not any('","' in line for line in lines):
-            continue
-        score = 0
-        for line in lines:
-            fields = one.split(line)
-            if one.is_row(fields):
-                values = sum(map(one.is_value, fields))
-                score += 3 * values - 2 * sum(field.lower() not in MISSING for field in fields)
-        if score > most:
-            best, most = one, score
-    if best is None:
+            return 0
+        rows = filter(one.is_row, map(one.split, lines))
+        return sum(3 * sum(map(one.is_value, row)) - 2 * sum(f.lower() not in MISSING for f in row) for row in rows)
+
+    scores = [score(one) for one in _DIALECTS]
+    if max(scores) <= 0:
         shown = next((line.strip() for line in lines if line.strip()), "")[:60]
         raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
-    return best
+    return _DIALECTS[int(np.argmax(scores))]
 
 
 @dataclass
@@ -145,7 +139,21 @@ class Block:
     """Rows with what stands above them: line numbers, fields and texts."""
 
     header: list[tuple[int, list[str], str]]
-    rows: list[tuple[int, list[str]]]
+    rows: list[Row] = field(default_factory=list)
+    #: Width of the first row, and its columns of numbers, by which others are known quickly.
+    width: int = 0
+    sure: list[int] = field(default_factory=list)
+
+    def takes(self, fields: list[str], dialect: Dialect) -> bool:
+        """Returns True for a row like the first one, without a look at each field."""
+        if len(fields) != self.width:
+            return False
+        try:
+            for k in self.sure:
+                float(fields[k].replace(",", ".") if dialect.decimal == "," else fields[k])
+        except ValueError:
+            return False
+        return True
 
 
 def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Block]:
@@ -157,26 +165,26 @@ def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str])
         if not text:
             continue
         comment = _COMMENT.match(text)
-        fields = dialect.split(text[comment.end() :] if comment else line.strip("\r\n"))
+        fields = dialect.split(text[comment.end() :] if comment else line)
+        if out and not above and not comment and out[-1].takes(fields, dialect):
+            out[-1].rows.append((number, fields))
+            continue
         if comment or not dialect.is_row(fields):
             above.append((number, fields, text))
             continue
         width = len(_stripped(fields))
-        names = [
-            entry
-            for entry in above
-            if not _COMMENT.match(entry[2])
-            and len(_stripped(entry[1])) in (width, width + 1)
-            and sum(map(dialect.is_value, entry[1])) * 3 < len(entry[1])
-        ]
-        if not out or names:
+        if not out or any(_are_names(entry, width, dialect) for entry in above):
             # Numbers in a header, such as the IDs of bodies.
             if out and len(out[-1].rows) < 3:
                 short = out.pop()
                 above = [*short.header, *((n, f, "") for n, f in short.rows), *above]
-            out.append(Block(above, []))
+            out.append(Block(above))
         elif above:
             notes.append(_left_out(above))
+        if not out[-1].rows:
+            out[-1].width = len(fields)
+            numbers = (k for k, f in enumerate(fields) if ":" not in f and dialect.is_value(f))
+            out[-1].sure = list(itertools.islice(numbers, 4))
         out[-1].rows.append((number, fields))
         above = []
     if above and out:
@@ -184,14 +192,20 @@ def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str])
     elif out and len(out[-1].rows) > 1:
         # A recorder that was stopped in the middle of its last line.
         (_, usual), (_, last) = out[-1].rows[-2:]
-        is_short = len(last) < len(usual) and not above
-        if is_short or any(
+        if len(last) < len(usual) or any(
             dialect.is_value(a) and b.lower() not in MISSING and not dialect.is_value(b)
             for a, b in zip(usual, last, strict=False)
         ):
             out[-1].rows.pop()
             notes.append(CUT)
     return out
+
+
+def _are_names(entry: tuple[int, list[str], str], width: int, dialect: Dialect) -> bool:
+    """Returns True for a line that names as many columns as a row has."""
+    _, fields, text = entry
+    is_wide = len(_stripped(fields)) in (width, width + 1) and not _COMMENT.match(text)
+    return is_wide and sum(map(dialect.is_value, fields)) * 3 < len(fields)
 
 
 def _left_out(lines: list[tuple[int, list[str], str]]) -> str:
@@ -201,10 +215,7 @@ def _left_out(lines: list[tuple[int, list[str], str]]) -> str:
 
 
 def _stripped(fields: list[str]) -> list[str]:
-    end = len(fields)
-    while end and not fields[end - 1]:
-        end -= 1
-    return fields[:end]
+    return fields[: max((k for k, field in enumerate(fields, 1) if field), default=0)]
 
 
 def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list[str], bool]:
@@ -217,30 +228,22 @@ def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list
         if len(_stripped(fields)) < 2 and (at == len(block.header) or _COMMENT.match(text)):
             # Commas or tabs in the header alone.
             text = _COMMENT.sub("", text, count=1).strip("'\" ")
-            fields = min(
-                (Dialect(d).split(text) for d in (dialect.delimiter, ",", "\t", ";", None)),
-                key=lambda some: abs(len(some) - width),
-            )
+            splits = [Dialect(d).split(text) for d in (dialect.delimiter, ",", "\t", ";", None)]
+            fields = min(splits, key=lambda some: abs(len(some) - width))
         cells = [*fields, *[""] * (width - len(fields))]
         filled = [k for k, cell in enumerate(cells) if cell]
         numbers = sum(map(dialect.is_value, cells))
-        if (
-            len(_stripped(fields)) > width
-            or len(filled) < 2
-            or filled[-1] * 2 < width
-            # The IDs of bodies are numbers; so are values of settings.
-            or (numbers and numbers < len(filled) - 1)
-        ):
+        # The IDs of bodies are numbers; so are values of settings.
+        is_setting = numbers and numbers < len(filled) - 1
+        if filled and (filled[-1] >= width or len(filled) < 2 or filled[-1] * 2 < width or is_setting) or not filled:
             found.clear()
-            continue
-        found.append(cells)
+        else:
+            found.append(cells[:width])
     found = found[-LONGEST_HEADER:]
-    units = [""] * width
-    for row in found[1:]:
-        if sum(bool(unit_of(c)) for c in row) * 2 > sum(map(bool, row)):
-            units = row
-            found.remove(row)
-            break
+    units = next((row for row in found[1:] if sum(bool(unit_of(c)) for c in row) * 2 > sum(map(bool, row))), None)
+    if units:
+        found.remove(units)
+    units = units or [""] * width
     if not found:
         above = [len(_stripped(fields)) for _, fields, _ in block.header if len(fields) > 2]
         if above and dialect.delimiter == "," and above[-1] * 2 in (width, width + 1):
@@ -251,88 +254,45 @@ def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list
         return [str(k + 1) for k in range(width)], units, False
     for row in found[:-1]:
         for k in range(1, width):
-            if not row[k] and row[k - 1] and found[-1][k]:
+            if not row[k] and found[-1][k]:
                 row[k] = row[k - 1]
-    names = []
-    for column in zip(*found, strict=True):
-        parts = dict.fromkeys(part for part in column if part)
-        names.append(" ".join(parts))
-    return names, units, True
+    return [" ".join(dict.fromkeys(filter(None, column))) for column in zip(*found, strict=True)], units, True
 
 
 def settings(block: Block) -> dict[str, str]:
     """Returns what the lines above a table set: `tscale,0.001`, `// Update Rate: 100.0Hz`, also in
     pairs of one line."""
     out: dict[str, str] = {}
-    for k, (_, fields, text) in enumerate(block.header):
+    before: list[str] = []
+    for _, fields, text in block.header:
         fields = _stripped(fields)
         pairs = re.findall(r"([A-Za-z][\w ()/]*?)\s*[:=]\s*([+-]?[\d.][^\s,;]*)", text)
-        if fields and len(fields) > 1:
-            pairs += [
-                (name.rstrip(": "), value)
-                for name, value in zip(fields, fields[1:], strict=False)
-                if name and (re.match(r"[+-]?[\d.]", value) or name == "Rotation Type")
-            ]
+        pairs += [(a.rstrip(": "), b) for a, b in itertools.pairwise(fields) if re.match(r"[+-]?[\d.]", b) or a == "Rotation Type"]
         # A number alone under a word, as Vicon's: the rate.
-        before = block.header[k - 1][1] if k else []
-        if len(fields) == 1 and re.fullmatch(r"\d{1,5}(\.\d+)?", fields[0]) and len(_stripped(before)) == 1:
+        if len(fields) == len(before) == 1 and re.fullmatch(r"\d{1,5}(\.\d+)?", fields[0]):
             pairs.append(("rate", fields[0]))
+        before = fields
         for name, value in pairs:
             out.setdefault(name.strip().lower(), value)
     return out
 
 
-def _apart(
-    block: Block, names: list[str], named: bool
-) -> list[tuple[str, list[tuple[int, list[str]]]]]:
+def _apart(block: Block, names: list[str], named: bool) -> dict[str, list[Row]]:
     """Cuts rows of several sensors apart, by a column of words such as gyroscope and accelerometer
     or of few numbers under a name such as sensor: the word and its rows."""
     for k, name in enumerate(names):
-        words = Counter(fields[k] for _, fields in block.rows if k < len(fields))
-        if len(words) > MOST_SENSORS or not words:
-            continue
-        is_word = all(map(_text, words))
-        if not (is_word and any(map(sensor_of, words))) and not (
-            len(words) > 1
-            and named
-            and is_sensor(name)
-            and (is_word or all(word.isdecimal() for word in words))
-        ):
-            continue
-        out: dict[str, list[tuple[int, list[str]]]] = {}
-        for row in block.rows:
-            if k < len(row[1]):
-                out.setdefault(row[1][k], []).append(row)
-        return list(out.items())
-    return [("", block.rows)]
-
-
-def _text(field: str) -> bool:
-    return re.match(r"[A-Za-z_/]", field) is not None and field.lower() not in MISSING
-
-
-def tables(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Table]:
-    """Returns the tables of a text."""
-    out: list[Table] = []
-    for block in blocks(lines, dialect, notes):
-        usual = Counter(len(f) for _, f in block.rows).most_common(1)[0][0]
-        names, units, named = _header(block, usual, dialect)
-        for word, rows in _apart(block, names, named):
-            width = Counter(len(f) for _, f in rows).most_common(1)[0][0]
-            own_names, own_units, is_named = names, units, named
-            if own := _of_comment(block, word, width, dialect):
-                own_names, own_units, is_named = own, [""] * width, True
-            elif width != usual:
-                own_names, own_units, is_named = _header(block, width, dialect)
-            before = next((t for t in out if (t.name, t.names) == (word, own_names)), None)
-            if before and is_named:
-                before.restarts.append((len(before.rows), rows[0][0]))
-                before.rows += rows
-                continue
-            table = Table(word, own_names, own_units, is_named, dialect=dialect, rows=rows)
-            table.settings = settings(block)
-            out.append(table)
-    return out
+        words = {fields[k] for _, fields in block.rows[:1000] if k < len(fields)}
+        if len(words) <= MOST_SENSORS:
+            words = {fields[k] for _, fields in block.rows if k < len(fields)}
+        is_word = all(re.match(r"[A-Za-z_/]", word) and word.lower() not in MISSING for word in words)
+        is_tag = len(words) > 1 and named and is_sensor(name) and (is_word or all(map(str.isdecimal, words)))
+        if 0 < len(words) <= MOST_SENSORS and (is_tag or (is_word and any(map(sensor_of, words)))):
+            out: dict[str, list[Row]] = {}
+            for row in block.rows:
+                if k < len(row[1]):
+                    out.setdefault(row[1][k], []).append(row)
+            return out
+    return {"": block.rows}
 
 
 def _of_comment(block: Block, word: str, width: int, dialect: Dialect) -> list[str] | None:
@@ -345,12 +305,47 @@ def _of_comment(block: Block, word: str, width: int, dialect: Dialect) -> list[s
     return None
 
 
+def table(name: str, names: list[str], rows: list[Row], **more: object) -> Table:
+    """Returns a table of rows; one of another width is its flaw."""
+    width, flaw = len(names), ""
+    for k, (number, fields) in enumerate(rows):
+        if len(fields) != width:
+            if len(fields) < width or any(fields[width:]):
+                flaw = flaw or f"line {number}: expected {width} columns, found {len(fields)}: {' '.join(fields)[:60]}"
+            rows[k] = number, [*fields, *[""] * width][:width]
+    columns = [list(column) for column in zip(*(fields for _, fields in rows), strict=True)]
+    return Table(name, names, columns, lines=[number for number, _ in rows], flaw=flaw, **more)  # type: ignore[arg-type]
+
+
+def tables(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Table]:
+    """Returns the tables of a text."""
+    parts: dict[tuple[str, tuple[str, ...]], tuple[list[Row], dict[str, object]]] = {}
+    for block in blocks(lines, dialect, notes):
+        usual = Counter(len(f) for _, f in block.rows).most_common(1)[0][0]
+        header = _header(block, usual, dialect)
+        for word, rows in _apart(block, header[0], header[2]).items():
+            width = Counter(len(f) for _, f in rows).most_common(1)[0][0]
+            names, units, named = header if width == usual else _header(block, width, dialect)
+            if own := _of_comment(block, word, width, dialect):
+                names, units, named = own, [""] * width, True
+            key = (word, tuple(names) if named else (*names, str(len(parts))))
+            if key in parts:
+                parts[key][1]["restarts"].append(len(parts[key][0]))  # type: ignore[attr-defined]
+                parts[key][0].extend(rows)
+            else:
+                more = {"units": units, "named": named, "settings": settings(block), "restarts": []}
+                parts[key] = rows, more
+    return [
+        table(word, list(names)[: len(more["units"])], rows, dialect=dialect, **more)  # type: ignore[arg-type]
+        for (word, names), (rows, more) in parts.items()
+    ]
+
+
 def open_text(path: Path) -> IO[str]:
     """Opens a text file with arbitrary bytes."""
     with path.open("rb") as file:
-        first = file.read(2)
-    wide = first in (b"\xff\xfe", b"\xfe\xff")
-    if wide:
+        is_wide = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
+    if is_wide:
         return path.open(encoding="utf-16", errors="replace", newline="")
     return path.open(encoding="utf-8-sig", errors="surrogateescape", newline="")
 
@@ -367,73 +362,42 @@ def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
     """Returns the form of a text file, and its tables."""
     with open_text(path) as file:
         head = file.read(HEAD)
-    if not head.strip():
-        raise Unreadable("it is empty")
-    if "\0" in head:
-        raise Unreadable("no text, and no recording that is known")
-    whole = head.splitlines()[:-1] if len(head) == HEAD else head.splitlines()
-    if any(len(line) > LONGEST_LINE for line in whole) or not whole:
-        raise Unreadable("a line without end; expected lines of text")
-    dialect = sniff(whole[:400])
-    found = tables(enumerate(whole, 1), dialect, more := [])
-    if len(found) == 1 and not more and not found[0].restarts and _read_at_once(path, found[0]):
-        return dialect.name, found
-    with open_text(path) as file:
-        return dialect.name, tables(lines_of(file), dialect, notes)
+        if not head.strip():
+            raise Unreadable("it is empty")
+        if "\0" in head:
+            raise Unreadable("no text, and no recording that is known")
+        whole = head.splitlines()[:-1] if len(head) == HEAD else head.splitlines()
+        if any(len(line) > LONGEST_LINE for line in whole) or not whole:
+            raise Unreadable("a line without end; expected lines of text")
+        dialect = sniff(whole[:400])
+        first = tables(enumerate(whole, 1), dialect, more := [])
+        file.seek(0)
+        if len(head) < HEAD or more or len(first) > 1 or not _at_once(file, first[0]):
+            file.seek(0)
+            first = tables(lines_of(file), dialect, notes)
+        return dialect.name, first
 
 
-def _read_at_once(path: Path, table: Table) -> bool:
-    """Reads a regular file at once: the columns of numbers of its one table. Returns False for
+def _at_once(file: IO[str], one: Table) -> bool:
+    """Reads the columns of numbers of a long and regular file into its table. Returns False for
     others, which are read line by line."""
-    dialect: Dialect = table.dialect
-    width = len(table.names)
-    first = table.rows[0]
-    used = [k for k in range(width) if all(k < len(f) and _is_number(dialect, f[k]) for _, f in table.rows[:99])]
-    if any(len(fields) != width for _, fields in table.rows):
-        return False
-    others = [k for k in range(width) if k not in used]
+    dialect, numbers = one.dialect, {k: one.dialect.plain_numbers(texts) for k, texts in enumerate(one.columns)}
     # Times of day, thousands, cells that are empty at first.
-    if table.name or any(dialect.is_value(f[k]) for k in others for _, f in table.rows):
+    is_odd = any(v is None and any(map(dialect.is_value, one.columns[k])) for k, v in numbers.items())
+    if dialect.decimal == "," or one.name or one.flaw or one.restarts or is_odd:
         return False
-    form = [
-        (f"c{k}", np.int64 if all(f[k].lstrip("+-").isdecimal() for _, f in table.rows) else np.float64)
-        for k in used
-    ]
-    with open_text(path) as file, warnings.catch_warnings():
-        # NumPy 1.24 cuts the fraction off where later ones refuse, and warns.
-        warnings.simplefilter("error", DeprecationWarning)
-        for _ in range(first[0] - 1):
-            file.readline()
-        lines = (_checked(line, width, dialect) for line in file)
-        try:
-            data = np.loadtxt(
-                lines, np.dtype(form), delimiter=dialect.delimiter, usecols=used, quotechar='"', comments=None, ndmin=1
-            )
-        except (ValueError, OverflowError, DeprecationWarning, IndexError):
-            return False
-    if any(not np.isfinite(data[name]).all() for name, _ in form):
-        return False
-    table.data = {k: data[f"c{k}"] for k in used}
-    table.lines_from = first[0]
-    table.rows = []
-    return True
-
-
-def _checked(line: str, width: int, dialect: Dialect) -> str:
-    """Returns a line as numpy reads it."""
-    if "−" in line:
-        line = line.replace("−", "-")
-    if dialect.decimal == ",":
-        if "." in line:
-            raise ValueError("a point among commas")
-        line = line.replace(",", ".")
-    if dialect.delimiter and line.count(dialect.delimiter) != width - 1 and '"' not in line and line.strip():
-        raise ValueError("of another width")
-    return line
-
-
-def _is_number(dialect: Dialect, field: str) -> bool:
+    used = [k for k, values in numbers.items() if values is not None]
+    whole = {k: all(text.lstrip("+-").isdecimal() for text in one.columns[k]) for k in used}
+    form = [(str(k), np.int64 if whole[k] else np.float64) for k in used]
+    rows = [line for _, line in itertools.islice(lines_of(file), one.lines[0] - 1, None)]
+    count = {line.count(dialect.delimiter) for line in rows} if dialect.delimiter else {0}
     try:
-        return float(dialect.plain(field)) == float(field.replace(",", ".") if dialect.decimal == "," else field)
-    except ValueError:
+        data = np.loadtxt(rows, np.dtype(form), delimiter=dialect.delimiter, usecols=used, comments=None, ndmin=1)
+    except (ValueError, OverflowError, IndexError):
         return False
+    if len(count) > 1 or len(data) != len(rows) or not all(np.isfinite(data[str(k)]).all() for k in used):
+        return False
+    for k in used:
+        one.columns[k] = data[str(k)]
+    one.lines = range(one.lines[0], one.lines[0] + len(rows))
+    return True
