@@ -86,13 +86,8 @@ class _Relation:
         raise NotImplementedError
 
     def a_to_b(self, a: ArrayLike) -> Any:
-        """Converts times of clock a to clock b.
-
-        Args:
-            a: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
-
-        Returns:
-            The same kind and shape.
+        """Converts times of clock a to clock b: seconds (floats), nanoseconds (integers) or
+        ``datetime64``, one or an array, to the same kind and shape.
 
         Raises:
             TypeError: They are of another kind.
@@ -100,13 +95,8 @@ class _Relation:
         return _moved(a, self._offsets)
 
     def b_to_a(self, b: ArrayLike) -> Any:
-        """Converts times of clock b to clock a.
-
-        Args:
-            b: Seconds (floats), nanoseconds (integers) or ``datetime64``, one or an array.
-
-        Returns:
-            The same kind and shape.
+        """Converts times of clock b to clock a: seconds (floats), nanoseconds (integers) or
+        ``datetime64``, one or an array, to the same kind and shape.
 
         Raises:
             TypeError: They are of another kind.
@@ -332,35 +322,13 @@ class Estimate(_Value):
     bias: Floats
     report: Report
 
-    @property
-    def offset(self) -> float:
-        """Clock b minus clock a at the reference, s."""
-        return self.clock.offset
-
-    @property
-    def skew(self) -> float:
-        """Rate of clock b relative to clock a, minus one."""
-        return self.clock.skew
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of (offset, skew): s², s; s, 1."""
-        return self.clock.covariance
-
-    @property
-    def reference(self) -> float:
-        """Time of clock a at which the offset holds, s."""
-        return self.clock.reference
-
-    @property
-    def faults(self) -> list[Fault]:
-        """Faults of both streams."""
-        return self.report.faults
-
-    @property
-    def gates(self) -> list[Gate]:
-        """All gates; each is passed."""
-        return self.report.gates
+    # Those of the clock and of the report, by themselves.
+    offset = property(lambda self: self.clock.offset, doc="Clock b minus clock a at the reference, s.")
+    skew = property(lambda self: self.clock.skew, doc="Rate of clock b relative to clock a, minus one.")
+    covariance = property(lambda self: self.clock.covariance, doc="Covariance of (offset, skew): s², s; s, 1.")
+    reference = property(lambda self: self.clock.reference, doc="Time of clock a at which the offset holds, s.")
+    faults = property(lambda self: self.report.faults, doc="Faults of both streams.")
+    gates = property(lambda self: self.report.gates, doc="All gates; each is passed.")
 
     @property
     def rotation(self) -> Floats | None:

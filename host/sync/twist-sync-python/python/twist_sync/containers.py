@@ -7,6 +7,7 @@ gyroscope. Libraries are extras of the package.
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -118,15 +119,11 @@ def ulg(path: Path) -> Read:
         raise missing("ulg", "pyulog", "a log of PX4") from None
     topics = ULog(str(path)).data_list
     # What others compute from it is not the sensor's.
-    for wanted in (("sensor_combined",), ("sensor_gyro",), ("vehicle_angular_velocity",)):
-        if any(topic.name in wanted for topic in topics):
-            rates = wanted
-            break
-    else:
-        rates = ()
+    names = {topic.name for topic in topics}
+    best = next((n for n in ("sensor_combined", "sensor_gyro", "vehicle_angular_velocity") if n in names), "")
     out = []
     for topic in topics:
-        if topic.name in rates or "attitude" in topic.name or "pose" in topic.name or "odometry" in topic.name:
+        if topic.name == best or re.search("attitude|pose|odometry", topic.name):
             name = topic.name + (f" {topic.multi_id}" if topic.multi_id else "")
             columns = {k: v for k, v in topic.data.items() if not k.startswith("accelerometer_timestamp")}
             if topic.name == "sensor_gyro":

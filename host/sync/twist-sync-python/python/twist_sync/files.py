@@ -6,6 +6,7 @@ libraries that may hang, crash or take all memory.
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import json
@@ -270,9 +271,10 @@ def _child() -> None:
         signal.alarm(seconds)
         hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
         memory = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
-        # Of what is allocated: libraries and threads map far more than they use.
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # Of what is allocated: libraries and threads map far more than they use. macOS refuses some limits.
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
     try:
         found = _read_here(Path(path), how, Asked(**asked))
         if len(found.t) > samples:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -197,24 +198,28 @@ def text_of(solved: Synchronized, found: dict[str, Any], step: str | None, verbo
     for recording, own in zip(solved.recordings, found["recordings"], strict=True):
         lines.append(f"{recording.name}: {own['samples']} samples, {own['duration_s']:.2f} s; {own['form']}")
         lines += [f"   {note}" for note in own["notes"]]
-    for pair in found["pairs"]:
-        lines += _lines(pair, verbose, many)
+    if many and not verbose:
+        for warning, count in Counter(warning for pair in found["pairs"] for warning in pair["warnings"]).items():
+            lines.append(f"warning{f', of {count} pairs' if count > 1 else ''}: {warning}")
+        lines += [f"{p['b']} - {p['a']}: REFUSED: {p['reasons'][0]}" for p in found["pairs"] if not p["accepted"]]
+        lines.append("-v shows what was found of each pair")
+    else:
+        for pair in found["pairs"]:
+            lines += _lines(pair, verbose)
     if many:
         lines += _table(solved, found, verbose)
     return "\n".join(lines)
 
 
-def _lines(pair: dict[str, Any], verbose: bool, many: bool) -> list[str]:
+def _lines(pair: dict[str, Any], verbose: bool) -> list[str]:
     names = f"{pair['b']} - {pair['a']}"
     if not pair["accepted"]:
         return [f"{names}: REFUSED", *(f"   {reason}" for reason in pair["reasons"]), *_details(pair, verbose)]
-    out = []
-    if not many or verbose:
-        out.append(
-            f"{names}: {_seconds(pair['offset_ns'])} s ± {pair['offset_sigma_s'] * 1e6:.2f} µs (1 sigma) at "
-            f"{_seconds(pair['reference_ns'])} s of {pair['a']}, skew {pair['skew_ppm']:+.2f} ± "
-            f"{pair['skew_sigma_ppm']:.2f} ppm"
-        )
+    out = [
+        f"{names}: {_seconds(pair['offset_ns'])} s ± {pair['offset_sigma_s'] * 1e6:.2f} µs (1 sigma) at "
+        f"{_seconds(pair['reference_ns'])} s of {pair['a']}, skew {pair['skew_ppm']:+.2f} ± "
+        f"{pair['skew_sigma_ppm']:.2f} ppm"
+    ]
     for start, end in pair.get("unsupported", []):
         out.append(f"   {names}, {start:.1f} to {end:.1f} s: nothing supports the relation there, they did not move as one body")
     for step in pair["steps"]:
