@@ -254,6 +254,27 @@ class Refusals(Folder):
         self.assertRegex(str(read.notes), r"and 20 more: .* is no row.*1 gaps of its orientations")
 
 
+    def test_rows_that_come_twice_are_taken_once(self):
+        made = Made(MOTION)
+        lines = made.rows("{:.4f},{:.5f},{:.5f},{:.5f}", made.s, *xyz(made.w)).splitlines()
+        path = self.file("a.csv", "t (s),gx,gy,gz\n" + "".join(f"{line}\n{line}\n" for line in lines))
+        read = twist_sync.read(path)
+        self.assertEqual((len(read.t), read.open_s), (len(made.s), 0))
+        self.assertRegex(read.notes[0], f"{len(made.s)} rows repeat both time and values")
+
+    def test_values_held_in_step_with_the_rows_are_a_warning(self):
+        fine = Motion(seed=6)
+        t = np.arange(0.0, 6.9, 1 / 100)
+        w = np.tile(fine.w(t), (2, 1))
+        w = np.repeat(w + np.random.default_rng(1).normal(0, 2e-3, w.shape), 2, axis=0)
+        rows = np.arange(len(w)) / 200
+        path = self.file("a.csv", "t (s),gx,gy,gz\n" + "".join(f"{s:.4f},{x:.5f},{y:.5f},{z:.5f}\n" for s, (x, y, z) in zip(rows.tolist(), w.tolist())))
+        other = self.file("b.csv", "t (s),gx,gy,gz\n" + "".join(f"{s:.4f},{x:.5f},{y:.5f},{z:.5f}\n" for s, (x, y, z) in zip(rows[::2].tolist(), w[::2].tolist())))
+        pair = report.object_of(twist_sync.sync([path, other]))["pairs"][0]
+        self.assertTrue(pair["accepted"])
+        self.assertRegex(pair["warnings"][0], "a.csv: 50% of its rows .*the first row of each value is taken; if the sensor .*up to 5 ms older")
+
+
 class HeldValues(unittest.TestCase):
     """Rows of a logger that repeat the latest value of a sensor at other rates."""
 

@@ -35,6 +35,7 @@ class Recording:
         notes: Remarks about parts that could not be read.
         topic: The topic that was read, for files with topics.
         unit_by: What says the unit of the rates, such as "given", "named" or "by their size".
+        doubts: What nothing in the file settles, in words: warnings of each relation.
         member: Name of the file within an archive.
         open_s: 1-sigma of the times that nothing in the file settles, s.
     """
@@ -48,6 +49,7 @@ class Recording:
     topic: str | None = None
     unit_by: str = ""
     open_s: float = 0.0
+    doubts: list[str] = field(default_factory=list)
     member: str = ""
     layout: Any = None
 

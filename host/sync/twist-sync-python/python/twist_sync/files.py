@@ -215,7 +215,7 @@ def read(
     if own_samples := held.samples(found.t, found.w):
         found.t, found.w = own_samples.t, found.w[own_samples.rows]
         found.open_s = own_samples.open_s
-        found.notes.append(own_samples.note)
+        (found.doubts if own_samples.is_doubtful else found.notes).append(own_samples.note)
     return found
 
 

@@ -32,12 +32,13 @@ SMOOTHER = 0.7
 @dataclass
 class Held:
     """Rows with new samples, their times in ns, the 1-sigma of these times in s that nothing in
-    the file settles, and a sentence."""
+    the file settles, a sentence, and True if that is a warning."""
 
     rows: np.ndarray
     t: np.ndarray
     open_s: float
     note: str
+    is_doubtful: bool = False
 
 
 def samples(t: np.ndarray, w: np.ndarray) -> Held | None:
@@ -63,7 +64,7 @@ def samples(t: np.ndarray, w: np.ndarray) -> Held | None:
         if not slips:
             said += f"; if the sensor has a clock of its own, it is up to {gap * 1e-6:.3g} ms older"
         is_short = not slips and float(first[-1]) < LOCKED_S * 1e9
-        return Held(rows, t[rows], gap * 1e-9 / 12**0.5 if is_short else 0.0, said)
+        return Held(rows, t[rows], gap * 1e-9 / 12**0.5 if is_short else 0.0, said, not slips)
     number = _numbered((first + before) / 2)
     line, scatter = _off_line(number, (first + before) / 2, of_motion)
     is_even = scatter < UNEVEN * gap

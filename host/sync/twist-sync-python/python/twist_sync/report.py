@@ -114,6 +114,7 @@ def _pair(pair: Pair, solved: Synchronized) -> dict[str, Any]:
         out["refused_windows"] = [{**vars(gate), "windows": n} for gate, n in course.refusals]
         out["unsupported"] = [[s + first * 1e-9 for s in part] for part in course.unsupported]
         out["warnings"] = [f"{named(text)} ({n} estimates)" for text, n in course.warnings]
+    out["warnings"] += [f"{r.name}: {doubt}" for r in (a, b) for doubt in r.doubts]
     if out["mirrored"]:
         out["warnings"].append(
             f"the axes of {a.name} and {b.name} are mirrored: in one of them two axes are exchanged or one has the "

@@ -389,8 +389,10 @@ def _at_once(file: IO[str], one: Table) -> bool:
     used = [k for k, values in numbers.items() if values is not None]
     whole = {k: all(text.lstrip("+-").isdecimal() for text in one.columns[k]) for k in used}
     form = [(str(k), np.int64 if whole[k] else np.float64) for k in used]
-    rows = [line for _, line in itertools.islice(lines_of(file), one.lines[0] - 1, None)]
+    rows = list(itertools.islice(file, one.lines[0] - 1, None))
     count = {line.count(dialect.delimiter) for line in rows} if dialect.delimiter else {0}
+    if max(map(len, rows)) > LONGEST_LINE:
+        return False
     try:
         data = np.loadtxt(rows, np.dtype(form), delimiter=dialect.delimiter, usecols=used, comments=None, ndmin=1)
     except (ValueError, OverflowError, IndexError):

@@ -332,6 +332,12 @@ class Clock:
     def _checked(self, times: Times, raw: np.ndarray, scale: float) -> Times:
         """Returns times, of the values `raw` in units of `scale` ns, that go on where they wrap."""
         name, steps = self.table.names[times.columns[0]], np.diff(raw)
+        if (steps == 0).any():
+            same = (np.diff(self.table.array(self.group)[self.rows], axis=0) == 0).all(axis=1) & (steps == 0)
+            if same.any():
+                once = np.r_[True, ~same]
+                self.rows, raw, times.ns, steps = self.rows[once], raw[once], times.ns[once], steps[~same]
+                self.notes.append(f"{same.sum()} rows repeat both time and values of the one before: left out")
         share = float(np.mean(steps == 0)) if len(steps) else 0.0
         if share > MOST_REPEATED:
             step = np.median(steps[steps > 0]) * scale * 1e-9 if (steps > 0).any() else 0
