@@ -479,7 +479,7 @@ def json_columns(m):
 
 
 def sensors_by_number(m, ids=("4", "1")):
-    """Rows of two bodies, told apart by a number."""
+    """Rows of two bodies, which a number distinguishes."""
     rows = []
     for n, w in zip(m.ns.tolist(), m.w.tolist()):
         rows += [f"{n // 1000},1,{w[0]:.5f},{w[1]:.5f},{w[2]:.5f}", f"{n // 1000},2,{-w[1]:.5f},{w[0]:.5f},{w[2]:.5f}"]

@@ -158,14 +158,19 @@ class Bag:
     def _of_db3(self, moving: bool) -> Iterator[Message]:
         query = "SELECT t.name, t.type, m.timestamp, m.data, m.id FROM messages m JOIN topics t ON m.topic_id = t.id ORDER BY m.id"
         store = _store(False)
-        for name, kind, log, raw, number in db3(self.path).execute(query):
+        storage = sqlite3.connect(f"file:{self.path.absolute().as_posix()}?mode=ro", uri=True)
+        for name, kind, log, raw, number in storage.execute(query):
             if name not in self.channels:
                 self.channels[name] = _of_ros(Channel(name, kind, "cdr"), store)
             self.channels[name].own = number
             yield self.channels[name], log, raw
 
     def _of_rosbags(self, moving: bool) -> Iterator[Message]:
-        with reader(self.path) as bag:
+        from rosbags.highlevel import AnyReader
+
+        path = self.path.parent if self.path.suffix == ".db3" else self.path
+        # The types are for bags that do not describe their messages.
+        with AnyReader([path], default_typestore=_store(path.suffix == ".bag")) as bag:
             for own in bag.connections:
                 channel = Channel(own.topic, own.msgtype, "cdr" if bag.is2 else "ros1", (own, bag.typestore))
                 self.channels[own.id, own.topic] = _of_ros(channel, bag.typestore)
@@ -199,19 +204,6 @@ def _decoder(schema: Any, encoding: str) -> Any:
     decode = DecoderFactory().decoder_for("protobuf", schema)
     more = {"preserving_proto_field_name": True, "always_print_fields_with_no_presence": True}
     return decode and (lambda raw: MessageToDict(decode(raw), **more))
-
-
-def reader(path: Path) -> Any:
-    """Returns a reader of rosbags for a ROS 1 bag or the folder of a ROS 2 bag."""
-    from rosbags.highlevel import AnyReader
-
-    # The types are for bags that do not describe their messages.
-    return AnyReader([path.parent if path.suffix == ".db3" else path], default_typestore=_store(path.suffix == ".bag"))
-
-
-def db3(path: Path) -> sqlite3.Connection:
-    """Opens the storage of a ROS 2 bag without its metadata."""
-    return sqlite3.connect(f"file:{path.absolute().as_posix()}?mode=ro", uri=True)
 
 
 def _table(channel: Channel, rows: list[Any], notes: list[str]) -> Iterable[Table]:

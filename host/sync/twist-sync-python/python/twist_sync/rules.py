@@ -116,7 +116,7 @@ MAKERS = (
 )
 
 
-#: The axis in the last word of a name, behind or before what it is an axis of, and axes of words.
+#: The axis at the end of a name, after or before what it is an axis of, and axes of words.
 AXES = re.compile(
     r"(w|g|gf|gyro|gyr|omega|om|rot|rate|angvel|av|as|a|f|m|acc|accel|mag|ang|angle|q|quat|r|p|t|v|b|d|e|)([xyzw])"
     r"|([xyz])(gyro|gyr|acc|accel|mag|angvel|rate)"
