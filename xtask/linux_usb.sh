@@ -51,7 +51,8 @@ step() { # name, command …
 }
 appears() { for _ in $(seq 100); do [ -c $tty ] && return; sleep 0.2; done; echo "no $tty"; false; }
 goes() { for _ in $(seq 100); do [ -c $tty ] || return 0; sleep 0.2; done; echo "$tty stays"; false; }
-device() { dirname "$(grep -l 1209 /sys/bus/usb/devices/*/idVendor)"; }
+id=$(sed 's/.*usb_id=\([0-9a-f:]*\).*/\1/' /proc/cmdline)
+device() { dirname "$(grep -l "${id%:*}" /sys/bus/usb/devices/*/idVendor)"; }
 board() { smartdepthsync board --port $tty "$@"; }
 info() { appears && board info; }
 # A device that has left the bus is attached again by hand, and this is the hand.
@@ -83,7 +84,7 @@ unbind() {
     # And the device as a whole, which sets its configuration again.
     echo 0 >"$(device)/authorized"; goes; echo 1 >"$(device)/authorized"; info
 }
-reset() { for _ in $(seq 5); do usbreset 1209:0001 && sleep 1 && info || return; done; }
+reset() { for _ in $(seq 5); do usbreset "$id" && sleep 1 && info || return; done; }
 unplug() { # in mid-stream
     for _ in $(seq 3); do
         board trigger start --fps 30; board imu --duration 20s >/tmp/stream 2>&1 &

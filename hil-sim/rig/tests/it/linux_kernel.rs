@@ -346,15 +346,17 @@ struct Machine {
 
 impl Machine {
     fn boot(port: u16) -> Self {
+        let parameters = format!(
+            "console=ttyS0 quiet panic=-1 usbip_port={port} usb_id={:04x}:{:04x}",
+            protocol::usb::VENDOR_ID,
+            protocol::usb::PRODUCT_ID
+        );
         let mut qemu = Command::new("qemu-system-x86_64")
             .args(["-accel", "tcg", "-m", "512", "-nographic", "-no-reboot"])
             .args(["-nic", "user,model=e1000"])
             .args(["-kernel", &format!("{MACHINE}/vmlinuz")])
             .args(["-initrd", &format!("{MACHINE}/initrd")])
-            .args([
-                "-append",
-                &format!("console=ttyS0 quiet panic=-1 usbip_port={port}"),
-            ])
+            .args(["-append", &parameters])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .spawn()
