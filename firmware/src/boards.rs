@@ -30,39 +30,6 @@ pub struct Board {
     /// The computer's 5 V are at PA9. Without that wire a cable that is unplugged shows as a
     /// bus that is suspended.
     pub senses_vbus: bool,
-    /// The LEDs: IMU, pulse, fault, link.
-    pub leds: [LedPin; 4],
-}
-
-/// A port that has LEDs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LedPort {
-    /// GPIOB.
-    B,
-    /// GPIOC.
-    C,
-    /// GPIOD.
-    D,
-}
-
-/// A pin that has an LED.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LedPin {
-    /// The pin's port.
-    pub port: LedPort,
-    /// Pin on it.
-    pub pin: u8,
-    /// It is lit while the pin is low.
-    pub active_low: bool,
-}
-
-/// An LED that is lit while its pin is high.
-const fn led(port: LedPort, pin: u8) -> LedPin {
-    LedPin {
-        port,
-        pin,
-        active_low: false,
-    }
 }
 
 /// The board of this build.
@@ -91,19 +58,6 @@ mod tests {
             assert_eq!(oscillator / 4, 48_000_000, "USB");
             assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
             assert_eq!(SYSCLK_HZ / 5, 19_200_000, "the IMU's clock");
-        }
-    }
-
-    #[test]
-    fn no_led_is_on_a_pin_of_a_signal() {
-        // Pins of port B, as in the module's header; port A has no LED.
-        let signals: &[u8] = &[0, 6, 7];
-        for board in [discovery::BOARD, black_pill::BOARD] {
-            for (n, led) in board.leds.iter().enumerate() {
-                let clash = led.port == LedPort::B && signals.contains(&led.pin);
-                assert!(!clash, "{led:?}");
-                assert!(!board.leds[..n].contains(led));
-            }
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The registers of the chip and the wiring of the board. What differs from board to board is
-//! in [`firmware::boards`]; `missing_outputs` stands in for a driver that a chip does not need.
+//! in [`firmware::boards`] and [`resources`]; `missing` stands in for drivers of what a chip does
+//! not have.
 //!
 //! Interrupt priorities (smaller goes first):
 //!
@@ -12,9 +13,6 @@
 //!
 //! The handlers of priorities 0 and 1 must therefore touch nothing that a critical
 //! section protects: they hand over through the queues of [`events`].
-//!
-//! Clocks of the peripherals that these drivers use are switched on by
-//! [`clocks::enable_peripherals`], before any of them.
 //!
 //! The modules form layers, and imports go down: [`events`] and the locks; the drivers;
 //! [`handover`]. Of the rest of the binary they see `state` alone.
@@ -35,11 +33,12 @@ pub(crate) mod leds;
 pub(crate) mod leftovers;
 pub(crate) mod masked;
 #[cfg(not(feature = "discovery"))]
-mod missing_outputs;
+mod missing;
 #[cfg(feature = "discovery")]
 pub(crate) mod nmea_port;
 pub(crate) mod otg;
 pub(crate) mod outputs;
+pub(crate) mod resources;
 #[cfg(feature = "discovery")]
 pub(crate) mod rng;
 pub(crate) mod stack;
@@ -49,4 +48,4 @@ pub(crate) mod tim2;
 pub(crate) mod triggers;
 
 #[cfg(not(feature = "discovery"))]
-pub(crate) use missing_outputs::nmea_port;
+pub(crate) use missing::{nmea_port, rng};

@@ -90,7 +90,7 @@ pub const fn interval_ms(config: &ImuConfig) -> u32 {
 /// # Errors
 ///
 /// The divider is above [`ImuConfig::MAX_DIVIDER`], or the sensor has no such rate.
-pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
+pub fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
     let has = match family(model) {
         Family::Mpu => mpu::has(config),
         Family::Icm42688P => icm42688p::has(config),
@@ -105,7 +105,7 @@ pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
 /// The IMU as it is set up, with the scales and delays that follow. One that is not
 /// found yet is described as an MPU-6050.
 #[must_use]
-pub const fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
+pub fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
     let Description {
         gyro_delay_us,
         accel_delay_us,
@@ -214,10 +214,14 @@ impl<B: I2c> Imu<B> {
     ///
     /// Faults of the bus.
     pub async fn read_sample(&mut self) -> Result<RawSample, ImuFault> {
-        match family(self.model) {
-            Family::Mpu => mpu::read_sample(&mut self.registers).await,
-            Family::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
-        }
+        let (register, sample): (u8, fn([i16; 7]) -> RawSample) = match family(self.model) {
+            Family::Mpu => (mpu::SAMPLE, mpu::sample),
+            Family::Icm42688P => (icm42688p::SAMPLE, icm42688p::sample),
+        };
+        let bytes: [u8; 14] = self.registers.read_all(register).await?;
+        Ok(sample(array::from_fn(|word| {
+            i16::from_be_bytes([bytes[2 * word], bytes[2 * word + 1]])
+        })))
     }
 
     async fn identify(&mut self) -> Result<ImuModel, ImuFault> {
@@ -274,14 +278,6 @@ impl<B: I2c> Registers<B> {
         let result = self.bus.write_read(ADDRESS, &[register], &mut bytes).await;
         result.map_err(|error| fault(&error, register))?;
         Ok(bytes)
-    }
-
-    /// Reads the seven words of a sample from `register` on, high byte first.
-    async fn read_words(&mut self, register: u8) -> Result<[i16; 7], ImuFault> {
-        let bytes: [u8; 14] = self.read_all(register).await?;
-        Ok(array::from_fn(|word| {
-            i16::from_be_bytes([bytes[2 * word], bytes[2 * word + 1]])
-        }))
     }
 
     async fn expect(&mut self, register: u8, wrote: u8, expected: u8) -> Result<(), ImuFault> {

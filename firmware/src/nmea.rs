@@ -11,52 +11,11 @@ use protocol::{
     END_UTC, GnssSettings, MAX_NMEA, MAX_PPS_WIDTH, MIN_OUTPUT_WIDTH, MIN_UTC, NMEA_WINDOW_MS,
     Refusal, Sentences, TICK_HZ, Ticks,
 };
+use time::UtcDateTime;
 
 /// Time for which settings must remain within the dates that the sentences can express, in
 /// seconds: an hour.
 const DATE_MARGIN: i64 = 3_600;
-
-/// A date and a time of day; month and day count from 1.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Utc {
-    year: u32,
-    month: u32,
-    day: u32,
-    hour: u32,
-    minute: u32,
-    second: u32,
-}
-
-impl Utc {
-    /// Converts Unix time; earlier times become the first second of 1970.
-    ///
-    /// The proleptic Gregorian calendar in eras of 400 years, whose years begin
-    /// in March so that the leap day is the last (H. Hinnant, "chrono-compatible
-    /// low-level date algorithms").
-    const fn from_unix(unix: i64) -> Self {
-        let unix = if unix < 0 { 0 } else { unix as u64 };
-        // Up to 2³¹ days there is no overflow: seconds of a 64-bit number of ticks.
-        let days = unix / 86_400 + 719_468;
-        let era = days / 146_097;
-        let day_of_era = days % 146_097;
-        let year_of_era =
-            (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-        let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-        let month = (5 * day_of_year + 2) / 153;
-        let day = day_of_year - (153 * month + 2) / 5 + 1;
-        let month = if month < 10 { month + 3 } else { month - 9 };
-        let year = year_of_era + era * 400 + (month <= 2) as u64;
-        let of_day = unix % 86_400;
-        Self {
-            year: year as u32,
-            month: month as u32,
-            day: day as u32,
-            hour: (of_day / 3_600) as u32,
-            minute: (of_day / 60 % 60) as u32,
-            second: (of_day % 60) as u32,
-        }
-    }
-}
 
 /// The second that begins with the pulse at `at`, as Unix time.
 #[must_use]
@@ -90,26 +49,24 @@ pub fn check(settings: &GnssSettings, now: Ticks) -> Result<(), Refusal> {
 /// The sentences for the second `utc` (Unix time), with line ends.
 #[must_use]
 pub fn text(sentences: Sentences, utc: i64) -> String<MAX_NMEA> {
-    let t = Utc::from_unix(utc);
+    // In range: `check`.
+    let utc = UtcDateTime::from_unix_timestamp(utc).unwrap_or(UtcDateTime::UNIX_EPOCH);
+    let (year, month, day) = (utc.year(), u8::from(utc.month()), utc.day());
+    let (hour, minute, second) = utc.as_hms();
     let mut text = String::new();
     sentence(&mut text, |text| {
         write!(
             text,
-            "GPRMC,{:02}{:02}{:02}.00,A,0000.0000,N,00000.0000,E,0.0,0.0,{:02}{:02}{:02},,,A",
-            t.hour,
-            t.minute,
-            t.second,
-            t.day,
-            t.month,
-            t.year % 100
+            "GPRMC,{hour:02}{minute:02}{second:02}.00,A,0000.0000,N,00000.0000,E,0.0,0.0,\
+             {day:02}{month:02}{:02},,,A",
+            year % 100
         )
     });
     if sentences == Sentences::RmcZda {
         sentence(&mut text, |text| {
             write!(
                 text,
-                "GPZDA,{:02}{:02}{:02}.00,{:02},{:02},{:04},00,00",
-                t.hour, t.minute, t.second, t.day, t.month, t.year
+                "GPZDA,{hour:02}{minute:02}{second:02}.00,{day:02},{month:02},{year:04},00,00"
             )
         });
     }
@@ -229,7 +186,7 @@ mod tests {
                         prop_assert_eq!(rmc.status_of_fix, nmea::sentences::rmc::RmcStatusOfFix::Autonomous);
                         let time = rmc.fix_date.unwrap().and_time(rmc.fix_time.unwrap());
                         // Two digits of the year: the parser takes 83 to 99 for the last century.
-                        let year = Utc::from_unix(utc).year;
+                        let year = UtcDateTime::from_unix_timestamp(utc).unwrap().year();
                         if year < 2083 {
                             prop_assert_eq!(time.and_utc().timestamp(), utc);
                         }

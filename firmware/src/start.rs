@@ -10,16 +10,14 @@ use embassy_stm32::wdg::IndependentWatchdog;
 use firmware::boards::BOARD;
 use firmware::config;
 use heapless::String;
-use protocol::{Hello, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
+use protocol::{Hello, PROTOCOL_VERSION, ResetCause, TICK_HZ};
 
-use crate::hardware::imu_bus::ImuBus;
 use crate::hardware::imu_clock::ImuClockOutput;
 use crate::hardware::thermometer::Thermometer;
 use crate::hardware::{
-    clocks, cycles, faults, flash, handover, idle, leds, leftovers, outputs, stack, tim1, tim2,
+    clocks, cycles, faults, flash, handover, idle, leds, leftovers, outputs, resources, rng, stack,
+    tim2,
 };
-#[cfg(feature = "discovery")]
-use crate::hardware::{nmea_port, rng};
 use crate::state;
 use crate::tasks;
 
@@ -48,106 +46,32 @@ fn main() -> ! {
     // Only now: a run without a crystal is over before it could report what ended the last one.
     let run = faults::begin_run(reset_cause);
 
-    let p = embassy_stm32::init(clocks::config());
+    let mine = resources::split(embassy_stm32::init(clocks::config()));
     clocks::set_priorities();
     clocks::watch_crystal();
     clocks::enable_flash_accelerator();
-    clocks::enable_peripherals();
-    #[cfg(feature = "discovery")]
-    let random = {
-        nmea_port::init(p.UART5, p.PC12);
-        rng::number(p.RNG)
-    };
-    // The number of the first run is what memory held at power-on.
-    #[cfg(not(feature = "discovery"))]
-    let random = None;
-    let epoch = number(&run, random);
-    let last_panic = run.last_panic;
     stack::paint();
-    // A halted core does not feed the watchdog. Without this one that a tool left halted
-    // starts again.
-    #[cfg(feature = "developer")]
-    pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    let thermometer = Thermometer::new(p.ADC1);
-    let (panics, kept_panic) = flash::init(p.FLASH, last_panic.as_deref());
-    let (trigger_events, output_events) = handover::init(p.SPI3);
-    #[cfg(feature = "discovery")]
-    let led_pins = (p.PD12, p.PD13, p.PD14, p.PD15);
-    #[cfg(not(feature = "discovery"))]
-    let led_pins = (p.PB12, p.PB13, p.PC13, p.PB15);
-    let lines = tim1::Owned {
-        edges: p.TIM1,
-        wakes: p.TIM5,
-        #[cfg(feature = "discovery")]
-        pps: p.PE9,
-        #[cfg(feature = "discovery")]
-        second: p.PE11,
-        #[cfg(feature = "discovery")]
-        third: p.PE13,
-        #[cfg(feature = "discovery")]
-        fourth: p.PE14,
-    };
-    outputs::init(lines, output_events);
-    let trigger = tim2::Owned {
-        timer: p.TIM2,
-        trigger: p.PA5,
-        data_ready: p.PA1,
-        strobe: p.PA2,
-        readback: p.PA3,
-        _falling_edges: p.DMA1_CH5,
-    };
-    tim2::init(trigger, trigger_events);
-    leds::init(led_pins);
-
-    let failed = last_panic.is_some() || reset_cause == ResetCause::Watchdog;
-    leds::show_failed_run(failed);
+    stack::guard();
+    let epoch = number(&run, rng::number(mine.random));
+    let thermometer = Thermometer::new(mine.chip.adc);
+    let (panics, kept_panic) = flash::init(mine.chip.flash, run.last_panic.as_deref());
+    let (trigger_events, output_events) = handover::init(mine.chip.handover);
+    outputs::init(mine.outputs, output_events);
+    tim2::init(mine.trigger, trigger_events);
+    leds::init(mine.leds);
+    leds::show_failed_run(run.last_panic.is_some() || reset_cause == ResetCause::Watchdog);
     let hello = Hello {
-        protocol_version: PROTOCOL_VERSION,
-        firmware_version: (
-            decimal(env!("CARGO_PKG_VERSION_MAJOR")),
-            decimal(env!("CARGO_PKG_VERSION_MINOR")),
-            decimal(env!("CARGO_PKG_VERSION_PATCH")),
-        ),
-        git_revision: String::try_from(env!("GIT_REVISION")).unwrap_or_default(),
-        git_dirty: env!("GIT_DIRTY").as_bytes() == b"1",
-        board_id: uid::uid(),
-        tick_hz: TICK_HZ,
-        now: Ticks::ZERO,
         epoch,
         reset_cause,
-        last_panic,
-        board: BOARD.model,
         panics,
         kept_panic,
+        last_panic: run.last_panic,
+        ..this_board()
     };
-    defmt::info!(
-        "{=str} epoch {=u32:08x}, reset by {}",
-        IMAGE,
-        epoch,
-        reset_cause
-    );
-    if let Some(panic) = &hello.last_panic {
-        defmt::warn!("the last run ended with: {=str}", panic.as_str());
-    }
-    let board_id = hello.board_id;
-    if state::INFO.init((hello, run.kept.resets)).is_err() {
-        defmt::unreachable!();
-    }
-
-    let usb = tasks::usb::build(p.USB_OTG_FS, (p.PA12, p.PA11, p.PA9), &board_id);
-
-    let imu_bus = ImuBus {
-        i2c: p.I2C1,
-        scl: p.PB6,
-        sda: p.PB7,
-        tx: p.DMA1_CH6,
-        rx: p.DMA1_CH0,
-    };
-
-    let imu_clock = ImuClockOutput::new((p.TIM3, p.PB0), (p.MCO1, p.PA8));
+    introduce(hello, run.kept.resets);
+    let usb = tasks::usb::build(mine.usb, &uid::uid());
+    let imu_clock = ImuClockOutput::new(mine.imu_clock);
     clocks::check_priorities();
-    // Taken before the HAL gave it.
-    let _taken = p.IWDG;
 
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
@@ -155,8 +79,8 @@ fn main() -> ! {
         spawn(spawner, tasks::usb::watch_core());
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
-        spawn(spawner, tasks::imu::run(imu_bus, imu_clock));
-        spawn(spawner, tasks::gnss::run());
+        spawn(spawner, tasks::imu::run(mine.imu_bus, imu_clock));
+        spawn(spawner, tasks::gnss::run(mine.sentences));
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());
         spawn(spawner, tasks::status::run(watchdog, thermometer));
@@ -171,7 +95,44 @@ fn start_watchdog() -> IndependentWatchdog<'static, IWDG> {
     let peripheral = unsafe { IWDG::steal() };
     let mut watchdog = IndependentWatchdog::new(peripheral, config::WATCHDOG_US);
     watchdog.unleash();
+    // A halted core does not feed it. Without this one that a tool left halted starts again.
+    #[cfg(feature = "developer")]
+    pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
     watchdog
+}
+
+/// The board, its firmware, and nothing of this run.
+fn this_board() -> Hello {
+    Hello {
+        protocol_version: PROTOCOL_VERSION,
+        firmware_version: (
+            decimal(env!("CARGO_PKG_VERSION_MAJOR")),
+            decimal(env!("CARGO_PKG_VERSION_MINOR")),
+            decimal(env!("CARGO_PKG_VERSION_PATCH")),
+        ),
+        git_revision: String::try_from(env!("GIT_REVISION")).unwrap_or_default(),
+        git_dirty: env!("GIT_DIRTY").as_bytes() == b"1",
+        board_id: uid::uid(),
+        tick_hz: TICK_HZ,
+        board: BOARD.model,
+        ..Hello::default()
+    }
+}
+
+/// Logs who the board is, and keeps it for the tasks.
+fn introduce(hello: Hello, resets: [u8; ResetCause::COUNT]) {
+    defmt::info!(
+        "{=str} epoch {=u32:08x}, reset by {}",
+        IMAGE,
+        hello.epoch,
+        hello.reset_cause
+    );
+    if let Some(panic) = &hello.last_panic {
+        defmt::warn!("the last run ended with: {=str}", panic.as_str());
+    }
+    if state::INFO.init((hello, resets)).is_err() {
+        defmt::unreachable!();
+    }
 }
 
 /// The number of this run: random after power-on, then one up with each reset.
@@ -185,17 +146,12 @@ fn number(run: &faults::Begun, random: Option<u32>) -> u32 {
     }
 }
 
-/// A decimal number; digits that do not fit wrap.
+/// A decimal number, of cargo's.
 const fn decimal(digits: &str) -> u8 {
-    let mut bytes = digits.as_bytes();
-    let mut value = 0_u8;
-    while let [digit, rest @ ..] = bytes {
-        value = value
-            .wrapping_mul(10)
-            .wrapping_add(digit.wrapping_sub(b'0'));
-        bytes = rest;
+    match u8::from_str_radix(digits, 10) {
+        Ok(number) => number,
+        Err(_) => 0,
     }
-    value
 }
 
 /// Spawns a task. Each is spawned once, so its one place is free.

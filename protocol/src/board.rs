@@ -211,8 +211,10 @@ pub struct UsbCounters {
     pub resets: u32,
     /// Suspends by the host, or of a bus without traffic.
     pub suspends: u32,
-    /// Times that the board left the bus because its core did not send any more.
+    /// Restarts of the core because it did not send any more.
     pub stuck: u32,
+    /// Restarts of the core because a host had reset the bus and set no configuration.
+    pub unconfigured: u32,
 }
 
 /// Run time of one handler, by the core's cycle counter, at [`CORE_HZ`]. The time of a handler

@@ -254,4 +254,6 @@ pub enum Failure {
     StackOverflow,
     /// Leave the bus for 0.3 s and come back, as by a cable that is pulled. The run goes on.
     LeaveBus,
+    /// A handler that overflows its stack; the next [`crate::Hello`] must say so.
+    HandlerOverflow,
 }

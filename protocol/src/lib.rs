@@ -61,4 +61,4 @@ pub use units::{TICK_HZ, TickDelta, Ticks};
 /// Version of the wire format. Host and board must agree on it exactly; it is
 /// the first field of [`Hello`], whose position never changes, so that a host
 /// can read the version of any board.
-pub const PROTOCOL_VERSION: u16 = 9;
+pub const PROTOCOL_VERSION: u16 = 10;

@@ -6,7 +6,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, LedPin, LedPort, led};
+use super::Board;
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::BlackPill,
@@ -20,14 +20,4 @@ pub(super) const BOARD: Board = Board {
     temperature_channel: 18,
     // PA9 is on the header alone.
     senses_vbus: false,
-    leds: [
-        // To be wired, but for that on the board, from 3.3 V.
-        led(LedPort::B, 12),
-        led(LedPort::B, 13),
-        LedPin {
-            active_low: true,
-            ..led(LedPort::C, 13)
-        },
-        led(LedPort::B, 15),
-    ],
 };

@@ -2,7 +2,7 @@
 
 use protocol::BoardModel;
 
-use super::{Board, LedPort, led};
+use super::Board;
 
 pub(super) const BOARD: Board = Board {
     model: BoardModel::Discovery,
@@ -17,11 +17,4 @@ pub(super) const BOARD: Board = Board {
     temperature_channel: 16,
     // Powered through its other connector (UM1472, 6.10).
     senses_vbus: true,
-    // PD12 to PD15: green, orange, red, blue (UM1472, 6.3).
-    leds: [
-        led(LedPort::D, 12),
-        led(LedPort::D, 13),
-        led(LedPort::D, 14),
-        led(LedPort::D, 15),
-    ],
 };

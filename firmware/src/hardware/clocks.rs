@@ -81,25 +81,6 @@ pub(crate) fn follow_debugger() {
         .modify(|w| w.set_dbg_sleep(DCB::is_debugger_attached()));
 }
 
-/// Gives the peripherals of the board's own drivers their clocks. The read behind each
-/// register's write lasts until they have arrived: an access that comes earlier is lost
-/// (ES0182, "delay after an RCC peripheral clock enabling").
-pub(crate) fn enable_peripherals() {
-    pac::RCC.ahb2enr().modify(|w| {
-        #[cfg(feature = "discovery")]
-        w.set_rngen(true);
-        // The tasks that read and write look at their endpoints before the one that runs
-        // the device has let the HAL switch this on and reset the core.
-        w.set_usb_otg_fsen(true);
-    });
-    let _ = pac::RCC.ahb2enr().read();
-    #[cfg(feature = "discovery")]
-    pac::RCC.apb1enr().modify(|w| w.set_uart5en(true));
-    let _ = pac::RCC.apb1enr().read();
-    pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
-    let _ = pac::RCC.apb2enr().read();
-}
-
 /// Switches on the flash accelerator, which the HAL leaves off: at 96 MHz every
 /// access to the flash takes three wait states without it (RM0090 3.5.1). The first
 /// revision of some chips cannot prefetch, and gives another device ID.

@@ -25,11 +25,12 @@ pub(crate) enum Input {
     Strobe = 2,
 }
 
-/// An event of TIM2's handler.
+/// An event of a timer's handler.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Event {
-    /// A pulse of the trigger, with its number in the stream.
-    Pulse(u32, Pulsed),
+    /// A pulse of an output, or the pulse per second if that is none; with its number in the
+    /// stream.
+    Pulse(Option<Output>, u32, Pulsed),
     /// An edge of the strobe.
     Capture(Capture),
     DataReady(DataReady),
@@ -44,15 +45,6 @@ pub(crate) struct DataReady {
     pub(crate) after_loss: bool,
 }
 
-/// An event of TIM1's and TIM5's handlers: a pulse of a line, with its number in the stream.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct OutputEvent {
-    /// None: the pulse per second.
-    pub(crate) output: Option<Output>,
-    pub(crate) seq: u32,
-    pub(crate) pulsed: Pulsed,
-}
-
 /// Edges of data-ready, for the IMU's task.
 pub(crate) static DATA_READY: Channel<CriticalSectionRawMutex, DataReady, 4> = Channel::new();
 
@@ -63,10 +55,10 @@ pub(crate) static LOST_DATA_READY: AtomicU32 = AtomicU32::new(0);
 pub(crate) static FLOODED: Channel<CriticalSectionRawMutex, Input, 4> = Channel::new();
 
 /// The end of a queue that a timer's handler fills, once it is set up.
-pub(crate) type Sender<T> = Option<Producer<'static, T>>;
+pub(crate) type Sender = Option<Producer<'static, Event>>;
 
 /// Hands an event over. False if there is no place.
-pub(crate) fn send<T>(queue: &mut Sender<T>, event: T) -> bool {
+pub(crate) fn send(queue: &mut Sender, event: Event) -> bool {
     NVIC::pend(INTERRUPT);
     queue
         .as_mut()

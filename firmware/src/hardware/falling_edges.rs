@@ -17,6 +17,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_stm32::pac;
+use embassy_stm32::pac::dma::regs::Cr;
 use embassy_stm32::pac::dma::vals::{Dir, Pl, Size};
 
 pub(super) const INTERRUPT: pac::Interrupt = pac::Interrupt::DMA1_STREAM5;
@@ -48,16 +49,17 @@ pub(super) fn arm(rise: u32, fall: u32) {
     let stream = DMA.st(STREAM);
     stream.ndtr().write(|w| w.set_ndt(VALUES.len() as u16));
     // The stream is set up while it is off, and then switched on (RM0090 10.3.17).
-    stream.cr().write(|w| {
-        w.set_chsel(CHANNEL);
-        w.set_pl(Pl::VERY_HIGH);
-        w.set_msize(Size::BITS32);
-        w.set_psize(Size::BITS32);
-        w.set_minc(true);
-        w.set_dir(Dir::MEMORY_TO_PERIPHERAL);
-        w.set_tcie(true);
-    });
-    stream.cr().modify(|w| w.set_en(true));
+    let mut set_up = Cr(0);
+    set_up.set_chsel(CHANNEL);
+    set_up.set_pl(Pl::VERY_HIGH);
+    set_up.set_msize(Size::BITS32);
+    set_up.set_psize(Size::BITS32);
+    set_up.set_minc(true);
+    set_up.set_dir(Dir::MEMORY_TO_PERIPHERAL);
+    set_up.set_tcie(true);
+    stream.cr().write_value(set_up);
+    set_up.set_en(true);
+    stream.cr().write_value(set_up);
 }
 
 /// Reads of the stream's state until it must be off: a transfer under way is finished first, which

@@ -168,9 +168,9 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     // SAFETY: reading the fault status registers has no effect.
     let (cfsr, hfsr) = unsafe { ((*SCB::PTR).cfsr.read(), (*SCB::PTR).hfsr.read()) };
     let at = core::ptr::from_ref(frame).addr();
-    if !stack::holds_frame(at) {
+    if let Some(which) = stack::overflowed(at) {
         fail(format_args!(
-            "stack overflow: the tasks' stack ended, sp {at:#010x}, cfsr {cfsr:#010x}"
+            "stack overflow: the {which} stack ended, sp {at:#010x}, cfsr {cfsr:#010x}"
         ));
     }
     fail(format_args!(
@@ -190,6 +190,16 @@ unsafe fn NonMaskableInt() -> ! {
 #[exception]
 unsafe fn DefaultHandler(irqn: i16) -> ! {
     fail(format_args!("interrupt {irqn} has no handler"))
+}
+
+/// Calls a handler that overflows its stack, to try out what notices it.
+pub(crate) fn overflow_in_handler() {
+    SCB::set_pendsv();
+}
+
+#[exception]
+fn PendSV() {
+    stack::overflow(0);
 }
 
 /// Fails with an undefined instruction, to try out the HardFault handler.

@@ -18,27 +18,22 @@ use protocol::{Arrived, DeviceToHost, Output, Pps, Pulse, TickDelta};
 use static_cell::StaticCell;
 
 use crate::hardware::cycles::HANDOVER_TIME;
-use crate::hardware::events::{
-    DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY, OutputEvent,
-};
+use crate::hardware::events::{DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY};
 use crate::hardware::leds::{self, Led};
 use crate::state;
 
 /// The end of a queue that this handler empties, once it is set up.
-type Receiver<T> = CriticalSectionMutex<RefCell<Option<Consumer<'static, T>>>>;
+type Receiver = CriticalSectionMutex<RefCell<Option<Consumer<'static, Event>>>>;
 
-static EVENTS: Receiver<Event> = Receiver::new(RefCell::new(None));
+static EVENTS: Receiver = Receiver::new(RefCell::new(None));
 
-static OUTPUTS: Receiver<OutputEvent> = Receiver::new(RefCell::new(None));
+static OUTPUTS: Receiver = Receiver::new(RefCell::new(None));
 
 /// Starts the handler, on the interrupt of a peripheral that nobody else uses. Returns the sending
 /// ends of the queues, for TIM2's handler and for TIM1's.
-pub(crate) fn init(
-    _: Peri<'static, SPI3>,
-) -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
+pub(crate) fn init(_: Peri<'static, SPI3>) -> (Producer<'static, Event>, Producer<'static, Event>) {
     static QUEUE: StaticCell<Queue<Event, { config::EVENTS }>> = StaticCell::new();
-    static OUTPUT_QUEUE: StaticCell<Queue<OutputEvent, { config::OUTPUT_EVENTS }>> =
-        StaticCell::new();
+    static OUTPUT_QUEUE: StaticCell<Queue<Event, { config::OUTPUT_EVENTS }>> = StaticCell::new();
     let (producer, consumer) = QUEUE.init(Queue::new()).split();
     EVENTS.lock(|events| *events.borrow_mut() = Some(consumer));
     let (outputs, consumer) = OUTPUT_QUEUE.init(Queue::new()).split();
@@ -48,7 +43,7 @@ pub(crate) fn init(
     (producer, outputs)
 }
 
-fn next<T>(events: &Receiver<T>) -> Option<T> {
+fn next(events: &Receiver) -> Option<Event> {
     events.lock(|events| events.borrow_mut().as_mut()?.dequeue())
 }
 
@@ -58,11 +53,14 @@ fn SPI3() {
 }
 
 fn hand_over() {
-    while let Some(event) = next(&EVENTS) {
+    while let Some(event) = next(&EVENTS).or_else(|| next(&OUTPUTS)) {
         match event {
-            Event::Pulse(seq, pulsed) => {
-                leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
-                send_pulse(Output::Camera, seq, &pulsed);
+            Event::Pulse(None, seq, pulsed) => send_pps(seq, &pulsed),
+            Event::Pulse(Some(output), seq, pulsed) => {
+                if output.is_camera() {
+                    leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
+                }
+                send_pulse(output, seq, &pulsed);
             }
             Event::Capture(capture) => state::send(DeviceToHost::Capture(capture)),
             Event::DataReady(edge) => {
@@ -73,17 +71,6 @@ fn hand_over() {
             Event::Flooded(input) => {
                 let _ = FLOODED.try_send(input);
             }
-        }
-    }
-    while let Some(OutputEvent {
-        output,
-        seq,
-        pulsed,
-    }) = next(&OUTPUTS)
-    {
-        match output {
-            Some(output) => send_pulse(output, seq, &pulsed),
-            None => send_pps(seq, &pulsed),
         }
     }
 }

@@ -6,12 +6,14 @@ use embassy_stm32::i2c::{
     Config, Error, ErrorInterruptHandler, EventInterruptHandler, I2c, Master,
 };
 use embassy_stm32::mode::Async;
-use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH6, I2C1, PB6, PB7};
+use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH6, I2C1};
 use embassy_stm32::time::Hertz;
-use embassy_stm32::{Peri, bind_interrupts, dma, pac};
+use embassy_stm32::{bind_interrupts, dma, pac};
 use embassy_time::Timer;
 use embedded_hal::i2c::{ErrorType, Operation};
 use firmware::config::I2C_HZ;
+
+pub(crate) use crate::hardware::resources::ImuBus;
 
 bind_interrupts!(struct Irqs {
     I2C1_EV => EventInterruptHandler<I2C1>;
@@ -26,15 +28,6 @@ const FREEING_CLOCKS: u32 = 9;
 
 /// Half a clock while freeing the bus, in µs. The time driver makes 32 of it.
 const HALF_CLOCK_US: u64 = 5;
-
-/// The peripheral, its pins and its DMA streams.
-pub(crate) struct ImuBus {
-    pub(crate) i2c: Peri<'static, I2C1>,
-    pub(crate) scl: Peri<'static, PB6>,
-    pub(crate) sda: Peri<'static, PB7>,
-    pub(crate) tx: Peri<'static, DMA1_CH6>,
-    pub(crate) rx: Peri<'static, DMA1_CH0>,
-}
 
 impl ImuBus {
     /// The bus, freshly reset.

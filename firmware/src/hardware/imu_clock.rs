@@ -3,7 +3,7 @@
 
 use embassy_stm32::gpio::OutputType;
 use embassy_stm32::pac::gpio::vals::Ospeedr;
-use embassy_stm32::peripherals::{MCO1, PA8, PB0, TIM3};
+use embassy_stm32::peripherals::{MCO1, PA8, TIM3};
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::timer::low_level::CountingMode;
@@ -12,24 +12,24 @@ use embassy_stm32::{Peri, pac};
 use firmware::config::IMU_RTC_HZ;
 use protocol::ImuModel;
 
-type Fast = (Peri<'static, MCO1>, Peri<'static, PA8>);
+use crate::hardware::resources::ImuClock;
 
 /// The outputs and their pins.
 pub(crate) struct ImuClockOutput {
     slow: SimplePwm<'static, TIM3>,
     /// Until it runs.
-    fast: Option<Fast>,
+    fast: Option<(Peri<'static, MCO1>, Peri<'static, PA8>)>,
 }
 
 impl ImuClockOutput {
     /// Both rest.
-    pub(crate) fn new((timer, pin): (Peri<'static, TIM3>, Peri<'static, PB0>), fast: Fast) -> Self {
-        let pin = PwmPin::new(pin, OutputType::PushPull);
+    pub(crate) fn new(clocks: ImuClock) -> Self {
+        let pin = PwmPin::new(clocks.slow_pin, OutputType::PushPull);
         let rate = Hertz(IMU_RTC_HZ);
         let mode = CountingMode::EdgeAlignedUp;
-        let mut slow = SimplePwm::new(timer, None, None, Some(pin), None, rate, mode);
+        let mut slow = SimplePwm::new(clocks.slow, None, None, Some(pin), None, rate, mode);
         slow.ch3().set_duty_cycle_fraction(1, 2);
-        let fast = Some(fast);
+        let fast = Some((clocks.fast, clocks.fast_pin));
         Self { slow, fast }
     }
 

@@ -1,13 +1,14 @@
-//! The LEDs, on the pins of [`BOARD`].
+//! The LEDs, on the pins of [`LEDS`].
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
+use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::gpio::vals::Moder;
-use embassy_stm32::{Peri, pac, peripherals};
-use firmware::boards::{BOARD, LedPort};
 
-/// One of the LEDs; the number is its place in [`BOARD`].
+use crate::hardware::resources::{LEDS, Leds};
+
+/// One of the LEDs; the number is its place in [`LEDS`].
 #[derive(Clone, Copy)]
 #[repr(u8)]
 pub(crate) enum Led {
@@ -25,44 +26,20 @@ impl Led {
     const ALL: [Self; 4] = [Self::Imu, Self::Pulse, Self::Fault, Self::Link];
 }
 
-/// The registers of a port.
-const fn registers(port: LedPort) -> Gpio {
-    match port {
-        LedPort::B => pac::GPIOB,
-        LedPort::C => pac::GPIOC,
-        LedPort::D => pac::GPIOD,
-    }
-}
+/// Port and pin of an LED, and true if it is lit while the pin is low.
+pub(crate) type LedPin = (Gpio, usize, bool);
 
-/// The pins of [`BOARD`], which are this driver's alone.
-#[cfg(feature = "discovery")]
-pub(crate) type Owned = (
-    Peri<'static, peripherals::PD12>,
-    Peri<'static, peripherals::PD13>,
-    Peri<'static, peripherals::PD14>,
-    Peri<'static, peripherals::PD15>,
-);
-#[cfg(not(feature = "discovery"))]
-pub(crate) type Owned = (
-    Peri<'static, peripherals::PB12>,
-    Peri<'static, peripherals::PB13>,
-    Peri<'static, peripherals::PC13>,
-    Peri<'static, peripherals::PB15>,
-);
-
-/// Makes the pins outputs, all dark.
-pub(crate) fn init(_: Owned) {
+/// Makes the pins, those of [`LEDS`], outputs, all dark.
+pub(crate) fn init(_: Leds) {
     for led in Led::ALL {
         make_output(led);
     }
 }
 
 fn make_output(led: Led) {
-    let pin = BOARD.leds[led as usize];
     drive(led, false);
-    registers(pin.port)
-        .moder()
-        .modify(|w| w.set_moder(pin.pin.into(), Moder::OUTPUT));
+    let (port, pin, _) = LEDS[led as usize];
+    port.moder().modify(|w| w.set_moder(pin, Moder::OUTPUT));
 }
 
 /// The last run ended in a panic, fault or watchdog reset.
@@ -89,12 +66,12 @@ pub(crate) fn set(led: Led, on: bool) {
 /// Switches an LED's pin. One write to the bit-set register: safe from any context.
 #[inline]
 pub(super) fn drive(led: Led, on: bool) {
-    let pin = BOARD.leds[led as usize];
-    registers(pin.port).bsrr().write(|w| {
-        if on != pin.active_low {
-            w.set_bs(pin.pin.into(), true);
+    let (port, pin, active_low) = LEDS[led as usize];
+    port.bsrr().write(|w| {
+        if on != active_low {
+            w.set_bs(pin, true);
         } else {
-            w.set_br(pin.pin.into(), true);
+            w.set_br(pin, true);
         }
     });
 }

@@ -16,9 +16,10 @@ use heapless::spsc::Producer;
 use protocol::Output;
 
 use crate::hardware::cycles::OUTPUTS_TIME;
-use crate::hardware::events::{self, OutputEvent};
+use crate::hardware::events::{self, Event};
 use crate::hardware::irq_priority::IrqPriorityMutex;
 use crate::hardware::masked;
+use crate::hardware::resources::Outputs;
 use crate::hardware::tim1::{self, Channel, Match};
 use crate::hardware::tim2::{self, TIMEBASE};
 
@@ -62,7 +63,7 @@ impl Driven {
 /// State that handlers and tasks share.
 struct Shared {
     lines: [Driven; 4],
-    events: events::Sender<OutputEvent>,
+    events: events::Sender,
     pps_seq: u32,
     pulse_seq: u32,
     lost: u32,
@@ -86,7 +87,7 @@ static SHARED: IrqPriorityMutex<RefCell<Shared>> = IrqPriorityMutex::new(RefCell
 /// Sets the timers up to be started by TIM2's start, which must come after this.
 /// `events` receives the handlers' events.
 #[allow(unsafe_code, reason = "unmasks the interrupts")]
-pub(crate) fn init(owned: tim1::Owned, events: Producer<'static, OutputEvent>) {
+pub(crate) fn init(owned: Outputs, events: Producer<'static, Event>) {
     tim1::init(owned);
     SHARED.lock(|shared| shared.borrow_mut().events = Some(events));
     // SAFETY: what the handlers touch is set up.
@@ -191,12 +192,7 @@ impl Shared {
         };
         let seq = *counter;
         *counter = seq.wrapping_add(1);
-        let event = OutputEvent {
-            output,
-            seq,
-            pulsed,
-        };
-        if !events::send(&mut self.events, event) {
+        if !events::send(&mut self.events, Event::Pulse(output, seq, pulsed)) {
             self.lost = self.lost.saturating_add(1);
         }
     }

@@ -18,7 +18,9 @@ use firmware::load::stack_used;
 unsafe extern "C" {
     /// Above the handlers' stack.
     static _stack_start: u32;
-    /// Above the tasks' stack, which is below the handlers'.
+    /// The handlers' stack begins here.
+    static _handler_stack_end: u32;
+    /// Above the tasks' stack, which is below the handlers' and 1 KiB.
     static _task_stack_start: u32;
     /// The tasks' stack begins here.
     static _stack_end: u32;
@@ -45,7 +47,7 @@ static TASKS: Stack = Stack {
 };
 
 static HANDLERS: Stack = Stack {
-    low: || &raw const _task_stack_start,
+    low: || &raw const _handler_stack_end,
     high: || &raw const _stack_start,
     used_words: AtomicUsize::new(0),
 };
@@ -114,11 +116,46 @@ pub(crate) fn fullest(call: u32) -> Depth {
     if tasks_are { tasks } else { handlers }
 }
 
-/// Returns true if an exception frame at this address lies within one of the stacks.
-pub(crate) fn holds_frame(at: usize) -> bool {
-    const FRAME: usize = 32;
-    let all = TASKS.addresses().start..HANDLERS.addresses().end;
-    at >= all.start && at + FRAME <= all.end
+/// Has a handler that overflows its stack fault at once: nothing may access the memory below it,
+/// but for the fault's handler, for which the MPU is off (ARMv7-M B3.5). To be called once.
+pub(crate) fn guard() {
+    const ENABLE_WITH_DEFAULT_MAP: u32 = 0b101;
+    const VALID_REGION_0: u32 = 1 << 4;
+    let guarded = TASKS.addresses().end..HANDLERS.addresses().start;
+    let size_field = guarded.len().ilog2() - 1;
+    // SAFETY: nobody else uses the MPU, and nothing lies in that memory.
+    unsafe {
+        let core = cortex_m::Peripherals::steal();
+        core.MPU.rbar.write(guarded.start as u32 | VALID_REGION_0);
+        core.MPU.rasr.write(size_field << 1 | 1);
+        core.MPU.ctrl.write(ENABLE_WITH_DEFAULT_MAP);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+}
+
+/// Returns the stack that has ended if an exception frame at this address lies within none.
+pub(crate) fn overflowed(at: usize) -> Option<&'static str> {
+    const LAST_WORD: usize = 28;
+    let holds = |stack: &Stack| {
+        let addresses = stack.addresses();
+        addresses.contains(&at) && addresses.contains(&(at + LAST_WORD))
+    };
+    if holds(&TASKS) || holds(&HANDLERS) {
+        None
+    } else if at < TASKS.addresses().start {
+        Some("tasks'")
+    } else {
+        Some("handlers'")
+    }
+}
+
+/// Calls itself until the stack ends.
+#[allow(unconditional_recursion, reason = "that is its purpose")]
+pub(crate) fn overflow(depth: u32) {
+    let frame = core::hint::black_box([depth; 64]);
+    overflow(frame[0].wrapping_add(1));
+    core::hint::black_box(frame);
 }
 
 /// Goes on with `run` on the tasks' stack, and leaves this one to handlers. To be called once,

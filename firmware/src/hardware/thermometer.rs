@@ -1,10 +1,11 @@
 //! ADC1, which measures the chip's temperature and supply: two conversions, one at each look, so
-//! nobody waits for them. (The HAL's driver waits for each and for the ADC's start before it.)
+//! nobody waits for them. (The HAL's driver waits for each, and looks for the STM32F411's sensor at
+//! channel 16, as in 0.6.0; it is at 18, RM0383 11.9.)
 
 use embassy_stm32::pac::adc::vals::SampleTime;
 use embassy_stm32::pac::adccommon::vals::Adcpre;
 use embassy_stm32::peripherals::ADC1;
-use embassy_stm32::{Peri, pac};
+use embassy_stm32::{Peri, pac, rcc};
 use firmware::boards::BOARD;
 use firmware::config::SYSCLK_HZ;
 use firmware::die_temperature::{self, Calibration};
@@ -56,6 +57,7 @@ pub(crate) struct Measured {
 impl Thermometer {
     /// Switches sensor and ADC on.
     pub(crate) fn new(adc: Peri<'static, ADC1>) -> Self {
+        rcc::enable_and_reset::<ADC1>();
         COMMON.ccr().modify(|w| {
             // APB2's 48 MHz / 4; the ADC takes 36 at most.
             w.set_adcpre(Adcpre::DIV4);

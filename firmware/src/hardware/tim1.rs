@@ -16,17 +16,20 @@
 
 use core::mem::forget;
 
+use embassy_stm32::pac;
 use embassy_stm32::pac::timer::regs::{SrAdv, SrGp16};
 use embassy_stm32::pac::timer::vals::{Ocm, Sms, Ts};
 use embassy_stm32::timer::low_level::Timer;
-use embassy_stm32::{Peri, pac, peripherals};
+
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput};
 
+use crate::hardware::resources::Outputs;
 use crate::hardware::{flash, tim2};
 #[cfg(feature = "discovery")]
 use {
     crate::hardware::tim2::OUTPUT_PIN,
+    embassy_stm32::peripherals,
     embassy_stm32::timer::simple_pwm::PwmPin,
     embassy_stm32::timer::{Ch1, Ch2, Ch3, Ch4},
 };
@@ -37,22 +40,8 @@ type Pin<C> = PwmPin<'static, peripherals::TIM1, C>;
 const TIM1: pac::timer::TimAdv = pac::TIM1;
 const TIM5: pac::timer::TimGp32 = pac::TIM5;
 
-/// Peripherals of this driver: the timers, and the pins of a board that has the outputs.
-pub(crate) struct Owned {
-    pub(crate) edges: Peri<'static, peripherals::TIM1>,
-    pub(crate) wakes: Peri<'static, peripherals::TIM5>,
-    #[cfg(feature = "discovery")]
-    pub(crate) pps: Peri<'static, peripherals::PE9>,
-    #[cfg(feature = "discovery")]
-    pub(crate) second: Peri<'static, peripherals::PE11>,
-    #[cfg(feature = "discovery")]
-    pub(crate) third: Peri<'static, peripherals::PE13>,
-    #[cfg(feature = "discovery")]
-    pub(crate) fourth: Peri<'static, peripherals::PE14>,
-}
-
 /// Sets the timers up to be started by TIM2's start, which must come after this.
-pub(super) fn init(owned: Owned) {
+pub(super) fn init(owned: Outputs) {
     // Reset, with their whole range and no prescaler. What is dropped is given back.
     forget((Timer::new(owned.edges), Timer::new(owned.wakes)));
     for channel in 0..4 {

@@ -24,22 +24,23 @@ use cortex_m::peripheral::NVIC;
 use embassy_stm32::gpio::{OutputType, Pull, Speed};
 use embassy_stm32::pac::timer::regs::SrGp16;
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Mms, Ocm};
-use embassy_stm32::peripherals::{DMA1_CH5, PA1, PA2, PA3, PA5, TIM2};
+use embassy_stm32::peripherals::TIM2;
 use embassy_stm32::timer::input_capture::CapturePin;
 use embassy_stm32::timer::low_level::Timer;
 use embassy_stm32::timer::simple_pwm::{PwmPin, PwmPinConfig};
 use embassy_stm32::timer::{Ch1, Ch2, Ch3, Ch4};
-use embassy_stm32::{Peri, interrupt, pac};
+use embassy_stm32::{interrupt, pac};
 use firmware::capture::{Bucket, direction};
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
 use firmware::timebase::Timebase;
 use firmware::trigger::Limits;
 use heapless::spsc::Producer;
-use protocol::{Capture, CaptureChannel, Ticks};
+use protocol::{Capture, CaptureChannel, Output, Ticks};
 
 use crate::hardware::cycles::TRIGGER_TIME;
 use crate::hardware::events::{self, DataReady, Event, Input};
+use crate::hardware::resources::Trigger;
 use crate::hardware::{falling_edges, flash, masked};
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
@@ -114,7 +115,7 @@ impl InputState {
 /// State that handlers and tasks share.
 struct Shared {
     pulser: Pulser,
-    events: events::Sender<Event>,
+    events: events::Sender,
     pulse_seq: u32,
     capture_seq: u32,
     data_ready: InputState,
@@ -122,21 +123,11 @@ struct Shared {
     counters: Counters,
 }
 
-/// Peripherals of this driver: the timer, its pins, and the stream of [`falling_edges`].
-pub(crate) struct Owned {
-    pub(crate) timer: Peri<'static, TIM2>,
-    pub(crate) trigger: Peri<'static, PA5>,
-    pub(crate) data_ready: Peri<'static, PA1>,
-    pub(crate) strobe: Peri<'static, PA2>,
-    pub(crate) readback: Peri<'static, PA3>,
-    pub(crate) _falling_edges: Peri<'static, DMA1_CH5>,
-}
-
 /// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events` receives the
 /// handler's events.
 ///
 /// TIM1 and TIM5 must have been set up: this start starts them too.
-pub(crate) fn init(owned: Owned, events: Producer<'static, Event>) {
+pub(crate) fn init(owned: Trigger, events: Producer<'static, Event>) {
     // Reset, with its whole range and no prescaler. What is dropped is given back.
     forget(Timer::new(owned.timer));
     TIM.cr2().modify(|w| w.set_mms(Mms::ENABLE));
@@ -344,7 +335,8 @@ impl Shared {
         if let Some(pulsed) = pulsed {
             let seq = self.pulse_seq;
             self.pulse_seq = seq.wrapping_add(1);
-            if !events::send(&mut self.events, Event::Pulse(seq, pulsed)) {
+            let event = Event::Pulse(Some(Output::Camera), seq, pulsed);
+            if !events::send(&mut self.events, event) {
                 self.counters.lost_pulses = self.counters.lost_pulses.saturating_add(1);
             }
         }

@@ -79,61 +79,38 @@ const RATES: [Rate; 6] = [
 ];
 
 /// Returns the filters at a setting, or `None` if the sensor has no such rate.
-const fn at(config: &ImuConfig) -> Option<&'static Rate> {
-    let mut n = 0;
-    while n < RATES.len() {
-        if RATES[n].divider == config.divider {
-            return Some(&RATES[n]);
-        }
-        n += 1;
-    }
-    None
+fn at(config: &ImuConfig) -> Option<&'static Rate> {
+    RATES.iter().find(|rate| rate.divider == config.divider)
 }
 
 /// Number of the filter next to the one that is asked for, as a ratio, and not above half
 /// of the rate.
-const fn nearest(rate: &Rate, low_pass: LowPass) -> u8 {
-    let asked = low_pass.gyro_bandwidth_hz_times_10();
+fn nearest(rate: &Rate, low_pass: LowPass) -> u8 {
+    let asked = u32::from(low_pass.gyro_bandwidth_hz_times_10());
     // ODR/2, which is the widest.
     let most = rate.bandwidths[0];
-    let (mut best, mut n) = (0, 1);
-    while n < rate.bandwidths.len() {
-        let (width, found) = (rate.bandwidths[n], rate.bandwidths[best]);
-        if width <= most && is_nearer(width, found, asked) {
-            best = n;
-        }
-        n += 1;
-    }
-    best as u8
+    let filters = (0_u8..).zip(rate.bandwidths);
+    let distance = |width: u32| width.max(asked) * 1_000 / width.min(asked);
+    filters
+        .filter(|(_, width)| *width <= most)
+        .min_by_key(|(_, width)| distance((*width).into()))
+        .map_or(0, |(filter, _)| filter)
 }
 
-/// Returns true if `a` is nearer to `asked` than `b` is, as a ratio.
-const fn is_nearer(a: u16, b: u16, asked: u16) -> bool {
-    const fn ordered(a: u16, b: u16) -> (u32, u32) {
-        if a < b {
-            (a as u32, b as u32)
-        } else {
-            (b as u32, a as u32)
-        }
-    }
-    let ((low_a, high_a), (low_b, high_b)) = (ordered(a, asked), ordered(b, asked));
-    high_a * low_b < high_b * low_a
-}
-
-pub(super) const fn has(config: &ImuConfig) -> bool {
+pub(super) fn has(config: &ImuConfig) -> bool {
     at(config).is_some()
 }
 
-pub(super) const fn describe(config: &ImuConfig) -> Description {
+pub(super) fn describe(config: &ImuConfig) -> Description {
     let (bandwidth, delay) = match at(config) {
         Some(rate) => {
-            let filter = nearest(rate, config.low_pass) as usize;
+            let filter = usize::from(nearest(rate, config.low_pass));
             (rate.bandwidths[filter], rate.delays[filter])
         }
         // It is refused.
         None => (RATES[0].bandwidths[0], RATES[0].delays[0]),
     };
-    let delay_us = delay as u32 * 100;
+    let delay_us = u32::from(delay) * 100;
     let sensor = ImuSensor {
         model: ImuModel::Icm42688P,
         gyro_bandwidth_hz_times_10: bandwidth,
@@ -244,13 +221,14 @@ pub(super) async fn start<B: I2c>(
     registers.expect(PWR_MGMT0, BOTH_ON, BOTH_ON).await
 }
 
-pub(super) async fn read_sample<B: I2c>(
-    registers: &mut Registers<B>,
-) -> Result<RawSample, ImuFault> {
-    let [temperature, ax, ay, az, gx, gy, gz] = registers.read_words(TEMP_DATA1).await?;
-    Ok(RawSample {
+/// First of the seven registers of a sample, of two bytes each.
+pub(super) const SAMPLE: u8 = TEMP_DATA1;
+
+/// The sample in those registers.
+pub(super) const fn sample([temperature, ax, ay, az, gx, gy, gz]: [i16; 7]) -> RawSample {
+    RawSample {
         accel: [ax, ay, az],
         temperature,
         gyro: [gx, gy, gz],
-    })
+    }
 }

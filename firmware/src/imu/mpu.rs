@@ -184,13 +184,14 @@ pub(super) async fn start<B: I2c>(
     Ok(())
 }
 
-pub(super) async fn read_sample<B: I2c>(
-    registers: &mut Registers<B>,
-) -> Result<RawSample, ImuFault> {
-    let [ax, ay, az, temperature, gx, gy, gz] = registers.read_words(ACCEL_XOUT_H).await?;
-    Ok(RawSample {
+/// First of the seven registers of a sample, of two bytes each.
+pub(super) const SAMPLE: u8 = ACCEL_XOUT_H;
+
+/// The sample in those registers.
+pub(super) const fn sample([ax, ay, az, temperature, gx, gy, gz]: [i16; 7]) -> RawSample {
+    RawSample {
         accel: [ax, ay, az],
         temperature,
         gyro: [gx, gy, gz],
-    })
+    }
 }

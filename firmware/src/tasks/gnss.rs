@@ -20,12 +20,11 @@ use protocol::{
     GnssReport, GnssSettings, GnssStatus, Period, Refusal, TICK_HZ, TickDelta, Ticks, TriggerStart,
 };
 
+use crate::hardware::nmea_port::{self, Port};
 use crate::hardware::outputs::{self, Line};
-use crate::hardware::{nmea_port, tim2};
+use crate::hardware::resources::Sentences;
+use crate::hardware::tim2;
 use crate::state::{ALIVE, CHECK_IN, UTC_AT_ZERO};
-
-/// Wait between two looks for an idle line.
-const CLOSING: Duration = Duration::from_millis(5);
 
 #[derive(Clone, Copy)]
 struct State {
@@ -57,9 +56,10 @@ const fn start_of(second: u64) -> Ticks {
 
 fn update(change: impl FnOnce(&mut State)) {
     STATE.lock(|cell| {
-        let mut state = cell.get();
-        change(&mut state);
-        cell.set(state);
+        cell.update(|mut state| {
+            change(&mut state);
+            state
+        });
     });
 }
 
@@ -141,63 +141,50 @@ pub(crate) fn status() -> GnssStatus {
 }
 
 #[embassy_executor::task]
-pub(crate) async fn run() {
-    let mut running: Option<(GnssSettings, u64)> = None;
+pub(crate) async fn run(mut sentences: Sentences) {
     loop {
         ALIVE.check_in(Task::Gnss);
         let state = STATE.lock(Cell::get);
-        let pause = match (state.settings, running) {
-            (Some(settings), Some((same, second))) if same == settings => {
-                let (pause, second) = step(&settings, second);
-                running = Some((settings, second));
-                pause
-            }
-            (Some(settings), _) => {
-                nmea_port::open(settings.baud);
-                running = Some((settings, state.first_second));
-                continue;
-            }
-            // A pulse that was made gets its sentences.
-            (None, Some((settings, second))) if start_of(second) <= state.stopped_at => {
-                let (pause, second) = step(&settings, second);
-                running = Some((settings, second));
-                pause
-            }
-            (None, Some(_)) if nmea_port::is_idle() => {
-                nmea_port::close();
-                running = None;
-                update(|state| state.open = state.settings.is_some());
-                CHECK_IN
-            }
-            (None, Some(_)) => CLOSING,
-            (None, None) => {
-                // Stopped before this task saw that it was started.
-                update(|state| state.open = state.settings.is_some());
-                CHECK_IN
-            }
-        };
-        select(CHANGED.wait(), Timer::after(pause)).await;
+        if let Some(settings) = state.settings {
+            let port = nmea_port::open(&mut sentences, settings.baud);
+            send_each(port, &settings, state.first_second).await;
+        }
+        update(|state| state.open = state.settings.is_some());
+        select(CHANGED.wait(), Timer::after(CHECK_IN)).await;
     }
 }
 
-/// Sends the sentences of `second` if they are due. Returns how long to wait, and
-/// the second whose sentences come next.
-fn step(settings: &GnssSettings, second: u64) -> (Duration, u64) {
-    let due = start_of(second) + TickDelta::from_micros(u32::from(settings.delay_ms) * 1_000);
-    let now = tim2::now();
-    if now < due {
-        let micros = (due - now).unsigned_abs().div_ceil(TICKS_PER_US.into());
-        return (Duration::from_micros(micros).min(CHECK_IN), second);
-    }
-    let in_time = now - due <= NMEA_SLACK;
-    let utc = nmea::utc_of(settings.utc_at_zero, due);
-    let sent = in_time && nmea_port::send(nmea::text(settings.sentences, utc).as_str());
-    update(|state| {
-        if sent {
-            state.sentences = state.sentences.saturating_add(1);
-        } else {
-            state.missed = state.missed.saturating_add(1);
+/// Sends the sentences of each second from `second` on, until it is stopped: a pulse that was made
+/// gets its sentences.
+async fn send_each(mut port: Port<'_>, settings: &GnssSettings, mut second: u64) {
+    loop {
+        ALIVE.check_in(Task::Gnss);
+        let State {
+            settings: running,
+            stopped_at,
+            ..
+        } = STATE.lock(Cell::get);
+        if running.is_none() && start_of(second) > stopped_at {
+            return;
         }
-    });
-    (Duration::from_millis(0), second + 1)
+        let due = start_of(second) + TickDelta::from_micros(u32::from(settings.delay_ms) * 1_000);
+        let now = tim2::now();
+        if now < due {
+            let micros = (due - now).unsigned_abs().div_ceil(TICKS_PER_US.into());
+            let pause = Duration::from_micros(micros).min(CHECK_IN);
+            select(CHANGED.wait(), Timer::after(pause)).await;
+            continue;
+        }
+        let in_time = now - due <= NMEA_SLACK;
+        let text = nmea::text(settings.sentences, nmea::utc_of(settings.utc_at_zero, due));
+        let sent = in_time && port.send(&text).await;
+        update(|state| {
+            if sent {
+                state.sentences = state.sentences.saturating_add(1);
+            } else {
+                state.missed = state.missed.saturating_add(1);
+            }
+        });
+        second += 1;
+    }
 }

@@ -9,7 +9,7 @@ use embassy_time::Timer;
 use firmware::config::SELF_TEST_DELAY_MS;
 use protocol::Failure;
 
-use crate::hardware::{faults, otg, tim2};
+use crate::hardware::{faults, otg, stack, tim2};
 
 /// A requested action.
 pub(crate) enum Wanted {
@@ -30,14 +30,6 @@ pub(crate) fn is_stalled() -> bool {
     STALLED.load(Ordering::Relaxed)
 }
 
-/// Calls itself until the stack ends.
-#[allow(unconditional_recursion, reason = "that is its purpose")]
-fn overflow(depth: u32) {
-    let frame = core::hint::black_box([depth; 64]);
-    overflow(frame[0].wrapping_add(1));
-    core::hint::black_box(frame);
-}
-
 #[embassy_executor::task]
 #[allow(clippy::panic, reason = "that is its purpose")]
 pub(crate) async fn run() {
@@ -51,7 +43,8 @@ pub(crate) async fn run() {
         match failure {
             Failure::Panic => panic!("self test: panic on request"),
             Failure::HardFault => faults::undefined_instruction(),
-            Failure::StackOverflow => overflow(0),
+            Failure::StackOverflow => stack::overflow(0),
+            Failure::HandlerOverflow => faults::overflow_in_handler(),
             Failure::SlowHandler => tim2::slow_down(),
             Failure::LeaveBus => otg::restart().await,
             Failure::Stall => STALLED.store(true, Ordering::Relaxed),

@@ -8,9 +8,9 @@
 use core::cell::Cell;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
-use embassy_stm32::peripherals::{PA9, PA11, PA12, USB_OTG_FS};
+use embassy_stm32::peripherals::USB_OTG_FS;
 use embassy_stm32::usb::{Config, Driver, InterruptHandler};
-use embassy_stm32::{Peri, bind_interrupts, interrupt};
+use embassy_stm32::{bind_interrupts, interrupt, rcc};
 use embassy_time::Timer;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Handler, UsbDevice};
@@ -23,7 +23,7 @@ use static_cell::StaticCell;
 use crate::hardware::cycles::USB_TIME;
 use crate::hardware::leds::{self, Led};
 use crate::hardware::otg::{self, OtgDriver};
-use crate::hardware::tim2;
+use crate::hardware::{resources, tim2};
 use crate::state::{self, RECEIVED};
 
 bind_interrupts!(struct Irqs {
@@ -74,11 +74,7 @@ struct Buffers {
 
 /// Sets up the device; it appears on the bus once [`run`] runs. The core looks at VBUS by itself
 /// (RM0090 34.4.3).
-pub(crate) fn build(
-    usb: Peri<'static, USB_OTG_FS>,
-    (dp, dm, _vbus): (Peri<'static, PA12>, Peri<'static, PA11>, Peri<'static, PA9>),
-    board_id: &[u8; 12],
-) -> Usb {
+pub(crate) fn build(usb: resources::Usb, board_id: &[u8; 12]) -> Usb {
     static BUFFERS: StaticCell<Buffers> = StaticCell::new();
     let buffers = BUFFERS.init(Buffers {
         out: [0; 256],
@@ -92,7 +88,10 @@ pub(crate) fn build(
 
     let mut otg = Config::default();
     otg.vbus_detection = BOARD.senses_vbus;
-    let driver = OtgDriver(Driver::new_fs(usb, Irqs, dp, dm, &mut buffers.out, otg));
+    // Tasks look at their endpoints before that of the device has let the HAL do this.
+    rcc::enable_and_reset::<USB_OTG_FS>();
+    let driver = Driver::new_fs(usb.core, Irqs, usb.dp, usb.dm, &mut buffers.out, otg);
+    let driver = OtgDriver(driver);
 
     let mut config = embassy_usb::Config::new(protocol::usb::VENDOR_ID, protocol::usb::PRODUCT_ID);
     config.manufacturer = Some(protocol::usb::MANUFACTURER);
@@ -162,12 +161,17 @@ pub(crate) async fn watch_core() {
         } else {
             0
         };
-        if silent >= TRANSMIT_SILENT_S || unconfigured >= UNCONFIGURED_S {
-            defmt::error!("the USB core has stopped: restarting it");
-            (silent, unconfigured) = (0, 0);
-            STUCK.fetch_add(1, Ordering::Relaxed);
-            otg::restart().await;
-        }
+        let reason = if silent >= TRANSMIT_SILENT_S {
+            &STUCK
+        } else if unconfigured >= UNCONFIGURED_S {
+            &UNCONFIGURED
+        } else {
+            continue;
+        };
+        defmt::error!("the USB core has stopped: restarting it");
+        (silent, unconfigured) = (0, 0);
+        reason.fetch_add(1, Ordering::Relaxed);
+        otg::restart().await;
     }
 }
 
@@ -208,6 +212,7 @@ fn update(condition: u8, on: bool) {
 static RESETS: AtomicU32 = AtomicU32::new(0);
 static SUSPENDS: AtomicU32 = AtomicU32::new(0);
 static STUCK: AtomicU32 = AtomicU32::new(0);
+static UNCONFIGURED: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the counts of bus events since the board's reset.
 pub(crate) fn counters() -> UsbCounters {
@@ -215,6 +220,7 @@ pub(crate) fn counters() -> UsbCounters {
         resets: RESETS.load(Ordering::Relaxed),
         suspends: SUSPENDS.load(Ordering::Relaxed),
         stuck: STUCK.load(Ordering::Relaxed),
+        unconfigured: UNCONFIGURED.load(Ordering::Relaxed),
     }
 }
 

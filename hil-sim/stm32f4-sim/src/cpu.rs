@@ -28,6 +28,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
 use rsemu::core::device::{Device, ResetKind};
@@ -115,7 +116,7 @@ pub(crate) struct Cpu {
     fast: Fast,
     code: Code,
     regs: Regs,
-    /// The fast interpreter may run (no MPU, privileged, Thumb).
+    /// The fast interpreter may run (privileged, Thumb, an MPU that only guards memory).
     fast_ok: bool,
     /// True if rsemu runs the next instruction in any case.
     slow_next: bool,
@@ -146,6 +147,25 @@ impl core::fmt::Debug for Cpu {
             self.fast.r[15], self.cycles
         )
     }
+}
+
+/// The memory that the MPU gives to nobody, where that is all it does; nothing if it does more.
+/// The fast interpreter leaves accesses there to rsemu, whose MPU it is.
+fn guarded(sys: &sys::Sys) -> Option<Range<u32>> {
+    const ENABLE: u32 = 1;
+    const PRIVDEFENA: u32 = 1 << 2;
+    if sys.mpu_ctrl & ENABLE == 0 {
+        return Some(0..0);
+    }
+    let enabled = |n: &usize| sys.mpu_rasr[*n] & ENABLE != 0;
+    let mut regions = (0..sys.mpu_rasr.len()).filter(enabled);
+    let (region, next) = (regions.next()?, regions.next());
+    let (base, attributes) = (sys.mpu_rbar[region] & !0x1f, sys.mpu_rasr[region]);
+    // No access by AP, all subregions.
+    let is_guard = attributes & (7 << 24 | 0xff << 8) == 0;
+    let size = 2_u32.checked_shl(attributes >> 1 & 0x1f)?;
+    (sys.mpu_ctrl == ENABLE | PRIVDEFENA && next.is_none() && is_guard)
+        .then(|| base..base.saturating_add(size))
 }
 
 impl Cpu {
@@ -451,11 +471,13 @@ impl Cpu {
 
         // Is there anything that rsemu has to look at before the next instruction?
         let ahead = self.untold.wrapping_sub(self.cycles) as u32;
-        let (pending, plain, reset) = self.arm.with_sys(|s| {
-            let plain = s.mpu_ctrl & 1 == 0 && s.ccr & sys::ccr::UNALIGN_TRP == 0;
+        let (pending, guarded, reset) = self.arm.with_sys(|s| {
+            let guarded = guarded(s).filter(|_| s.ccr & sys::ccr::UNALIGN_TRP == 0);
             self.fast.cycle_counter = s.cyccnt_enabled().then(|| s.dwt_cyccnt.wrapping_add(ahead));
-            (s.highest_pending(), plain, s.reset_requested)
+            (s.highest_pending(), guarded, s.reset_requested)
         });
+        let plain = guarded.is_some();
+        lock(&self.soc).mem.guarded = guarded.unwrap_or(0..0);
         if reset {
             self.arm.clear_reset_request();
             event = Event::ResetRequest;

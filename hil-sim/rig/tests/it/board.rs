@@ -392,6 +392,23 @@ fn a_transmitter_that_stops_is_started_again() {
     assert_eq!((status.connects, status.usb.stuck), (connects + 1, 1));
 }
 
+/// A host resets the bus of a board that cannot sense VBUS, and is gone before it configures it.
+#[test]
+fn a_core_without_a_configuration_is_restarted_once() {
+    let mut board = Board::boot(wiring::board_of(BoardKind::BlackPill, None));
+    board.rig.usb_reset_bus();
+    // After the reset of 50 ms, and before the 10 ms are over that the board may rest.
+    board.run(55);
+    board.rig.usb_unplug();
+    board.run(70_000);
+    board.rig.usb_plug();
+    let ready = (board.rig).run_until_usb_ready(SimDuration::from_millis(1_500));
+    assert!(ready.unwrap(), "{:?}", board.rig.usb_log().last());
+    board.break_link();
+    let usb = board.next_status().usb;
+    assert_eq!((usb.stuck, usb.unconfigured), (0, 1));
+}
+
 /// A megabyte of anything: no panic, no reset, and every command is
 /// answered afterwards.
 #[test]
@@ -487,6 +504,24 @@ fn a_panic_is_reported_in_the_next_hello() {
     assert_eq!(hello.panics, 2);
     for part in ["HardFault at pc 0x08", "lr 0x", "cfsr 0x00010000"] {
         assert!(fault.contains(part), "{fault}");
+    }
+}
+
+/// Either stack that overflows faults at once, and the next run names it.
+#[test]
+fn a_stack_that_overflows_is_named() {
+    for kind in [BoardKind::Discovery, BoardKind::BlackPill] {
+        let mut board = Board::boot(wiring::board_of(kind, None).tolerate_failures());
+        for (failure, expected) in [
+            (Failure::StackOverflow, "the tasks' stack ended"),
+            (Failure::HandlerOverflow, "the handlers' stack ended"),
+        ] {
+            self_test(&mut board, failure);
+            let hello = next_run(&mut board);
+            assert_eq!(hello.reset_cause, ResetCause::Software, "{kind:?}");
+            let message = hello.last_panic.expect("the overflow");
+            assert!(message.contains(expected), "{kind:?}: {message}");
+        }
     }
 }
 

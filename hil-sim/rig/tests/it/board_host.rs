@@ -183,14 +183,19 @@ impl Board {
 
     /// The stacks have memory of their own, with nothing below it: one that overflows faults.
     pub(crate) fn check_stacks(&mut self, ends: [u32; 3]) {
-        let [bottom, top, end] = ["_stack_end", "_task_stack_start", "_stack_start"]
-            .map(|name| self.rig.firmware().symbol(name).unwrap().address);
+        let [bottom, top, end, guarded] = [
+            "_stack_end",
+            "_task_stack_start",
+            "_stack_start",
+            "_handler_stack_end",
+        ]
+        .map(|name| self.rig.firmware().symbol(name).unwrap().address);
         assert_eq!([bottom, top, end], ends);
         assert!(self.rig.peek(bottom, 4).is_some());
         assert!(self.rig.peek(bottom - 4, 4).is_none());
         // Those of the fuller stack.
         let status = self.next_status();
-        assert!([top - bottom, end - top].contains(&status.stack_size));
+        assert!([top - bottom, end - guarded].contains(&status.stack_size));
         assert!((512..6_144).contains(&status.stack_used), "{status:?}");
     }
 

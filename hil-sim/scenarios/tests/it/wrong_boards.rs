@@ -514,7 +514,10 @@ const RESETS: &[Row] = &[
     }),
     ("after a fault", Elsewhere, |m, _| misnamed(m, "HardFault")),
     ("after a stack overflow", InOrder, |m, _| {
-        misnamed(m, "stack overflow")
+        misnamed(m, "tasks' stack")
+    }),
+    ("after a handler's overflow", InOrder, |m, _| {
+        misnamed(m, "handlers' stack")
     }),
     ("after a hang, after a task that died", InOrder, |m, _| {
         rumour(m, ResetCause::Watchdog)

@@ -246,6 +246,7 @@ impl Soc {
                 self.after_dma();
                 self.ask_for_timers();
                 self.after_i2c();
+                self.after_uart();
                 done
             }
             Block::Otg => {

@@ -1,5 +1,7 @@
 //! The memories of the STM32F407VG.
 
+use core::ops::Range;
+
 /// Start of the flash.
 pub(crate) const FLASH_BASE: u32 = 0x0800_0000;
 /// Size of the flash of the VG part.
@@ -26,6 +28,8 @@ pub(crate) struct Memory {
     pub(crate) flash: Vec<u8>,
     pub(crate) sram: Vec<u8>,
     pub(crate) ccm: Vec<u8>,
+    /// RAM that the core's MPU gives to nobody: the interpreter's accesses are left to rsemu.
+    pub(crate) guarded: Range<u32>,
 }
 
 impl Memory {
@@ -34,6 +38,7 @@ impl Memory {
             flash: vec![0xff; FLASH_SIZE],
             sram: vec![0; SRAM_SIZE],
             ccm: vec![0; CCM_SIZE],
+            guarded: 0..0,
         }
     }
 
@@ -132,13 +137,20 @@ impl Memory {
         true
     }
 
-    /// True if `addr` to `addr + len` is all in one memory (`write`: in RAM).
+    /// True if `addr` to `addr + len` is all in one memory (`write`: in RAM), and not guarded.
     pub(crate) fn holds(&self, addr: u32, len: u32, write: bool) -> bool {
-        if write && !matches!(addr >> 24, 0x20 | 0x10) {
+        if self.guards(addr, len) || write && !matches!(addr >> 24, 0x20 | 0x10) {
             return false;
         }
         self.region(addr)
             .is_some_and(|(mem, at)| at.checked_add(len as usize).is_some_and(|e| e <= mem.len()))
+    }
+
+    /// True if any byte from `addr` to `addr + len` is guarded.
+    #[inline(always)]
+    pub(crate) fn guards(&self, addr: u32, len: u32) -> bool {
+        let Range { start, end } = self.guarded;
+        addr < end && addr.wrapping_add(len) > start
     }
 
     /// Copies bytes out; nothing if they are not all in one memory.

@@ -16,6 +16,12 @@ impl Soc {
     }
 
     pub(super) fn after_uart(&mut self) {
+        // Stream 7 of DMA1, channel 4 (RM0090 table 42).
+        while self.uart.wants_tx() && self.dma[0].armed(7, 4) {
+            let byte = self.next_item(0, 7);
+            self.uart.write_dr(byte, self.now);
+            self.after_dma();
+        }
         self.set_irq(uart::IRQ, self.uart.irq());
         let at = self.uart.next_event();
         self.set_event(Source::Uart, at);

@@ -1,6 +1,6 @@
 //! The transmitter of UART5 (RM0090 chapter 30), bit by bit on its pin.
 //!
-//! Eight data bits and one stop bit, no parity; receiver and DMA are not modelled.
+//! Eight data bits and one stop bit, no parity; the receiver is not modelled.
 
 use crate::clock::{Clock, Rate};
 use crate::pin::Pin;
@@ -18,6 +18,7 @@ const CR1_TE: u32 = 1 << 3;
 const CR1_TCIE: u32 = 1 << 6;
 const CR1_TXEIE: u32 = 1 << 7;
 const CR1_UE: u32 = 1 << 13;
+const CR3_DMAT: u32 = 1 << 7;
 
 #[derive(Debug)]
 pub(crate) struct Uart {
@@ -72,6 +73,11 @@ impl Uart {
     pub(crate) fn irq(&self) -> bool {
         (self.sr & SR_TXE != 0 && self.cr[0] & CR1_TXEIE != 0)
             || (self.sr & SR_TC != 0 && self.cr[0] & CR1_TCIE != 0)
+    }
+
+    /// Asks the DMA controller for a byte (30.3.13).
+    pub(crate) fn wants_tx(&self) -> bool {
+        self.enabled() && self.cr[2] & CR3_DMAT != 0 && self.sr & SR_TXE != 0
     }
 
     fn bit_time(&self, now: SimTime) -> SimTime {

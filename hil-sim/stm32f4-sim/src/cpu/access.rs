@@ -29,6 +29,9 @@ pub(super) fn load<B: Bus>(
     limit: &mut u64,
 ) -> Option<u32> {
     let mem = bus.memory();
+    if mem.guards(addr, 4) {
+        return None;
+    }
     let raw = match kind {
         Kind::Word => mem.read32(addr),
         Kind::Half | Kind::SignedHalf => mem.read16(addr),
@@ -69,6 +72,9 @@ pub(super) fn store<B: Bus>(
     limit: &mut u64,
 ) -> bool {
     let mem = bus.memory();
+    if mem.guards(addr, 4) {
+        return false;
+    }
     let done = match kind {
         Kind::Word => mem.write32(addr, value),
         Kind::Half | Kind::SignedHalf => mem.write16(addr, value),

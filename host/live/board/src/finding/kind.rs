@@ -172,6 +172,8 @@ pub enum EventKind {
     ImuLate,
     /// The IMU was set up again after a fault.
     ImuRecovered,
+    /// The board has restarted its USB core.
+    UsbRestarted,
     /// Edges on the strobe input were lost.
     CapturesLost,
     /// Status messages are missing on the link.

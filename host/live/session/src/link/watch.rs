@@ -22,13 +22,14 @@ const WIRE: &str = "check the trigger's wire and buffer";
 const IMU: &str = "check the IMU's wires; the trigger is not affected";
 
 /// Next step for missing messages.
+const USB: &str = "use another cable or port if it happens again";
 const COUNTED: &str = "nothing to do: counted, and times are not affected";
 
 /// A counter of the board that grows only when something goes wrong: kind of the finding, the
 /// counter, the counted thing in words, and the next step.
 type Counter = (EventKind, fn(&Status) -> u32, &'static str, &'static str);
 
-const COUNTERS: [Counter; 5] = [
+const COUNTERS: [Counter; 6] = [
     (
         EventKind::TriggerLate,
         |status| status.trigger.late,
@@ -58,6 +59,12 @@ const COUNTERS: [Counter; 5] = [
         |status| status.imu.recoveries,
         "times the IMU was set up again after a fault",
         IMU,
+    ),
+    (
+        EventKind::UsbRestarted,
+        |status| status.usb.stuck.saturating_add(status.usb.unconfigured),
+        "times the board restarted its USB",
+        USB,
     ),
 ];
 
@@ -351,5 +358,19 @@ mod tests {
             &mut findings,
         );
         assert_eq!(findings, []);
+    }
+
+    #[test]
+    fn a_counter_of_the_status_that_grows_is_a_finding() {
+        let mut watch = watch();
+        let mut findings = Vec::new();
+        let mut status = Status::default();
+        watch.status(&status, &mut findings);
+        status.usb.unconfigured = 1;
+        status.usb.stuck = 2;
+        watch.status(&status, &mut findings);
+        watch.status(&status, &mut findings);
+        assert_eq!(kinds(&findings), [EventKind::UsbRestarted]);
+        assert_eq!(findings[0].text, "3 times the board restarted its USB");
     }
 }

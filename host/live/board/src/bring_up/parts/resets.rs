@@ -31,7 +31,7 @@ const SLEEP: Duration = Duration::from_secs(8);
 const IN_DRIVER: u64 = 1_152 / 20;
 
 /// Failures on request: name, command, reported cause of the reset, and message in the `Hello`.
-const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
+const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 6] = [
     (
         "after a panic",
         Failure::Panic,
@@ -48,7 +48,13 @@ const FAILURES: [(&str, Failure, ResetCause, Option<&str>); 5] = [
         "after a stack overflow",
         Failure::StackOverflow,
         ResetCause::Software,
-        Some("stack overflow"),
+        Some("the tasks' stack ended"),
+    ),
+    (
+        "after a handler's overflow",
+        Failure::HandlerOverflow,
+        ResetCause::Software,
+        Some("the handlers' stack ended"),
     ),
     ("after a hang", Failure::Hang, ResetCause::Watchdog, None),
     (
