@@ -51,7 +51,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(_) => "black-pill",
         None => "discovery",
     };
-    println!("cargo:rustc-env=BOARD={board}");
+    let version = env::var("CARGO_PKG_VERSION")?;
+    println!("cargo:rustc-env=IMAGE=SmartDepthSync image;{board};{version};{revision};");
     println!("cargo:rustc-env=GIT_REVISION={revision}");
     println!("cargo:rustc-env=GIT_DIRTY={}", u8::from(dirty));
     Ok(())

@@ -23,16 +23,10 @@ pub(crate) fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), String> {
-    let arguments: Vec<String> = env::args().skip(1).collect();
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let command: &[&str] = match arguments[..] {
-        [] | ["discovery"] => &["run", "--release"],
-        ["black-pill"] => &["black-pill"],
-        _ => {
-            return Err(format!(
-                "{arguments:?}: expected no argument, or `black-pill`"
-            ));
-        }
+    let command: &[&str] = match env::args().nth(1).as_deref() {
+        None | Some("discovery") => &["run", "--release"],
+        Some("black-pill") => &["black-pill"],
+        Some(other) => return Err(format!("{other:?}: expected no argument, or `black-pill`")),
     };
     find_probe()?;
     let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));

@@ -106,11 +106,7 @@ pub fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
 /// found yet is described as an MPU-6050.
 #[must_use]
 pub fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
-    let Description {
-        gyro_delay_us,
-        accel_delay_us,
-        sensor,
-    } = match family(model) {
+    let found = match family(model) {
         Family::Mpu => mpu::describe(model, &config),
         Family::Icm42688P => icm42688p::describe(&config),
     };
@@ -119,10 +115,10 @@ pub fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSet
         interval: interval_ticks(&config),
         gyro_lsb_per_dps_times_10: config.gyro_range.lsb_per_dps_times_10(),
         accel_lsb_per_g: config.accel_range.lsb_per_g(),
-        gyro_delay_us,
-        accel_delay_us,
+        gyro_delay_us: found.gyro_delay_us,
+        accel_delay_us: found.accel_delay_us,
         status,
-        sensor,
+        sensor: found.sensor,
     }
 }
 

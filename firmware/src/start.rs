@@ -23,15 +23,7 @@ use crate::tasks;
 
 /// Mark by which a host recognises an image of this firmware and its board
 /// ([`protocol::IMAGE_MARK`]).
-const IMAGE: &str = concat!(
-    "SmartDepthSync image;",
-    env!("BOARD"),
-    ";",
-    env!("CARGO_PKG_VERSION"),
-    ";",
-    env!("GIT_REVISION"),
-    ";"
-);
+const IMAGE: &str = env!("IMAGE");
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -137,13 +129,11 @@ fn introduce(hello: Hello, resets: [u8; ResetCause::COUNT]) {
 
 /// The number of this run: random after power-on, then one up with each reset.
 fn number(run: &faults::Begun, random: Option<u32>) -> u32 {
-    match random {
-        Some(random) if run.first => {
-            faults::renumber(run, random);
-            random
-        }
-        _ => run.kept.run,
+    let random = random.filter(|_| run.first);
+    if let Some(random) = random {
+        faults::renumber(run, random);
     }
+    random.unwrap_or(run.kept.run)
 }
 
 /// A decimal number, of cargo's.

@@ -102,19 +102,15 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     pac::RCC.csr().modify(|w| w.set_rmvf(true));
     // A power-on sets PIN and BOR too, and every cause sets PIN: the most
     // particular one first.
-    if flags.wdgrstf() {
-        ResetCause::Watchdog
-    } else if flags.sftrstf() {
-        ResetCause::Software
-    } else if flags.porrstf() {
-        ResetCause::PowerOn
-    } else if flags.borrstf() {
-        ResetCause::BrownOut
-    } else if flags.padrstf() {
-        ResetCause::Pin
-    } else {
-        ResetCause::Unknown
-    }
+    let causes = [
+        (flags.wdgrstf(), ResetCause::Watchdog),
+        (flags.sftrstf(), ResetCause::Software),
+        (flags.porrstf(), ResetCause::PowerOn),
+        (flags.borrstf(), ResetCause::BrownOut),
+        (flags.padrstf(), ResetCause::Pin),
+    ];
+    let found = causes.into_iter().find(|(is_set, _)| *is_set);
+    found.map_or(ResetCause::Unknown, |(_, cause)| cause)
 }
 
 /// The priority of an interrupt: the trigger's 0, the auxiliary outputs' 1, everything else's 8.

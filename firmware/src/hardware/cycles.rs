@@ -48,14 +48,15 @@ impl Meter {
     /// Runs a handler. Nothing interrupts it that runs under the same meter, so plain
     /// loads and stores do.
     pub(crate) fn measure(&self, handler: impl FnOnce()) {
+        let show = |on| {
+            if cfg!(feature = "scope") {
+                leds::drive(self.led, on);
+            }
+        };
         let begin = DWT::cycle_count();
-        if cfg!(feature = "scope") {
-            leds::drive(self.led, true);
-        }
+        show(true);
         handler();
-        if cfg!(feature = "scope") {
-            leds::drive(self.led, false);
-        }
+        show(false);
         let took = DWT::cycle_count().wrapping_sub(begin);
         let add = |counter: &AtomicU32, more: u32| {
             let sum = counter.load(Ordering::Relaxed).wrapping_add(more);
@@ -63,9 +64,7 @@ impl Meter {
         };
         add(&self.calls, 1);
         add(&self.cycles, took);
-        if took > self.worst.load(Ordering::Relaxed) {
-            self.worst.store(took, Ordering::Relaxed);
-        }
+        self.worst.fetch_max(took, Ordering::Relaxed);
     }
 
     fn take(&self) -> HandlerTime {

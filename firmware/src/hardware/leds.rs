@@ -31,9 +31,7 @@ pub(crate) type LedPin = (Gpio, usize, bool);
 
 /// Makes the pins, those of [`LEDS`], outputs, all dark.
 pub(crate) fn init(_: Leds) {
-    for led in Led::ALL {
-        make_output(led);
-    }
+    Led::ALL.into_iter().for_each(make_output);
 }
 
 fn make_output(led: Led) {

@@ -102,18 +102,13 @@ pub(super) fn has(config: &ImuConfig) -> bool {
 }
 
 pub(super) fn describe(config: &ImuConfig) -> Description {
-    let (bandwidth, delay) = match at(config) {
-        Some(rate) => {
-            let filter = usize::from(nearest(rate, config.low_pass));
-            (rate.bandwidths[filter], rate.delays[filter])
-        }
-        // It is refused.
-        None => (RATES[0].bandwidths[0], RATES[0].delays[0]),
-    };
-    let delay_us = u32::from(delay) * 100;
+    // Another rate is refused.
+    let rate = at(config).unwrap_or(&RATES[0]);
+    let filter = usize::from(nearest(rate, config.low_pass));
+    let delay_us = u32::from(rate.delays[filter]) * 100;
     let sensor = ImuSensor {
         model: ImuModel::Icm42688P,
-        gyro_bandwidth_hz_times_10: bandwidth,
+        gyro_bandwidth_hz_times_10: rate.bandwidths[filter],
         // 3.1, 3.2 (z) and 14.6.
         gyro_noise_udps: 2_800,
         accel_noise_ug: 70,

@@ -93,10 +93,6 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
     outputs::set_pps_inverted(settings.pulse_inverted);
     outputs::with_line(Line::Pps, |pulser, output, time| {
         pulser.start(output, time, train)
-    })
-    .map_err(|refusal| match refusal {
-        Refusal::TriggerRunning => Refusal::GnssStopping,
-        other => other,
     })?;
     UTC_AT_ZERO.lock(|cell| cell.set(settings.utc_at_zero));
     update(|state| {
@@ -159,12 +155,8 @@ pub(crate) async fn run(mut sentences: Sentences) {
 async fn send_each(mut port: Port<'_>, settings: &GnssSettings, mut second: u64) {
     loop {
         ALIVE.check_in(Task::Gnss);
-        let State {
-            settings: running,
-            stopped_at,
-            ..
-        } = STATE.lock(Cell::get);
-        if running.is_none() && start_of(second) > stopped_at {
+        let state = STATE.lock(Cell::get);
+        if state.settings.is_none() && start_of(second) > state.stopped_at {
             return;
         }
         let due = start_of(second) + TickDelta::from_micros(u32::from(settings.delay_ms) * 1_000);

@@ -61,55 +61,41 @@ pub(crate) struct Usb {
     pub(crate) control: ControlChanged<'static>,
 }
 
-/// Buffers that live as long as the device.
-struct Buffers {
-    out: [u8; 256],
-    configuration: [u8; 128],
-    bos: [u8; 16],
-    control: [u8; 64],
-    class: State<'static>,
-    link: LinkHandler,
-    serial: String<24>,
-}
-
 /// Sets up the device; it appears on the bus once [`run`] runs. The core looks at VBUS by itself
 /// (RM0090 34.4.3).
 pub(crate) fn build(usb: resources::Usb, board_id: &[u8; 12]) -> Usb {
-    static BUFFERS: StaticCell<Buffers> = StaticCell::new();
-    let buffers = BUFFERS.init(Buffers {
-        out: [0; 256],
-        configuration: [0; 128],
-        bos: [0; 16],
-        control: [0; 64],
-        class: State::new(),
-        link: LinkHandler,
-        serial: protocol::usb::serial_number(board_id),
-    });
+    static OUT: StaticCell<[u8; 256]> = StaticCell::new();
+    static CONFIGURATION: StaticCell<[u8; 128]> = StaticCell::new();
+    static BOS: StaticCell<[u8; 16]> = StaticCell::new();
+    static CONTROL: StaticCell<[u8; 64]> = StaticCell::new();
+    static CLASS: StaticCell<State<'static>> = StaticCell::new();
+    static LINK_HANDLER: StaticCell<LinkHandler> = StaticCell::new();
+    static SERIAL: StaticCell<String<24>> = StaticCell::new();
 
     let mut otg = Config::default();
     otg.vbus_detection = BOARD.senses_vbus;
     // Tasks look at their endpoints before that of the device has let the HAL do this.
     rcc::enable_and_reset::<USB_OTG_FS>();
-    let driver = Driver::new_fs(usb.core, Irqs, usb.dp, usb.dm, &mut buffers.out, otg);
+    let driver = Driver::new_fs(usb.core, Irqs, usb.dp, usb.dm, OUT.init([0; _]), otg);
     let driver = OtgDriver(driver);
 
     let mut config = embassy_usb::Config::new(protocol::usb::VENDOR_ID, protocol::usb::PRODUCT_ID);
     config.manufacturer = Some(protocol::usb::MANUFACTURER);
     config.product = Some(protocol::usb::PRODUCT);
-    config.serial_number = Some(buffers.serial.as_str());
+    config.serial_number = Some(SERIAL.init(protocol::usb::serial_number(board_id)));
     // A board that can lose its session without losing power has power of its own.
     config.self_powered = BOARD.senses_vbus;
 
     let mut builder = Builder::new(
         driver,
         config,
-        &mut buffers.configuration,
-        &mut buffers.bos,
+        CONFIGURATION.init([0; _]),
+        BOS.init([0; _]),
         &mut [],
-        &mut buffers.control,
+        CONTROL.init([0; _]),
     );
-    builder.handler(&mut buffers.link);
-    let class = CdcAcmClass::new(&mut builder, &mut buffers.class, USB_PACKET as u16);
+    builder.handler(LINK_HANDLER.init(LinkHandler));
+    let class = CdcAcmClass::new(&mut builder, CLASS.init(State::new()), USB_PACKET as u16);
     let (sender, receiver, control) = class.split_with_control();
     Usb {
         device: builder.build(),
