@@ -1,4 +1,4 @@
-//! The random number generator (RM0090 24).
+//! The random number generator (RM0090 24). Waits are bounded, as the HAL's are not.
 
 use embassy_stm32::{pac, peripherals, rcc};
 

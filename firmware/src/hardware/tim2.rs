@@ -12,6 +12,9 @@
 //! | 3 | PA2 | strobe: capture of both edges |
 //! | 4 | PA3 | read-back of the trigger: capture of rising edges, no interrupt |
 //!
+//! The HAL sets up timers and pins. The rest is by hand: the HAL's captures wake tasks from within
+//! critical sections, its outputs make periods and not single edges, and its DMA is awaited.
+//!
 //! Inputs are filtered, which delays them by a constant ([`flash::input_delay`]), and
 //! pulled down, so that one with nothing wired to it is silent.
 
