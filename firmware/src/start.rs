@@ -18,8 +18,7 @@ use crate::hardware::{
     clocks, cycles, faults, flash, handover, idle, leds, leftovers, outputs, resources, rng, stack,
     tim2,
 };
-use crate::state;
-use crate::tasks;
+use crate::{state, tasks};
 
 /// Mark by which a host recognises an image of this firmware and its board
 /// ([`protocol::IMAGE_MARK`]).

@@ -115,13 +115,17 @@ pub(crate) fn fullest(call: u32) -> Depth {
 /// but for the fault's handler, for which the MPU is off (ARMv7-M B3.5). To be called once.
 pub(crate) fn guard() {
     const ENABLE_WITH_DEFAULT_MAP: u32 = 0b101;
-    const VALID_REGION_0: u32 = 1 << 4;
     let guarded = TASKS.addresses().end..HANDLERS.addresses().start;
     let size_field = guarded.len().ilog2() - 1;
     // SAFETY: nobody else uses the MPU, and nothing lies in that memory.
     unsafe {
         let core = cortex_m::Peripherals::steal();
-        core.MPU.rbar.write(guarded.start as u32 | VALID_REGION_0);
+        // Regions that an earlier program has left; the last one is this one's.
+        for region in (0..8).rev() {
+            core.MPU.rnr.write(region);
+            core.MPU.rasr.write(0);
+        }
+        core.MPU.rbar.write(guarded.start as u32);
         core.MPU.rasr.write(size_field << 1 | 1);
         core.MPU.ctrl.write(ENABLE_WITH_DEFAULT_MAP);
     }

@@ -9,13 +9,13 @@ use firmware::config::USB_PACKET;
 use firmware::outbox::Outbox;
 use protocol::{Decoder, HostToDevice};
 
+use crate::hardware::otg::OtgDriver;
 use crate::hardware::tim2;
 use crate::state::{ALIVE, CHECK_IN, RECEIVED, ROOM, wait_for, with_outbox};
 use crate::tasks::commands;
-use crate::tasks::usb::UsbDriver;
 
 #[embassy_executor::task]
-pub(crate) async fn run(mut receiver: Receiver<'static, UsbDriver>) {
+pub(crate) async fn run(mut receiver: Receiver<'static, OtgDriver>) {
     let mut decoder = Decoder::<HostToDevice>::new();
     let mut packet = [0; USB_PACKET];
     loop {

@@ -16,14 +16,14 @@ use firmware::outbox::{Counter, counter_of};
 use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
-use crate::hardware::otg;
+use crate::hardware::otg::{self, OtgDriver};
 use crate::state::{
     ALIVE, CHECK_IN, CONNECTS, FILLER, LINK_CHANGED, ROOM, TO_SEND, wait_for, with_outbox,
 };
-use crate::tasks::usb::{self, UsbDriver};
+use crate::tasks::usb;
 
 #[embassy_executor::task]
-pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
+pub(crate) async fn run(mut sender: Sender<'static, OtgDriver>) {
     let mut transmit = Transmit {
         buffer: [0; TRANSMIT_BUFFER],
         len: 0,
@@ -126,7 +126,7 @@ impl Transmit {
 
     /// Writes the buffer. A host that does not read is waited for, one that
     /// goes away is not.
-    async fn write(&mut self, sender: &mut Sender<'static, UsbDriver>) {
+    async fn write(&mut self, sender: &mut Sender<'static, OtgDriver>) {
         let frames = self.buffer.get(..self.len).unwrap_or_default();
         let mut begun = 0;
         let mut written = 0;
@@ -159,7 +159,7 @@ impl Transmit {
     }
 
     /// False if the host is gone.
-    async fn write_packet(&self, sender: &mut Sender<'static, UsbDriver>, packet: &[u8]) -> bool {
+    async fn write_packet(&self, sender: &mut Sender<'static, OtgDriver>, packet: &[u8]) -> bool {
         loop {
             ALIVE.check_in(Task::Transmit);
             let mut write = pin!(sender.write_packet(packet));

@@ -52,12 +52,10 @@ unsafe impl
 {
 }
 
-pub(crate) type UsbDriver = OtgDriver;
-
 pub(crate) struct Usb {
-    pub(crate) device: UsbDevice<'static, UsbDriver>,
-    pub(crate) sender: Sender<'static, UsbDriver>,
-    pub(crate) receiver: Receiver<'static, UsbDriver>,
+    pub(crate) device: UsbDevice<'static, OtgDriver>,
+    pub(crate) sender: Sender<'static, OtgDriver>,
+    pub(crate) receiver: Receiver<'static, OtgDriver>,
     pub(crate) control: ControlChanged<'static>,
 }
 
@@ -106,7 +104,7 @@ pub(crate) fn build(usb: resources::Usb, board_id: &[u8; 12]) -> Usb {
 }
 
 #[embassy_executor::task]
-pub(crate) async fn run(mut device: UsbDevice<'static, UsbDriver>) {
+pub(crate) async fn run(mut device: UsbDevice<'static, OtgDriver>) {
     device.run().await;
 }
 

@@ -251,6 +251,8 @@ impl Cpu {
             s.set_enable(OTG_FS, true);
             s.set_pending(OTG_FS, true);
             (s.syst_rvr, s.syst_csr) = (60_000, 7);
+            // A region of all memory for nobody, with the MPU off.
+            s.mpu_rasr[7] = 31 << 1 | 1;
             s.cfsr = 1 << 25;
         });
     }
