@@ -7,8 +7,9 @@
 //! Anything else is damage: a fraction, a time that is not later than the one before, a line that
 //! is not UTF-8.
 //!
-//! [`read`] is for callers that need the time of every frame: it stops at the first damaged row.
-//! [`Rows::next_timestamp`] reports a damaged row and can go on after it.
+//! [`read`] is for callers that need the time of every frame: a frame that the app got twice has its
+//! time twice, and any other damaged row ends the reading. [`Rows::next_timestamp`] reports a
+//! damaged row, also one that repeats a time, and can go on after it.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -16,7 +17,7 @@ use std::path::Path;
 use clock::PhoneNanos;
 use system::ReadMonitor;
 
-use crate::rows::{BadRow, RowError, Rows};
+use crate::rows::{BadRow, LATER, RowError, Rows};
 
 const EXPECTED: &str = "one timestamp in whole nanoseconds";
 
@@ -31,7 +32,7 @@ impl<R: BufRead> Rows<R> {
     /// Reading fails, or the row is damaged. The next call reads the row after it.
     pub fn next_timestamp(&mut self) -> Result<Option<PhoneNanos>, RowError> {
         let parse = |line, text: &str| {
-            let field = text.split(',').next().unwrap_or_default().trim();
+            let field = field(text);
             let heading = line == 1 && !field.starts_with(|c: char| c.is_ascii_digit() || c == '-');
             match field.parse() {
                 Ok(nanos) => Some(Some(PhoneNanos(nanos))),
@@ -52,8 +53,19 @@ pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowEr
     let mut rows = Rows::new(BufReader::new(
         system::open(path, monitor)?.skipping_holes(),
     ));
-    let mut times = Vec::new();
-    while let Some(time) = rows.next_timestamp()? {
+    let mut times: Vec<PhoneNanos> = Vec::new();
+    loop {
+        let time = match rows.next_timestamp() {
+            Ok(Some(time)) => time,
+            Ok(None) => return Ok(times),
+            Err(RowError::Bad(row)) => match times.last() {
+                Some(&last) if row.expected == LATER && field(&row.found) == last.0.to_string() => {
+                    last
+                }
+                _ => return Err(row.into()),
+            },
+            Err(error) => return Err(error),
+        };
         if times.len() == MAX_TIMESTAMPS {
             return Err(RowError::Bad(BadRow {
                 line: times.len() as u64 + 1,
@@ -63,13 +75,16 @@ pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowEr
         }
         times.push(time);
     }
-    Ok(times)
+}
+
+/// The first column of a row.
+fn field(row: &str) -> &str {
+    row.split(',').next().unwrap_or_default().trim()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::LATER;
 
     fn read_text(text: &str) -> Result<Vec<i64>, BadRow> {
         let folder = tempfile::tempdir().unwrap();
@@ -88,6 +103,8 @@ mod tests {
         assert_eq!(read_text("timestamp\n-3\n1").unwrap(), [-3, 1]);
         assert_eq!(read_text("timestamp,x\n1,7\n").unwrap(), [1]);
         assert_eq!(read_text("").unwrap(), Vec::<i64>::new());
+        // The app got the second frame twice.
+        assert_eq!(read_text("3\n5,1\n5,2\n9").unwrap(), [3, 5, 5, 9]);
     }
 
     #[test]
@@ -101,7 +118,6 @@ mod tests {
         assert_eq!(bad("1\n2.5\nx\n"), row(2, EXPECTED, "2.5"));
         assert_eq!(bad("2.5\n"), row(1, EXPECTED, "2.5"));
         assert_eq!(bad("time\nx\n"), row(2, EXPECTED, "x"));
-        assert_eq!(bad("5\n5\n"), row(2, LATER, "5"));
         assert_eq!(bad("5\n9\n3"), row(3, LATER, "3"));
         assert_eq!(bad("1\n99999999999999999999\n").line, 2);
     }
