@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::footage::Footage;
 use crate::stats::{Line, mean};
+use crate::track::BEGINNING_S;
 use crate::track::classify::{FrameClass, FrameCounts, Seen, frames_of, mean_of};
 use crate::track::lamp;
 use crate::train::Shape;
@@ -93,12 +94,15 @@ fn adds_light(footage: &Footage, seen: &[Seen]) -> bool {
 /// Finds bands that came to rest, in the video of a session that aligned the trigger. Before,
 /// they must have been where their motion at rest, continued backwards, does not lead: the bands
 /// of a lamp move evenly all the time.
+///
+/// Only the beginning is looked at: over minutes a line through half a second leads anywhere.
 fn aligned(footage: &Footage, model: &Model, seen: &[Seen]) -> Option<Evidence> {
     footage.applied?;
     let places: Vec<(f64, f64)> = footage
         .frames
         .iter()
         .zip(seen)
+        .take_while(|(frame, _)| frame.time_s <= BEGINNING_S)
         .filter(|(_, s)| s.class != FrameClass::Dark && s.fit.is_train(0.5))
         .map(|(frame, s)| (frame.time_s, s.fit.bias_us))
         .collect();
