@@ -23,7 +23,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
-use session::options::{Track, seconds};
+use session::options::{Options, Track, seconds};
 
 use crate::judge::{Truth, Verdict};
 use crate::programs::{Programs, ask};
@@ -87,8 +87,14 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     let mut bench = SessionBench::new(config, board, vec![phone], &[], out)?;
     (bench.has_recorder, bench.shows_ball) = (true, true);
     bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
-    let taught = teach(&mut bench, options, programs)?;
-    let recording = session(&mut bench, options, "recording", options.seconds)?;
+    let track = if options.without_cable {
+        Track::Never
+    } else {
+        Track::Always
+    };
+    let taught = teach(&mut bench, track, programs)?;
+    let wishes = wishes(&bench, "recording", options.seconds, track);
+    let recording = bench.run(&wishes).good()?.folder;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
     let truth = Truth::from_run(bench.stop()?)?;
     let verdict = truth.judge(&recording)?;
@@ -113,27 +119,26 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     })
 }
 
-/// Records a session into a folder of this name.
-fn session(
-    bench: &mut SessionBench,
-    options: &DemoOptions,
-    name: &str,
-    length: u32,
-) -> Result<PathBuf> {
-    let mut wishes = bench.options(&free_name(&options.out, name));
-    wishes.duration = Some(seconds(length.into()));
-    (wishes.second_twist, wishes.fetch_video) = (true, true);
-    wishes.track = if options.without_cable {
-        Track::Never
-    } else {
-        Track::Always
-    };
-    Ok(bench.run(&wishes).good()?.folder)
+/// The options of a session of this length whose video is fetched, into a folder of this name or
+/// the next one that is free.
+pub(crate) fn wishes(bench: &SessionBench, name: &str, length: u32, track: Track) -> Options {
+    Options {
+        duration: Some(seconds(length.into())),
+        second_twist: true,
+        fetch_video: true,
+        track,
+        ..bench.options(&free_name(&bench.out, name))
+    }
 }
 
-/// Records with nothing learnt, and lets the profile learn from it.
-fn teach(bench: &mut SessionBench, options: &DemoOptions, programs: &Programs) -> Result<PathBuf> {
-    let recording = session(bench, options, "teaching", TEACHING_SECONDS)?;
+/// Records with nothing learnt, and lets the profile learn from it. Returns the recording.
+pub(crate) fn teach(
+    bench: &mut SessionBench,
+    track: Track,
+    programs: &Programs,
+) -> Result<PathBuf> {
+    let wishes = wishes(bench, "teaching", TEACHING_SECONDS, track);
+    let recording = bench.run(&wishes).good()?.folder;
     let profile = bench.write_profile()?;
     let video = bench.with(|rig| rig.phones.first()?.app.videos().pop());
     let timestamps = video.context("the phone has recorded no video")?.timestamps;

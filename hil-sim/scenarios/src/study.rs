@@ -1,13 +1,15 @@
 //! Figures of rigs over the model ranges.
 //!
-//! Rigs as modelled, and rigs drawn from all ranges at once. What each of them does is one of
-//! three: [sessions on the models](models), an hour of [tracking](tracking) on clocks and links,
-//! or the [whole chain](crate::whole_chain::ranges).
+//! Rigs as modelled, and rigs drawn from all ranges at once. Each of them does [sessions on the
+//! models](models), an hour of [tracking](tracking) on clocks and links, [sessions through the
+//! firmware, link and program](sessions), or the [whole chain](crate::whole_chain::ranges).
 //! A figure is given as the 95th percentile of its size, nominal and over the draws, with the
 //! rms of error over stated sigma of both, and as the largest over the draws with its cause: of
 //! all values of that rig the one without which the figure is smallest.
 
+pub mod launches;
 pub mod models;
+pub mod sessions;
 pub mod tracking;
 
 use std::fmt;
@@ -25,13 +27,16 @@ use crate::workers;
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct StudyOptions {
     /// Rigs as modelled, and rigs that are drawn.
-    #[arg(long, default_value_t = 10, global = true, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub rigs: u32,
     /// The first rig's seed; the others follow it.
-    #[arg(long, default_value_t = 1, global = true)]
+    #[arg(long, default_value_t = 1)]
     pub first_seed: u64,
+    /// Leave the rigs as modelled out.
+    #[arg(long)]
+    pub drawn_alone: bool,
     /// Number of rigs that run at the same time.
-    #[arg(long, default_value_t = 2, global = true, value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub jobs: u32,
 }
 
@@ -175,7 +180,9 @@ pub fn run<V: Clone + Sync>(
         specimens.push(Specimen { seed, kind, values });
     };
     for seed in seeds(options.rigs) {
-        add(seed, Kind::Nominal, rigs.nominal.clone());
+        if !options.drawn_alone {
+            add(seed, Kind::Nominal, rigs.nominal.clone());
+        }
         add(seed, Kind::Drawn, (rigs.drawn)(Seed(seed)));
     }
     let results = workers::each(&specimens, options.jobs as usize, |specimen| {
@@ -385,6 +392,7 @@ mod tests {
         let options = StudyOptions {
             first_seed: 1,
             rigs: 3,
+            drawn_alone: false,
             jobs: 2,
         };
         let figure = |error| Figure {

@@ -232,7 +232,7 @@ fn session(mut bench: SessionBench, options: &Options, phone: PathBuf) -> Result
 }
 
 /// A number of a JSON answer.
-fn number(json: &Value, key: &str) -> Result<f64> {
+pub(crate) fn number(json: &Value, key: &str) -> Result<f64> {
     json[key]
         .as_f64()
         .with_context(|| format!("the answer has no number {key}"))

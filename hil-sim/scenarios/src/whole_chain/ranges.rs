@@ -64,7 +64,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
             verdict.offset_start.error_us,
             Some(verdict.offset_start.sigma_us),
         ),
-        // Nothing tells the jitter of a timestamp from the rest.
+        // The jitter of a timestamp cannot be separated from the rest.
         figure(
             "phone's times in the data set, rms (µs)",
             extraction.phone_middle.rms_us,
