@@ -1,8 +1,8 @@
-//! All that a release holds, in `target/dist`: made of the commit that is checked out, with the
-//! same bytes in whatever folder it is built, and tried where there is no Rust.
+//! The files of a release, in `target/dist`: made of the commit that is checked out, with the same
+//! bytes in any folder, and tried in a Debian without Rust.
 //!
-//! The programs are linked statically (musl), so that one build a processor serves the Debian
-//! package and the archive, whatever system is below.
+//! The programs are linked statically (musl), so that one build for each processor serves the Debian
+//! package and the archive on any Linux.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -50,7 +50,7 @@ pub(crate) fn make() -> Result<()> {
     }
     install(&release.inventory()?, &documents)?;
 
-    // First that which runs here: it writes what goes with all.
+    // First the programs for this computer: they write the files that go with all.
     let own = release.programs(std::env::consts::ARCH)?;
     write_completions_and_manual(&own.join(NAME), &usr.join("share"))?;
     install(&docs::pages(Some(&own.join(NAME)))?, &documents)?;

@@ -1,8 +1,8 @@
 //! Rules of the source tree that no compiler knows: which room may import which, how large a
 //! room may become, and how doc comments begin.
 //!
-//! The first two stand in two tables of `docs/architecture.md`, so that the page cannot differ
-//! from the manifests.
+//! The first two are read from the table of rooms in `docs/architecture.md`, so that the page cannot
+//! differ from the manifests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -17,8 +17,8 @@ const PAGE: &str = "docs/architecture.md";
 /// Words with which no doc comment begins: what follows them is a clause, not the operation.
 const CLAUSES: [&str; 3] = ["What", "How", "Whether"];
 
-/// Share by which a stated size may exceed the measured one, so that the page tells how large a
-/// room is.
+/// Largest excess of a stated size over the measured one, as a share: the page states how large a room
+/// is.
 const LARGEST_MARGIN: f64 = 0.05;
 
 /// Fails on an import, a size or a comment that breaks a rule, and lists all of them.
