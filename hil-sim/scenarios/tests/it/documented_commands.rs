@@ -112,7 +112,7 @@ fn commands_of_the_programs_are_in_their_help() {
     for (name, help, least) in [
         ("cargo xtask", xtask, 30),
         ("hil-sim", hil_sim(), 3),
-        ("smartdepthsync", smartdepthsync(), 45),
+        ("smartdepthsync", smartdepthsync(), 40),
     ] {
         assert!(help.below.len() >= 5, "{help:?}");
         let mut checked = 0;
