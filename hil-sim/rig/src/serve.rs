@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -141,10 +142,12 @@ pub fn run(args: &ServeArgs) -> Result<()> {
         wait_for_host: args.wait_for_host,
     };
     let rig = RunningRig::start(config, board, phone, pace)?;
-    if args.bring_up {
-        let imu = rig.parts().imu.clone();
-        std::thread::spawn(move || move_wires(&jumpers, imu.as_ref()));
-    }
+    let (sender, typed) = channel();
+    // Ends with the input, or with this program.
+    std::thread::spawn(move || {
+        let mut lines = std::io::stdin().lines().map_while(Result::ok);
+        lines.try_for_each(|line| sender.send(line))
+    });
 
     println!("port: {}", rig.port().display());
     if let Some(phone) = rig.phone() {
@@ -159,6 +162,7 @@ pub fn run(args: &ServeArgs) -> Result<()> {
             let before = std::fs::read_to_string(path).unwrap_or_default();
             std::fs::write(path, served_again(&before, &fresh).unwrap_or(fresh))
                 .with_context(|| format!("cannot write {}", path.display()))?;
+            println!("\nHere, while it runs: {WORDS}.");
             print!("{}", table.commands(path));
             Some(table)
         }
@@ -173,6 +177,16 @@ pub fn run(args: &ServeArgs) -> Result<()> {
     });
     while rig.is_running() && rig.now() < end && !stopped.load(Ordering::Relaxed) {
         rig.forget();
+        for line in typed.try_iter() {
+            let imu = rig.parts().imu.as_ref().filter(|_| args.bring_up);
+            let obeyed = match imu {
+                Some(imu) => move_wires(&line, &jumpers, imu),
+                None => obey(&line, &rig, &jumpers),
+            };
+            if let Err(expected) = obeyed {
+                eprintln!("{expected}");
+            }
+        }
         if let Some(truth) = &mut truth {
             truth.note(&rig)?;
         }
@@ -250,34 +264,69 @@ fn phone(args: &ServeArgs) -> PhoneConfig {
     config
 }
 
-/// Moves wires of a bring-up as the lines on standard input say.
-fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
-    let sensor = |fault| {
-        if let Some(imu) = imu {
-            lock(imu).schedule(SimTime::ZERO, fault);
+/// Words that a rig takes while it runs, and what they do to it.
+const WORDS: &str = "unplug, plug (the board's USB); phone off, phone on (its network); readback off, \
+                     readback on; twist, knock; lamp on, lamp off (the strobes' light in place of the \
+                     ball, in the next video)";
+
+/// Does to the rig what a line on standard input says.
+///
+/// # Errors
+///
+/// The line has another word, in words for the user.
+fn obey(line: &str, rig: &RunningRig, jumpers: &Shared<Jumpers>) -> Result<(), String> {
+    let no_phone = || String::from("the rig has no phone: serve it with --phone");
+    let phone = || rig.phone().ok_or_else(no_phone);
+    let words: Vec<&str> = line.split_whitespace().collect();
+    match words.as_slice() {
+        [] => {}
+        ["unplug"] => rig.unplug(),
+        ["plug"] => rig.plug(),
+        ["phone", "off"] => phone()?.leave_network(),
+        ["phone", "on"] => phone()?.join_network().map_err(|error| error.to_string())?,
+        ["readback", "off"] => lock(jumpers).readback = false,
+        ["readback", "on"] => lock(jumpers).readback = true,
+        ["twist"] => rig.perform(Gesture::Twist, TWIST_S),
+        ["knock"] => rig.perform(Gesture::Twist, KNOCK_S),
+        ["lamp", "on"] => phone()?.app.set_lamp(true),
+        ["lamp", "off"] => phone()?.app.set_lamp(false),
+        _ => return Err(format!("expected one of: {WORDS}")),
+    }
+    Ok(())
+}
+
+/// Lengths of motions that are asked for, s: more than a session's twist needs, and little more than
+/// a gesture takes to fade in and out.
+const TWIST_S: f64 = 15.0;
+const KNOCK_S: f64 = 1.6;
+
+/// Moves wires of a bring-up as a line on standard input says.
+///
+/// # Errors
+///
+/// The line has another word, in words for the user.
+fn move_wires(line: &str, jumpers: &Shared<Jumpers>, imu: &Shared<SimImu>) -> Result<(), String> {
+    let sensor = |fault| lock(imu).schedule(SimTime::ZERO, fault);
+    let words: Vec<&str> = line.split_whitespace().collect();
+    match words.as_slice() {
+        ["strobe", pin, gate @ ..] => {
+            let pin = pin.parse()?;
+            let mut jumpers = lock(jumpers);
+            jumpers.strobe = Some(pin);
+            jumpers.inverted = gate == ["inverted"];
         }
-    };
-    for line in std::io::stdin().lines().map_while(Result::ok) {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        match words.as_slice() {
-            ["strobe", pin, gate @ ..] => match pin.parse() {
-                Ok(pin) => {
-                    let mut jumpers = lock(jumpers);
-                    jumpers.strobe = Some(pin);
-                    jumpers.inverted = gate == ["inverted"];
-                }
-                Err(error) => eprintln!("{error}"),
-            },
-            ["readback", to] => lock(jumpers).readback = *to == "on",
-            ["clock", to] => sensor(Fault::ClockCut(*to == "off")),
-            ["sda", "low"] => sensor(Fault::HoldSda(None)),
-            ["sda", "free"] => sensor(Fault::ReleaseSda),
-            _ => eprintln!(
+        ["readback", to] => lock(jumpers).readback = *to == "on",
+        ["clock", to] => sensor(Fault::ClockCut(*to == "off")),
+        ["sda", "low"] => sensor(Fault::HoldSda(None)),
+        ["sda", "free"] => sensor(Fault::ReleaseSda),
+        _ => {
+            return Err(String::from(
                 "unknown wire; expected strobe PE11, strobe PC12 inverted, readback off, clock off, \
-                 sda low, sda free"
-            ),
+                 sda low, sda free",
+            ));
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub mod data_set;
 pub mod report;
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -23,6 +24,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
+use rig::wiring::jumpers::Jumpers;
 use session::options::{Options, Track, seconds};
 
 use crate::judge::{Truth, Verdict};
@@ -83,9 +85,21 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     let storage = folder::create(out, "phone")?;
     phone.storage = Some(storage.clone());
     phone.camera.show_ball();
+    // The read-back is wired, as its owner would.
+    let wires = Jumpers {
+        strobe: None,
+        ..Jumpers::default()
+    };
     let board = wiring::board_of(config.board, programs.elf.as_deref());
+    let board = board.model(Arc::new(Mutex::new(wires)));
     let mut bench = SessionBench::new(config, board, vec![phone], &[], out)?;
     (bench.has_recorder, bench.shows_ball) = (true, true);
+    bench.copies_files = true;
+    bench.hands().set_clock_to_now();
+    // What is left of the constant is known as well as its parts, which the profile has.
+    let owner = &mut bench.profile;
+    owner.frame_sync.bias_sigma_us = owner.depth.center_offset_sigma_us;
+    owner.frame_sync.bias_measured = Some(jiff::Zoned::now().date());
     bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
     let track = if options.without_cable {
         Track::Never

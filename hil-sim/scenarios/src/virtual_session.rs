@@ -118,6 +118,12 @@ impl Hands {
         self.wishes.borrow_mut().push_back(wish);
     }
 
+    /// Sets the computer's clock, so that the rig was powered on at the present time of day.
+    pub fn set_clock_to_now(&self) {
+        let now = jiff::Timestamp::now().as_second();
+        self.set_clock_by(now - POWER_ON_S);
+    }
+
     /// Moves the computer's time of day by a number of seconds.
     pub fn set_clock_by(&self, seconds: i64) {
         self.clock_step_s.store(seconds, Ordering::Relaxed);
@@ -147,6 +153,10 @@ impl Operator for Person {
 
     fn interrupted(&self) -> bool {
         self.0.interrupted.get()
+    }
+
+    fn heed_interrupt(&mut self) -> bool {
+        self.0.interrupted.take()
     }
 }
 
@@ -227,6 +237,8 @@ pub struct SessionBench {
     fate: Rc<RecorderFate>,
     /// Link over which the phone's clock is read, if it can be.
     pub phone_link: Option<LinkRanges>,
+    /// True if a cable reaches the phones' files too.
+    pub copies_files: bool,
     /// True if the board's messages are kept among the events of a run.
     pub keeps_messages: bool,
 }
@@ -256,6 +268,7 @@ impl SessionBench {
             shows_ball: false,
             fate: Rc::default(),
             phone_link: None,
+            copies_files: false,
             keeps_messages: false,
         })
     }
@@ -371,7 +384,7 @@ impl SessionBench {
         };
         let places = 0..self.rig.with(|rig| rig.phones.len());
         let phones = places.map(|place| {
-            let phone = VirtualPhone::new(self.rig.clone(), place);
+            let phone = VirtualPhone::new(self.rig.clone(), place, self.copies_files);
             Box::new(phone) as Box<dyn Phone>
         });
         let mut recorder = VirtualRecorder::new(self.rig.clone(), self.recorder(), self.shows_ball);

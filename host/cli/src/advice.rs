@@ -148,7 +148,7 @@ impl Advice for SessionError {
             ),
             Self::Lidar(_) => (
                 ExitStatus::Usage,
-                "correct `[lidar]` of the rig profile; `smartdepthsync profile check` checks it",
+                "correct `[lidar]` of the rig profile; `smartdepthsync profile check rig.toml` checks it",
             ),
             Self::ClockBefore1970 => (ExitStatus::Error, "set this computer's clock"),
         };
@@ -236,6 +236,11 @@ impl Advice for OpenError {
             Self::NotAPort { .. } => (
                 ExitStatus::NotThisBoard,
                 "give the board's serial port to --port; `smartdepthsync board list` lists them",
+            ),
+            Self::Terminal { .. } => (
+                ExitStatus::NotThisBoard,
+                "start the simulated board again (`hil-sim serve`): its name leads to a terminal that \
+                 was opened since",
             ),
             Self::Other { .. } => (
                 ExitStatus::Error,

@@ -22,7 +22,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 use crate::commands;
 use crate::context::{Context, Global, Interrupt, write_stdout};
 use crate::log::Lines;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, next_text};
 use crate::terminal::{Shown, harmless};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
@@ -135,7 +135,8 @@ fn print_failure(context: &Context, failure: &Failure) {
         return print_error(failure);
     }
     let step = failure.what_to_do();
-    let text = format!("error: {failure}\nhelp: {step}\n");
+    let next = next_text(failure.next());
+    let text = format!("error: {failure}\nhelp: {step}\n{next}");
     let text = harmless(&text, Shown::ForPeople);
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
@@ -147,6 +148,7 @@ fn print_error(failure: &Failure) {
         "name": format!("{:?}", failure.status()),
         "message": failure.to_string(),
         "next_step": failure.what_to_do(),
+        "next": failure.next(),
     }});
     let _ = write_stdout(&format!("{document:#}"), Shown::Json);
 }

@@ -5,7 +5,7 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -113,7 +113,10 @@ impl Context {
         if self.global.json || !io::stdout().is_terminal() {
             return self.print(value, text);
         }
-        let width = rustix::termios::tcgetwinsize(io::stdout()).map_or(80, |size| size.ws_col);
+        // A serial console, among others, does not know its size.
+        let size = rustix::termios::tcgetwinsize(io::stdout()).ok();
+        let width = size.map_or(0, |size| size.ws_col);
+        let width = if width == 0 { 80 } else { width };
         self.print_text(|| wrapped(&text(), width.into()))
     }
 
@@ -222,17 +225,34 @@ impl ReadingBar {
 /// The first Ctrl-C (or SIGTERM, SIGHUP) asks the command to stop cleanly; the
 /// third ends the process at once.
 #[derive(Clone, Debug, Default)]
-pub struct Interrupt(Arc<AtomicU32>);
+pub struct Interrupt(Arc<Interrupts>);
+
+#[derive(Debug, Default)]
+struct Interrupts {
+    count: AtomicU32,
+    /// True if one was a termination signal.
+    terminates: AtomicBool,
+}
 
 impl Interrupt {
     /// Returns true if the user asked to stop.
     pub(crate) fn requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed) > 0
+        self.count() > 0
+    }
+
+    /// Returns the number of times that the user asked.
+    pub(crate) fn count(&self) -> u32 {
+        self.0.count.load(Ordering::Relaxed)
+    }
+
+    /// Returns true if the system asked, which soon ends every program.
+    pub(crate) fn terminates(&self) -> bool {
+        self.0.terminates.load(Ordering::Relaxed)
     }
 
     /// Asks to stop, as Ctrl-C does.
     pub(crate) fn request(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
+        self.0.count.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Returns a closure that returns true if the user asked to stop.
@@ -255,8 +275,11 @@ impl Interrupt {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
         let interrupt = self.clone();
         std::thread::spawn(move || {
-            for _ in signals.forever() {
-                if interrupt.0.fetch_add(1, Ordering::Relaxed) >= 2 {
+            for signal in signals.forever() {
+                if signal != SIGINT {
+                    interrupt.0.terminates.store(true, Ordering::Relaxed);
+                }
+                if interrupt.0.count.fetch_add(1, Ordering::Relaxed) >= 2 {
                     std::process::exit(ExitStatus::Interrupted.code().into());
                 }
             }

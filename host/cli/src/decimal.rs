@@ -131,6 +131,19 @@ pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
     Ok(ticks as u64)
 }
 
+/// For clap: the length of something in whole ticks, more than none.
+///
+/// # Errors
+///
+/// As [`parse_duration`], or it is zero.
+pub(crate) fn parse_length(text: &str) -> Result<u64, &'static str> {
+    let ticks = parse_duration(text)?;
+    let is_any = ticks > 0;
+    is_any
+        .then_some(ticks)
+        .ok_or("expected more than 0 s, such as 90s, 5m or 1h")
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -208,6 +221,8 @@ mod tests {
         assert_eq!(parse_duration("90s"), Ok(90 * 48_000_000));
         assert_eq!(parse_duration("1.5h"), Ok(5_400 * 48_000_000));
         assert_eq!(parse_duration("0.5s"), Ok(24_000_000));
+        assert!(parse_duration("0s").is_ok() && parse_length("0s").is_err());
+        assert_eq!(parse_length("1s"), Ok(48_000_000));
         for text in ["", "m", "-1s", "90", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
             assert!(parse_duration(text).is_err(), "{text}");
         }

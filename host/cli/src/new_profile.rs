@@ -52,7 +52,7 @@ impl Camera {
             };
             text += &format!(
                 "# It follows the exposure (here {given}): fix it in the camera, then\n\
-                 # `smartdepthsync profile init --exposure`.\n"
+                 # `smartdepthsync setup --overwrite --exposure 8ms` with that exposure.\n"
             );
         }
         text
@@ -132,13 +132,27 @@ pub(crate) fn recorder_command(text: &str, model: &Model, mode: &Mode) -> Array 
     }
 }
 
+/// Returns true if a profile has the middle of exposure that is assumed for its camera's model,
+/// and no measured bias, which has the error of it.
+pub(crate) fn is_assumed(model: &Model, profile: &Profile) -> bool {
+    let depth = &profile.depth;
+    let exposure = USUAL_EXPOSURE_US;
+    profile.frame_sync.bias_measured.is_none()
+        && model.mode(&depth.mode).is_some_and(|mode| {
+            let assumed_us = mode.center_us(depth.fps, exposure);
+            let is_models = mode.follows_exposure() || depth.center_offset_us == assumed_us;
+            matches!(mode.basis, Basis::Assumed) && is_models
+        })
+}
+
 /// Returns the source of a camera's middle of exposure, in a line.
 pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
     let depth = &profile.depth;
-    let basis = model.mode(&depth.mode).map_or("", |mode| match mode.basis {
-        Basis::Assumed => ", assumed for this model",
-        Basis::Maker | Basis::Measured => "",
-    });
+    let basis = if is_assumed(model, profile) {
+        ", assumed for this model"
+    } else {
+        ""
+    };
     format!(
         "{}, {}: pulses of {} µs through: {}; middle of exposure {} ± {} µs after the edge{basis}",
         model.name,

@@ -13,6 +13,8 @@ pub(crate) struct AtTerminal {
     input: Input,
     asks: bool,
     interrupt: Interrupt,
+    /// Number of interrupts that were heeded.
+    heeded: u32,
 }
 
 enum Input {
@@ -34,6 +36,7 @@ impl AtTerminal {
             input,
             asks,
             interrupt: interrupt.clone(),
+            heeded: 0,
         }
     }
 }
@@ -104,6 +107,11 @@ impl Operator for AtTerminal {
     }
 
     fn interrupted(&self) -> bool {
-        self.interrupt.requested()
+        self.interrupt.count() > self.heeded
+    }
+
+    fn heed_interrupt(&mut self) -> bool {
+        self.heeded = self.interrupt.count();
+        !self.interrupt.terminates()
     }
 }

@@ -140,6 +140,7 @@ pub struct Failure {
     status: ExitStatus,
     message: String,
     next_step: Option<String>,
+    next: Vec<String>,
 }
 
 impl Failure {
@@ -151,6 +152,7 @@ impl Failure {
             status,
             message: message.into(),
             next_step: None,
+            next: Vec::new(),
         }
     }
 
@@ -167,6 +169,18 @@ impl Failure {
     pub fn next_step(mut self, step: impl Into<String>) -> Self {
         self.next_step = Some(step.into());
         self
+    }
+
+    /// Returns the same error with the commands to type next, whatever the next step is.
+    #[must_use]
+    pub(crate) fn commands(mut self, next: Vec<String>) -> Self {
+        self.next = next;
+        self
+    }
+
+    /// Returns the commands to type next.
+    pub(crate) fn next(&self) -> &[String] {
+        &self.next
     }
 
     /// Returns the same error with its subject before the message.
@@ -196,6 +210,17 @@ impl fmt::Display for Failure {
 }
 
 impl std::error::Error for Failure {}
+
+/// Returns the commands to type next as the last lines of a text; nothing if there are none.
+pub(crate) fn next_text<C: AsRef<str>>(commands: &[C]) -> String {
+    if commands.is_empty() {
+        return String::new();
+    }
+    let lines = commands
+        .iter()
+        .map(|command| format!("  {}\n", command.as_ref()));
+    format!("next\n{}", lines.collect::<String>())
+}
 
 /// Refuses to overwrite a file, or to write into a missing folder.
 ///

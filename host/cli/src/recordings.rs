@@ -4,9 +4,13 @@ use std::path::{Path, PathBuf};
 
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
+use crate::rig_profile::Place;
+use clock::PhoneNanos;
+use phone::adb::get_files_command;
 use recording::bag::mcap_in;
 use recording::session_file::SessionFile;
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
+use report::session::files_to_fetch;
 
 /// The folder that recordings are made in unless another is given.
 pub(crate) const FOLDER: &str = "recordings";
@@ -32,13 +36,14 @@ impl RecordingArg {
             return Ok(newest);
         };
         check(given)?;
-        Ok(given.clone())
+        Ok(folder_of(given).to_owned())
     }
 }
 
 /// Refuses an existing path that is not a recording of any form. The reader reports a path that is
 /// missing or damaged.
 fn check(path: &Path) -> Result<(), Failure> {
+    let path = folder_of(path);
     if !path.exists() || path.join(SESSION_FILE).exists() {
         return Ok(());
     }
@@ -51,10 +56,39 @@ fn check(path: &Path) -> Result<(), Failure> {
 
 /// The folder of a recording; a file in it stands for it.
 pub(crate) fn folder_of(recording: &Path) -> &Path {
-    match recording.file_name() {
-        Some(name) if name == MCAP_FILE => system::folder_of(recording),
-        _ => recording,
+    let folder = system::folder_of(recording);
+    let is_inside = recording.is_file() && folder.join(MCAP_FILE).is_file();
+    if is_inside { folder } else { recording }
+}
+
+/// Returns the commands to type next about a recording, ready to be pasted: those that get what is
+/// missing of the phones, and the one that makes a data set of it.
+pub(crate) fn next_commands(recording: &Path) -> Vec<String> {
+    let session = SessionFile::load(recording).ok();
+    if session.as_ref().is_some_and(|it| !it.has_recorded()) {
+        return vec![String::from("smartdepthsync record")];
     }
+    let mut commands = files_commands(recording, session.as_ref());
+    let shown = system::shell_word(recording);
+    commands.push(format!("smartdepthsync extract {shown}"));
+    commands
+}
+
+/// Returns the command that measures the constant bias from a recording's strobes, and writes it
+/// into the profile if there is one.
+pub(crate) fn calibrate_command(recording: &Path, profile: &Place) -> String {
+    let recording = system::shell_word(recording);
+    let profile = profile.path.as_deref().map_or(String::new(), |profile| {
+        format!(" --calibrate {}", system::shell_word(profile))
+    });
+    format!("smartdepthsync evaluate precision {recording}{profile}")
+}
+
+/// Returns the commands that copy the files of the phones that are missing in a recording.
+pub(crate) fn files_commands(folder: &Path, session: Option<&SessionFile>) -> Vec<String> {
+    let missing = session.map_or_else(Vec::new, |session| files_to_fetch(folder, session));
+    let copy = |(phase, place): &(i64, PathBuf)| get_files_command(PhoneNanos(*phase), place, true);
+    missing.iter().map(copy).collect()
 }
 
 /// The recordings in a folder, the one that was written to last first.

@@ -18,7 +18,7 @@
 //! continuous derivatives). All functions are those of the `libm` crate, which
 //! gives the same bits on every machine.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 use libm::{cos, sin};
 
@@ -116,6 +116,17 @@ fn wave(random: &mut Random, hz: (f64, f64), rate: f64) -> Term {
 }
 
 impl Drawn {
+    /// Draws a gesture; `None` for rest.
+    fn new(gesture: Gesture, random: &mut Random) -> Option<Self> {
+        match gesture {
+            Gesture::Rest => None,
+            Gesture::Twist => Some(Self::twist(random, None)),
+            Gesture::WeakTwist => Some(Self::twist(random, Some(PUBLISHED))),
+            Gesture::OneAxisTwist => Some(Self::twist(random, Some([PUBLISHED[0], 0.0, 0.0]))),
+            Gesture::Walk => Some(Self::walk(random)),
+        }
+    }
+
     fn twist(random: &mut Random, peaks: Option<[f64; 3]>) -> Self {
         let mut drawn = Self::default();
         for axis in &mut drawn.free {
@@ -284,19 +295,35 @@ impl Act {
         let (down, down_slope) = step((self.until - t) / FADE);
         (up * down, (up_slope * down - up * down_slope) / FADE)
     }
+
+    fn pose(&self, t: f64) -> Pose {
+        let (loud, loud_slope) = self.envelope(t);
+        let mut pose = self.drawn.pose(t - self.from);
+        for axis in 0..3 {
+            pose.rate[axis] = pose.rate[axis] * loud + pose.angle[axis] * loud_slope;
+            pose.angle[axis] *= loud;
+            pose.force[axis] *= loud;
+        }
+        pose
+    }
 }
 
-/// The motion of the rig: a sequence of gestures with all details drawn.
-#[derive(Clone, Debug)]
+/// The motion of the rig: a sequence of gestures with all details drawn, and those that were added
+/// while it runs.
+#[derive(Debug)]
 pub struct Motion {
     acts: Vec<Act>,
+    added: RwLock<Vec<Act>>,
 }
 
 impl Motion {
     /// Returns a motion at rest.
     #[must_use]
     pub fn rest() -> Arc<Self> {
-        Arc::new(Self { acts: Vec::new() })
+        Arc::new(Self {
+            acts: Vec::new(),
+            added: RwLock::default(),
+        })
     }
 
     /// The steps one after the other from time zero on; rest after the last,
@@ -307,33 +334,40 @@ impl Motion {
         let mut from = 0.0;
         for step in steps {
             let until = step.seconds.map_or(f64::INFINITY, |s| from + s);
-            let drawn = match step.gesture {
-                Gesture::Rest => None,
-                Gesture::Twist => Some(Drawn::twist(&mut random, None)),
-                Gesture::WeakTwist => Some(Drawn::twist(&mut random, Some(PUBLISHED))),
-                Gesture::OneAxisTwist => {
-                    Some(Drawn::twist(&mut random, Some([PUBLISHED[0], 0.0, 0.0])))
-                }
-                Gesture::Walk => Some(Drawn::walk(&mut random)),
-            };
-            if let Some(drawn) = drawn {
+            if let Some(drawn) = Drawn::new(step.gesture, &mut random) {
                 acts.push(Act { from, until, drawn });
             }
             from = until;
         }
-        Self { acts }
+        Self {
+            acts,
+            added: RwLock::default(),
+        }
     }
 
-    fn pose(&self, t: f64) -> Option<Pose> {
-        let act = self.acts.iter().find(|a| a.from < t && t < a.until)?;
-        let (loud, loud_slope) = act.envelope(t);
-        let mut pose = act.drawn.pose(t - act.from);
-        for axis in 0..3 {
-            pose.rate[axis] = pose.rate[axis] * loud + pose.angle[axis] * loud_slope;
-            pose.angle[axis] *= loud;
-            pose.force[axis] *= loud;
+    /// Adds a gesture to what moves the rig already, from a true time on for some seconds.
+    pub fn add(&self, gesture: Gesture, from: f64, seconds: f64, random: &mut Random) {
+        let until = from + seconds;
+        if let Some(drawn) = Drawn::new(gesture, random) {
+            let mut added = self.added.write().unwrap_or_else(PoisonError::into_inner);
+            added.push(Act { from, until, drawn });
         }
-        Some(pose)
+    }
+
+    /// Returns angles, rates and forces of all gestures that are performed at a time.
+    fn pose(&self, t: f64) -> Option<Pose> {
+        let is_now = |act: &&Act| act.from < t && t < act.until;
+        let added = self.added.read().unwrap_or_else(PoisonError::into_inner);
+        let acts = self.acts.iter().find(is_now).into_iter();
+        let acts = acts.chain(added.iter().filter(is_now));
+        acts.map(|act| act.pose(t)).reduce(|mut all, pose| {
+            for axis in 0..3 {
+                all.angle[axis] += pose.angle[axis];
+                all.rate[axis] += pose.rate[axis];
+                all.force[axis] += pose.force[axis];
+            }
+            all
+        })
     }
 
     /// Angular rate about the rig's axes at true time `t`, in rad/s.

@@ -198,6 +198,8 @@ pub struct App {
     state: Mutex<State>,
     pub(super) changed: Condvar,
     pub(super) render: Mutex<()>,
+    /// True if the lamp that repeats the depth camera's strobes is in view, in place of the ball.
+    lamp: AtomicBool,
     /// Number of times that the app was opened again.
     opened: AtomicU64,
     pub(super) closing: AtomicBool,
@@ -246,6 +248,7 @@ impl App {
             state: Mutex::new(state),
             changed: Condvar::new(),
             render: Mutex::default(),
+            lamp: AtomicBool::new(false),
             opened: AtomicU64::new(0),
             closing: AtomicBool::new(false),
             agenda: Mutex::default(),
@@ -287,6 +290,17 @@ impl App {
                 None => return,
             }
         }
+    }
+
+    /// Puts the lamp that repeats the depth camera's strobes before the camera, or takes it away: in
+    /// videos that are saved from now on.
+    pub fn set_lamp(&self, is_on: bool) {
+        self.lamp.store(is_on, Ordering::Relaxed);
+    }
+
+    /// Returns true if a [`ball`](crate::picture::ball) is in the picture.
+    pub(super) fn shows_ball(&self) -> bool {
+        self.config.camera.ball && !self.lamp.load(Ordering::Relaxed)
     }
 
     /// The folder of its files.

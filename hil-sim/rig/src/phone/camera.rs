@@ -4,10 +4,10 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::app::App;
 use super::config::{CameraConfig, DARK, DARK_EVERY, EXPOSURE_SWING, PhoneConfig};
 use super::substream;
-use crate::clocks::oscillator::{Oscillator, TrueTime};
-use crate::depth_camera::flash_log::FlashLog;
+use crate::clocks::oscillator::TrueTime;
 use crate::picture::ball;
 use crate::picture::rolling_shutter::{Flash, GreyImage, RollingShutter};
 use crate::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
@@ -194,12 +194,12 @@ impl FrameTimes {
 /// on the rows that were exposed at that moment.
 pub(super) fn write_video(
     path: &Path,
-    config: &PhoneConfig,
+    app: &App,
     frames: &FrameTimes,
     count: usize,
-    oscillator: &Oscillator,
-    light: &FlashLog,
 ) -> anyhow::Result<()> {
+    let (config, oscillator, light) = (&app.config, &app.oscillator, &app.light);
+    let shows_ball = app.shows_ball();
     let camera = &config.camera;
     let shutter = RollingShutter {
         columns: camera.columns,
@@ -240,7 +240,7 @@ pub(super) fn write_video(
                     ..shutter
                 };
                 let mut image = shutter.render(frames.start_ns(n), n as u64, &flashes);
-                if camera.ball {
+                if shows_ball {
                     let half = 0.5 * camera.exposure_ns as f64;
                     let middle = |row: usize| {
                         let into = row as f64 * camera.row_time_ns + half;

@@ -190,15 +190,7 @@ impl App {
         let part = path.with_extension("part.mp4");
         let truth = &recording.truth;
         let count = truth.count.unwrap_or(0);
-        write_video(
-            &part,
-            &self.config,
-            &truth.frames,
-            count,
-            &self.oscillator,
-            &self.light,
-        )
-        .map_err(|e| format!("{e:#}"))?;
+        write_video(&part, self, &truth.frames, count).map_err(|e| format!("{e:#}"))?;
         std::fs::rename(&part, &path).map_err(|e| format!("cannot save {}: {e}", path.display()))
     }
 }

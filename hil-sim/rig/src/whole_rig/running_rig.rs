@@ -47,7 +47,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::clocks::true_clock::{BoardClockwork, TrueClock};
+use crate::motion::gesture::Gesture;
 use crate::phone::{PhoneConfig, SimPhone};
+use crate::random::Stream;
 use crate::whole_rig::config::{RigConfig, RigParts};
 use crate::whole_rig::ground_truth::Noted;
 pub use crate::whole_rig::ground_truth::RunTruth;
@@ -89,9 +91,13 @@ pub struct Pace {
     pub wait_for_host: bool,
 }
 
+/// Time from a request for a motion to its begin, s: sensors look ahead by less.
+const MOMENT_S: f64 = 1.0;
+
 /// A request to the running board.
 enum Order {
     Unplug,
+    Plug,
     Stop,
 }
 
@@ -247,6 +253,21 @@ impl RunningRig {
                 std::thread::sleep(PATIENCE);
             }
         }
+    }
+
+    /// Puts the board's USB plug back.
+    pub fn plug(&self) {
+        // The rig has ended if this fails.
+        let _ = self.orders.send(Order::Plug);
+    }
+
+    /// Moves the rig besides what moves it already, from in a moment on.
+    pub fn perform(&self, gesture: Gesture, seconds: f64) {
+        let now = self.parts.board.true_at(self.now()).as_secs_f64();
+        let mut random = self.parts.config.seed.stream(Stream::Motion);
+        // What sensors have looked at stays as it was.
+        let from = now + MOMENT_S;
+        self.parts.motion.add(gesture, from, seconds, &mut random);
     }
 
     /// Switches the rig off and returns the ground truth.
@@ -406,6 +427,7 @@ impl Runner {
             match self.inbox.try_recv() {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
+                Ok(Order::Plug) => rig.usb_plug(),
                 Err(TryRecvError::Empty) => {}
             }
             self.follow_usb(&mut rig, &mut port)?;

@@ -34,14 +34,8 @@ pub fn make(
     phone: PathBuf,
     programs: &Programs,
 ) -> Result<DataSet> {
-    // Writes the report again, now that nothing is missing.
     ask(programs, &["verify"], &[folder])?;
-    let place = phone.to_string_lossy();
-    let report = ask(
-        programs,
-        &["extract", "--overwrite", "--phone", &place],
-        &[folder],
-    )?;
+    let report = ask(programs, &["extract", "--overwrite"], &[folder])?;
     let name = folder.file_name().context("the recording has no name")?;
     let data = folder.with_file_name(format!("{}-euroc", name.to_string_lossy()));
 

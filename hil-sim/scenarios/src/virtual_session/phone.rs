@@ -12,6 +12,7 @@ use ::phone::error::Refusal;
 use ::phone::file_name::safe_file_name;
 use ::phone::requests::{ImuBody, VideoHeader};
 use ::phone::task::Pending;
+use ::phone::video_files::of_video;
 use ::phone::{Asked, ImuRequest, PhoneError, PhoneSample, SavedVideo, ServerVersion, VideoStart};
 use ::session::devices::Phone;
 use clock::PhoneNanos;
@@ -45,6 +46,7 @@ const SHORTEST_IMU: ImuRequest = ImuRequest {
 pub(super) struct VirtualPhone {
     rig: SharedRig,
     place: usize,
+    copies_files: bool,
 }
 
 /// A request to the app.
@@ -77,8 +79,12 @@ struct Asking {
 }
 
 impl VirtualPhone {
-    pub(super) const fn new(rig: SharedRig, place: usize) -> Self {
-        Self { rig, place }
+    pub(super) const fn new(rig: SharedRig, place: usize, copies_files: bool) -> Self {
+        Self {
+            rig,
+            place,
+            copies_files,
+        }
     }
 
     /// Asks; `decide` says what follows each answer, which came at this time.
@@ -334,9 +340,34 @@ impl Phone for VirtualPhone {
         })
     }
 
-    /// Nothing reaches its other files.
-    fn fetch_files(&self, _: PhoneNanos, _: PathBuf) -> Pending<Vec<PathBuf>> {
-        Pending::new(|| Some(Err(AdbError::NoProgram.into())), || {})
+    /// Copies the tables of the last video, where a cable reaches them.
+    fn fetch_files(&self, _: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
+        if !self.copies_files {
+            return Pending::new(|| Some(Err(AdbError::NoProgram.into())), || {});
+        }
+        let (rig, place) = (self.rig.clone(), self.place);
+        let copy = move || {
+            let video = rig.with(|rig| rig.phones[place].app.videos().pop())?;
+            let saved = rig.with(|rig| rig.phones[place].app.wait_saved());
+            let io = |source| PhoneError::File {
+                action: "copy to",
+                path: folder.clone(),
+                source,
+            };
+            let copied = saved.map_err(std::io::Error::other).and_then(|()| {
+                let files = of_video(&video.path)?.unwrap_or_default();
+                let tables = [files.frames, files.gyro, files.accel]
+                    .into_iter()
+                    .flatten();
+                let copies = tables.map(|file| {
+                    let to = folder.join(file.file_name().unwrap_or_default());
+                    std::fs::copy(file, &to).map(|_| to)
+                });
+                copies.collect()
+            });
+            Some(copied.map_err(io))
+        };
+        Pending::new(copy, || {})
     }
 
     fn progress(&self) -> (u64, u64) {

@@ -34,7 +34,7 @@ fn constants_that_were_not_measured_widen_the_stated_error() {
         let folder = rig.recording("default");
         let session = SessionFile::load(&folder).unwrap();
         let alignment = session.alignment.unwrap();
-        let summary = report::session::summary(&folder, &session);
+        let summary = report::session::summary(&folder, &session, None);
         let truth = Truth::from_run(rig.bench.stop().unwrap()).unwrap();
         let verdict = truth.judge(&folder).unwrap();
         let (error_us, sigma_us) = (verdict.phase.start_us, alignment.phase_sigma_us);

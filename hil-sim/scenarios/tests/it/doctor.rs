@@ -70,7 +70,7 @@ fn a_good_rig_passes_and_each_fault_names_its_remedy() {
     // Nothing was learnt yet, and the published rig has no read-back: worth
     // knowing, and no reason to end.
     for (name, words) in [
-        ("constant bias", "evaluate precision"),
+        ("constant bias", "record --shift 4ms"),
         ("trigger read-back", "PA3"),
     ] {
         let (verdict, _, next) = check(&checks, name);
@@ -115,4 +115,11 @@ fn a_good_rig_passes_and_each_fault_names_its_remedy() {
     assert_eq!(verdict, "bad");
     assert!(!next.is_empty());
     assert_eq!(check(&checks, "phone").0, "good");
+
+    // A twist would be refused.
+    rig.phone().app.press_record();
+    let (_, checks) = Doctor::new(&rig).run();
+    let (verdict, found, next) = check(&checks, "phone");
+    assert_eq!(verdict, "bad", "{found}");
+    assert!(next.contains("smartdepthsync phone stop"), "{next}");
 }

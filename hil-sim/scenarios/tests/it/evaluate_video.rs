@@ -144,7 +144,7 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     assert!(reasons[1].contains("no strobe flashes"), "{reasons:?}");
 
     let shown = shown.unwrap();
-    let html = evaluation::precision(&result, &shown.shown, &settings, &good);
+    let html = evaluation::precision(&result, false, &shown.shown, &settings, &good);
     assert!(html.contains("data:image/png;base64,") && html.contains("left out"));
     assert!(!html.contains("src=\"http") && !html.contains("<script"));
     assert!(html.contains("<svg") && html.contains("sensor row"));

@@ -1,11 +1,15 @@
-//! The commands that `hil-sim serve` and then each other print, followed to a data set with
-//! pictures.
+//! The commands that `hil-sim serve` and then each other print, followed to an evaluated data set.
+//! The screens are kept in `target/tmp/walk`.
 
-use std::io::{BufRead as _, BufReader, Write as _};
-use std::path::Path;
+use std::ffi::OsStr;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
 
+use crate::live_view::Tmux;
 use crate::support;
+use crate::whole_rig::PATIENCE;
 use clock::BoardToPhone;
 use protocol::Ticks;
 use recording::session_file::SessionFile;
@@ -14,7 +18,6 @@ use test_support::{TestFolder, processes};
 /// A rig that waits for commands, and what it said at first.
 struct Served {
     child: Child,
-    search_path: String,
     commands: Vec<String>,
 }
 
@@ -25,7 +28,7 @@ impl Served {
                 "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
             ])
             .args(["--wait-for-host", "--tolerate-failures"])
-            .args(["--phone", "0", "--profile", "owner.toml"])
+            .args(["--phone", "0", "--profile", "rig.toml"])
             .args(["--truth", "truth.csv"])
             .current_dir(folder)
             .stdout(Stdio::piped())
@@ -40,16 +43,7 @@ impl Served {
                 break;
             }
         }
-        let path = commands
-            .iter()
-            .find_map(|line| line.strip_prefix("export PATH="));
-        let path = path.unwrap().strip_suffix(":$PATH").unwrap();
-        let search_path = format!("{path}:{}", std::env::var("PATH").unwrap());
-        Self {
-            child,
-            search_path,
-            commands,
-        }
+        Self { child, commands }
     }
 }
 
@@ -83,89 +77,127 @@ fn is_near_truth(session: &SessionFile, truth: &Path) {
     assert!(compared > 4, "{text}");
 }
 
-/// Types a command as a person does, with Enter at each question; gives what it printed.
-fn typed(command: &str, place: &Path, search_path: &str) -> String {
-    let mut child = processes::bound("sh")
-        // In the shell's place, so that it ends with the test as the shell would.
-        .args(["-c", &format!("exec {command}")])
-        .current_dir(place)
-        .env("PATH", search_path)
-        .env("HOME", place)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut keys = child.stdin.take().unwrap();
-    let questions = BufReader::new(child.stderr.take().unwrap());
-    let asked = std::thread::spawn(move || {
-        let mut said = String::new();
-        for line in questions.lines().map_while(Result::ok) {
-            if line.contains("[Enter]") {
-                // One that has ended asks no more.
-                let _ = keys.write_all(b"\n");
-            }
-            said += &line;
-            said.push('\n');
-        }
-        said
-    });
-    let output = child.wait_with_output().unwrap();
-    let asked = asked.join().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{command}: {asked}{text}");
-    text
+/// What a command printed: exit code and lines.
+struct Typed {
+    code: i32,
+    lines: Vec<String>,
 }
 
-/// From `serve` on, nothing but the last line that was printed, with less than its minutes: it
-/// calibrates, records, and ends in a data set.
+/// Types a command into a shell as a person does, with Enter where the screen says so.
+fn typed(terminal: &Tmux, number: usize, command: &str) -> Typed {
+    terminal.forget();
+    let end = format!("code of {number} = ");
+    terminal.line(&format!("clear; {command}; echo '{end}'$?"));
+    let begun = Instant::now();
+    loop {
+        let screen = terminal.lines();
+        let ended = screen
+            .lines()
+            .find_map(|line| line.strip_prefix(end.as_str()));
+        if let Some(code) = ended.and_then(|code| code.trim().parse().ok()) {
+            let lines = screen.lines().take_while(|line| !line.starts_with(&end));
+            let lines = lines.map(|line| line.trim_end().to_owned()).collect();
+            return Typed { code, lines };
+        }
+        if screen.contains("Enter go on") {
+            terminal.keys("Enter");
+        }
+        assert!(begun.elapsed() < PATIENCE, "{command} goes on:\n{screen}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// Keeps a screen for people to look at.
+fn keep(number: usize, typed: &Typed) {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("walk");
+    std::fs::create_dir_all(&folder).unwrap();
+    let name = format!("{number:02}.txt");
+    std::fs::write(folder.join(name), typed.lines.join("\n")).unwrap();
+}
+
+/// From an empty folder on, nothing but what is printed is typed, in a terminal of 80 columns: with
+/// less than its minutes it calibrates, records, extracts, is refused a measurement, records as the
+/// refusal says, measures, and ends in a data set whose constant is known.
 #[test]
-fn each_command_that_is_printed_last_leads_on_to_a_data_set() {
+fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
     let folder = TestFolder::new();
     let place = folder.path();
     support::smartdepthsync();
-    let mut rig = Served::start(place);
-    let search_path = std::mem::take(&mut rig.search_path);
+    let rig = Served::start(place);
+    let terminal = Tmux::run_in(80, 24, &["sh"].map(OsStr::new));
+    terminal.line(&format!(
+        "PS1='$ '; cd {}; export HOME=$PWD",
+        place.display()
+    ));
     let is_command = |line: &&str| line.trim_start().starts_with("smartdepthsync ");
-    let commands = rig.commands.iter().map(String::as_str);
+    let commands = rig.commands.iter().map(|line| line.trim());
+    let export = commands
+        .clone()
+        .find(|line| line.starts_with("export PATH="));
+    terminal.line(export.unwrap());
     let mut next = commands.rev().find(is_command).map(str::to_owned);
-    let mut typed_commands = Vec::new();
-    // The last command needs it no more.
-    let mut rig = Some(rig);
-    while let Some(command) = next.filter(|_| typed_commands.len() < 8) {
-        if command.contains(" extract ") {
-            drop(rig.take());
-        }
-        // It is two minutes by default; then one is printed.
-        let shorter = command.trim().replace("--duration 1m", "--duration 20s");
-        let shorter = shorter.replace("--calibrate", "--calibrate --duration 60s");
-        let said = typed(&shorter, place, &search_path);
-        let lines = said.lines().count();
-        if command.contains(" record ") {
-            assert!(lines <= 16, "{lines} lines: {said}");
-        }
-        next = said
-            .lines()
-            .next_back()
+    let mut done: Vec<String> = Vec::new();
+    let is_over = |done: &[String]| done.iter().filter(|it| it.starts_with("extract")).count() == 2;
+    while let Some(command) = next.filter(|_| !is_over(&done)) {
+        assert!(done.len() < 12, "{done:?}");
+        let shorter = command.replace("--duration 1m", "--duration 12s");
+        let shorter = shorter.replace("record --calibrate", "record --calibrate --duration 60s");
+        let said = typed(&terminal, done.len(), &shorter);
+        keep(done.len(), &said);
+        let words = command.trim_start_matches("smartdepthsync ");
+        let word = words.split(' ').take(2).collect::<Vec<_>>();
+        let word = match word.as_slice() {
+            [verb @ ("extract" | "doctor"), ..] => (*verb).to_owned(),
+            words => words.join(" "),
+        };
+        // A refusal is an answer if it leads on.
+        let is_refused = word == "evaluate precision" && said.code == 3;
+        assert!(
+            said.code == 0 || is_refused,
+            "{command}: {}\n{}",
+            said.code,
+            said.lines.join("\n")
+        );
+        done.push(word);
+        let mut last = said.lines.iter().rev().map(|line| line.trim());
+        next = last
+            .find(|line| !line.is_empty())
             .filter(is_command)
             .map(str::to_owned);
-        typed_commands.push(command.trim().to_owned());
+        assert!(
+            next.is_some(),
+            "{command} ends without the next one:\n{}",
+            said.lines.join("\n")
+        );
     }
-    let words = |command: &String| command.split(' ').nth(1).unwrap().to_owned();
-    let order: Vec<String> = typed_commands.iter().map(words).collect();
+    drop(rig);
     assert_eq!(
-        order,
-        ["doctor", "record", "record", "extract"],
-        "{typed_commands:?}"
+        done,
+        [
+            "doctor",
+            "record --calibrate",
+            "record --duration",
+            "extract",
+            "evaluate precision",
+            "record --shift",
+            "evaluate precision",
+            "record --duration",
+            "extract"
+        ]
     );
-    assert!(typed_commands[1].contains("--calibrate"));
-    let recording = typed_commands[3].split(' ').nth(2).unwrap();
-    let data = place.join(format!("{recording}-euroc/mav0"));
+    let recordings = std::fs::read_dir(place.join("recordings")).unwrap();
+    let mut recordings: Vec<PathBuf> = recordings.map(|entry| entry.unwrap().path()).collect();
+    recordings.retain(|path| path.join("session.json").exists());
+    recordings.sort();
+    let recording = recordings.last().unwrap();
+    let name = recording.file_name().unwrap().to_string_lossy();
+    let data = recording.with_file_name(format!("{name}-euroc/mav0"));
     for camera in ["cam0", "depth0"] {
         let images = std::fs::read_dir(data.join(camera).join("data")).unwrap();
-        assert!(images.count() > 200, "{camera}: {typed_commands:?}");
+        assert!(images.count() > 200, "{camera}: {done:?}");
     }
-    let session = SessionFile::load(&place.join(recording)).unwrap();
+    let session = SessionFile::load(recording).unwrap();
+    assert!(session.profile.frame_sync.bias_measured.is_some());
     assert!(
         session
             .profile

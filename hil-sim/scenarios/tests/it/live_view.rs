@@ -21,7 +21,7 @@ use test_support::processes;
 /// A terminal of a tmux server of its own, with the program in it. The program is not bound to the
 /// test: a closed terminal ends it by SIGHUP, and it then closes its files. Its exit code comes from a file: tmux (3.3a) loses it now and then, where the terminal is
 /// closed before the program's end is noticed.
-struct Tmux {
+pub(crate) struct Tmux {
     /// Holds the server's socket and the exit code.
     folder: tempfile::TempDir,
     server: Child,
@@ -29,6 +29,14 @@ struct Tmux {
 
 impl Tmux {
     fn start(width: u16, height: u16, arguments: &[OsString]) -> Self {
+        let program = support::smartdepthsync().as_os_str();
+        let words = arguments.iter().map(OsString::as_os_str);
+        let words: Vec<&OsStr> = [program].into_iter().chain(words).collect();
+        Self::run_in(width, height, &words)
+    }
+
+    /// Runs a program in a terminal of a size.
+    pub(crate) fn run_in(width: u16, height: u16, words: &[&OsStr]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let socket = folder.path().join("socket");
         // As a daemon it would outlive a test that is killed.
@@ -52,8 +60,7 @@ impl Tmux {
             .into_iter()
             .chain(shell)
             .map(OsStr::new)
-            .chain([support::smartdepthsync().as_os_str()])
-            .chain(arguments.iter().map(OsString::as_os_str))
+            .chain(words.iter().copied())
             // What it leaves on the screen stays readable.
             .chain([";", "set-option", "-g", "remain-on-exit", "on"].map(OsStr::new))
             .collect();
@@ -81,7 +88,23 @@ impl Tmux {
         self.run(&["capture-pane", "-p"])
     }
 
-    fn keys(&self, keys: &str) {
+    /// What is on the screen and went off it, with lines that the terminal has broken in one.
+    pub(crate) fn lines(&self) -> String {
+        self.run(&["capture-pane", "-p", "-J", "-S", "-500"])
+    }
+
+    /// Drops what went off the screen.
+    pub(crate) fn forget(&self) {
+        self.run(&["clear-history"]);
+    }
+
+    /// Types a line.
+    pub(crate) fn line(&self, line: &str) {
+        self.run(&["send-keys", "-l", line]);
+        self.keys("Enter");
+    }
+
+    pub(crate) fn keys(&self, keys: &str) {
         self.run(&["send-keys", keys]);
     }
 

@@ -13,7 +13,7 @@ use crate::advice::at_phone;
 use crate::checks;
 use crate::context::Context;
 use crate::options::PortArg;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, next_text};
 use crate::recordings;
 use crate::rig_profile::ProfileArg;
 use board::finding::Severity;
@@ -84,19 +84,23 @@ pub(crate) fn run(args: &DoctorArgs, context: &Context) -> Result<ExitStatus, Fa
     let found = look(args, context);
     let status = found.outcome();
     context.print_checks(&found, || {
-        let place = args.profile.place().option();
+        let place = args.profile.place();
+        let has_profile = place.path.as_ref().is_some_and(|path| path.is_file());
         let is_learnt = found
             .checks
             .checks
             .iter()
             .any(|check| check.kind == CHECK_LEARNT && check.severity == Severity::Good);
         let (verdict, next) = match (status, is_learnt) {
+            (ExitStatus::Good, _) if !has_profile => ("Ready for a profile of its own.", "setup"),
             (ExitStatus::Good, false) => ("Ready to record.", "record --calibrate"),
             (ExitStatus::Good, true) => ("Ready to record.", "record --duration 1m"),
+            _ if !has_profile => ("Not ready: make a profile, mend what is BAD.", "setup"),
             _ => ("Not ready: mend what is BAD.", "doctor"),
         };
         let checks = findings_text(&found.checks.checks);
-        format!("{checks}{verdict}\nnext\n  smartdepthsync {next}{place}")
+        let next = format!("smartdepthsync {next}{}", place.option());
+        format!("{checks}{verdict}\n{}", next_text(&[next]))
     })?;
     if context.interrupt.requested() {
         return Ok(ExitStatus::Interrupted);
@@ -206,7 +210,7 @@ fn check_trigger(
     Ok(())
 }
 
-/// The version of the phone's app.
+/// The version of the phone's app, whose sensors must be free for a twist.
 fn check_phone(profile: &Profile, context: &Context) -> Result<String, Failure> {
     has_addresses(profile)?;
     let settings = Settings {
@@ -215,7 +219,14 @@ fn check_phone(profile: &Profile, context: &Context) -> Result<String, Failure> 
         ..Settings::default()
     };
     let address = &profile.phone.address;
-    let version = PhoneClient::connect(address, settings).and_then(|mut phone| phone.probe());
-    let version = version.map_err(|error| at_phone(error, address))?;
+    let looked = PhoneClient::connect(address, settings)
+        .and_then(|mut phone| Ok((phone.probe()?, phone.is_recording()?)));
+    let (version, is_recording) = looked.map_err(|error| at_phone(error, address))?;
+    if is_recording {
+        let message = format!("app {version} at {address} records a video");
+        return Err(Failure::new(ExitStatus::Phone, message).next_step(format!(
+            "stop it: `smartdepthsync phone stop --phone {address}`"
+        )));
+    }
     Ok(version.to_string())
 }

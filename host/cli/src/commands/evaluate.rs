@@ -9,7 +9,9 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::decimal::{parse_micros, parse_seconds};
 use crate::options::one_of;
-use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
+use crate::outcome::{ExitStatus, Failure, file_step, next_text, refuse_to_overwrite, write_file};
+use crate::recordings;
+use crate::rig_profile::{Place, ProfileArg};
 use evaluate::calibrate::{read_profile, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
@@ -18,6 +20,8 @@ use evaluate::precision::{self, BiasStatistics, Precision, RecordingResult};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
 use evaluate::{EvaluateError, KnownReadout, Settings};
+use phone::file_name::VIDEO_ENDINGS;
+use recording::SESSION_FILE;
 use recording::profile::Direction;
 use report::evaluation::{drift_summary, precision_summary};
 
@@ -154,7 +158,7 @@ struct Calibrated {
 impl Calibrated {
     fn text(&self) -> String {
         format!(
-            "written to {}: frame_sync.bias_us = {:.3} ± {:.3} µs (applied while recording: {:.3} µs)",
+            "written to {}: frame_sync.bias_us = {:.3} ± {:.3} µs (applied while recording: {:.3} µs)\n",
             self.profile.display(),
             self.bias_us,
             self.bias_sigma_us,
@@ -169,6 +173,8 @@ struct PrecisionOutput<'a> {
     #[serde(flatten)]
     precision: &'a Precision,
     calibrated: Option<Calibrated>,
+    /// Commands to type next.
+    next: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -176,6 +182,8 @@ struct DriftOutput<'a> {
     settings: &'a Settings,
     #[serde(flatten)]
     drift: &'a Drift,
+    /// Commands to type next.
+    next: Vec<String>,
 }
 
 /// Runs `evaluate`.
@@ -208,6 +216,15 @@ impl From<EvaluateError> for Failure {
                 ExitStatus::Error,
                 "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`)",
             ),
+            E::NoVideo { copy, .. } => {
+                let step = match copy {
+                    Some(copy) => format!("`{copy}` copies it by USB; or give the video itself"),
+                    None => String::from(
+                        "give the phone's video itself, or the folder of a recording that has it",
+                    ),
+                };
+                return Self::new(ExitStatus::Usage, error.to_string()).next_step(step);
+            }
             E::NotAVideo { .. } => (
                 ExitStatus::Usage,
                 "give a video; of single images `ffmpeg` makes one: `ffmpeg -pattern_type glob -i '*.png' -c:v ffv1 video.mkv`",
@@ -229,7 +246,7 @@ impl From<EvaluateError> for Failure {
             ),
             E::Unproven { .. } => (
                 ExitStatus::Refused,
-                "record once more with the trigger moved (`smartdepthsync record --shift 400us`) and \
+                "record once more with the trigger moved (`smartdepthsync record --shift 4ms`) and \
                  give both recordings to `evaluate precision`; or begin the video a second before \
                  the depth camera runs, so that it also shows the scene alone; or give --row-time \
                  if it is known",
@@ -263,7 +280,8 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         .as_ref()
         .map_or(0.0, |known| known.frame_sync.bias_us);
     settings.known_readout = profile.map(|known| KnownReadout::of_phone(&known.phone));
-    let count = args.inputs.len();
+    let inputs = recordings_of(&args.inputs, context)?;
+    let count = inputs.len();
     let mut done = 0;
     let mut each = |path: &Path, result: &Result<RecordingResult, String>| {
         done += 1;
@@ -277,7 +295,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     };
     let (result, shown) = context.over_files(|monitor| {
         settings.monitor = monitor.clone();
-        precision::evaluate(&args.inputs, &settings, args.frames.into(), &mut each)
+        precision::evaluate(&inputs, &settings, args.frames.into(), &mut each)
     })?;
     let Some(shown) = shown else {
         return Err(Failure::new(
@@ -292,26 +310,95 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         )
         .next_step("fix what the reason names; -v lists the reason of every recording"));
     };
-    if let Some(path) = &args.common.out {
-        let html = report::evaluation::precision(&result, &shown.shown, &settings, path);
-        write_file(path, &html)?;
-        show_in_recordings(&args.inputs, path);
-    }
     let calibrated = match &args.calibrate {
         Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
         None => None,
     };
+    let is_written = calibrated.is_some();
+    if let Some(path) = &args.common.out {
+        let shown = &shown.shown;
+        let html = report::evaluation::precision(&result, is_written, shown, &settings, path);
+        write_file(path, &html)?;
+        show_in_recordings(&inputs, path);
+    }
     let output = PrecisionOutput {
         settings: &settings,
         precision: &result,
         calibrated,
+        next: vec![next_command(args, &inputs, &result)],
     };
     context.print_checks(&output, || {
         let calibrated = output.calibrated.as_ref().map(Calibrated::text);
-        precision_summary(&result).text() + &calibrated.unwrap_or_default()
+        precision_summary(&result, is_written).text()
+            + &calibrated.unwrap_or_default()
+            + &next_text(&output.next)
     })?;
     Ok(ExitStatus::of_loss(!result.left_out.is_empty()))
 }
+
+/// Returns the recordings and videos among the inputs: a file in a recording's folder stands for
+/// the folder, and data sets, which `recordings/*` has too, are left out.
+fn recordings_of(inputs: &[PathBuf], context: &Context) -> Result<Vec<PathBuf>, Failure> {
+    let mut found = Vec::new();
+    for input in inputs {
+        let input = recording_of(input);
+        if input.join(DATA_SET_FILE).is_file() && !input.join(SESSION_FILE).exists() {
+            context.say(format!("{} is a data set: left out", input.display()));
+        } else if !found.contains(&input) {
+            found.push(input);
+        }
+    }
+    if found.is_empty() {
+        return Err(Failure::new(
+            ExitStatus::Usage,
+            "there are data sets alone, no recordings",
+        )
+        .next_step("give the folders of the recordings that they were made of"));
+    }
+    Ok(found)
+}
+
+/// Returns the folder that a file in a recording stands for; a video stands for itself.
+fn recording_of(input: &Path) -> PathBuf {
+    let ending = input.extension().unwrap_or_default().to_ascii_lowercase();
+    if VIDEO_ENDINGS.iter().any(|video| ending == *video) {
+        input.to_owned()
+    } else {
+        recordings::folder_of(input).to_owned()
+    }
+}
+
+/// Returns the command to type after a measurement.
+fn next_command(args: &PrecisionArgs, inputs: &[PathBuf], result: &Precision) -> String {
+    let is_open = result.recordings.iter().all(|r| !r.identity.unique);
+    let place = match &args.calibrate {
+        Some(path) => Place {
+            path: Some(path.clone()),
+        },
+        None => ProfileArg::default().place(),
+    };
+    match &place.path {
+        None => String::from("smartdepthsync setup"),
+        Some(_) if args.calibrate.is_some() => {
+            format!("smartdepthsync record --duration 1m{}", place.option())
+        }
+        Some(_) if is_open && args.common.near.is_none() => {
+            format!("smartdepthsync record {SHIFTED}{}", place.option())
+        }
+        Some(profile) => {
+            let words = inputs.iter().map(|input| system::shell_word(input) + " ");
+            let words: String = words.collect();
+            let profile = system::shell_word(profile);
+            format!("smartdepthsync evaluate precision {words}--calibrate {profile}")
+        }
+    }
+}
+
+/// Options of a recording that shows an end of the strobe train.
+const SHIFTED: &str = "--shift 4ms --duration 1m";
+
+/// File that is in every data set.
+const DATA_SET_FILE: &str = "report.json";
 
 /// Lets the reports of recordings lead to an evaluation in their folder.
 fn show_in_recordings(inputs: &[PathBuf], page: &Path) {
@@ -335,17 +422,31 @@ fn calibrate(
         .iter()
         .map(|r| r.applied_bias_us.unwrap_or(profile_bias))
         .collect();
+    let open = result.recordings.iter().any(|r| !r.identity.unique);
+    let known = result.recordings.iter().zip(&applied);
+    let known = known.filter(|(r, _)| r.identity.unique);
+    let known: Vec<f64> = known.map(|(r, applied)| r.bias_us + applied).collect();
     let whole: Vec<f64> = result
         .recordings
         .iter()
         .zip(&applied)
-        .map(|(r, applied)| r.bias_us + applied)
+        .map(|(r, applied)| {
+            // Which flash is which is seen in a recording that shows an end of the train.
+            let all = r.identity.candidates.iter();
+            let all = all.map(|candidate| candidate.bias_us + applied);
+            let middle = mean(&known);
+            let nearest = all.min_by(|a, b| (a - middle).abs().total_cmp(&(b - middle).abs()));
+            let is_open = !r.identity.unique && !known.is_empty();
+            nearest.filter(|_| is_open).unwrap_or(r.bias_us + applied)
+        })
         .collect();
     let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
     let bias = BiasStatistics::from_values(&whole, &sigmas)
         .ok_or_else(|| Failure::new(ExitStatus::Error, "no bias was measured"))?;
-    let open = result.recordings.iter().any(|r| !r.identity.unique);
-    if open && args.common.near.is_none() {
+    if open && known.is_empty() && args.common.near.is_none() {
+        let place = Place {
+            path: Some(profile.to_owned()),
+        };
         return Err(Failure::new(
             ExitStatus::Refused,
             format!(
@@ -353,10 +454,10 @@ fn calibrate(
                 args.common.train.pitch_us
             ),
         )
-        .next_step(format!(
-            "record with the trigger moved by some milliseconds (a `frame_sync.bias_us` that is about {:.0} µs off) so that an end of the train comes into the picture; or, if the bias is known to half a pitch, give it with --near",
-            2.5 * args.common.train.pitch_us
-        )));
+        .next_step(
+            "record with the trigger moved, so that an end of the train comes into the picture, and give that recording too; or, if the bias is known to half a pitch, give it with --near",
+        )
+        .commands(vec![format!("smartdepthsync record {SHIFTED}{}", place.option())]));
     }
     let new = Calibrated {
         profile: profile.to_owned(),
@@ -372,20 +473,27 @@ fn calibrate(
 fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure> {
     args.common.check_targets()?;
     let mut settings = args.common.settings()?;
+    let input = recording_of(&args.input);
     let evaluated = context.over_files(|monitor| {
         settings.monitor = monitor.clone();
-        let recording = Footage::read(&args.input, &settings, None)?;
+        let recording = Footage::read(&input, &settings, None)?;
         drift::evaluate(recording, &settings)
     })?;
     if let Some(path) = &args.common.out {
         let html = report::evaluation::drift(&evaluated, &settings, path);
         write_file(path, &html)?;
-        show_in_recordings(std::slice::from_ref(&args.input), path);
+        show_in_recordings(std::slice::from_ref(&input), path);
     }
     let output = DriftOutput {
         settings: &settings,
         drift: &evaluated.result,
+        next: vec![format!(
+            "smartdepthsync evaluate precision {}",
+            system::shell_word(&input)
+        )],
     };
-    context.print_checks(&output, || drift_summary(&evaluated.result).text())?;
+    context.print_checks(&output, || {
+        drift_summary(&evaluated.result).text() + &next_text(&output.next)
+    })?;
     Ok(ExitStatus::Good)
 }

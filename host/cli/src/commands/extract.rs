@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use crate::advice::bag_step;
 use crate::context::Context;
 use crate::options::one_of;
-use crate::outcome::{ExitStatus, Failure, file_step};
+use crate::outcome::{ExitStatus, Failure, file_step, next_text};
 use crate::recordings::{self, RecordingArg};
+use crate::rig_profile::{Place, ProfileArg};
 use extract::error::ExtractError;
 use extract::geometry::View;
 use extract::inputs::InputsError;
@@ -150,14 +151,38 @@ pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, F
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {
-        let text = report::extraction::summary(&report).text();
-        let session = SessionFile::load(folder).ok();
-        let next = session
-            .filter(|session| session.profile.phone.learnt.is_none())
-            .map_or("", |_| "\nnext\n  smartdepthsync record --calibrate");
-        format!("{text}written to {}{next}", job.out.display())
+        let text = report::extraction::summary(&report, folder).text();
+        let (out, page) = (job.out.display(), job.out.join(REPORT_FILE));
+        let next = next_text(&next_commands(folder));
+        format!("{text}written to {out}\nreport {}\n{next}", page.display())
     })?;
-    Ok(ExitStatus::of_loss(!report.losses.is_empty()))
+    let session = SessionFile::load(folder).ok();
+    let is_lossy = session.is_some_and(|session| report::session::is_lossy(&session, None));
+    Ok(ExitStatus::of_loss(is_lossy || !report.losses.is_empty()))
+}
+
+/// Returns the commands to type next about a recording that was extracted.
+fn next_commands(folder: &Path) -> Vec<String> {
+    let session = SessionFile::load(folder).ok();
+    let mut commands = recordings::files_commands(folder, session.as_ref());
+    let Some(session) = session else {
+        return Vec::new();
+    };
+    let (own, place) = match ProfileArg::default().load() {
+        Ok((profile, place)) if place.path.is_some() => (profile, place),
+        _ => (session.profile, Place { path: None }),
+    };
+    if !commands.is_empty() {
+        let recording = system::shell_word(folder);
+        commands.push(format!("smartdepthsync extract {recording} --overwrite"));
+    } else if own.phone.learnt.is_none() && place.path.is_some() {
+        commands.push(String::from("smartdepthsync record --calibrate"));
+    } else if own.frame_sync.bias_measured.is_none() {
+        commands.push(recordings::calibrate_command(folder, &place));
+    } else {
+        commands.push(String::from("smartdepthsync record --duration 1m"));
+    }
+    commands
 }
 
 /// `RECORDING-FORMAT` beside the recording.

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::advice::imu_scale;
 use crate::context::{Context, is_stdout_closed};
-use crate::decimal::parse_duration;
+use crate::decimal::parse_length;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::ProfileArg;
@@ -37,7 +37,7 @@ pub(crate) struct MonitorArgs {
     #[command(flatten)]
     port: PortArg,
     /// Length of the look in board time: 90s, 5m, 1h; else until stopped
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    #[arg(long, value_name = "TIME", value_parser = parse_length)]
     duration: Option<u64>,
     #[command(flatten)]
     profile: ProfileArg,

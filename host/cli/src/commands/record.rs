@@ -8,22 +8,22 @@ use serde::Serialize;
 use super::profile::{Lesson, learn};
 use crate::checks;
 use crate::context::Context;
-use crate::decimal::{parse_duration, parse_real_time};
+use crate::decimal::{parse_duration, parse_length, parse_real_time};
 use crate::operator::AtTerminal;
 use crate::options::{PortArg, one_of};
-use crate::outcome::{ExitStatus, Failure};
-use crate::recordings;
+use crate::outcome::{ExitStatus, Failure, next_text};
+use crate::recordings::{self, calibrate_command, files_commands};
 use crate::rig_profile::{Place, ProfileArg};
 use crate::view::View;
 use crate::view::state::State;
 use board::finding::Finding;
-use clock::PhoneNanos;
-use phone::adb::get_files_command;
 use phone::task::PhoneTask;
+use recording::RecordingError;
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
-use report::session::{files_to_fetch, summary};
+use recording::verify::{Verification, verify};
+use report::session::{is_lossy, summary};
 use report::summary::{Summary, findings_text};
 use session::devices::hardware::{AdbClockStarter, SerialConnector};
 use session::devices::recorder_process::RecorderProcess;
@@ -47,7 +47,7 @@ const MORE: &str = "More";
 #[command(after_help = "Example: smartdepthsync record --duration 5m")]
 pub(crate) struct RecordArgs {
     /// Length of the recording in board time: 90s, 5m, 1h; else until stopped
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    #[arg(long, value_name = "TIME", value_parser = parse_length)]
     duration: Option<u64>,
     /// Folder in which the recording's folder is made
     #[arg(short, long, value_name = "FOLDER", default_value = recordings::FOLDER)]
@@ -94,8 +94,8 @@ struct MoreArgs {
     #[arg(long = "marker", value_name = "TIME", hide_short_help = true,
           value_parser = parse_duration)]
     markers: Vec<u64>,
-    /// Align the trigger this far before the phone's frames: the second recording that
-    /// `evaluate precision` asks for when it cannot tell flashes from a lamp
+    /// Align the trigger this far before the phone's frames, such as 4ms, which shows an end of
+    /// the strobe train: for `evaluate precision --calibrate`
     #[arg(long, value_name = "TIME", hide_short_help = true, value_parser = parse_real_time,
           conflicts_with = "calibrate")]
     shift: Option<Duration>,
@@ -182,15 +182,18 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
     } = record(args, &profile, &place, context)?;
     let outcome = match result {
         // Nothing between begin and end is not what was asked for.
-        Ok(SessionOutcome::Good) => ExitStatus::of_loss(!file.has_recorded()),
-        Ok(SessionOutcome::Loss) => ExitStatus::Loss,
+        Ok(SessionOutcome::Good | SessionOutcome::Loss) => ExitStatus::Good,
         Ok(SessionOutcome::Interrupted) => ExitStatus::Interrupted,
         Ok(SessionOutcome::Failed) => ExitStatus::Error,
         Err(error) => {
-            // The recording is complete without its report.
-            let _ = report::session::write(&folder, &file, &ReadMonitor::default());
+            let _ = write_report(&folder, &file);
             context.say(format!("what was recorded is in {}", folder.display()));
-            return Err(error.into());
+            let next = if file.has_recorded() {
+                format!("smartdepthsync verify {}", system::shell_word(&folder))
+            } else {
+                format!("smartdepthsync doctor{}", place.option())
+            };
+            return Err(Failure::from(error).commands(vec![next]));
         }
     };
     let (learnt, not_learnt) = match to_teach.filter(|_| file.has_recorded()) {
@@ -206,16 +209,26 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         None => (Vec::new(), None),
     };
     // The recording is complete without its report.
-    let html = match report::session::write(&folder, &file, &ReadMonitor::default()) {
-        Ok(path) => Some(path),
+    let (verification, html) = match write_report(&folder, &file) {
+        Ok((verification, path)) => (Some(verification), Some(path)),
         Err(error) => {
             context.say(format!("warning: cannot write the report: {error}"));
-            None
+            (None, None)
         }
     };
+    let outcome = match outcome {
+        ExitStatus::Good => ExitStatus::of_loss(is_lossy(&file, verification.as_ref())),
+        other => other,
+    };
     let report = PrintedSession {
-        verdict: summary(&folder, &file),
-        next: next_commands(&folder, &file, (to_teach, not_learnt.is_some()), &place),
+        verdict: summary(&folder, &file, verification.as_ref()),
+        next: next_commands(
+            args,
+            &folder,
+            &file,
+            (to_teach, not_learnt.is_some()),
+            &place,
+        ),
         folder,
         report: html,
         learnt,
@@ -232,6 +245,17 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         }
         None => Ok(outcome),
     }
+}
+
+/// Checks a recording, and writes its report.
+fn write_report(
+    folder: &Path,
+    session: &SessionFile,
+) -> Result<(Verification, PathBuf), RecordingError> {
+    let monitor = ReadMonitor::default();
+    let verification = verify(folder, &monitor)?;
+    let page = report::session::write(folder, session, &verification, &monitor)?;
+    Ok((verification, page))
 }
 
 /// Runs the session on the devices of this computer.
@@ -273,6 +297,10 @@ fn record(
     let ended = run_session(&args.options(), profile, devices);
     // Restores the terminal before anything else is printed.
     drop(view);
+    let ended = ended.map_err(|error| {
+        let next = format!("smartdepthsync doctor{}", place.option());
+        Failure::from(error).commands(vec![next])
+    });
     ended?.ok_or_else(|| {
         Failure::new(
             ExitStatus::Interrupted,
@@ -307,19 +335,16 @@ fn learnt_now(file: &mut SessionFile, folder: &Path) -> Result<(), Failure> {
 /// Returns the next commands, ready to be pasted. `to_teach` is the profile of a calibration, and
 /// true if nothing was learnt for it.
 fn next_commands(
+    args: &RecordArgs,
     folder: &Path,
     session: &SessionFile,
     to_teach: (Option<&Path>, bool),
     place: &Place,
 ) -> Vec<String> {
     if !session.has_recorded() {
-        return Vec::new();
+        return vec![format!("smartdepthsync doctor{}", place.option())];
     }
-    let missing = files_to_fetch(folder, session);
-    let mut commands: Vec<String> = missing
-        .iter()
-        .map(|(phase, place)| get_files_command(PhoneNanos(*phase), place, true))
-        .collect();
+    let mut commands = files_commands(folder, Some(session));
     let recording = system::shell_word(folder);
     match to_teach {
         (Some(profile), true) => {
@@ -331,6 +356,9 @@ fn next_commands(
         (Some(_), false) => {
             let profile = place.option();
             commands.push(format!("smartdepthsync record --duration 1m{profile}"));
+        }
+        (None, _) if args.more.shift.is_some() => {
+            commands.push(calibrate_command(folder, place));
         }
         (None, _) => commands.push(format!("smartdepthsync extract {recording}")),
     }
@@ -355,9 +383,5 @@ fn text(printed: &PrintedSession<'_>) -> String {
         Some(html) => format!("report {}\n", html.display()),
         None => format!("folder {}\n", printed.folder.display()),
     };
-    if !printed.next.is_empty() {
-        text += "next\n";
-        text.extend(printed.next.iter().map(|line| format!("  {line}\n")));
-    }
-    text
+    text + &next_text(&printed.next)
 }

@@ -16,7 +16,7 @@ use crate::new_profile::{Camera, recorder_command, text};
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
 use crate::rig_profile::{FILE, ProfileArg};
-use phone::adb;
+use phone::{adb, check_address};
 use recording::camera::{DEFAULT_CAMERA, Mode, Model};
 
 /// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
@@ -231,11 +231,13 @@ fn asked_profile<R: BufRead>(
     } else {
         "The phone's address (found by adb)?"
     };
-    let phone = asker.ask(args.phone.clone(), question, by_adb, |text| match text {
-        "" => Err(String::from(
-            "expected a host such as 192.168.1.23; or give --phone",
-        )),
-        host => Ok(host.to_owned()),
+    if let Some(given) = &args.phone {
+        check_address(given)?;
+    }
+    let phone = asker.ask(args.phone.clone(), question, by_adb, |host| {
+        let expected = "expected a host such as 192.168.1.23; or give --phone";
+        let checked = check_address(host).map_err(|error| format!("{error}; {expected}"));
+        checked.map(|()| host.to_owned())
     })?;
     let camera = ask_camera(args, asker)?;
     let usual = camera.model.recorder.first();

@@ -1,17 +1,18 @@
 //! `smartdepthsync verify`: checks that a recording is whole, and writes its report again.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::context::Context;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, next_text};
 use crate::recordings::{self, RecordingArg};
 use board::finding::Severity;
 use recording::RecordingError;
+use recording::session_file::SessionFile;
 use recording::verify::{Verification, verify};
-use report::session::write_again;
+use report::session::summary;
+use report::summary::Summary;
 use report::verification;
 use serde::Serialize;
-use system::ReadMonitor;
 
 /// Check a recording: every message and file against what it held when it was closed, and
 /// checksums, numbers, times, grid and clocks against each other. Its report is written again,
@@ -30,8 +31,12 @@ pub(crate) struct VerifyArgs {
 struct Verified {
     #[serde(flatten)]
     verification: Verification,
+    /// The one on the recording, as its page states it; nothing without `session.json`.
+    verdict: Option<Summary>,
     /// The page that was written again; nothing without `session.json`.
     report: Option<PathBuf>,
+    /// Commands to type next.
+    next: Vec<String>,
 }
 
 /// Runs the command.
@@ -41,32 +46,47 @@ struct Verified {
 /// There is no such recording.
 pub(crate) fn run(args: &VerifyArgs, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
+    let session = SessionFile::load(&recording).ok();
+    let mut is_lossy = false;
     let verified = context.over_files(|monitor| {
-        let verification = verify(&recording, monitor)?;
-        let report = write_report(recordings::folder_of(&recording), context, monitor);
+        let mut verification = verify(&recording, monitor)?;
+        is_lossy = match &session {
+            Some(session) => report::session::is_lossy(session, Some(&verification)),
+            None => verification.severity != Severity::Good,
+        };
+        let judged = |session| summary(&recording, session, Some(&verification));
+        let verdict = session.as_ref().map(judged);
+        let report = session.as_ref().and_then(|session| {
+            let written = report::session::write(&recording, session, &verification, monitor);
+            if let Err(error) = &written
+                && !context.interrupt.requested()
+            {
+                context.say(format!("warning: cannot write the report: {error}"));
+            }
+            written.ok()
+        });
+        if let Some(verdict) = &verdict {
+            verification.severity = verdict.severity;
+        }
         Ok::<_, RecordingError>(Verified {
             verification,
+            verdict,
             report,
+            next: recordings::next_commands(&recording),
         })
     })?;
+    let Verified {
+        verification,
+        verdict,
+        report,
+        next,
+    } = &verified;
     context.print_checks(&verified, || {
-        let report = verified.report.iter();
+        let report = report.iter();
         let report = report.map(|path| format!("report {}\n", path.display()));
-        verification::summary(&verified.verification).text() + &report.collect::<String>()
+        verification::summary(verification, verdict.as_ref()).text()
+            + &report.collect::<String>()
+            + &next_text(next)
     })?;
-    Ok(match verified.verification.severity {
-        Severity::Good => ExitStatus::Good,
-        Severity::Check | Severity::Bad => ExitStatus::Loss,
-    })
-}
-
-/// Writes the report of a recording that has a session, and warns if it cannot be written.
-fn write_report(folder: &Path, context: &Context, monitor: &ReadMonitor) -> Option<PathBuf> {
-    let written = write_again(folder, monitor);
-    if let Err(error) = &written
-        && !context.interrupt.requested()
-    {
-        context.say(format!("warning: cannot write the report: {error}"));
-    }
-    written.ok().flatten()
+    Ok(ExitStatus::of_loss(is_lossy))
 }

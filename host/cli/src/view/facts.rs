@@ -166,7 +166,7 @@ pub(super) fn rates_and_losses(state: &State) -> Vec<Fact> {
     let last = last.map_or(String::new(), |pulse| format!("{pulse}, "));
     let pulses = match late {
         0 => format!(
-            "{last}{:.1}/s, strobe {:.1}/s",
+            "{last}{:.2}/s, strobe {:.2}/s",
             rates.pulses, rates.captures
         ),
         late => format!("{last}{late} LATE"),

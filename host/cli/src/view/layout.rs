@@ -15,7 +15,7 @@ use protocol::Ticks;
 
 use super::facts::{self, Fact, Mood};
 use super::plain::line;
-use super::state::{State, Twist};
+use super::state::{Keys, State, Twist};
 use crate::terminal::broken;
 
 /// Height of the screen below which the chart is left out.
@@ -64,8 +64,14 @@ pub(crate) fn draw(frame: &mut Frame<'_>, state: &State, help: bool) {
         // The twist's part, warnings and what was said go before.
         (false, Some(_)) => 8,
     };
+    let newest = |lines: Option<&Vec<Line<'_>>>| lines.map_or(0, |lines| lines.len() as u16);
     let panels_height = match twist {
         Some(_) => panels_height.min(area.height.saturating_sub(TWIST_ROWS + 5)),
+        // What the session waits for, and why, goes before.
+        None if state.keys() == Keys::Answer => {
+            let asked = newest(said_lines.last()) + newest(warning_lines.first());
+            panels_height.min(area.height.saturating_sub(asked + 4))
+        }
         None => panels_height,
     };
     let middle_min = match (&twist, area.height >= CHART_MIN) {
@@ -382,6 +388,7 @@ mod tests {
     use board::finding::{EventKind, Finding};
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
+    use session::event::{Phase, PhoneName, Prompt, SessionEvent, Stamped};
 
     use super::*;
     use crate::view::state::tests::{begin_twist, busy};
@@ -481,6 +488,40 @@ mod tests {
             text.contains("(1-sigma)"),
             "{text}"
         );
+    }
+
+    /// A refused twist says why, and the check that is not good is a warning.
+    #[test]
+    fn what_a_session_waits_for_stands_with_its_reason_at_every_size() {
+        let profile = recording::profile::Profile::published().unwrap();
+        let mut state = State::of_session(&profile, true);
+        let mut take = |event| {
+            let at = Ticks(48_000_000 * 12);
+            state.take(&Stamped { at, event });
+        };
+        let check = Finding::check("constant bias", "not measured").next_step("measure it");
+        take(SessionEvent::Checked { check });
+        let phase = Phase::Twisting { number: 1 };
+        take(SessionEvent::Phase { phase });
+        take(SessionEvent::TwistRefused {
+            number: 1,
+            phone: PhoneName {
+                name: String::from("phone"),
+                is_only: true,
+            },
+            reason: String::from("there is too little motion: twist FASTER"),
+        });
+        let prompt = Prompt::TwistAgain;
+        take(SessionEvent::Prompt { prompt });
+        for (width, height) in [(120, 40), (80, 24), (60, 16), (40, 12)] {
+            let text = screen(width, height, &state, false);
+            for word in ["twist 1 refused", "FASTER", "twist again", "q"] {
+                assert!(text.contains(word), "{width}x{height}, {word}:\n{text}");
+            }
+            assert!(!text.contains("no warnings"), "{text}");
+        }
+        let text = screen(120, 40, &state, false);
+        assert!(text.contains("not measured"), "{text}");
     }
 
     const SIZES: [(u16, u16); 7] = [

@@ -61,7 +61,9 @@ pub(crate) struct Screen {
 /// Returns true if there is a terminal that can show the view, with a person at its keys.
 pub(crate) fn is_possible() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
-    stderr().is_terminal() && stdin().is_terminal() && !dumb
+    // One that does not know its size, such as a serial console, takes plain lines.
+    let has_size = rustix::termios::tcgetwinsize(stderr()).is_ok_and(|size| size.ws_col > 0);
+    stderr().is_terminal() && stdin().is_terminal() && has_size && !dumb
 }
 
 impl Screen {

@@ -10,7 +10,7 @@ pub(super) mod tests;
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use board::finding::Finding;
+use board::finding::{EventKind, Finding, FindingKind, Severity};
 use board::imu::Sample;
 use clock::coach::Coach;
 use protocol::{DeviceToHost, ImuState, Output, Status, TICK_HZ, Ticks, TrainState};
@@ -19,6 +19,7 @@ use recording::session_file::Alignment;
 use session::event::{Notice, Phase, SessionEvent, Stamped, Tracked};
 
 use super::sentences::sentence;
+use crate::outcome::Failure;
 use rate::{Connected, LIDAR, Rate, drop_before, state_word};
 pub(crate) use shown::{Disk, Keys, Losses, PhaseNow, Phone, Rates, Sensor, Trigger, Twist};
 
@@ -27,6 +28,9 @@ const SHOWN: u64 = 10 * TICK_HZ as u64;
 
 /// Interval of the points that are shown, ticks: 40 ms.
 const POINT: u64 = TICK_HZ as u64 / 25;
+
+/// Kind of the warning about a step that has failed and may be repeated.
+const STEP_FAILED: &str = "step_failed";
 
 /// The most warnings and sentences that are kept.
 const KEPT: usize = 8;
@@ -129,16 +133,26 @@ impl State {
     pub(crate) fn take(&mut self, Stamped { at, event }: &Stamped) {
         self.now = *at;
         let notice = event.notice();
-        if let Some(text) = sentence(event, notice.as_ref()) {
-            push_bounded(&mut self.said, text);
-        }
-        if let Some(notice) = notice.filter(is_warning) {
-            push_bounded(&mut self.warnings, notice.finding.at(*at));
+        let text = sentence(event, notice.as_ref());
+        match (event, notice.filter(is_warning), text) {
+            (SessionEvent::StepFailed { error, .. }, ..) => {
+                self.forget_warnings(STEP_FAILED);
+                let failure = Failure::from(error.as_ref());
+                let failed = Finding::bad(STEP_FAILED, failure.to_string());
+                let failed = failed.next_step(failure.what_to_do());
+                push_bounded(&mut self.warnings, failed.at(*at));
+            }
+            (_, Some(notice), _) => push_bounded(&mut self.warnings, notice.finding.at(*at)),
+            (.., Some(text)) => push_bounded(&mut self.said, text),
+            (.., None) => {}
         }
         match event {
             SessionEvent::Board { message, sample } => self.message(message, sample.as_ref()),
             SessionEvent::Phase { phase } => self.enter(*phase),
-            SessionEvent::Connected { board, .. } => self.board.clone_from(board),
+            SessionEvent::Connected { board, .. } => {
+                self.forget_warnings(STEP_FAILED);
+                self.board.clone_from(board);
+            }
             SessionEvent::TwistStarted {
                 length_s,
                 enough_us,
@@ -146,6 +160,7 @@ impl State {
             } => self.twist = Some((Coach::default(), *length_s, *enough_us)),
             SessionEvent::TwistFinished { .. } => self.twist = None,
             SessionEvent::ClockKnown { place, clock, .. } => {
+                self.forget_warnings(EventKind::TwistRefused);
                 if let Some(phone) = self.phones.get_mut(*place) {
                     phone.clock = Some(*clock);
                 }
@@ -179,7 +194,14 @@ impl State {
         }
     }
 
+    /// Drops the warnings of a kind, whose cause is gone.
+    fn forget_warnings(&mut self, kind: impl Into<FindingKind>) {
+        let kind = kind.into();
+        self.warnings.retain(|warning| warning.kind != kind);
+    }
+
     fn enter(&mut self, phase: Phase) {
+        self.forget_warnings(STEP_FAILED);
         self.phase = Some(phase);
         self.twist = None;
         self.download = None;
@@ -271,8 +293,10 @@ impl State {
     }
 }
 
-/// Returns true if the screen shows an event as a warning until the end: if something is wrong
-/// in the recording, or the operator can do something about it.
+/// Returns true if the screen shows an event as a warning: if something is wrong in the
+/// recording, or the operator is shown that something is not as it should be.
 fn is_warning(notice: &Notice) -> bool {
-    notice.is_problem || notice.finding.next_step.is_some()
+    let finding = &notice.finding;
+    let is_doubtful = notice.is_shown && finding.severity != Severity::Good;
+    notice.is_problem || finding.next_step.is_some() || is_doubtful
 }

@@ -2,14 +2,15 @@
 //! completions and a manual page.
 
 use std::fs;
+use std::path::PathBuf;
 
 use clap::CommandFactory as _;
 use clap::error::ErrorKind;
 use smartdepthsync::cli::Cli;
 
 use crate::support::{commands, run, run_line};
-use test_support::TestFolder;
 use test_support::documents::{Code, arguments, pages};
+use test_support::{TestFolder, below, root};
 
 /// A line of a block is there to be typed: the program must take it as it stands.
 #[test]
@@ -32,6 +33,55 @@ fn every_command_in_a_block_is_a_whole_command() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(checked >= 20, "only {checked} commands were found");
+}
+
+/// What a message tells to run must run as it stands, with values in its braces.
+#[test]
+fn every_command_that_the_program_prints_is_a_whole_command() {
+    let mut checked = 0;
+    let mut wrong = Vec::new();
+    let sources = ["host/cli/src", "host/live", "host/data"];
+    let sources = sources
+        .into_iter()
+        .flat_map(|room| below(&root().join(room)));
+    let is_product = |path: &PathBuf| {
+        let path = path.to_string_lossy();
+        path.ends_with(".rs") && !path.contains("/tests")
+    };
+    for path in sources.filter(is_product) {
+        let text = fs::read_to_string(&path).unwrap();
+        let text = text.split("#[cfg(test)]").next().unwrap();
+        let lines = text.lines().map(str::trim_start);
+        let lines = lines.filter(|line| !line.starts_with("//"));
+        // A string goes on after a backslash.
+        let text: String = lines
+            .map(|line| {
+                line.strip_suffix('\\')
+                    .map_or(format!("{line}\n"), str::to_owned)
+            })
+            .collect();
+        for code in text
+            .split('`')
+            .filter(|code| code.starts_with("smartdepthsync "))
+        {
+            let mut line = String::new();
+            let mut braces = code.split('{');
+            line.push_str(braces.next().unwrap());
+            for (_, after) in braces.filter_map(|part| part.split_once('}')) {
+                line += "1";
+                line += after;
+            }
+            checked += 1;
+            match Cli::command().try_get_matches_from(line.split_whitespace()) {
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::DisplayHelp => {}
+                Err(_) if line.ends_with("help COMMAND") => {}
+                Err(error) => wrong.push(format!("{}: {line}\n{error}", path.display())),
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(checked >= 30, "only {checked} commands were found");
 }
 
 #[test]

@@ -94,7 +94,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         &report,
         "record",
         &[
-            "<b>check</b>",
+            "<b>bad</b>",
             "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
             "Twist 1: magnitude of the angular rates of board and phone",
             "What is left between the two: 0.000 rad/s rms",

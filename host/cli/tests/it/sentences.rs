@@ -57,6 +57,7 @@ const CASES: &str = "\
 2 | record --profile text.txt | text.txt | profile check
 2 | record --profile wrong.toml | line 2: unknown field `no_such_key` | profile check wrong.toml
 2 | record --twists 9 | 1..=5 | help COMMAND
+2 | record --duration 0s | more than 0 s | help COMMAND
 2 | record --marker soon | 90s, 5m or 1h | help COMMAND
 # Files of two gyroscopes.
 2 | profile init new.toml --camera azure-kinect-dk --exposure 5ms | cannot be set | option out
@@ -71,7 +72,7 @@ const CASES: &str = "\
 13 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | smartdepthsync setup
 13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
 2 | evaluate drift text.txt | text.txt | give a video
-2 | evaluate drift folder | no video in this folder | help evaluate
+2 | evaluate drift folder | no video in this folder | the phone's video itself
 # The board.
 2 | board flash --board nucleo | black-pill | help COMMAND
 # Profiles.
@@ -101,6 +102,7 @@ const CASES: &str = "\
 13 | evaluate drift folder --out text.txt | not overwritten | --overwrite
 # Profiles that are made and taught.
 2 | setup --yes | address | help setup
+2 | setup --yes --phone my/phone | not a host name | <host>:<port>
 13 | setup --yes --phone x --profile text.txt | text.txt | --overwrite
 2 | setup --yes --phone x --depth-mode NFOV | WFOV_UNBINNED | another --camera
 2 | record --calibrate | no rig profile | smartdepthsync setup

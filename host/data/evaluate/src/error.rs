@@ -56,6 +56,15 @@ pub enum EvaluateError {
     /// `ffmpeg` or `ffprobe` is missing, or cannot be run.
     #[error(transparent)]
     Ffmpeg(VideoError),
+    /// A folder does not have one video.
+    #[error("{folder}: {found}")]
+    NoVideo {
+        folder: PathBuf,
+        /// Number of videos in words, or the system's reason.
+        found: String,
+        /// Command that copies the video of the recording from its phone.
+        copy: Option<String>,
+    },
     /// The file is not a readable video.
     #[error("{path}: not a readable video: {message}")]
     NotAVideo {

@@ -33,6 +33,8 @@ pub struct RecordingResult {
     pub height: usize,
     /// Bias that the session of the recording subtracted, µs.
     pub applied_bias_us: Option<f64>,
+    /// Part of that by which the trigger was shifted on purpose, µs.
+    pub shift_us: f64,
     /// Bias from perfect sync, µs; positive: the depth camera is exposed later.
     pub bias_us: f64,
     /// Standard uncertainty of the bias, µs.
@@ -72,6 +74,14 @@ pub struct FailedRecording {
     pub path: PathBuf,
     /// Reason why there is no result.
     pub reason: String,
+}
+
+impl RecordingResult {
+    /// Returns the bias without the intended shift, µs.
+    #[must_use]
+    pub fn unshifted_us(&self) -> f64 {
+        self.bias_us + self.shift_us
+    }
 }
 
 /// Statistics of the bias over recordings.
@@ -129,7 +139,7 @@ pub struct Precision {
     pub recordings: Vec<RecordingResult>,
     /// Inputs without a result.
     pub left_out: Vec<FailedRecording>,
-    /// Statistics of the bias over recordings; null without any result.
+    /// Statistics of the bias over recordings, without intended shifts; null without any result.
     pub bias: Option<BiasStatistics>,
     /// Weighted mean of the row time over recordings, µs.
     pub row_time_us: f64,
@@ -202,6 +212,7 @@ fn measure(
         width: footage.reducer.width,
         height: footage.reducer.height,
         applied_bias_us: footage.applied.map(|a| a.bias_us),
+        shift_us: footage.applied.map_or(0.0, |a| a.shift_us),
         bias_us: joint.mean_us,
         sigma_us,
         uncertainty_99_us: COVERAGE_99 * sigma_us,
@@ -255,6 +266,7 @@ fn settled(
     };
     let mut found = track(&footage, settings, Choice::Last(frames))?;
     let evidence = found.evidence;
+    let mut left_out = 0;
     for _ in 0..2 {
         let half = footage.frames.len() / 2;
         if !doubtful(&found) || half < frames {
@@ -265,9 +277,7 @@ fn settled(
         match track(&footage, settings, Choice::Last(frames)) {
             Ok(track) => {
                 found = track;
-                footage.notes.push(format!(
-                    "the first {half} frames were left out: they do not fit the later ones"
-                ));
+                left_out += half;
             }
             Err(_) => {
                 let late = std::mem::replace(&mut footage.frames, early);
@@ -275,6 +285,11 @@ fn settled(
                 break;
             }
         }
+    }
+    if left_out > 0 {
+        footage.notes.push(format!(
+            "the first {left_out} frames were left out: they do not fit the later ones"
+        ));
     }
     // All frames count as evidence, including those in which the train was still moved.
     found.evidence = found.evidence.or(evidence);
@@ -391,7 +406,10 @@ fn concerns_all(error: &EvaluateError) -> bool {
 
 /// Combines the recordings' results.
 fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<FailedRecording>) -> Precision {
-    let values: Vec<f64> = recordings.iter().map(|r| r.bias_us).collect();
+    let values: Vec<f64> = recordings
+        .iter()
+        .map(RecordingResult::unshifted_us)
+        .collect();
     let sigmas: Vec<f64> = recordings.iter().map(|r| r.sigma_us).collect();
     let weights: Vec<f64> = recordings
         .iter()

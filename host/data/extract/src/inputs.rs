@@ -13,6 +13,7 @@ use crate::depth::DepthInput;
 use crate::depth::ros2_bag::Ros2Bag;
 use crate::geometry::CameraFacts;
 use crate::options::Options;
+use phone::adb::get_files_command;
 use phone::coverage::AssumedFrames;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::RecordingError;
@@ -20,6 +21,7 @@ use recording::bag::{is_bag, mcap_in};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::depth_files::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
+use recording::rosbag2::METADATA_FILE;
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
 use recording::verify::assumed_frames;
 
@@ -38,6 +40,8 @@ pub(crate) struct PhoneInput {
     pub(crate) boot_minus_frames_ns: i64,
     /// Its frames as the session assumed them.
     pub(crate) assumed: Option<AssumedFrames>,
+    /// Command that copies the files from the phone, if the session has its video.
+    pub(crate) copy: Option<String>,
     /// Folder below the output; empty, for the output itself, if the trigger was aligned to
     /// this phone.
     pub(crate) folder: PathBuf,
@@ -291,6 +295,11 @@ fn find_phones(
         let own = own.filter(|own| !several || own.is_dir());
         find_phone(own.as_deref(), place)
     };
+    let copy = |record: Option<&PhoneRecord>| {
+        let (record, folder) = (record?, recording?);
+        let place = folder.join(session.phone_folder(&record.name));
+        Some(get_files_command(record.video?.phase, &place, true))
+    };
     let boot_minus_frames_ns = |record: Option<&PhoneRecord>| {
         let video = record.and_then(|record| record.video);
         video.map_or(0, |video| video.boot_minus_frames_ns)
@@ -301,6 +310,7 @@ fn find_phones(
         constants,
         profile: Some(session.profile.phone.clone()),
         boot_minus_frames_ns: boot_minus_frames_ns(session.reference()),
+        copy: copy(session.reference()),
         assumed: session
             .reference()
             .and_then(|record| assumed_frames(session, record)),
@@ -315,6 +325,7 @@ fn find_phones(
             constants: constants.for_other(phone, record, profile),
             profile: Some(phone.clone()),
             boot_minus_frames_ns: boot_minus_frames_ns(record),
+            copy: copy(record),
             assumed: record.and_then(|record| assumed_frames(session, record)),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
@@ -355,6 +366,13 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
 /// Recognises the kind of a depth recording.
 fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsError> {
     fs::metadata(path).map_err(unreadable(path))?;
+    // A file in a bag's folder stands for it.
+    let is_metadata = path.file_name().is_some_and(|name| name == METADATA_FILE);
+    let path = if is_metadata {
+        system::folder_of(path)
+    } else {
+        path
+    };
     if is_mkv(path) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else if is_bag(path) {

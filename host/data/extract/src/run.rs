@@ -166,7 +166,7 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
         video: video.as_ref(),
         images: images.as_ref(),
     };
-    run.report_missing_associations(&pairs);
+    run.note_associations(&pairs);
     let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
@@ -345,16 +345,14 @@ impl Extraction<'_> {
         }
     }
 
-    /// Reports that the TUM format has no list of pairs without registered depth.
-    fn report_missing_associations(&mut self, pairs: &[Pair]) {
-        let is_wanted = self.job.format == Format::Tum && self.job.options.view.is_none();
-        if is_wanted && !pairs.is_empty() {
-            self.lose(
-                LossPart::Pairs,
-                "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
-                 the same place, and depth is not registered; give --register phone or --register color \
-                 (the pairs are in pairs.csv)",
-            );
+    /// Remarks that the TUM format has no list of pairs without registered depth.
+    fn note_associations(&mut self, pairs: &[Pair]) {
+        let is_plain = self.job.format == Format::Tum && self.job.options.view.is_none();
+        if is_plain && !pairs.is_empty() {
+            self.remarks.push(String::from(
+                "associations.txt is for registered depth alone, of which each pixel is that of colour \
+                 in the same place: the pairs are in pairs.csv",
+            ));
         }
     }
 

@@ -12,13 +12,14 @@ use std::ops::Range;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use envelope::{Column, Envelope};
 
 /// Size of a drawing, pixels; each further line of the legend makes it higher.
 const SIZE: (u32, u32) = (800, 340);
 
-/// Size of all type, pixels.
+/// Size of all type, pixels: as a narrow page shows it. A wide one has smaller type, by its style.
 const LABEL: i32 = 27;
 /// Height of a line of the legend, pixels.
 const LINE: i32 = 35;
@@ -130,8 +131,8 @@ struct Chart<'a> {
     series: Vec<(String, Data)>,
     xs: Range<f64>,
     ys: Range<f64>,
-    /// True if values are whole numbers.
-    counts: bool,
+    /// True for an axis of whole numbers, x and y.
+    counts: [bool; 2],
 }
 
 /// Least range for [`series`] that adds nothing to the range of the values.
@@ -142,7 +143,18 @@ pub const AS_IT_IS: Range<f64> = f64::NAN..f64::NAN;
 /// there is nothing to draw.
 #[must_use]
 pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: Vec<(&str, Data)>) -> String {
-    chart([x_label, y_label], least, all, false)
+    chart([x_label, y_label], least, all, [false; 2])
+}
+
+/// Draws as [`series`] does, over axes of whole numbers where `counts` says so.
+#[must_use]
+pub fn counted(
+    labels: [&str; 2],
+    counts: [bool; 2],
+    least: Range<f64>,
+    all: Vec<(&str, Data)>,
+) -> String {
+    chart(labels, least, all, counts)
 }
 
 /// Draws a histogram of counts in bins of width `bin`, the first of which begins at `first`, as
@@ -156,10 +168,15 @@ pub fn histogram(labels: [&str; 2], (first, bin): (f64, f64), counts: &[u64]) ->
         high: count as f64,
     });
     let data = Data::Range(columns.collect(), 0.92 * bin);
-    chart(labels, 0.0..1.0, vec![("", data)], true)
+    chart(labels, 0.0..1.0, vec![("", data)], [false, true])
 }
 
-fn chart(labels: [&str; 2], least: Range<f64>, all: Vec<(&str, Data)>, counts: bool) -> String {
+fn chart(
+    labels: [&str; 2],
+    least: Range<f64>,
+    all: Vec<(&str, Data)>,
+    counts: [bool; 2],
+) -> String {
     let has_legend = all.len() > 1;
     let mut all_wild = 0;
     let series = all.into_iter().map(|(name, mut data)| {
@@ -280,8 +297,11 @@ impl Chart<'_> {
             }
             let top = 10 + line * LINE;
             swatch(&area, data, colour, (x, top + LABEL / 2))?;
-            let style = ("sans-serif", LABEL).into_font();
-            area.draw(&Text::new(name.clone(), (x + 24, top), style))?;
+            // Beside the swatch in type of any size.
+            let style = TextStyle::from(("sans-serif", LABEL).into_font());
+            let style = style.pos(Pos::new(HPos::Left, VPos::Center));
+            let place = (x + 24, top + LABEL / 2);
+            area.draw(&Text::new(name.clone(), place, style))?;
         }
         let head = (10 + lines * LINE).max(LINE / 2);
         self.draw_axes(&area.split_vertically(head).1)?;
@@ -291,21 +311,30 @@ impl Chart<'_> {
 
     fn draw_axes(&self, area: &Area<'_>) -> Drawn<()> {
         let (xs, ys) = (&self.xs, &self.ys);
-        let x_text = |v: &f64| tick(*v, xs);
-        let y_text = |v: &f64| {
-            if !self.counts {
-                tick(*v, ys)
+        let text = |v: f64, shown: &Range<f64>, counts: bool| {
+            if !counts {
+                tick(v, shown)
             } else if (v - v.round()).abs() < 1e-6 {
                 format!("{v:.0}")
             } else {
                 String::new()
             }
         };
+        let x_text = |v: &f64| text(*v, xs, self.counts[0]);
+        let y_text = |v: &f64| text(*v, ys, self.counts[1]);
+        // The axis' name stands beside its longest number.
+        let longest = [ys.start, ys.end].map(|end| {
+            y_text(&end.round())
+                .chars()
+                .count()
+                .max(tick(end, ys).chars().count())
+        });
+        let longest = longest.into_iter().max().unwrap_or_default() as i32;
         let mut axes = ChartBuilder::on(area)
             .margin(10)
             .margin_right(24)
             .x_label_area_size(70)
-            .y_label_area_size(114)
+            .y_label_area_size((LABEL + 22 + LETTER * longest).max(114))
             .build_cartesian_2d(xs.clone(), ys.clone())?;
         axes.configure_mesh()
             .x_labels(8)

@@ -18,13 +18,19 @@ use crate::page::Page;
 use crate::session::link_to;
 use crate::summary::{Facts, Summary};
 use board::finding::{Finding, Severity};
-use recording::error_budget::{COARSE_US, ErrorPart, together};
+use recording::error_budget::COARSE_US;
 
-/// Returns the page of a precision measurement, with pictures of one of its recordings. `out` is
-/// its future path, for the links.
+/// Returns the page of a precision measurement, with pictures of one of its recordings.
+/// `is_written` is true if the profile has its bias by now; `out` is its future path, for the links.
 #[must_use]
-pub fn precision(result: &Precision, shown: &Shown, settings: &Settings, out: &Path) -> String {
-    let mut page = Page::new(&precision_summary(result));
+pub fn precision(
+    result: &Precision,
+    is_written: bool,
+    shown: &Shown,
+    settings: &Settings,
+    out: &Path,
+) -> String {
+    let mut page = Page::new(&precision_summary(result, is_written));
     let recordings = result.recordings.iter();
     let links = recordings.filter_map(|recording| recording_link(&recording.path, out));
     page.links(&links.collect::<Vec<_>>());
@@ -77,9 +83,9 @@ fn pictures(page: &mut Page, shown: &Shown) {
 }
 
 /// Returns the summary of a precision measurement: bias, scatter and row time over all
-/// recordings, and each recording.
+/// recordings, and each recording. `is_written` is true if the profile has the bias by now.
 #[must_use]
-pub fn precision_summary(result: &Precision) -> Summary {
+pub fn precision_summary(result: &Precision, is_written: bool) -> Summary {
     let mut facts = Facts::new();
     if let Some(bias) = &result.bias {
         bias_facts(&mut facts, bias);
@@ -93,10 +99,11 @@ pub fn precision_summary(result: &Precision) -> Summary {
         facts.push((
             "recording",
             format!(
-                "{name}: {:+.3} ± {:.3} µs (1 σ), row {:.2}; row time {:.4} ± {:.4} µs, exposure \
+                "{name}: {:+.3} ± {:.3} µs (1 σ){}, row {:.2}; row time {:.4} ± {:.4} µs, exposure \
                  {:.1} µs, flash {:.1} grey levels; frames: {frames}",
-                r.bias_us,
+                r.unshifted_us(),
                 r.sigma_us,
+                shifted(r.shift_us),
                 r.row,
                 r.row_time_us,
                 r.row_time_sigma_us,
@@ -135,15 +142,13 @@ pub fn precision_summary(result: &Precision) -> Summary {
     let total_us = total.map(|bias| bias.mean_us.hypot(bias.mean_sigma_us));
     if is_open {
         text.push_str(" Which flash is which is open: the bias may be off by whole pitches.");
-    } else if let Some(total_us) = total_us {
-        let part = ErrorPart::Bias;
-        let _ = write!(text, " So the {}.", together(total_us, Some(part)));
-    }
-    // The distance itself is the verdict, however well it was measured.
-    if total_us.is_some_and(|total| total >= COARSE_US) {
+    } else if is_written {
+        text.push_str(" It is in the profile: the next recording takes it out.");
+    } else if total_us.is_some_and(|total| total >= COARSE_US) {
+        // The distance itself is the verdict, however well it was measured.
         parts.push(Finding::check(
             "bias",
-            "milliseconds apart: write it into the profile with --calibrate",
+            "milliseconds apart: it belongs into the profile (--calibrate)",
         ));
     }
     let severities = parts.iter().map(|part| part.severity);
@@ -154,6 +159,14 @@ pub fn precision_summary(result: &Precision) -> Summary {
         parts,
         facts,
     }
+}
+
+/// Describes an intended shift, µs, that was taken out of a bias.
+fn shifted(shift_us: f64) -> String {
+    if shift_us == 0.0 {
+        return String::new();
+    }
+    format!(" without the {shift_us:.0} µs by which the trigger was shifted on purpose")
 }
 
 /// Returns the summary of a drift measurement.

@@ -14,10 +14,10 @@ use serde_json::json;
 use crate::REPORT_FILE;
 use crate::chart::{self, Data};
 use crate::page::Page;
-use crate::session::{link_to, predicted, sentence};
+use crate::session::{self, ALIGNMENT, is_lossy, link_to, predicted, rig_of};
 use crate::summary::{Facts, Summary};
 use board::finding::{Finding, Severity};
-use recording::error_budget::{COARSE_US, together};
+use recording::error_budget::COARSE_US;
 use recording::session_file::SessionFile;
 
 /// Caption of the sample pairs.
@@ -34,18 +34,23 @@ pub fn write(out: &Path, report: &ExtractReport, recording: &Path) -> io::Result
     let samples = std::fs::read_to_string(out.join(SAMPLES_FILE)).ok();
     let session = SessionFile::load(recording).ok();
     let link = link_to(recording, out);
-    let html = page(report, samples.as_deref(), session.as_ref(), link);
+    let summary = summary(report, recording);
+    let html = page(report, summary, samples.as_deref(), session.as_ref(), link);
     crate::put(&out.join(REPORT_FILE), &html)
 }
 
 /// Assembles the page; `samples` is a drawing of sample pairs.
 fn page(
     report: &ExtractReport,
+    mut summary: Summary,
     samples: Option<&str>,
     session: Option<&SessionFile>,
     recording: Option<(String, String)>,
 ) -> String {
-    let mut page = Page::new(&summary(report));
+    if let Some(session) = session {
+        summary.title += &format!(" of {}", rig_of(session));
+    }
+    let mut page = Page::new(&summary);
     page.links(recording.as_slice());
     if let Some(pairs) = &report.pairs {
         page.section("Time difference of the pairs");
@@ -60,8 +65,8 @@ fn page(
         );
         page.figure(
             &pairs_svg(&pairs.course, session),
-            "The same over time, as measured, with 1-sigma of what was predicted while recording \
-             from clocks and frame period. A slope is a drift of the trigger against the phone's \
+            "The same over time, as measured; with 1-sigma of what was predicted while recording \
+             from clocks and frame period, unless the phone's clock was followed. A slope is a drift of the trigger against the phone's \
              frames.",
         );
         if let Some(samples) = samples {
@@ -128,21 +133,52 @@ fn course_svg(course: &[WindowResult]) -> String {
     chart::series("board time, s", "window − course, µs", -1.0..1.0, all)
 }
 
-/// Returns the summary of an extraction: losses, remarks and the most important figures.
+/// Returns the summary of an extraction: losses, remarks and the most important figures. It is no
+/// better than the verdict on the recording in the folder `recording`, apart from files that the
+/// extraction has from elsewhere.
 #[must_use]
-pub fn summary(report: &ExtractReport) -> Summary {
+pub fn summary(report: &ExtractReport, recording: &Path) -> Summary {
     let losses = report.losses.iter();
     let losses = losses.map(|loss| Finding::check(loss.part.name(), loss.what.as_str()));
     let remarks = report.remarks.iter();
     let remarks = remarks.map(|remark| Finding::good("note", remark.as_str()));
-    let (severity, text) = verdict(report);
+    let (own, mut text) = verdict(report);
+    let judged = doubts(recording);
+    let severity = judged
+        .iter()
+        .map(|doubt| doubt.severity)
+        .fold(own, Severity::max);
+    if !judged.is_empty() {
+        let kinds: Vec<String> = judged.iter().map(|doubt| doubt.kind.to_string()).collect();
+        let _ = write!(
+            text,
+            " Of the recording itself something is missing or unknown: {}.",
+            kinds.join(", ")
+        );
+    }
     Summary {
         title: format!("Extraction of {}", report.recording),
         severity,
         text,
-        parts: losses.chain(remarks).collect(),
+        parts: judged.into_iter().chain(losses).chain(remarks).collect(),
         facts: facts(report),
     }
+}
+
+/// Returns the parts of the verdict on a recording that bear on every data set of it: what the session
+/// lost, and what is not known of the alignment.
+fn doubts(recording: &Path) -> Vec<Finding> {
+    let Ok(session) = SessionFile::load(recording) else {
+        return Vec::new();
+    };
+    let is_lossy = is_lossy(&session, None);
+    let parts = session::summary(recording, &session, None)
+        .parts
+        .into_iter();
+    parts
+        .filter(|part| part.severity != Severity::Good)
+        .filter(|part| is_lossy || part.kind == ALIGNMENT)
+        .collect()
 }
 
 fn facts(report: &ExtractReport) -> Facts {
@@ -168,7 +204,7 @@ fn facts(report: &ExtractReport) -> Facts {
         facts.push(("clock relation", clock_line(clock)));
     }
     if let Some(grid) = &report.grid {
-        facts.push(("phone against trigger", grid_line(grid)));
+        facts.push(("phone against trigger", drift_line(grid)));
     }
     if let Some(depth) = &report.depth {
         facts.push(("depth frames", depth_line(depth)));
@@ -215,12 +251,7 @@ fn facts(report: &ExtractReport) -> Facts {
 /// Returns the verdict on an extraction, and its sentence.
 fn verdict(report: &ExtractReport) -> (Severity, String) {
     let pairs = report.pairs.as_ref().map_or(String::new(), |pairs| {
-        format!(
-            " {} pairs of frames; depth − phone is {:.1} µs in the median.{}",
-            pairs.spread.count,
-            pairs.spread.median_ns as f64 / 1000.0,
-            known(pairs).map_or(String::new(), |known| format!(" {}", sentence(&known)))
-        )
+        format!(" {} pairs of frames, {}.", pairs.spread.count, apart(pairs))
     });
     // Nothing is good if its accuracy is unknown.
     let sigma_us = report.pairs.as_ref().map(|pairs| pairs.sigma_us);
@@ -244,10 +275,22 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
     }
 }
 
-/// Describes the accuracy of depth − phone.
-fn known(pairs: &PairsReport) -> Option<String> {
-    let sigma_us = pairs.sigma_us?;
-    Some(together(sigma_us, pairs.largest))
+/// Describes depth − phone, and how well it is known.
+fn apart(pairs: &PairsReport) -> String {
+    let median_us = pairs.spread.median_ns as f64 / 1000.0;
+    let Some(sigma_us) = pairs.sigma_us else {
+        return format!("{median_us:.1} µs apart in the median, the accuracy not known");
+    };
+    let of = pairs.largest.map_or(String::new(), |part| {
+        format!("; most of the ± is from {}", part.text())
+    });
+    let (apart, unit) = if sigma_us < 1_000.0 {
+        (format!("{median_us:.1} ± {sigma_us:.1}"), "µs")
+    } else {
+        let [median, sigma] = [median_us, sigma_us].map(|us| us * 1e-3);
+        (format!("{median:.1} ± {sigma:.1}"), "ms")
+    };
+    format!("{apart} {unit} apart (depth − phone: median, largest 1-sigma{of})")
 }
 
 fn clock_line(clock: &ClockReport) -> String {
@@ -333,10 +376,11 @@ fn unassigned(depth: &DepthReport) -> usize {
     depth.frames.saturating_sub(known)
 }
 
-fn grid_line(grid: &TriggerOffset) -> String {
+/// Describes the course of depth − phone, whose median is that of the pairs.
+fn drift_line(grid: &TriggerOffset) -> String {
     format!(
-        "depth − phone {:+.1} µs, drifting by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
-        grid.offset_us, grid.drift_us_per_min, grid.residual_us, grid.pulses
+        "drifting by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
+        grid.drift_us_per_min, grid.residual_us, grid.pulses
     )
 }
 
@@ -353,7 +397,11 @@ fn other_phone_line(other: &OtherReport) -> String {
         let _ = write!(line, "; clock {}", clock_line(clock));
     }
     if let Some(grid) = &other.grid {
-        let _ = write!(line, "; {}", grid_line(grid));
+        let (offset, drift) = (grid.offset_us, drift_line(grid));
+        let _ = write!(
+            line,
+            "; depth − phone {offset:+.1} µs at the first pulse, {drift}"
+        );
     }
     line
 }

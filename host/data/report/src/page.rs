@@ -38,12 +38,13 @@ table{border-collapse:collapse;margin:.5rem 0;min-width:50%}\
 td,th{padding:.3rem .8rem .3rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
 th{font-weight:600}td.n,th.n{text-align:right}\
 .facts th{width:13rem;font-weight:400;color:#555}.facts td{overflow-wrap:anywhere}\
-figure{margin:1rem 0}figure .wide>svg{display:block;width:100%;max-width:40rem;height:auto}\
+figure{margin:1rem 0}figure .wide>svg{display:block;width:100%;height:auto}\
+figure .wide>svg text{font-size:14px}\
 figure.picture svg{max-width:100%;height:auto;max-height:40rem}\
 figcaption{color:#555;font-size:.9rem;margin-top:.3rem}\
 details{margin:1rem 0}summary{cursor:pointer}pre{white-space:pre-wrap;font-size:.85rem}\
 footer{margin-top:2rem;color:#555;font-size:.85rem}\
-@media(max-width:40rem){body{padding:.75rem}\
+@media(max-width:40rem){body{padding:.75rem}figure .wide>svg text{font-size:26px}\
 .list,.list tbody,.list tr{display:block;width:auto}.list tr:first-child{display:none}.list tr{border-bottom:1px solid #ddd;padding:.3rem 0}\
 .list td{display:grid;grid-template-columns:9rem 1fr;border:0;padding:.1rem 0;text-align:left;overflow-wrap:anywhere}.list td::before{content:attr(data-h);color:#555}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
 @page{size:A4;margin:15mm}\

@@ -16,22 +16,23 @@ use serde_json::json;
 use self::curves::Curves;
 use crate::REPORT_FILE;
 use crate::page::Page;
-use crate::summary::Facts;
+use crate::summary::{Facts, Summary};
 use board::BoardInfo;
 use board::finding::{Finding, Severity};
 use board::{StreamCount, reset_cause};
 use judgement::findings;
-pub(crate) use judgement::sentence;
-pub use judgement::{files_to_fetch, summary};
+pub(crate) use judgement::{ALIGNMENT, rig_of, sentence};
+pub use judgement::{files_to_fetch, is_lossy, summary};
 use recording::RecordingError;
 use recording::session_file::{PhoneRecord, SessionFile, Span};
+use recording::verify::{Verification, verify};
 pub(crate) use sections::predicted;
 use system::ReadMonitor;
 
 /// Most findings and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
-/// Writes the report of the recording in `folder`, and returns its path.
+/// Writes the report of the recording in `folder`, which was checked, and returns its path.
 ///
 /// # Errors
 ///
@@ -39,28 +40,15 @@ const MAX_LISTED: usize = 200;
 pub fn write(
     folder: &Path,
     session: &SessionFile,
+    verification: &Verification,
     monitor: &ReadMonitor,
 ) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session, monitor)?;
     let path = folder.join(REPORT_FILE);
-    let html = page(folder, session, &curves).html();
+    let verdict = summary(folder, session, Some(verification));
+    let html = page(folder, session, &verdict, &curves).html();
     crate::put(&path, &html).map_err(RecordingError::io("write", &path))?;
     Ok(path)
-}
-
-/// Writes the report again, with files that were added since. Returns `None` without a session
-/// file.
-///
-/// # Errors
-///
-/// Fails like [`write`].
-pub fn write_again(
-    folder: &Path,
-    monitor: &ReadMonitor,
-) -> Result<Option<PathBuf>, RecordingError> {
-    let session = SessionFile::load(folder).ok();
-    let written = session.map(|session| write(folder, &session, monitor));
-    written.transpose()
 }
 
 /// Writes the report again if it has a link to `page`, the new page of a data set or of an
@@ -74,16 +62,18 @@ pub fn link_page(folder: &Path, page: &Path) -> Result<Option<PathBuf>, Recordin
     let is_linked = |(_, address): &(String, String)| {
         page.is_some() && folder.join(address).canonicalize().ok() == page
     };
-    if pages_of(folder).iter().any(is_linked) {
-        write_again(folder, &ReadMonitor::default())
-    } else {
-        Ok(None)
-    }
+    let session = SessionFile::load(folder).ok();
+    let Some(session) = session.filter(|_| pages_of(folder).iter().any(is_linked)) else {
+        return Ok(None);
+    };
+    let monitor = ReadMonitor::default();
+    let verification = verify(folder, &monitor)?;
+    write(folder, &session, &verification, &monitor).map(Some)
 }
 
 /// Assembles the page of the report.
-fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
-    let mut page = Page::new(&summary(folder, session));
+fn page(folder: &Path, session: &SessionFile, verdict: &Summary, curves: &Curves) -> Page {
+    let mut page = Page::new(verdict);
     page.links(&pages_of(folder));
     if curves.broken_off {
         page.note(

@@ -6,9 +6,10 @@ use recording::verify::{GridCheck, StreamCheck, Verification};
 use crate::session::sentence;
 use crate::summary::Summary;
 
-/// Returns verdict, findings and figures of a check.
+/// Returns verdict, findings and figures of a check. The verdict is that on the recording, if there
+/// is one.
 #[must_use]
-pub fn summary(verification: &Verification) -> Summary {
+pub fn summary(verification: &Verification, verdict: Option<&Summary>) -> Summary {
     let text = match verification.severity {
         Severity::Good if verification.is_bare => {
             "Good as a file: nothing in it is damaged. There is nothing that says what it should hold."
@@ -64,16 +65,18 @@ pub fn summary(verification: &Verification) -> Summary {
     }
     let compared = verification.compared.iter();
     facts.extend(compared.map(|compared| ("compared", compared.clone())));
+    let severity = verdict.map_or(verification.severity, |verdict| verdict.severity);
     if verification.severity != Severity::Good && !(file.closed && file.bad_chunks == 0) {
         let next = "`smartdepthsync extract` reads what is there, after the damage too; for other \
                     programs `mcap recover` makes a whole file of what is before it";
         facts.push(("next", next.to_owned()));
     }
+    let parts = verdict.into_iter().flat_map(|verdict| &verdict.parts);
     Summary {
         title: format!("Check of {}", verification.recording),
-        severity: verification.severity,
-        text: format!("{text}{alignment}"),
-        parts: verification.findings.clone(),
+        severity,
+        text: verdict.map_or(format!("{text}{alignment}"), |verdict| verdict.text.clone()),
+        parts: parts.chain(&verification.findings).cloned().collect(),
         facts,
     }
 }

@@ -38,7 +38,7 @@ pub mod video;
 pub mod video_files;
 
 pub use answer::ServerVersion;
-pub use client::PhoneClient;
+pub use client::{PhoneClient, check_address};
 pub use download::SavedVideo;
 pub use error::PhoneError;
 pub use requests::{Asked, ImuRequest, VideoStart};

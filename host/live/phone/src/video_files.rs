@@ -117,7 +117,7 @@ pub(crate) fn classify(name: &str) -> Option<(Part, String)> {
 }
 
 /// Finds the files of the only video in a folder (three levels deep), or of the video `place` if
-/// that is a file. If a folder has several videos, the one called `wanted` is chosen. Returns
+/// that is a file, or that of a table. If a folder has several videos, the one called `wanted` is chosen. Returns
 /// `None` if there is no file of a phone.
 ///
 /// # Errors
@@ -129,6 +129,11 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, Fi
         error,
     };
     if fs::metadata(place).map_err(fail)?.is_file() {
+        // A table of a video stands for the folder that it is in.
+        let name = place.file_name().and_then(|name| name.to_str());
+        if let Some((Part::Frames | Part::Gyro | Part::Accel, video)) = name.and_then(classify) {
+            return find(system::folder_of(place), Some(&video));
+        }
         let group = of_video(place).map_err(fail)?;
         return Ok(group.map(|group| VideoFiles {
             video: Some(place.to_owned()),

@@ -246,6 +246,13 @@ pub struct Alignment {
     /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, including that of
     /// the constant if there is one.
     pub phase_sigma_us: f64,
+    /// Largest 1-sigma of the phase within the recorded span so far, µs, including that of the
+    /// constant, as it was known while it was recorded.
+    #[serde(default)]
+    pub largest_sigma_us: Option<f64>,
+    /// The same at the end of that span.
+    #[serde(default)]
+    pub end_sigma_us: Option<f64>,
     /// Predicted 1-sigma of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,
     /// Number of the first pulse on the grid, once it has arrived.
@@ -255,12 +262,28 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Describes how well the cameras expose together. The 1-sigmas of the constant and of the
-    /// clocks are added as the root of the sum of their squares.
+    /// Returns the 1-sigma of the phase that is stated, µs: the largest within the recorded span,
+    /// and before that the one at the arrival. That of the constant is in it, as the root of the
+    /// sum of the squares.
+    #[must_use]
+    pub fn stated_sigma_us(&self) -> f64 {
+        self.largest_sigma_us
+            .unwrap_or_default()
+            .max(self.phase_sigma_us)
+    }
+
+    /// Describes how well the cameras expose together.
     #[must_use]
     pub fn promise(&self) -> String {
-        let total = self.phase_sigma_us;
+        let total = self.stated_sigma_us();
         together(total, Some(self.largest_part(total)))
+    }
+
+    /// Takes the present 1-sigma of the clocks and the frame period, µs, into the recorded span.
+    pub fn note_sigma_us(&mut self, clocks_us: f64) {
+        let total = clocks_us.hypot(self.constant_sigma_us.unwrap_or_default());
+        self.end_sigma_us = Some(total);
+        self.largest_sigma_us = Some(self.largest_sigma_us.unwrap_or_default().max(total));
     }
 
     /// Returns the predicted 1-sigma of the phase at a board time, µs, including that of the rig's
@@ -275,7 +298,7 @@ impl Alignment {
     /// together.
     #[must_use]
     pub fn is_sure(&self) -> bool {
-        self.bias_is_measured && self.phase_sigma_us < COARSE_US
+        self.bias_is_measured && self.stated_sigma_us() < COARSE_US
     }
 
     /// Returns the largest part of a total 1-sigma, µs: that of the constant, or of the clocks.

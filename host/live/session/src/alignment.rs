@@ -107,6 +107,8 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
         bias_is_measured: profile.frame_sync.bias_measured.is_some(),
         plan,
         phase_sigma_us: 0.0,
+        largest_sigma_us: None,
+        end_sigma_us: None,
         drift_sigma_us_per_min: plan.drift_sigma_over(PLANNED_S),
         arrival_pulse: None,
         arrival: None,

@@ -163,8 +163,15 @@ pub trait Operator {
     /// Returns a request during the recording, if there is one.
     fn wish(&mut self) -> Option<Wish>;
 
-    /// Returns true if Ctrl-C or a termination signal asked the session to end.
+    /// Returns true if Ctrl-C or a termination signal asked the session to end, since the last one
+    /// that was heeded.
     fn interrupted(&self) -> bool;
+
+    /// Takes note of an interrupt that has ended a recording. Returns true if there is time for what
+    /// comes after it, until the next interrupt: after Ctrl-C, but not before the computer goes down.
+    fn heed_interrupt(&mut self) -> bool {
+        false
+    }
 }
 
 /// No depth recorder: the camera is recorded by other means, or not at all.

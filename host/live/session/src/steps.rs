@@ -259,8 +259,13 @@ fn record(session: &mut Session<'_>, options: &Options, alignment: &Alignment) -
             mark(session, now, Some(label))?;
         }
         steer(session)?;
+        let sigma_us = clocks_sigma_us(session, alignment);
+        if let Some(stored) = &mut session.file.alignment {
+            stored.note_sigma_us(sigma_us);
+        }
         // A twist at the end relates the clocks again.
-        if !is_twist_due_reported && !options.second_twist && is_twist_due(session) {
+        let is_twist_due = sigma_us > session.profile.align.max_offset_sigma_us;
+        if !is_twist_due_reported && !options.second_twist && is_twist_due {
             is_twist_due_reported = true;
             session.log.report(SessionEvent::TwistDue {
                 limit_us: session.profile.align.max_offset_sigma_us,
@@ -322,20 +327,14 @@ fn twist_temperature(twists: &[Twist]) -> Option<f64> {
     last.board_temperature_c
 }
 
-/// Returns true if the phase has become less certain than a twist must make it.
-fn is_twist_due(session: &Session<'_>) -> bool {
-    let Some(alignment) = &session.file.alignment else {
-        return false;
-    };
+/// Returns the present 1-sigma of the phase by clocks and frame period, µs.
+fn clocks_sigma_us(session: &Session<'_>, alignment: &Alignment) -> f64 {
     let tracked = session.tracking.as_ref().and_then(|t| t.sigma_us());
-    let temperature = session.monitors.temperature;
     let untracked = || {
-        alignment
-            .plan
-            .phase_sigma_us_now(session.now().into(), temperature)
+        let (now, temperature) = (session.now().into(), session.monitors.temperature);
+        alignment.plan.phase_sigma_us_now(now, temperature)
     };
-    let sigma_us = tracked.unwrap_or_else(untracked);
-    sigma_us > session.profile.align.max_offset_sigma_us
+    tracked.unwrap_or_else(untracked)
 }
 
 /// Sets a mark; without a label it is numbered.

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::advice::imu_scale;
 use crate::context::Context;
-use crate::decimal::parse_duration;
+use crate::decimal::parse_length;
 use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use board::imu::{Scale, Summary, SummaryReport, last_fault};
@@ -22,7 +22,7 @@ const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
 #[command(after_help = "Example: smartdepthsync board imu --duration 60s")]
 pub(crate) struct BoardImuArgs {
     /// Length of the look in board time: 90s, 5m, 1h
-    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_duration)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_length)]
     duration: u64,
 }
 

@@ -21,12 +21,15 @@ impl Rate {
 
     pub(super) fn per_second(&self, now: Ticks) -> f64 {
         let is_recent = |at: &&Ticks| now.0.saturating_sub(at.0) <= RATE_TIME;
-        let recent = self.0.iter().filter(is_recent).count();
-        match (self.0.front(), self.0.back()) {
-            (Some(first), Some(last)) if recent > 1 && last.0 > first.0 => {
-                (recent - 1) as f64 * f64::from(TICK_HZ) / (last.0 - first.0) as f64
-            }
-            _ => 0.0,
+        let mut recent = self.0.iter().filter(is_recent);
+        let Some(first) = recent.next() else {
+            return 0.0;
+        };
+        let (count, last) = recent.fold((0, first), |(count, _), at| (count + 1, at));
+        if last.0 > first.0 {
+            f64::from(count) * f64::from(TICK_HZ) / (last.0 - first.0) as f64
+        } else {
+            0.0
         }
     }
 }

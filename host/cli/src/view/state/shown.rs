@@ -2,12 +2,13 @@
 
 use clock::alignment::Placement;
 use clock::{BoardSeconds, ClockRelation};
-use protocol::{TICK_HZ, Ticks};
+use protocol::{TICK_HZ, Ticks, TrainState};
 use recording::error_budget::{COARSE_US, ErrorPart};
 use serde::Serialize;
 use session::event::{Phase, Tracked};
 
 use super::State;
+use super::rate::state_word;
 
 /// The camera's train.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -248,6 +249,10 @@ impl State {
     pub(crate) fn phase_now(&self) -> Option<PhaseNow> {
         let alignment = self.alignment.as_ref()?;
         let at = self.last_pulse?;
+        // Nothing drifts once the train has stopped.
+        if self.trigger.state == state_word(TrainState::Stopped) {
+            return None;
+        }
         if alignment.arrival.is_none_or(|arrival| at < arrival) {
             return None;
         }

@@ -188,6 +188,13 @@ fn rates_are_those_of_the_last_seconds() {
     let now = Ticks(2_999 * 96_000);
     assert!((rate.per_second(now) - 500.0).abs() < 0.01);
     assert_eq!(rate.per_second(Ticks(now.0 + 10 * 48_000_000)), 0.0);
+    // A while after the last of them, its rate is the same.
+    let mut pulses = Rate::default();
+    (0..70).for_each(|k| pulses.add(Ticks(k * 1_600_000)));
+    for late in [0, 800_000, 1_599_999] {
+        let shown = pulses.per_second(Ticks(69 * 1_600_000 + late));
+        assert!((shown - 30.0).abs() < 1e-9, "{late}: {shown}");
+    }
 }
 
 #[test]
@@ -197,7 +204,8 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
     let error = Arc::new(SessionError::NoScale);
     let step = Step::Connect;
     state.take(&at(0.0, SessionEvent::StepFailed { step, error }));
-    assert!(state.said[0].contains("board flash"), "{:?}", state.said);
+    let step = state.warnings[0].next_step.as_deref();
+    assert!(step.unwrap().contains("board flash"), "{step:?}");
     assert_eq!(
         (state.doing().as_str(), state.keys()),
         ("connecting", Keys::Answer)
@@ -208,6 +216,16 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
         name: profile.phone.name.clone(),
         is_only: true,
     };
+    let connecting = Phase::Connecting;
+    state.take(&at(5.0, SessionEvent::Phase { phase: connecting }));
+    assert!(state.warnings.is_empty(), "{:?}", state.warnings);
+    let refused = SessionEvent::TwistRefused {
+        number: 1,
+        phone: phone.clone(),
+        reason: String::from("too little motion"),
+    };
+    state.take(&at(9.0, refused));
+    assert_eq!(state.warnings.len(), 1);
     let place = 0;
     state.take(&at(
         10.0,
@@ -217,6 +235,7 @@ fn a_session_is_followed_from_its_first_question_to_its_grid() {
             clock,
         },
     ));
+    assert!(state.warnings.is_empty(), "{:?}", state.warnings);
     let now = state.clock_now(&state.phones[0]).unwrap();
     assert_eq!((now.offset_s, now.age_s), (94_000.25, 0.0));
 

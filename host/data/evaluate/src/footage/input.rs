@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use phone::adb::get_files_command;
 use phone::file_name::VIDEO_ENDINGS;
 use recording::SESSION_FILE;
 use recording::depth_files::is_mkv;
@@ -15,6 +16,8 @@ use crate::{EvaluateError, KnownReadout};
 pub(crate) struct Applied {
     /// Bias that was subtracted: the constant one and the intended shift, µs.
     pub bias_us: f64,
+    /// The intended shift alone, µs.
+    pub shift_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
     /// Readout of the profile with which it was recorded.
@@ -40,7 +43,15 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
     let reference = |session: &SessionFile| session.phone_folder(&session.profile.phone.name);
     Ok(Input {
         path: if is_folder {
-            video_in(&path.join(session.as_ref().map_or_else(PathBuf::new, reference)))?
+            let place = path.join(session.as_ref().map_or_else(PathBuf::new, reference));
+            video_in(&place).map_err(|found| EvaluateError::NoVideo {
+                copy: session.as_ref().and_then(|session| {
+                    let phase = session.reference()?.video?.phase;
+                    Some(get_files_command(phase, &place, true))
+                }),
+                folder: place,
+                found,
+            })?
         } else {
             path.to_owned()
         },
@@ -48,6 +59,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
             let alignment = session.alignment?;
             Some(Applied {
                 bias_us: alignment.bias_us + alignment.shift_us,
+                shift_us: alignment.shift_us,
                 exposure_us: alignment.exposure_us,
                 readout: KnownReadout::of_phone(&session.profile.phone),
             })
@@ -55,27 +67,21 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
     })
 }
 
-fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
+/// Returns the one video in a folder, or what is there instead.
+fn video_in(folder: &Path) -> Result<PathBuf, String> {
     let is_video = |file: &Path| {
         let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("");
         VIDEO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str()) && file.is_file()
     };
-    let mut videos = entries(folder, is_video).map_err(EvaluateError::io(folder))?;
+    let mut videos = entries(folder, is_video).map_err(|error| error.to_string())?;
     if videos.len() > 1 {
         // The depth recorder's own file is not the phone's.
         videos.retain(|video| !is_mkv(video));
     }
     match (videos.pop(), videos.len()) {
         (Some(video), 0) => Ok(video),
-        (video, _) => Err(EvaluateError::Setting(format!(
-            "{}: {} in this folder; give the phone's video itself",
-            folder.display(),
-            if video.is_some() {
-                "more than one video"
-            } else {
-                "no video"
-            }
-        ))),
+        (Some(_), _) => Err(String::from("more than one video in this folder")),
+        (None, _) => Err(String::from("no video in this folder")),
     }
 }
 
@@ -110,6 +116,7 @@ mod tests {
             path: path("VID_1.mp4"),
             applied: Some(Applied {
                 bias_us: -3.5,
+                shift_us: 0.0,
                 exposure_us: 500.0,
                 readout: KnownReadout::of_phone(&session.profile.phone),
             }),

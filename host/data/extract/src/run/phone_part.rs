@@ -56,15 +56,22 @@ impl Extraction<'_> {
                 Some(name) => format!("--phone {name}=PATH"),
                 None => String::from("--phone"),
             };
+            let copy = input.copy.as_ref();
+            let copy = copy.map_or(String::new(), |copy| {
+                format!("`{copy}` copies them by USB, or ")
+            });
             let what = format!(
                 "there are no files of the phone (its video .mp4 and beside it the .csv files of frame \
-                 timestamps, gyroscope and accelerometer); give the folder that has them with {option}"
+                 timestamps, gyroscope and accelerometer); {copy}give the folder that has them with {option}"
             );
             self.lose(LossPart::Phone, input.about(&what));
             return Ok(None);
         };
         for what in files.missing() {
-            self.lose(LossPart::Phone, input.about(&format!("there is no {what}")));
+            let copy = input.copy.as_ref();
+            let copy = copy.map_or(String::new(), |copy| format!("; `{copy}` copies it by USB"));
+            let what = format!("there is no {what}{copy}");
+            self.lose(LossPart::Phone, input.about(&what));
         }
         self.compare_files(input, &files)?;
         let mut rows_of_frames = Vec::new();

@@ -4,7 +4,7 @@ use evaluate::drift::EvaluatedDrift;
 use evaluate::precision::RecordingResult;
 use evaluate::shown::Shown;
 
-use crate::chart::{AS_IT_IS, Data, series};
+use crate::chart::{AS_IT_IS, Data, counted, series};
 
 /// Most points of a series.
 const MAX_POINTS: usize = 2000;
@@ -36,9 +36,10 @@ pub(super) fn profile(shown: &Shown) -> String {
 #[must_use]
 pub(super) fn launches(recordings: &[RecordingResult]) -> String {
     let biases = (1..).map(f64::from).zip(recordings);
-    let biases = biases.map(|(number, of)| (number, of.bias_us, of.sigma_us));
+    let biases = biases.map(|(number, of)| (number, of.unshifted_us(), of.sigma_us));
     let biases = Data::Bars(biases.collect());
-    series("recording", "bias, µs", AS_IT_IS, vec![("", biases)])
+    let labels = ["recording", "bias, µs"];
+    counted(labels, [true, false], AS_IT_IS, vec![("", biases)])
 }
 
 /// Draws the train's position over time, with the fitted line.

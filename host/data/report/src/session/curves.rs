@@ -17,6 +17,9 @@ use system::ReadMonitor;
 /// Most letters of a sensor's name.
 const MAX_NAME: usize = 200;
 
+/// Most steps of the trigger's period that are drawn: those of a day.
+const MAX_STEPS: usize = 20_000;
+
 /// Most losses that are stored: one a second for an hour.
 const MAX_LOSSES: usize = 3_600;
 
@@ -37,6 +40,9 @@ pub(super) struct Curves {
     last_pulse: Option<f64>,
     /// Rates of both gyroscopes in each twist.
     pub(super) twists: Vec<TwistRates>,
+    /// Board time, s, and 1-sigma of the phase, µs, at each step of a trigger that follows the phone's
+    /// clock.
+    pub(super) tracked_us: Vec<(f64, f64)>,
     /// Depth minus phone at each pulse, µs.
     pub(super) phase: Envelope,
     frames: Option<Frames>,
@@ -140,6 +146,9 @@ impl Curves {
                         self.phase.add(x, difference);
                     }
                 }
+            }
+            Item::Period(period) if self.tracked_us.len() < MAX_STEPS => {
+                self.tracked_us.push((x, period.phase_sigma_us));
             }
             Item::Output(pulse) => {
                 // A damaged recording may hold any name.

@@ -1,9 +1,11 @@
-//! The verdict on a recording, in the three parts that make a data set: the data of board
-//! and phone, the alignment of the exposures, and the depth recording.
+//! The one verdict on a recording, which `record`, `verify`, `extract` and the page state: in the
+//! three parts that make a data set, the data of board and phone, the alignment of the exposures, and
+//! the depth recording; and in what the check of the files has found.
 //!
 //! A part is good only if everything about it is known, from the session file and from the
 //! files in the folder. Files that were added later count when the report is written again.
 
+use std::cmp::Reverse;
 use std::path::{Path, PathBuf};
 
 use board::finding::{EventKind, Finding, Severity};
@@ -11,18 +13,66 @@ use clock::PhoneNanos;
 use phone::adb::get_files_command;
 use phone::video_files::{self, VideoFiles};
 use recording::depth_files::{bytes_of, depth_recordings};
+use recording::error_budget::micros_text;
 use recording::session_file::{
-    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome, Span,
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
+use recording::verify::Verification;
+
+use system::shell_word;
 
 use super::{facts, seconds};
 use crate::summary::Summary;
 
-/// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`, or a
-/// single part if nothing was recorded.
+/// Name of the part about the phone's and the board's data, of that about the alignment, and of that
+/// about the check of the files.
+const DATA: &str = "board and phone";
+pub(crate) const ALIGNMENT: &str = "alignment";
+const CONTENT: &str = "content";
+
+/// Returns true if the recording lacks something that the session was to record, or is damaged: the
+/// commands about it end with exit code 4. What is not known of it, and files that are still on the
+/// phone, are no loss.
 #[must_use]
-pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
-    let parts = if session.has_recorded() {
+pub fn is_lossy(session: &SessionFile, verification: Option<&Verification>) -> bool {
+    let outcome = session.outcome;
+    let is_whole = matches!(
+        outcome,
+        Some(SessionOutcome::Good | SessionOutcome::Interrupted)
+    );
+    let mut found = verification
+        .into_iter()
+        .flat_map(|found| in_span(session, found));
+    !is_whole || !session.has_recorded() || found.next().is_some()
+}
+
+/// Returns what the check of the files has found and is not good: damage anywhere, and what is missing
+/// from the recorded span.
+fn in_span<'a>(
+    session: &SessionFile,
+    verification: &'a Verification,
+) -> impl Iterator<Item = &'a Finding> {
+    let span = session.recorded;
+    verification.findings.iter().filter(move |finding| {
+        let is_outside = |at| span.is_some_and(|span| !(span.from..=span.to).contains(&at));
+        match finding.severity {
+            Severity::Good => false,
+            Severity::Check => !finding.at.is_some_and(is_outside),
+            Severity::Bad => true,
+        }
+    })
+}
+
+/// Judges the recording in `folder`: parts `board and phone`, `alignment` and `depth`, or a
+/// single part if nothing was recorded; and a part `content` if the check of the files has found
+/// something.
+#[must_use]
+pub fn summary(
+    folder: &Path,
+    session: &SessionFile,
+    verification: Option<&Verification>,
+) -> Summary {
+    let mut parts = if session.has_recorded() {
         vec![
             board_and_phone(folder, session),
             alignment(session),
@@ -31,6 +81,12 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
     } else {
         vec![nothing_recorded(session)]
     };
+    let found = verification
+        .into_iter()
+        .flat_map(|found| in_span(session, found));
+    // Where nothing was recorded, little can be missing.
+    let is_new = |finding: &&Finding| finding.severity == Severity::Bad || session.has_recorded();
+    parts.extend(content(found.filter(is_new).collect()));
     let severities = parts.iter().map(|part| part.severity);
     let severity = severities.max().unwrap_or(Severity::Good);
     let open = parts.iter().filter(|part| part.severity != Severity::Good);
@@ -52,11 +108,19 @@ pub fn summary(folder: &Path, session: &SessionFile) -> Summary {
         _ => text,
     };
     Summary {
-        title: format!("Recording {}", session.name),
+        title: format!("Recording {} of {}", session.name, rig_of(session)),
         severity,
         text,
         parts,
         facts: facts(session),
+    }
+}
+
+/// Returns the name of the rig in words.
+pub(crate) fn rig_of(session: &SessionFile) -> &str {
+    match session.profile.name.as_str() {
+        "" => "a rig without a name",
+        name => name,
     }
 }
 
@@ -65,6 +129,18 @@ pub(crate) fn sentence(words: &str) -> String {
     let mut letters = words.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
+}
+
+/// Describes the worst that the check of the files has found.
+fn content(mut found: Vec<&Finding>) -> Option<Finding> {
+    found.sort_by_key(|finding| Reverse(finding.severity));
+    let (first, others) = found.split_first()?;
+    let more = match others.len() {
+        0 => String::new(),
+        more => format!(", and {more} more (`smartdepthsync verify` lists them)"),
+    };
+    let next = first.next_step.iter().cloned().collect();
+    Some(part(CONTENT, first.severity, first.words() + &more, next))
 }
 
 /// Returns the checks before the recording that were not good, except those that are a part of
@@ -94,7 +170,7 @@ fn nothing_recorded(session: &SessionFile) -> Finding {
         _ => String::from("The session ended before the recording began: nothing was recorded."),
     };
     let next = String::from("record again; this folder can be deleted");
-    part("board and phone", Severity::Bad, found, vec![next])
+    part(DATA, Severity::Bad, found, vec![next])
 }
 
 fn reason(session: &SessionFile) -> &str {
@@ -136,7 +212,10 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
             )
         }
         Some(SessionOutcome::Failed) => {
-            next.push(String::from("`smartdepthsync verify` says what there is"));
+            next.push(format!(
+                "`smartdepthsync verify {}` says what there is",
+                shell_word(folder)
+            ));
             let found = format!(
                 "the session failed: {}; {received} until then",
                 reason(session)
@@ -144,7 +223,10 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
             (Severity::Bad, found)
         }
         None => {
-            next.push(String::from("`smartdepthsync extract` reads the rest"));
+            next.push(format!(
+                "`smartdepthsync extract {}` reads the rest",
+                shell_word(folder)
+            ));
             let found = "the program was killed before it could close the session";
             (Severity::Bad, found.to_owned())
         }
@@ -165,7 +247,7 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Finding {
             get_files_command(PhoneNanos(video), &place, true)
         ));
     }
-    part("board and phone", verdict, found, next)
+    part(DATA, verdict, found, next)
 }
 
 /// Name of each phone that made a video, and the video's phase in ns.
@@ -213,7 +295,7 @@ pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf
 
 /// Judges the alignment of the two exposures.
 fn alignment(session: &SessionFile) -> Finding {
-    const NAME: &str = "alignment";
+    const NAME: &str = ALIGNMENT;
     let Some(alignment) = session.alignment else {
         let found = String::from("the trigger was not aligned to the phone's frames");
         return part(
@@ -223,14 +305,13 @@ fn alignment(session: &SessionFile) -> Finding {
             vec![String::from("record again")],
         );
     };
-    // The summary begins with the accuracy of the alignment.
-    let span = session.recorded.unwrap_or(Span {
-        from: alignment.plan.anchor,
-        to: alignment.plan.anchor,
-    });
-    let length_s = seconds(span.from, span.to);
-    let drift = alignment.plan.drift_sigma_over(length_s);
-    let mut found = format!("drift ± {drift:.1} µs/min (1-sigma) over these {length_s:.0} s");
+    // The summary begins with the largest.
+    let start = micros_text(alignment.phase_sigma_us);
+    let end = alignment.end_sigma_us.unwrap_or(alignment.phase_sigma_us);
+    let mut found = format!(
+        "± {start} at the start, ± {} at the end (1-sigma)",
+        micros_text(end)
+    );
     let mut next = Vec::new();
     let mut verdict = if alignment.is_sure() {
         Severity::Good
@@ -245,11 +326,21 @@ fn alignment(session: &SessionFile) -> Finding {
                 found += &format!("; {name}: {}", check.text);
                 next.extend(check.next_step.clone());
             }
-            None => found += &format!("; {name}: not known, this was not checked"),
+            None if is_in_profile(session, name) => continue,
+            None => found += &format!("; {name}: not in the profile"),
         }
         verdict = Severity::Check;
     }
     part(NAME, verdict, found, next)
+}
+
+/// Returns true if the profile has what the check of this name asks for.
+fn is_in_profile(session: &SessionFile, name: &str) -> bool {
+    let profile = &session.profile;
+    match name {
+        CHECK_BIAS => profile.frame_sync.bias_measured.is_some(),
+        _ => profile.phone.learnt.is_some(),
+    }
 }
 
 /// Forms of depth recordings, in words.
@@ -356,7 +447,8 @@ mod tests {
                 SessionOutcome::Failed,
             ] {
                 session.outcome = Some(outcome);
-                let judged = summary(folder.path(), &session);
+                let judged = summary(folder.path(), &session, None);
+                assert!(is_lossy(&session, None));
                 assert_eq!(judged.severity, Severity::Bad, "{judged:?}");
                 assert!(
                     judged.text.contains("before the recording began"),

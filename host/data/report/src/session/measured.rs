@@ -5,6 +5,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use clock::{BoardToPhone, ClockRelation, PhoneNanos};
+use nalgebra::{Matrix4, SMatrix, Vector3, Vector4};
 use phone::frame_timestamps;
 use phone::rows::Rows;
 use protocol::Ticks;
@@ -21,8 +22,11 @@ const MAX_SAMPLES: usize = 60_000;
 /// Most points of a curve.
 const MAX_POINTS: usize = 800;
 
-/// Board time, s, and rotation rate, rad/s.
+/// Board time, s, and a rotation rate, rad/s.
 type Rates = Vec<(f64, f64)>;
+
+/// Board time, s, and the rotation rate about each axis, rad/s.
+type Vectors = Vec<(f64, [f64; 3])>;
 
 /// Rotation rates in one twist.
 #[derive(Debug)]
@@ -32,8 +36,19 @@ pub(super) struct TwistRates {
     span: Span,
     /// Delay of the board's gyroscope, s.
     delay_s: f64,
-    board: Rates,
-    phone: Rates,
+    board: Vectors,
+    phone: Vectors,
+}
+
+/// Both gyroscopes in one twist, over its seconds.
+pub(super) struct TwistCurves {
+    /// Magnitude of the rates of board and phone.
+    pub(super) magnitudes: [Rates; 2],
+    /// Phone minus board about each axis of the phone, after the board's rates were turned, scaled
+    /// and freed of bias as fits best.
+    pub(super) residual: [Rates; 3],
+    /// Root mean square of the residual over all axes, rad/s.
+    pub(super) rms: f64,
 }
 
 impl TwistRates {
@@ -67,30 +82,59 @@ impl TwistRates {
     pub(super) fn add(&mut self, at: Ticks, imu: &Imu) {
         if (self.span.from..=self.span.to).contains(&at) && self.board.len() < MAX_SAMPLES {
             let at_s = at.as_secs_f64() - self.delay_s;
-            self.board.push((at_s, norm(imu.angular_velocity)));
+            self.board.push((at_s, imu.angular_velocity));
         }
     }
 
-    /// Returns the curves of the board, of the phone, and of the phone minus the board, over the
-    /// seconds of the twist; `None` if one of the two has no samples.
-    pub(super) fn curves(&self) -> Option<[Rates; 3]> {
+    /// Returns the curves of the twist; `None` if one of the two has no samples.
+    pub(super) fn curves(&self) -> Option<TwistCurves> {
+        let both: Vec<Pair> = self.phone.iter().filter_map(|s| self.pair(s)).collect();
+        let residual = residual(&both)?;
+        let squares: f64 = residual.iter().map(|(_, off)| off.norm_squared()).sum();
         let begin = self.span.from.as_secs_f64();
-        let residual = self.phone.iter().filter_map(|&(at, rate)| {
-            let after = self.board.partition_point(|sample| sample.0 < at);
-            let (&(a, low), &(b, high)) = (
-                self.board.get(after.checked_sub(1)?)?,
-                self.board.get(after)?,
-            );
-            Some((at, rate - low - (high - low) * (at - a) / (b - a)))
-        });
-        let residual: Rates = residual.collect();
-        let thinned = |rates: &Rates| {
-            let every = rates.len().div_ceil(MAX_POINTS).max(1);
-            let rates = rates.iter().step_by(every);
-            rates.map(|&(at, rate)| (at - begin, rate)).collect()
-        };
-        (!residual.is_empty()).then(|| [&self.board, &self.phone, &residual].map(thinned))
+        let magnitude = |of: &Vectors| thinned(of, |&(at, rates)| (at - begin, norm(rates)));
+        Some(TwistCurves {
+            magnitudes: [&self.board, &self.phone].map(magnitude),
+            residual: [0, 1, 2].map(|axis| thinned(&residual, |(at, off)| (at - begin, off[axis]))),
+            rms: (squares / (3 * residual.len()) as f64).sqrt(),
+        })
     }
+
+    /// Returns a sample of the phone with the board's rates at its time.
+    fn pair(&self, &(at, phone): &(f64, [f64; 3])) -> Option<Pair> {
+        let after = self.board.partition_point(|sample| sample.0 < at);
+        let (a, low) = self.board.get(after.checked_sub(1)?)?;
+        let (b, high) = self.board.get(after)?;
+        let (low, high) = (Vector3::from(*low), Vector3::from(*high));
+        let board = low + (high - low) * ((at - a) / (b - a));
+        Some((at, board.push(1.0), phone.into()))
+    }
+}
+
+/// Time, the board's rates with a one for the bias, and the phone's rates.
+type Pair = (f64, Vector4<f64>, Vector3<f64>);
+
+/// Returns what is left of the phone's rates after the linear function of the board's that fits best,
+/// which is rotation, scales and bias in one. Axes about which nothing turned are left alone.
+fn residual(both: &[Pair]) -> Option<Vec<(f64, Vector3<f64>)>> {
+    let mut normal = Matrix4::zeros();
+    let mut mixed = SMatrix::<f64, 4, 3>::zeros();
+    for (_, board, phone) in both {
+        normal += board * board.transpose();
+        mixed += board * phone.transpose();
+    }
+    let least = 1e-9 * normal.trace().max(f64::MIN_POSITIVE);
+    let fit = normal.svd(true, true).solve(&mixed, least).ok()?;
+    let off = both
+        .iter()
+        .map(|(at, board, phone)| (*at, phone - fit.transpose() * board));
+    (!both.is_empty()).then(|| off.collect())
+}
+
+/// Returns at most [`MAX_POINTS`] points of a curve.
+fn thinned<T>(all: &[T], point: impl Fn(&T) -> (f64, f64)) -> Rates {
+    let every = all.len().div_ceil(MAX_POINTS).max(1);
+    all.iter().step_by(every).map(point).collect()
 }
 
 pub(super) fn norm(rates: [f64; 3]) -> f64 {
@@ -98,7 +142,12 @@ pub(super) fn norm(rates: [f64; 3]) -> f64 {
 }
 
 /// Reads the rows of a phone's gyroscope up to the first damaged one; none if there is no file.
-fn phone_rates(file: &Path, clock: &ClockRelation, delay_us: f64, monitor: &ReadMonitor) -> Rates {
+fn phone_rates(
+    file: &Path,
+    clock: &ClockRelation,
+    delay_us: f64,
+    monitor: &ReadMonitor,
+) -> Vectors {
     let Ok(input) = system::open(file, monitor) else {
         return Vec::new();
     };
@@ -106,7 +155,7 @@ fn phone_rates(file: &Path, clock: &ClockRelation, delay_us: f64, monitor: &Read
     let samples = std::iter::from_fn(|| rows.next_sample().ok().flatten());
     let rates = samples.take(MAX_SAMPLES).map(|sample| {
         let at = clock.to_board(sample.time.seconds());
-        (at.0 - delay_us * 1e-6, norm(sample.xyz))
+        (at.0 - delay_us * 1e-6, sample.xyz)
     });
     rates.collect()
 }
@@ -167,6 +216,29 @@ impl Frames {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Rotation, scale and bias leave nothing; a wrong time leaves a copy of the motion.
+    #[test]
+    fn what_is_left_of_a_twist_is_noise_unless_the_time_is_wrong() {
+        let turned = |t: f64| [(3.0 * t).sin(), (2.0 * t).cos(), (5.0 * t).sin() * 0.5];
+        let rms = |late_s: f64| {
+            let samples = (0..2_000).map(|n| f64::from(n) * 2e-3);
+            let phone = |t: f64| {
+                let [x, y, z] = turned(t - late_s);
+                (t, [1.02 * y + 0.1, 0.98 * x - 0.05, -z])
+            };
+            let twist = TwistRates {
+                number: 1,
+                span: Span::default(),
+                delay_s: 0.0,
+                board: samples.clone().map(|t| (t, turned(t))).collect(),
+                phone: samples.map(phone).collect(),
+            };
+            twist.curves().unwrap().rms
+        };
+        assert!(rms(0.0) < 1e-6, "{}", rms(0.0));
+        assert!(rms(5e-3) > 5e-3, "{}", rms(5e-3));
+    }
 
     #[test]
     fn a_pulse_is_held_against_the_nearest_frame() {

@@ -53,13 +53,13 @@ pub(super) fn clocks(page: &mut Page, session: &SessionFile, curves: &Curves) {
 /// Draws both gyroscopes in a twist, and the residual between them.
 fn overlay(page: &mut Page, twist: &TwistRates) {
     let number = twist.number;
-    let Some([board, phone, residual]) = twist.curves() else {
+    let Some(curves) = twist.curves() else {
         let text = format!("Twist {number} is not drawn: the phone's samples of it are missing.");
         return page.text(&text);
     };
-    let squares: f64 = residual.iter().map(|(_, off)| off * off).sum();
-    let rms = (squares / residual.len().max(1) as f64).sqrt();
-    let all = vec![("board", Data::Line(board)), ("phone", Data::Line(phone))];
+    let rms = curves.rms;
+    let all = ["board", "phone"].into_iter().zip(curves.magnitudes);
+    let all = all.map(|(name, rates)| (name, Data::Line(rates))).collect();
     let svg = chart::series("time of the twist, s", "rad/s", 0.0..1.0, all);
     page.figure(
         &svg,
@@ -68,19 +68,18 @@ fn overlay(page: &mut Page, twist: &TwistRates) {
              samples are in board time by this twist."
         ),
     );
-    let all = vec![("residual", Data::Line(residual))];
-    let svg = chart::series(
-        "time of the twist, s",
-        "phone − board, rad/s",
-        -0.1..0.1,
-        all,
-    );
+    let all = ["x", "y", "z"].into_iter().zip(curves.residual);
+    let all = all
+        .map(|(name, rates)| (name, Data::Points(rates)))
+        .collect();
+    let label = "phone − board, rad/s";
+    let svg = chart::series("time of the twist, s", label, -0.01..0.01, all);
     page.figure(
         &svg,
         &format!(
-            "What is left between the two: {rms:.3} rad/s rms. It is noise if they are rigidly \
-             joined and correctly timed; a copy of the motion in it is due to a gyroscope's bias \
-             or scale, or to a wrong time."
+            "What is left between the two: {rms:.3} rad/s rms, about each axis of the phone, after \
+             rotation, scale and bias. It is noise if they are rigidly joined and correctly timed; a \
+             copy of the motion in it is due to a wrong time, or to a part that moves by itself."
         ),
     );
 }
@@ -129,7 +128,7 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
         ),
     ]);
     budget(page, session, &alignment);
-    let mut all: Vec<_> = predicted(session).into_iter().collect();
+    let mut all: Vec<_> = band(session, curves).into_iter().collect();
     let measured = range("measured", &curves.phase);
     let has_measured = measured.is_some();
     all.extend(measured);
@@ -146,16 +145,47 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile, curves: &Curves)
             &svg,
             &format!(
                 "Distance of the two exposures' middles over the recording, predicted from the \
-                 uncertainty of clocks and frame period, without that of the constant. {measured}"
+                 uncertainty of clocks and frame period, without that of the constant and of the \
+                 board's warming. {measured}"
             ),
         );
     }
 }
 
 /// Returns the predicted distance of the exposures' middles over the recording (depth minus
-/// phone, µs), with its 1-sigma.
+/// phone, µs), with its 1-sigma, as it was known while it was recorded.
+fn band(session: &SessionFile, curves: &Curves) -> Option<(&'static str, Data)> {
+    if session.tracking.is_none() {
+        return predicted(session);
+    }
+    let (span, alignment) = (session.recorded?, session.alignment?);
+    let start_us = alignment.plan.phase_sigma_us_at(span.from.into());
+    let steps = curves.tracked_us.iter().copied();
+    let first = steps.clone().next().map_or(start_us, |(_, sigma)| sigma);
+    let last = steps
+        .clone()
+        .next_back()
+        .map_or(start_us, |(_, sigma)| sigma);
+    let ends = [
+        (span.from.as_secs_f64(), first),
+        (span.to.as_secs_f64(), last),
+    ];
+    let all = ends[..1]
+        .iter()
+        .copied()
+        .chain(steps)
+        .chain(ends[1..].iter().copied());
+    let all = all.map(|(at, sigma)| (at, -alignment.shift_us, sigma));
+    Some(("as followed, 1-sigma", Data::Band(all.collect())))
+}
+
+/// Returns the predicted distance of the exposures' middles over the recording (depth minus
+/// phone, µs), with its 1-sigma; `None` if the phone's clock was followed instead.
 pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
     let (span, alignment) = (session.recorded?, session.alignment?);
+    if session.tracking.is_some() {
+        return None;
+    }
     let sigma_us = |at| alignment.plan.phase_sigma_us_at(at);
     let band = times(span).map(|at| (at.0, -alignment.shift_us, sigma_us(at)));
     Some(("predicted, 1-sigma", Data::Band(band.collect())))
@@ -163,7 +193,7 @@ pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
 
 /// Draws the parts of the total uncertainty, and the total, as bars.
 fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
-    let total = alignment.phase_sigma_us;
+    let total = alignment.stated_sigma_us();
     let constant = alignment.constant_sigma_us.unwrap_or_default();
     let clocks = (total * total - constant * constant).max(0.0).sqrt();
     let mut parts = vec![(ErrorPart::Clocks.text(), clocks)];
@@ -176,8 +206,9 @@ fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
     parts.push(("all together", total));
     page.figure(
         &chart::bars(&parts, micros_text),
-        "Error budget: how far the middles of the two exposures may be from each other (1-sigma), \
-         part by part; all together is the root of the sum of squares.",
+        "Error budget: how far the middles of the two exposures may be from each other (1-sigma, \
+         the largest of the recording), part by part; all together is the root of the sum of \
+         squares.",
     );
 }
 
@@ -318,7 +349,8 @@ pub(super) fn losses(page: &mut Page, curves: &Curves) {
         let points = own.map(|&(at, _, count)| (at.as_secs_f64(), f64::from(count)));
         (name, Data::Points(points.collect()))
     });
-    let svg = chart::series("board time, s", "messages", 0.0..1.0, all.collect());
+    let labels = ["board time, s", "messages"];
+    let svg = chart::counted(labels, [false, true], 0.0..1.0, all.collect());
     let caption = format!(
         "Messages of {} missing by the board's numbers: dropped by the board, or lost on the link.",
         streams.join(", ")

@@ -184,8 +184,11 @@ class Dataset(Sequence):
 
     def torch(self) -> Any:
         """Returns a view for PyTorch: a :class:`smartdepthsync_data.torch.TorchDataset`."""
-        from .torch import TorchDataset
-
+        try:
+            from .torch import TorchDataset
+        except ImportError as error:
+            fix = "pip install 'smartdepthsync-data[torch]'"
+            raise ImportError(f"{error}; for tensors: {fix}") from error
         return TorchDataset(self)
 
 

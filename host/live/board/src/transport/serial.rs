@@ -66,6 +66,15 @@ pub enum OpenError {
         /// Path of the port, as given.
         path: String,
     },
+    /// It is the terminal of a person. A link to a pseudo-terminal outlives the simulated board that
+    /// was killed, and the system gives its number to the next terminal.
+    #[error("{path} is the terminal of process {process}, not a board's port")]
+    Terminal {
+        /// Path of the port, as given.
+        path: String,
+        /// A process that the terminal controls.
+        process: u32,
+    },
     /// Anything else.
     #[error("cannot open {path}: {reason}")]
     Other {
@@ -103,6 +112,11 @@ impl SerialLink {
     ///
     /// It is not there, not a port, in use, or not permitted.
     pub fn open(path: &str) -> Result<Self, OpenError> {
+        #[cfg(target_os = "linux")]
+        if let Some(process) = controlled_by(Path::new(path)) {
+            let path = path.to_owned();
+            return Err(OpenError::Terminal { path, process });
+        }
         let port = serialport::new(path, BAUD)
             .timeout(POLL)
             .dtr_on_open(true)
@@ -285,6 +299,29 @@ fn why(path: &str, error: &serialport::Error) -> OpenError {
     }
 }
 
+/// Returns a process whose controlling terminal is the pseudo-terminal at a path. No program makes
+/// the port of a board its own.
+#[cfg(target_os = "linux")]
+fn controlled_by(path: &Path) -> Option<u32> {
+    use std::os::unix::fs::MetadataExt as _;
+    if !path.canonicalize().ok()?.starts_with("/dev/pts") {
+        return None;
+    }
+    let device = std::fs::metadata(path).ok()?.rdev();
+    let (major, minor) = (rustix::fs::major(device), rustix::fs::minor(device));
+    // As the kernel writes it into `stat` (new_encode_dev in kdev_t.h).
+    let number = (minor & 0xff) | (major << 8) | ((minor & !0xff) << 12);
+    let processes = std::fs::read_dir("/proc").ok()?;
+    processes.filter_map(Result::ok).find_map(|entry| {
+        let process: u32 = entry.file_name().to_str()?.parse().ok()?;
+        let stat = std::fs::read_to_string(entry.path().join("stat")).ok()?;
+        // The name before it may hold anything (proc_pid_stat(5), field 7).
+        let (_, fields) = stat.rsplit_once(')')?;
+        let terminal: i64 = fields.split_whitespace().nth(4)?.parse().ok()?;
+        (terminal == i64::from(number)).then_some(process)
+    })
+}
+
 /// Returns true if the path exists and cannot be a port. A device that is not a terminal
 /// (`/dev/null`) counts: it fails with ENOTTY, which the serialport crate does not distinguish
 /// from other errors.
@@ -330,6 +367,32 @@ mod tests {
         assert_eq!(back, all);
         link.receive(&mut back, Duration::from_millis(10)).unwrap();
         assert_eq!(back.len(), 256);
+    }
+
+    /// A person's shell neither gets the bytes for a board nor loses its keys.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_terminal_that_controls_processes_is_no_port() {
+        let (_master, path) = pair();
+        let terminal = std::fs::File::options().read(true).write(true).open(&path);
+        let mut shell = std::process::Command::new("setsid")
+            .args(["--ctty", "sleep", "60"])
+            .stdin(terminal.unwrap())
+            .spawn()
+            .unwrap();
+        // It takes the terminal before it becomes the other program.
+        let name = format!("/proc/{}/comm", shell.id());
+        while std::fs::read_to_string(&name).unwrap().trim() != "sleep" {
+            std::thread::yield_now();
+        }
+        let refused = SerialLink::open(&path).map(drop);
+        assert!(
+            matches!(refused, Err(OpenError::Terminal { process, .. }) if process == shell.id()),
+            "{refused:?}"
+        );
+        shell.kill().unwrap();
+        shell.wait().unwrap();
+        assert!(SerialLink::open(&path).is_ok());
     }
 
     #[test]

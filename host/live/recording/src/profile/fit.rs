@@ -95,8 +95,8 @@ impl Profile {
                         mode.basis.word()
                     ),
                     String::from(
-                        "take the model's, and measure what is left with `smartdepthsync evaluate \
-                         precision --calibrate`",
+                        "take the model's, and measure what is left: `smartdepthsync record --shift 4ms \
+                         --duration 1m` ends with the command",
                     ),
                 );
             }

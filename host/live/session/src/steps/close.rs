@@ -37,11 +37,14 @@ pub fn close(
             error: error.to_string(),
         });
     }
-    end_of_recording(session);
+    let was_recording = end_of_recording(session);
     session.enter(Phase::Stopping);
     stop_devices(session);
     let result = match result {
-        Ok(()) | Err(Stop::BoardReset) => after_recording(session, options),
+        Ok(()) | Err(Stop::BoardReset) => after_recording(session, options, options.second_twist),
+        Err(Stop::Interrupted) if was_recording && session.operator.heed_interrupt() => {
+            after_recording(session, options, false).and(Err(Stop::Interrupted))
+        }
         failed => failed,
     };
     session.enter(Phase::Closing);
@@ -49,10 +52,10 @@ pub fn close(
 }
 
 /// Ends the recorded span and notes its counts. The devices are stopped after that, so that
-/// their last messages are not part of it.
-fn end_of_recording(session: &mut Session<'_>) {
+/// their last messages are not part of it. Returns false if there was none.
+fn end_of_recording(session: &mut Session<'_>) -> bool {
     if session.monitors.watch.take().is_none() {
-        return;
+        return false;
     }
     let now = session.now();
     if let Some(span) = &mut session.file.recorded {
@@ -63,6 +66,7 @@ fn end_of_recording(session: &mut Session<'_>) {
         .counts_at_reset
         .unwrap_or_else(|| conversation.counts());
     session.file.damaged_frames = conversation.damaged_frames();
+    true
 }
 
 /// Stops phone, depth recorder and trigger, and reports those that cannot be stopped.
@@ -137,11 +141,15 @@ impl Session<'_> {
 }
 
 /// Runs the steps after a completed recording.
-fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), Stop> {
+fn after_recording(
+    session: &mut Session<'_>,
+    options: &Options,
+    wants_twist: bool,
+) -> Result<(), Stop> {
     session.save()?;
     // From here on Ctrl-C skips the rest.
     session.closing = false;
-    if options.second_twist && !session.was_reset {
+    if wants_twist && !session.was_reset {
         let places = session.phones.places();
         let first: Vec<_> = places
             .map(|place| session.file.phones[place].clock)
@@ -150,7 +158,7 @@ fn after_recording(session: &mut Session<'_>, options: &Options) -> Result<(), S
         report_failure(session, twisted, |error| SessionEvent::SecondTwistFailed {
             error,
         })?;
-    } else if options.second_twist {
+    } else if wants_twist {
         // The reset has restarted the board's clock.
         session.log.report(SessionEvent::SecondTwistLeftOut)?;
     }

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from .run import fleet
+from .run import NotStarted, fleet
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ImportError as error:
         print(f"error: {error}; pip install 'smartdepthsync-data[fleet,s3]'", file=sys.stderr)
         return 1
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, NotStarted) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     for row in rows:

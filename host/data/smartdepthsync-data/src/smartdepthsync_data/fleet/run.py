@@ -62,8 +62,7 @@ def fleet(
         raise ValueError(f"there is no {RECORDING} below {source}")
     own = not ray.is_initialized()
     if own:
-        ray.init(address=address, include_dashboard=False if address is None else None,
-                 log_to_driver=False)  # fmt: skip
+        _start(address)
     try:
         version = ray.get(ray.remote(num_cpus=0)(work.version_of).remote(program))
         earlier = _rows(store, [f"{root}/{job.name}.json" for job in jobs])
@@ -87,6 +86,26 @@ def fleet(
             write(rows, Path(folder) / name)
             work.put(store, Path(folder) / name, f"{root}/{name}")
     return rows
+
+
+class NotStarted(Exception):
+    """Ray did not start, or its cluster did not answer."""
+
+
+def _start(address: str | None) -> None:
+    import ray
+
+    dashboard = False if address is None else None
+    try:
+        ray.init(address=address, include_dashboard=dashboard, log_to_driver=False)
+    # A start that takes too long is a plain Exception of Ray's.
+    except Exception as error:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise NotStarted(
+            f"Ray did not start: {reason[0]}; run it again, with "
+            "RAY_raylet_start_wait_time_s=120 in the environment if this computer is busy "
+            "(`ray stop --force` ends what is left of the first try), or check --address"
+        ) from error
 
 
 def _whole(url: str, storage: dict[str, Any]) -> str:
@@ -149,8 +168,11 @@ def _run(
                     say(f"{job.name} failed: {rows[-1]['message']}")
             past = monotonic() - begin
             left = f"{past * (whole - done) / done:.0f} s left" if done else "no estimate yet"
-            failed = sum(row["verdict"] == FAILED for row in rows)
-            say(f"{len(rows)} of {len(jobs)} done, {failed} failed, {past:.0f} s, {left}")
+            failed, lossy = (
+                sum(row["verdict"] == kind for row in rows) for kind in (FAILED, "loss")
+            )
+            counts = f"{failed} failed, {lossy} with loss"
+            say(f"{len(rows)} of {len(jobs)} done, {counts}, {past:.0f} s, {left}")
     finally:
         for reference in running:
             ray.cancel(reference)

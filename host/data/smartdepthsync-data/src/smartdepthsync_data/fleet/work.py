@@ -205,10 +205,14 @@ def _run(job: Job, recording: Path, out: Path, log: Path) -> dict[str, Any]:
     message = "; ".join(filter(None, [error.get("message"), error.get("next_step")]))
     if verdict == FAILED and not message:
         message = f"it ended with {ended.returncode} and without a report; its log may say why"
+    losses = [loss["what"] for loss in report.get("losses", [])]
+    # The reason of every verdict but a good one.
+    message = message or "; ".join(losses)
+    if not message and verdict != "good":
+        message = "the recording itself lacks something; `smartdepthsync verify` names it"
     with open(log, "ab") as messages:
         messages.write(message.encode())
     pairs, clock = report.get("pairs") or {}, report.get("clock") or {}
-    losses = [loss["what"] for loss in report.get("losses", [])]
     return {
         "verdict": verdict,
         "exit_code": ended.returncode,
