@@ -18,10 +18,12 @@ use twist_sync::{GyroTrack, Options};
 
 use grip::{Held, rise};
 
+mod families;
 mod grip;
 mod scenarios;
 mod views;
 
+pub use families::{Family, families};
 pub use grip::Grip;
 pub use scenarios::{REAL_STRENGTH, Scenario, scenarios};
 pub use views::RealMotion;
@@ -37,6 +39,13 @@ pub enum Motion {
     Axes([f64; 3]),
     /// Carrying around and slow panning, with a peak rate in this range, rad/s.
     Natural(f64, f64),
+    /// A vehicle: turns of up to this many rad/s below 2 Hz, with vibration of this many rad/s
+    /// and a frequency in this range, Hz.
+    Vehicle(f64, f64, (f64, f64)),
+    /// Short pushes of 30 to 80 ms, with this peak rate in rad/s.
+    Taps(f64),
+    /// One tone of this frequency in Hz about a fixed axis, with a peak rate of 2 rad/s.
+    Periodic(f64),
     /// Rest on a table.
     Still,
 }
@@ -70,6 +79,8 @@ pub struct Sensor {
     pub resolution_s: f64,
     /// Factor of the noise about z.
     pub noisy_z: f64,
+    /// Lateness of the content about x, y and z, seconds.
+    pub axes_late_s: Vec3,
     /// Share of the samples that are lost, in bursts of 1 to 20.
     pub lost: f64,
     /// True for copies and displaced samples like those of phones.
@@ -117,6 +128,7 @@ pub const SENSOR_A: Sensor = Sensor {
     wander_s: None,
     resolution_s: 0.0,
     noisy_z: 1.0,
+    axes_late_s: [0.0; 3],
     lost: 0.0,
     faulty: false,
     faulty_period: 10.0,
@@ -317,6 +329,10 @@ struct Rates {
     end_s: f64,
     scale: f64,
     axis: Option<Vector3<f64>>,
+    /// Vibration: amplitude and axis, angular frequency, phase.
+    vibration: Vec<(Vector3<f64>, f64, f64)>,
+    /// Pushes: rate at the peak, instant of the peak, 1-sigma of the duration in seconds.
+    taps: Vec<(Vector3<f64>, f64, f64)>,
 }
 
 impl Rates {
@@ -327,7 +343,9 @@ impl Rates {
             }
             Motion::Axes(_) => (1.0, 1.0, 0.5, 3.5, rest_s),
             Motion::Natural(low, high) => (low, high, 0.05, 1.5, 0.0),
-            Motion::Still => (0.0, 0.0, 0.5, 3.5, 0.0),
+            Motion::Vehicle(peak, ..) => (peak, peak, 0.05, 2.0, 0.0),
+            Motion::Periodic(hz) => (2.0, 2.0, hz, 1.000_001 * hz, 0.0),
+            Motion::Still | Motion::Taps(_) => (0.0, 0.0, 0.5, 3.5, 0.0),
         };
         let parts = std::array::from_fn(|_| {
             (0..6)
@@ -341,14 +359,29 @@ impl Rates {
                 })
                 .collect()
         });
-        let axis = matches!(motion, Motion::SingleAxis(..)).then(|| direction(rng));
+        let is_about_one = matches!(motion, Motion::SingleAxis(..) | Motion::Periodic(_));
+        let axis = is_about_one.then(|| direction(rng));
         let mut out = Self {
             parts,
             rest_s,
             end_s,
             scale: 1.0,
             axis,
+            vibration: Vec::new(),
+            taps: Vec::new(),
         };
+        if let Motion::Periodic(_) = motion {
+            out.parts[0].truncate(1);
+        }
+        if let Motion::Taps(peak) = motion {
+            let mut at = rest_s;
+            while at < end_s - rest_s {
+                let size = direction(rng) * (peak * rng.random_range(0.4..1.0));
+                out.taps.push((size, at, rng.random_range(0.012..0.03)));
+                at += rng.random_range(0.25..1.2);
+            }
+            return out;
+        }
         if let Motion::Axes(peaks) = motion {
             for (axis, peak) in peaks.into_iter().enumerate() {
                 let at = |k| out.at(end_s * f64::from(k) / 2000.0)[axis].abs();
@@ -368,6 +401,21 @@ impl Rates {
             low
         };
         out.scale = peak / highest;
+        if let Motion::Vehicle(_, amplitude, (low, high)) = motion {
+            // Neighbouring tones beat like a narrow band of noise.
+            let centre = rng.random_range(low..high);
+            let tone = |_| {
+                let hz = centre + rng.random_range(-1.5..1.5);
+                let turn = std::f64::consts::TAU;
+                let phase = rng.random_range(0.0..turn);
+                (
+                    direction(rng) * (amplitude / 8.0_f64.sqrt()),
+                    turn * hz,
+                    phase,
+                )
+            };
+            out.vibration = (0..8).map(tone).collect();
+        }
         out
     }
 
@@ -387,7 +435,18 @@ impl Rates {
             Some(axis) => axis * sum(0),
             None => Vector3::new(sum(0), sum(1), sum(2)),
         };
-        v * (self.scale * envelope)
+        let mut v = v * (self.scale * envelope);
+        for (size, w, phase) in &self.vibration {
+            v += size * (w * t + phase).sin();
+        }
+        for (size, at, lasts) in &self.taps {
+            let x = (t - at) / lasts;
+            if x.abs() < 6.0 {
+                // A turn and most of the way back.
+                v += size * ((-0.5 * x * x).exp() - 0.4 * (-0.125 * (x - 1.5) * (x - 1.5)).exp());
+            }
+        }
+        v
     }
 }
 
@@ -487,7 +546,13 @@ fn record(
         }
         let mut noise: Vector3<f64> = Vector3::from_fn(|_, _| StandardNormal.sample(rng));
         noise.z *= sensor.noisy_z;
-        let clean = (rotation * seen.at(content)).component_mul(&scale) + bias;
+        let axis = |axis: usize| (rotation * seen.at(content - sensor.axes_late_s[axis]))[axis];
+        let turned = if sensor.axes_late_s == [0.0; 3] {
+            rotation * seen.at(content)
+        } else {
+            Vector3::from_fn(|row, _| axis(row))
+        };
+        let clean = turned.component_mul(&scale) + bias;
         let mut value: Vec3 = (clean + noise * sensor.noise).into();
         for x in &mut value {
             if let Some(range) = sensor.range {

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 use twist_scenarios::{RealMotion, TwistSpec};
-use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Stream, Warning, estimate_offset};
+use twist_sync::{Estimate, FaultKind, Gate, GyroTrack, Options, Stream, Warning, estimate_offset};
 
 /// Noise of a sample of either gyroscope, rad/s.
 const NOISE: f64 = 1.4e-3;
@@ -368,7 +368,15 @@ fn exact_data_are_right_to_a_tenth_of_a_microsecond() {
                 GyroTrack::from_seconds(&t, t.iter().map(rate).collect())
             };
             let (a, b) = (track(a_hz, 0.0), track(b_hz, 0.123_456_7));
-            let estimate = estimate_offset(&a, &b, &Options::default());
+            // Without a word they may as well be cut to a hundredth of a second.
+            let refusal = estimate_offset(&a, &b, &Options::default()).unwrap_err();
+            let is_sigma = |gate: &Gate| !gate.passed && gate.name == "sigma";
+            assert!(refusal.report.gates.iter().any(is_sigma));
+            let options = Options {
+                exact_stamps: true,
+                ..Options::default()
+            };
+            let estimate = estimate_offset(&a, &b, &options);
             let estimate = estimate.unwrap_or_else(|refusal| panic!("{a_hz} {b_hz}: {refusal}"));
             assert!(
                 (estimate.clock.offset + 0.123_456_7).abs() < 0.1e-6,

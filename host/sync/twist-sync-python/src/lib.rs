@@ -52,6 +52,7 @@ struct Settings {
     sigma_limit: Option<f64>,
     min_overlap: Option<f64>,
     handle_faults: bool,
+    exact_stamps: bool,
     wander_ppm: Option<f64>,
     search: Option<(f64, f64)>,
 }
@@ -70,6 +71,7 @@ impl Settings {
             sigma_limit_s: self.sigma_limit.unwrap_or(defaults.sigma_limit_s),
             min_overlap_s: self.min_overlap.unwrap_or(defaults.min_overlap_s),
             handle_faults: self.handle_faults,
+            exact_stamps: self.exact_stamps,
             wander: self.wander_ppm.map_or(defaults.wander, Wander::from_ppm),
             search: self.search,
             ..defaults

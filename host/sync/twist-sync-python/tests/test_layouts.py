@@ -146,7 +146,7 @@ class Pairs(Folder):
                 limit = ["--max-sigma-us", str(getattr(one, "limit", 100))]
                 out = io.StringIO()
                 with contextlib.redirect_stdout(out):
-                    code = command.main(["--json", *limit, str(first), str(second)])
+                    code = command.main(["--json", "--exact-stamps", *limit, str(first), str(second)])
                 found = json.loads(out.getvalue())
                 pair = found["pairs"][0]
                 self.assertEqual(code, 0, pair["reasons"])

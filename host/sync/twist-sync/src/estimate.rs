@@ -20,7 +20,7 @@ mod wander;
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 
-use self::axes::LateAxis;
+use self::axes::{Dispersion, LateAxis};
 use self::calibration::Calibration;
 use self::fit::Fit;
 pub use self::gates::Gate;
@@ -41,11 +41,8 @@ use crate::track::GyroTrack;
 const MEMORY: usize = 4 << 20;
 /// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
-/// Longest delay of a filter, seconds: that of a Butterworth filter of 56 Hz. What a configured
-/// delay exceeds it by is transport.
-const LONGEST_FILTER_S: f64 = 4e-3;
 /// Probability of a late axis above which its samples are moved.
-const BEYOND_DOUBT: f64 = 0.99;
+const BEYOND_DOUBT: f64 = 0.9;
 /// Lateness of an axis above which its samples are moved, seconds.
 const MUCH_LATER_S: f64 = 0.3e-3;
 /// Parts of the overlap that must agree about the offset.
@@ -70,15 +67,9 @@ pub fn estimate_offset(
 ) -> Result<Estimate, Refusal> {
     drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
     let mut report = Report::default();
-    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options.handle_faults);
+    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);
     let jump_s = options.b_jump_s;
-    let b = CheckedStream::new(
-        Stream::B,
-        b,
-        options.b_delay_s,
-        jump_s,
-        options.handle_faults,
-    );
+    let b = CheckedStream::new(Stream::B, b, options.b_delay_s, jump_s, options);
     let usable = |s: &Option<CheckedStream<'_>>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {
@@ -163,7 +154,12 @@ fn related(
     let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
     let mut late_axis = None;
     let first = fit.link;
-    let mut late = axes::found(&fit, settings.fit.oversampling);
+    let dispersion = if pair.a_is_model {
+        Dispersion::of_delays(options.a_delay_s, options.b_delay_s)
+    } else {
+        Dispersion::of_delays(options.b_delay_s, options.a_delay_s)
+    };
+    let mut late = axes::found(&fit, &settings.fit, dispersion);
     if options.handle_faults {
         // A surely late axis would look like faults of its samples.
         late_axis = late
@@ -184,19 +180,21 @@ fn related(
     // An axis that was advanced says nothing more about the offset.
     let least = late_axis.map_or(0.0, |late| late.variance);
     if fit.link != first {
-        late = axes::found(&fit, settings.fit.oversampling);
+        late = axes::found(&fit, &settings.fit, dispersion);
     }
     if let Some(late) = late {
-        fit.link.at_model += late.shift_s;
-        let wider = (late.variance.max(least) / fit.covariance[(0, 0)]).max(1.0);
+        fit.link.at_model += late.shift[0];
+        fit.link.rate += late.shift[1];
+        fit.covariance = late.covariance;
+        let wider = (least / fit.covariance[(0, 0)]).max(1.0);
         let wider = Matrix2::from_diagonal(&Vector2::new(wider.sqrt(), 1.0));
         fit.covariance = wider * fit.covariance * wider;
         late_axis = late_axis.or(late.axis);
     }
     wander::include_wander(&mut fit, settings.fit.oversampling);
     let noise_s = fit.covariance[(0, 0)].sqrt();
-    fit.covariance += open;
-    report.common_s = common_s(pair, &fit, options);
+    fit.covariance += open + pair.of_stamps(&fit.link);
+    report.common_s = common_s(pair);
     let clock = clock_of(pair, &fit, report.common_s, options.wander);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());
@@ -230,35 +228,10 @@ fn unresolved_s(pair: &Pair<'_>) -> f64 {
     pair.model.unresolved_s.hypot(pair.data.unresolved_s)
 }
 
-/// 1-sigma of the offset due to the filters' dispersion, seconds.
-///
-/// A low-pass delays fast motion by another time than slow motion, and only the latter
-/// delay `D` is configured. The difference is `k·D³·ω²`, where `k` is 1/12 for two equal
-/// poles, −1/6 for a Butterworth filter of second order and 0 for a symmetric kernel; `ω²` is
-/// that of the motion, with the weights of the fit.
-fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
-    let cube = |delay_s: f64| delay_s.abs().min(LONGEST_FILTER_S).powi(3) / 6.0;
-    let step = fit.nodes.windows(2).map(|p| p[1].t - p[0].t);
-    let step = step.fold(f64::INFINITY, f64::min);
-    let (mut bent, mut sloped) = (0.0, 0.0);
-    for pair in fit.nodes.windows(2) {
-        if pair[1].t - pair[0].t < 1.5 * step {
-            bent += ((pair[1].slope - pair[0].slope) / step).norm_squared();
-            sloped += pair[0].slope.norm_squared();
-        }
-    }
-    if sloped > 0.0 {
-        bent / sloped * cube(options.a_delay_s).hypot(cube(options.b_delay_s))
-    } else {
-        0.0
-    }
-}
-
-/// Part of the offset's 1-sigma that all estimates of these streams share, seconds: that of the
-/// filters' dispersion, and half a step of coarse stamps.
-fn common_s(pair: &Pair<'_>, fit: &Fit, options: &Options) -> f64 {
-    let coarse = pair.model.resolution_s.hypot(pair.data.resolution_s);
-    dispersion_s(fit, options).hypot(0.5 * coarse)
+/// Part of the offset's 1-sigma that all estimates of these streams share, seconds: half a step
+/// of coarse stamps.
+fn common_s(pair: &Pair<'_>) -> f64 {
+    0.5 * pair.model.resolution_s.hypot(pair.data.resolution_s)
 }
 
 /// Returns the relation of clock b to clock a, at the reference at which offset and skew

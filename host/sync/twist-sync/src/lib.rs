@@ -29,6 +29,7 @@ pub mod mixture;
 #[doc(hidden)] // for the workspace only: not part of the interface
 pub mod robust;
 mod signal;
+mod slow;
 mod stream;
 mod track;
 

@@ -2,13 +2,18 @@
 
 mod classes;
 mod samples;
+mod sampling;
 mod timestamps;
 
 use std::borrow::Cow;
 
+use nalgebra::Matrix2;
+
 pub(crate) use self::samples::Made;
+pub(crate) use self::sampling::Sampling;
 use self::timestamps::Pattern;
 use crate::GyroTrack;
+use crate::estimate::Options;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::signal::interpolant::{Uneven, Vec3};
 use crate::signal::neighbours::{self, Samples};
@@ -16,6 +21,13 @@ use crate::signal::{self, Resampled, Smooth};
 
 /// Largest angular rate that counts as valid, rad/s.
 const LARGEST_RATE: f64 = 1e4;
+
+/// Probability that the slow deviation is the stamps' error where the fast one is.
+const STAMPS_ERR: f64 = 0.9;
+/// Difference of the logarithms of two likelihoods that decides.
+const DECISIVE: f64 = 5.0;
+/// Least noise of a prediction, rad/s: noiseless samples decide as well.
+const LEAST_NOISE: f64 = 1e-7;
 
 /// A stream whose timestamps and samples were checked.
 pub(crate) struct CheckedStream<'a> {
@@ -36,6 +48,11 @@ pub(crate) struct CheckedStream<'a> {
     pub(crate) resolution_s: f64,
     /// Deviation of the stamps that may be the samples' own.
     pub(crate) pattern: Option<Pattern>,
+    /// Slow deviation of the stamps from regular sampling, with the probability beforehand that
+    /// it is their error.
+    pub(crate) wander: Option<(Sampling, f64)>,
+    /// Covariance of shift and rate at a time, if that deviation is the stamps' error.
+    pub(crate) line: Option<(f64, Matrix2<f64>)>,
     /// Origin of a stream that was made from slower samples.
     pub(crate) made: Option<Made>,
     pub(crate) faults: Vec<Fault>,
@@ -44,22 +61,26 @@ pub(crate) struct CheckedStream<'a> {
 }
 
 impl<'a> CheckedStream<'a> {
-    /// Checks a stream; `None` with fewer than eight usable samples. Without `handle_faults`,
-    /// only values that cannot be computed with are left out.
+    /// Checks a stream; `None` with fewer than eight usable samples. Without
+    /// [`Options::handle_faults`], only values that cannot be computed with are left out.
     pub(crate) fn new(
         stream: Stream,
         track: &'a GyroTrack,
         delay_s: f64,
         known_jump_s: f64,
-        handle_faults: bool,
+        options: &Options,
     ) -> Option<Self> {
+        let handle_faults = options.handle_faults;
         let n = track.t.len().min(track.w.len());
         let (t, w) = (&track.t[..n], &track.w[..n]);
         let finite: Vec<bool> = w
             .iter()
             .map(|v| v.iter().all(|x| x.is_finite() && x.abs() < LARGEST_RATE))
             .collect();
-        let checked = timestamps::check(stream, t, &finite, known_jump_s)?;
+        let checked = {
+            let first_s = (!options.exact_stamps).then_some(track.epoch_s);
+            timestamps::check(stream, t, &finite, known_jump_s, first_s)?
+        };
         let mut out = Self {
             stream,
             epoch_s: track.epoch_s - delay_s,
@@ -72,11 +93,16 @@ impl<'a> CheckedStream<'a> {
             unresolved_skew: checked.unresolved_skew,
             resolution_s: checked.resolution_s,
             pattern: checked.pattern,
+            wander: None,
+            line: None,
             made: None,
             faults: checked.faults,
             is_changed: true,
         };
         if handle_faults {
+            if let Some(sampling) = checked.sampling {
+                out.judge_fast(sampling, checked.shared);
+            }
             // Jumps of the stamps are no displaced samples; those of the samples are not theirs.
             let pattern = out.pattern.as_ref().filter(|p| p.sawtooth.is_some());
             let even = pattern.map(|pattern| {
@@ -107,6 +133,54 @@ impl<'a> CheckedStream<'a> {
             }
         }
         Some(out)
+    }
+
+    /// Removes the fast deviation of the stamps from regular sampling if the samples follow
+    /// better from their neighbours without it.
+    fn judge_fast(&mut self, sampling: Sampling, is_removed: bool) {
+        let mut prior = if is_removed { STAMPS_ERR } else { 0.5 };
+        if !is_removed {
+            let (w, step_s) = (&self.w[..], self.step_s);
+            let noise_ln = |t: &[f64]| {
+                let against = Samples { t, w, step_s }.predictions(&self.usable);
+                let noise = neighbours::noise_of(&against).map(|noise| noise.max(LEAST_NOISE).ln());
+                (against.len() as f64) * noise.iter().sum::<f64>()
+            };
+            let regular: Vec<f64> = self
+                .t
+                .iter()
+                .zip(&sampling.fast_s)
+                .map(|(t, f)| t - f)
+                .collect();
+            let better = noise_ln(&self.t) - noise_ln(&regular);
+            if better > DECISIVE {
+                prior = STAMPS_ERR;
+                self.t = regular;
+            } else if better < -DECISIVE {
+                prior = 1.0 - STAMPS_ERR;
+            }
+        }
+        if sampling.is_whole {
+            self.line = Some((sampling.middle, sampling.covariance * prior));
+        } else {
+            self.wander = Some((sampling, prior));
+        }
+    }
+
+    /// Removes the slow deviation of the stamps from regular sampling, scaled by its posterior
+    /// probability, which `probability` computes from the prior one. Returns that scale.
+    pub(crate) fn correct_wander(&mut self, probability: impl Fn(f64) -> f64) -> f64 {
+        let Some((sampling, prior)) = self.wander.take() else {
+            return 0.0;
+        };
+        let part = probability(prior);
+        self.line = Some((sampling.middle, sampling.covariance * part));
+        if part > 1e-3 {
+            self.is_changed = true;
+            let pairs = self.t.iter_mut().zip(&sampling.slow_s);
+            pairs.for_each(|(t, later)| *t -= part * later);
+        }
+        part
     }
 
     /// Removes the sawtooth of the stamps, scaled by its posterior probability, which

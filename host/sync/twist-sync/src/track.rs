@@ -93,13 +93,19 @@ impl GyroTrack {
         Self::from_nanos(&times, samples.iter().map(|sample| sample.rate).collect())
     }
 
-    /// Streams the samples with times in nanoseconds since the epoch. Samples whose time is no
-    /// later than that of an earlier one are left out.
+    /// Returns the epoch in whole seconds, rounded down.
+    pub(crate) fn whole_epoch_s(&self) -> f64 {
+        self.epoch_s.floor()
+    }
+
+    /// Streams the samples with times in nanoseconds since [`Self::whole_epoch_s`]. Samples whose
+    /// time is no later than that of an earlier one are left out.
     pub(crate) fn stream<'a, E: 'a>(&'a self) -> GyroStream<'a, E> {
         let mut last = i64::MIN;
         let samples = self.t.iter().zip(&self.w).filter(|(t, _)| t.is_finite());
-        let samples = samples.map(|(t, &rate)| GyroSample {
-            at: (t * 1e9).round() as i64,
+        let since_s = self.epoch_s - self.whole_epoch_s();
+        let samples = samples.map(move |(t, &rate)| GyroSample {
+            at: ((t + since_s) * 1e9).round() as i64,
             rate,
         });
         Box::new(

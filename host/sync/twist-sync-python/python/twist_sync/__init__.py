@@ -431,6 +431,7 @@ def estimate(
     low_pass_hz: float | None = None,
     min_overlap: float | None = None,
     handle_faults: bool = True,
+    exact_stamps: bool = False,
     wander_ppm: float | None = None,
     search: tuple[float, float] | None = None,
 ) -> Estimate:
@@ -447,6 +448,8 @@ def estimate(
         low_pass_hz: -3 dB frequency of the zero-phase low-pass, 5 to 100 Hz; by default 25.
         min_overlap: Least time in common, s; by default 1.5.
         handle_faults: Find faults of the streams and leave them out.
+        exact_stamps: Times that are whole multiples of a decimal step are exact. Otherwise they count
+            as cut or rounded to it, and half a step is in the sigma.
         wander_ppm: Rms change of the clocks' relative rate within one minute, ppm; by default
             0.05. The sigmas of :meth:`Clock.at` grow by it.
         search: Expected offset b - a and half-width of the search, s; by default unlimited.
@@ -580,6 +583,7 @@ def course(
     low_pass_hz: float | None = None,
     min_overlap: float | None = None,
     handle_faults: bool = True,
+    exact_stamps: bool = False,
     wander_ppm: float | None = None,
     search: tuple[float, float] | None = None,
 ) -> Course:

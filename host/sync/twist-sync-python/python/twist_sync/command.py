@@ -58,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     add("--max-sigma-us", metavar="US", type=float, help=limit)
     low_pass = "-3 dB frequency of the zero-phase low-pass, 5 to 100"
     add("--low-pass-hz", metavar="HZ", type=float, help=low_pass)
+    add("--exact-stamps", action="store_true", help="times in whole milliseconds, say, are exact and not cut to them")
     add("--keep-faults", action="store_true", help="do not look for faults of the streams")
     add("--version", action="version", version=f"twist-sync {__version__}")
     return out
@@ -129,7 +130,11 @@ def _run(options: argparse.Namespace) -> int:
         files.read(path, columns=columns and columns.split(","), unit=unit, time_unit=time_unit, rate=rate)
         for path, columns, unit, time_unit, rate in each
     ]
-    settings = {"low_pass_hz": options.low_pass_hz, "handle_faults": not options.keep_faults}
+    settings = {
+        "low_pass_hz": options.low_pass_hz,
+        "handle_faults": not options.keep_faults,
+        "exact_stamps": options.exact_stamps,
+    }
     if options.max_sigma_us:
         settings["sigma_limit"] = options.max_sigma_us * 1e-6
     whole = True if options.whole else False if options.twist else None

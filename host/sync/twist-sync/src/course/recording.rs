@@ -153,18 +153,20 @@ pub fn course_of_tracks(
     prior: Option<Prior>,
     options: &Options,
 ) -> Result<RecordingClock, CourseError<Infallible>> {
-    // Relative to the epochs, so that no digits are lost.
-    let between = b.epoch_s - a.epoch_s;
+    // Relative to the epochs, so that no digits are lost; to whole seconds of them, because stamps
+    // in whole multiples of a decimal step are judged by all their digits.
+    let (a_epoch_s, b_epoch_s) = (a.whole_epoch_s(), b.whole_epoch_s());
+    let between = b_epoch_s - a_epoch_s;
     let prior = prior.map(|prior| match prior {
         Prior::Offset(offset, margin) => Prior::Offset(offset - between, margin),
-        Prior::Relation(relation) => Prior::Relation(relation.moved(-a.epoch_s, -between)),
+        Prior::Relation(relation) => Prior::Relation(relation.moved(-a_epoch_s, -between)),
     });
     let (a_opened, b_opened) = (|| Ok(a.stream()), || Ok(b.stream()));
     let mut clock = estimate_course(&a_opened, &b_opened, prior, options)?;
     for estimate in &mut clock.estimates {
-        *estimate = estimate.moved(a.epoch_s, between);
+        *estimate = estimate.moved(a_epoch_s, between);
     }
-    clock.course = clock.course.moved(a.epoch_s, between);
+    clock.course = clock.course.moved(a_epoch_s, between);
     Ok(clock)
 }
 

@@ -17,6 +17,10 @@ pub struct Options {
     /// estimate reported it ([`FaultKind::TimestampSawtooth`](crate::FaultKind)); 0 if none is
     /// known. If it does not jump in these recordings, its uncertainty is part of the sigmas.
     pub b_jump_s: f64,
+    /// True if stamps that are whole multiples of a decimal step (of 20 µs or more) are exact.
+    /// Otherwise they count as cut or rounded to that step, half of which is part of the
+    /// offset's sigma.
+    pub exact_stamps: bool,
     /// Largest 1-sigma of the offset of an accepted estimate, in seconds.
     pub sigma_limit_s: f64,
     /// Least time that both recordings must have in common, in seconds.
@@ -36,6 +40,7 @@ impl Default for Options {
             a_delay_s: 0.0,
             b_delay_s: 0.0,
             b_jump_s: 0.0,
+            exact_stamps: false,
             sigma_limit_s: 100e-6,
             min_overlap_s: 1.5,
             handle_faults: true,

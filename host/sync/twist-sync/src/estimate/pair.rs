@@ -12,6 +12,7 @@ use super::calibration::{self, Calibration};
 use super::crosscheck::{self, Evidence, Misfit, Stretch};
 use super::fit::{self, Fit, FitOptions, Link};
 use super::rigid;
+use crate::clock::transition;
 use crate::faults::{Action, Fault, FaultKind, LeftOut, Why};
 use crate::signal::neighbours;
 use crate::signal::{Smooth, kernel_length_s, kernel_sigma_s};
@@ -231,6 +232,7 @@ impl<'a> Pair<'a> {
                     open += found.open(part * (1.0 - part));
                 }
             }
+            open += self.review_wander(of_data, fit, signals, settings);
             let stream = self.stream(of_data);
             let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
             let classes: Vec<Fault> = stream.faults.iter().filter(is_class).cloned().collect();
@@ -263,6 +265,42 @@ impl<'a> Pair<'a> {
             }
         }
         open
+    }
+
+    /// Corrects a slow deviation from regular sampling as far as the other stream bears it out.
+    fn review_wander(
+        &mut self,
+        of_data: bool,
+        fit: &Fit,
+        signals: &Signals,
+        settings: &Settings,
+    ) -> Matrix2<f64> {
+        let Some((sampling, _)) = self.stream(of_data).wander.as_ref() else {
+            return Matrix2::zeros();
+        };
+        let evidence = self.evidence_of(of_data, fit, signals, settings);
+        let usable = &self.stream(of_data).usable;
+        let found = evidence(usable, &|k| sampling.slow_s[k]);
+        drop(evidence);
+        let Some(found) = found else {
+            return Matrix2::zeros();
+        };
+        let stream = self.stream_mut(of_data);
+        let part = stream.correct_wander(|prior| found.probability(prior));
+        found.open(part * (1.0 - part))
+    }
+
+    /// Covariance of (shift, rate) at the reference that the stamps' errors leave.
+    pub(crate) fn of_stamps(&self, link: &Link) -> Matrix2<f64> {
+        let at = |stream: &CheckedStream<'_>, reference: f64| {
+            stream
+                .line
+                .map_or(Matrix2::zeros(), |(middle, covariance)| {
+                    let step = transition(reference - middle);
+                    step * covariance * step.transpose()
+                })
+        };
+        at(&self.data, link.at_data) + at(&self.model, link.at_model)
     }
 
     /// Returns the covariance of (shift, rate) due to single jumps of the stamps within the used

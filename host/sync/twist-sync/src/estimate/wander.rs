@@ -15,10 +15,9 @@
 //! Limits: a small or slow wander hardly shows within a twist, and its uncertainty is the
 //! prior's: right on average over streams with and without a wander.
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-
 use super::fit::{Fit, Part};
 use crate::mixture::{Supposed, mixed};
+use crate::slow::{Point, Process, line};
 
 /// Parts of equal information.
 const PARTS: f64 = 32.0;
@@ -28,15 +27,6 @@ const MEMORIES_S: [f64; 3] = [0.25, 0.7, 2.0];
 /// Prior probability that there is no wander, with white noise and with coloured noise (a mount
 /// that gives way); all wanders are equally likely.
 const NONE: [f64; 2] = [0.8, 0.05];
-
-/// A part of the overlap.
-struct Local {
-    /// Time from the reference, seconds.
-    u: f64,
-    /// Displacement against the fit, seconds.
-    shift_s: f64,
-    variance: f64,
-}
 
 /// Adds slow time errors to the fit's relation and covariance.
 pub(crate) fn include_wander(fit: &mut Fit, oversampling: f64) {
@@ -65,54 +55,19 @@ pub(crate) fn include_wander(fit: &mut Fit, oversampling: f64) {
     }
 }
 
+fn given(points: &[Point], size_s: f64, memory_s: f64, prior: f64) -> Option<Supposed<2>> {
+    line(points, Process { size_s, memory_s }, prior)
+}
+
 /// The overlap in parts of equal information.
-fn locals(fit: &Fit, noise: f64) -> Vec<Local> {
+fn locals(fit: &Fit, noise: f64) -> Vec<Point> {
     let parts = fit.parts(PARTS).into_iter().filter(|part| part.is_whole);
-    let local = |part: Part| Local {
+    let local = |part: Part| Point {
         u: part.moment / part.information,
-        shift_s: part.score / part.information,
+        y: part.score / part.information,
         variance: noise / part.information,
     };
     parts.map(local).collect()
-}
-
-/// Generalised least squares of the displacements on shift and rate under a wander, which a
-/// Kalman filter removes from them.
-fn given(locals: &[Local], size_s: f64, memory_s: f64, prior: f64) -> Option<Supposed<2>> {
-    let n = locals.len() as f64;
-    // In units of the mean variance, so that no figure is tiny.
-    let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n;
-    let stationary = size_s * size_s / unit;
-    let (mut variance, mut ln_volume) = (stationary, 0.0);
-    // The filter's expectation of shift, rate and displacement; products of the innovations.
-    let mut expected = Vector3::zeros();
-    let mut products = Matrix3::zeros();
-    let mut before = locals.first()?.u;
-    for local in locals {
-        let kept = (-(local.u - before) / memory_s).exp();
-        before = local.u;
-        expected *= kept;
-        variance = stationary + kept * kept * (variance - stationary);
-        let row = Vector3::new(1.0, local.u, local.shift_s / unit.sqrt());
-        let innovation = row - expected;
-        let spread = variance + local.variance / unit;
-        products += innovation * innovation.transpose() / spread;
-        ln_volume += 0.5 * spread.ln();
-        expected += innovation * (variance / spread);
-        variance *= 1.0 - variance / spread;
-    }
-    let normal: Matrix2<f64> = products.fixed_view::<2, 2>(0, 0).into_owned();
-    let right = Vector2::new(products[(0, 2)], products[(1, 2)]);
-    let inverse = normal.try_inverse()?;
-    let mean = inverse * right;
-    let square = products[(2, 2)] - right.dot(&mean);
-    Some(Supposed {
-        prior,
-        likelihood_ln: -ln_volume
-            - 0.5 * (normal.determinant().ln() + square + (n - 2.0) * unit.ln()),
-        mean: mean * unit.sqrt(),
-        covariance: inverse * unit,
-    })
 }
 
 #[cfg(test)]
@@ -124,15 +79,15 @@ mod tests {
 
     /// Parts of a twist of nine seconds, each with 13.7 µs of white noise as in the base scenario,
     /// under a wander.
-    fn twist(size_s: f64, memory_s: f64, normal: &mut impl FnMut() -> f64) -> Vec<Local> {
+    fn twist(size_s: f64, memory_s: f64, normal: &mut impl FnMut() -> f64) -> Vec<Point> {
         let step = 9.0 / PARTS;
         let kept = (-step / memory_s).exp();
         let mut wander = size_s * normal();
         let part = |n| {
             wander = kept * wander + size_s * (1.0 - kept * kept).sqrt() * normal();
-            Local {
+            Point {
                 u: f64::from(n) * step - 4.5,
-                shift_s: wander + 13.7e-6 * normal(),
+                y: wander + 13.7e-6 * normal(),
                 variance: 13.7e-6 * 13.7e-6,
             }
         };

@@ -27,6 +27,7 @@
 //!   stream.
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
+use super::sampling::{self, Sampling};
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::robust;
 use crate::signal::neighbours::{self, leave_out};
@@ -47,8 +48,10 @@ const LONE_DRIFT: (f64, f64) = (0.52, 0.25);
 /// length of the recording, for periods up to five lengths; and the 1-sigma of its mean, in
 /// jumps.
 const UNSEEN_DRIFT: (f64, f64, f64) = (0.40, 0.17, 0.18);
-/// 1-sigma of the drift between visible jumps, as a part of it: devices do not jump evenly.
-const UNEVEN_DRIFT: f64 = 0.02;
+/// 1-sigma beforehand of what a jump leaves of the drift before it, as a part of a jump: the
+/// instant of a jump between two samples is unknown.
+const UNEVEN: f64 = 0.02;
+
 /// 1-sigma of the mean of a sawtooth of several jumps, as a part of a jump: the instant of a
 /// jump between two samples is unknown.
 const UNEVEN_MEAN: f64 = 0.01;
@@ -61,6 +64,9 @@ const OWN_JUMP: f64 = 0.1;
 
 /// Decimal resolutions of stamps that are searched for, seconds, the coarsest first.
 const RESOLUTIONS_S: [f64; 9] = [20e-3, 10e-3, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5];
+/// Part of the samples with the stamp of the sample before, above which stamps are of batches;
+/// below it, those samples are left out.
+const SHARED: f64 = 0.1;
 /// Distance of a stamp from a multiple, as a part of the resolution.
 const NEAR_MULTIPLE: f64 = 0.02;
 /// Least other resolution that is searched for, seconds: a twist does not resolve half of it.
@@ -89,6 +95,10 @@ pub(crate) struct Timestamps {
     pub(crate) resolution_s: f64,
     /// Deviation of the stamps that may be the samples' own.
     pub(crate) pattern: Option<Pattern>,
+    /// Regular sampling behind the stamps, from which they deviate.
+    pub(crate) sampling: Option<Sampling>,
+    /// True if several samples have one stamp, so that only the regular sampling tells them apart.
+    pub(crate) shared: bool,
     /// Faults that were found.
     pub(crate) faults: Vec<Fault>,
 }
@@ -132,6 +142,7 @@ pub(crate) fn check(
     t: &[f64],
     finite: &[bool],
     known_jump_s: f64,
+    first_s: Option<f64>,
 ) -> Option<Timestamps> {
     let mut out = Timestamps {
         t: t.to_vec(),
@@ -145,6 +156,8 @@ pub(crate) fn check(
         unresolved_skew: 0.0,
         resolution_s: 0.0,
         pattern: None,
+        sampling: None,
+        shared: false,
         faults: Vec::new(),
     };
     let mut kept = neighbours::kept(&out.usable);
@@ -154,23 +167,35 @@ pub(crate) fn check(
     out.leave_out(&mut kept, fault(FaultKind::NotFinite, bad));
     let far = far(t, &kept);
     out.leave_out(&mut kept, fault(FaultKind::TimestampFar, far));
-    let disordered = out_of_order(t, &kept);
-    out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, disordered));
+    let equal: Vec<usize> = {
+        let disordered = out_of_order(t, &kept);
+        out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, disordered));
+        let pairs = kept.windows(2).filter(|p| t[p[1]] == t[p[0]]);
+        pairs.map(|p| p[1]).collect()
+    };
     if kept.len() < 8 {
         return None;
     }
+    let share = equal.len() as f64 / kept.len() as f64;
+    out.shared = share > SHARED;
+    if !out.shared {
+        out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, equal));
+    }
     let steps: Vec<f64> = kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect();
-    let step = robust::median(&steps).filter(|&step| step > 0.0)?;
+    let span_s = t[*kept.last()?] - t[*kept.first()?];
+    let mean = span_s / steps.len() as f64;
+    let step = if out.shared {
+        mean
+    } else {
+        robust::median(&steps)?
+    };
+    if step <= 0.0 {
+        return None;
+    }
     out.step_s = step;
-
-    let equal = out
-        .faults
-        .iter()
-        .find(|f| f.kind == FaultKind::TimestampOrder);
-    let equal = equal.map_or(0, |fault| fault.count);
-    out.resolution_s = resolution(t, &kept, &steps, step, equal);
+    out.resolution_s = first_s.map_or(0.0, |first_s| resolution(t, &kept, &steps, step, first_s));
     // Steps of coarse stamps are no faults.
-    if out.resolution_s == 0.0 {
+    if out.resolution_s == 0.0 && !out.shared {
         let mut outliers = fault(FaultKind::TimestampOutlier, isolated(&kept, &steps, step));
         outliers.period = recurrence(&outliers.samples);
         out.leave_out(&mut kept, outliers);
@@ -185,18 +210,39 @@ pub(crate) fn check(
             out.unresolved_s = mean_sigma * known_jump_s.abs();
             out.unresolved_skew = (drift_sigma * each_s).abs();
         }
-    } else {
-        // If few stamps have another step, the error lasts as long as the recording.
-        let q = out.resolution_s;
-        let odd = steps.iter().filter(|d| (*d - step).abs() > 0.5 * q);
-        let odd = odd.count();
-        let is_slow = odd < 2 * FEW_RESETS;
-        let span_s = t[kept[kept.len() - 1]] - t[kept[0]];
-        let part = if odd < 4 * FEW_RESETS { 0.5 } else { 0.2 };
-        out.unresolved_skew = part * q / span_s;
-        if is_slow {
-            out.unresolved_s = q / 12.0_f64.sqrt();
+    }
+    let is_sawtooth = out.pattern.as_ref().is_some_and(|p| p.sawtooth.is_some());
+    let is_step = !is_sawtooth && has_steps(&steps, step, out.resolution_s);
+    let even = out
+        .pattern
+        .as_ref()
+        .filter(|p| p.sawtooth.is_some())
+        .map(|pattern| {
+            let pairs = out.t.iter().zip(&pattern.later_s);
+            pairs.map(|(t, later)| t - later).collect::<Vec<f64>>()
+        });
+    // Regular sampling has no steps.
+    if out.shared || !is_step {
+        let t = even.as_deref().unwrap_or(&out.t);
+        out.sampling = sampling::find(t, &kept, step, out.resolution_s, out.shared);
+    }
+    if out.shared {
+        let sampling = out.sampling.as_ref()?;
+        out.faults.push(Fault {
+            samples: Vec::new(),
+            count: (share * kept.len() as f64) as usize,
+            ..Fault::new(
+                stream,
+                FaultKind::TimestampOrder,
+                vec![kept[0]],
+                Action::Corrected,
+            )
+        });
+        for (t, fast) in out.t.iter_mut().zip(&sampling.fast_s) {
+            *t -= fast;
         }
+        let disordered = out_of_order(&out.t, &kept);
+        leave_out(&mut out.usable, &disordered);
     }
 
     let gaps: Vec<usize> = kept
@@ -209,6 +255,24 @@ pub(crate) fn check(
         out.faults.push(gaps);
     }
     Some(out)
+}
+
+/// Returns true if one or two distances of neighbours stand out from all others, but for samples
+/// that were lost, and by more than the `resolution_s` of the stamps: then the clock, or the
+/// sampling, stepped.
+fn has_steps(steps: &[f64], step: f64, resolution_s: f64) -> bool {
+    let odd = |d: &f64| d - (d / step).round().max(1.0) * step;
+    let odd: Vec<f64> = steps.iter().map(odd).collect();
+    let scatter = robust::mad_sigma(odd.clone()).unwrap_or(0.0);
+    let least = (8.0 * scatter).max(LEAST_RESET_S).max(1.5 * resolution_s);
+    // A stamp that is late alone is followed by a short distance.
+    let stays = |k: usize| {
+        let near = odd[k.saturating_sub(1)..(k + 2).min(odd.len())].iter();
+        let with_either = near.map(|other| (odd[k] + other).abs());
+        odd[k].abs() > least && with_either.fold(f64::INFINITY, f64::min) > least
+    };
+    let count = (0..odd.len()).filter(|&k| stays(k)).count();
+    (1..FEW_RESETS).contains(&count)
 }
 
 /// Samples outside of the largest part of the recording.
@@ -235,16 +299,16 @@ fn far(t: &[f64], kept: &[usize]) -> Vec<usize> {
     kept.iter().copied().filter(|&k| !is_near[k]).collect()
 }
 
-/// Returns the fewest samples whose removal leaves strictly increasing times.
+/// Returns the fewest samples whose removal leaves times that do not decrease.
 fn out_of_order(t: &[f64], kept: &[usize]) -> Vec<usize> {
-    if kept.windows(2).all(|p| t[p[1]] > t[p[0]]) {
+    if kept.windows(2).all(|p| t[p[1]] >= t[p[0]]) {
         return Vec::new();
     }
     // Patience sorting: tails[l] ends the best increasing run of length l + 1.
     let mut tails: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = vec![None; t.len()];
     for &k in kept {
-        let at = tails.partition_point(|&tail| t[tail] < t[k]);
+        let at = tails.partition_point(|&tail| t[tail] <= t[k]);
         before[k] = at.checked_sub(1).map(|i| tails[i]);
         if at == tails.len() {
             tails.push(k);
@@ -288,42 +352,32 @@ fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     out
 }
 
-/// Step of coarse stamps, of which `equal` repeated the one before; 0 for fine ones.
-fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, equal: usize) -> f64 {
+/// Step of coarse stamps, the first of which is `first_s` on the device's clock; 0 for fine ones.
+///
+/// Stamps at equal distances, all whole multiples of a decimal step, may be cut to that step as
+/// well: a rate near a whole number of milliseconds shows no beat.
+fn resolution(t: &[f64], kept: &[usize], steps: &[f64], step: f64, first_s: f64) -> f64 {
+    let off_by = |x: f64| (x - x.round()).abs();
     let first = t[kept[0]];
-    let is_multiple = |q: f64| {
-        let off = |&k: &usize| {
-            let x = (t[k] - first) / q;
-            (x - x.round()).abs() > NEAR_MULTIPLE
-        };
+    let is_multiple = |q: f64, off_s: f64| {
+        let off = |&&k: &&usize| off_by((t[k] - first) / q) * q > off_s;
         let most = kept.len() / 50;
-        kept.iter().filter(|&k| off(k)).take(most + 1).count() <= most
+        kept.iter().filter(off).take(most + 1).count() <= most
     };
-    let decimal = RESOLUTIONS_S.into_iter().find(|&q| is_multiple(q));
-    let Some(q) =
-        decimal.or_else(|| counter_period(t, kept, steps, step).filter(|&q| is_multiple(q)))
-    else {
-        return 0.0;
+    let is_near = |&q: &f64| is_multiple(q, NEAR_MULTIPLE * q);
+    // Uneven distances show the step, even ones a power of ten at most.
+    let is_odd = |q: &f64| steps.iter().any(|d| off_by(d / step) * step > 0.5 * q);
+    // A double of seconds since 1970 is exact to 0.24 µs.
+    let rounding_s = ROUNDING_S.max(4.0 * f64::EPSILON * first_s.abs());
+    let is_whole = |q: &f64| {
+        let begins = off_by((first_s + first) / q) * q < rounding_s;
+        off_by(q.log10()) < 1e-9 && begins && is_multiple(*q, rounding_s)
     };
-    // Even sampling that fits the step, with gaps, needs none.
-    let is_odd = |d: f64| {
-        let whole = d / step;
-        (whole - whole.round()).abs() * step > 0.5 * q
-    };
-    let odd = steps.iter().any(|&d| is_odd(d));
-    // Lost samples do not recur as evenly as the steps that a slower sampling leaves out.
-    let double: Vec<usize> = (0..steps.len())
-        .filter(|&k| steps[k] > 1.5 * step)
-        .collect();
-    let apart: Vec<usize> = double.windows(2).map(|p| p[1] - p[0]).collect();
-    let usual = apart.iter().sum::<usize>() as f64 / apart.len().max(1) as f64;
-    let even = apart
-        .iter()
-        .filter(|&&n| (n as f64 - usual).abs() < 1.0)
-        .count();
-    let beats = apart.len() >= 4 && even * 10 > apart.len() * 9;
-    let is_coarse = odd || beats || equal * 200 > kept.len();
-    if is_coarse { q } else { 0.0 }
+    let odd = RESOLUTIONS_S.into_iter().find(is_near).filter(is_odd);
+    let decimal = odd.or_else(|| RESOLUTIONS_S.into_iter().find(is_whole));
+    let is_counter = |q: &f64| *q < 0.75 * step && is_near(q);
+    let counter = || counter_period(t, kept, steps, step).filter(is_counter);
+    decimal.or_else(counter).unwrap_or(0.0)
 }
 
 /// Period of the counter that may have made the stamps: the least difference of their distances.
@@ -420,20 +474,35 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     // One or two large jumps are a step of the clock, not a sawtooth.
     let is_sawtooth =
         is_mostly_alike && (jumps.len() >= FEW_RESETS || size.abs() <= LARGEST_LONE_RESET_S);
-    let (drift, drift_sigma) = if !is_sawtooth {
-        (0.0, 0.0)
-    } else if jumps.len() == 1 {
-        let longer = (first - begin).max(end - first);
-        (size / longer * LONE_DRIFT.0, size / longer * LONE_DRIFT.1)
-    } else {
-        let spacing: Vec<f64> = times.windows(2).map(|p| p[1] - p[0]).collect();
-        let drift = robust::median(&spacing).map_or(0.0, |spacing| size / spacing);
-        (drift, drift * UNEVEN_DRIFT / (jumps.len() as f64).sqrt())
-    };
     let jumps = if is_sawtooth {
         with_missed(jumps, size, kept, &out.t)
     } else {
         jumps
+    };
+    let (drift, drift_sigma, uneven_s) = if !is_sawtooth {
+        (0.0, 0.0, 0.0)
+    } else if jumps.len() == 1 {
+        let longer = (first - begin).max(end - first);
+        (
+            size / longer * LONE_DRIFT.0,
+            size / longer * LONE_DRIFT.1,
+            0.0,
+        )
+    } else {
+        // Each jump undoes the drift since the one before.
+        let last = jumps[jumps.len() - 1];
+        let undone: f64 = jumps[1..].iter().map(|jump| jump.1).sum();
+        let span_s = out.t[last.0] - out.t[jumps[0].0];
+        let drift = undone / span_s;
+        let left = |p: &[(usize, f64)]| {
+            let since = out.t[p[1].0] - out.t[p[0].0];
+            (p[1].1 - drift * since).powi(2)
+        };
+        let intervals = (jumps.len() - 1) as f64;
+        let own = (UNEVEN * size).powi(2);
+        let squares = jumps.windows(2).map(left).sum::<f64>() + own;
+        let uneven_s = (squares / intervals).sqrt();
+        (drift, uneven_s * intervals.sqrt() / span_s, uneven_s)
     };
     // Accumulated jumps less the drift; between two jumps, which come half a step before the
     // sample that shows them, their mean is zero.
@@ -456,6 +525,7 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let sawtooth = is_sawtooth.then(|| {
         let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
         let is_lone = jumps.len() < FEW_RESETS;
+        let samples_len = jumps.len();
         let samples = jumps.into_iter().map(|(k, _)| k).collect();
         let kind = FaultKind::TimestampSawtooth;
         Sawtooth {
@@ -463,8 +533,9 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
                 * if is_lone {
                     12.0_f64.sqrt().recip()
                 } else {
-                    UNEVEN_MEAN
-                },
+                    0.0
+                }
+                + (uneven_s / (samples_len as f64).sqrt()).hypot(UNEVEN_MEAN * size),
             open_skew: drift_sigma.abs(),
             prior: if size.abs() < OWN_JUMP * step {
                 0.9
@@ -496,7 +567,7 @@ mod tests {
         t[500] -= 0.7;
         t[700] = f64::NAN;
         t[900] += 0.0007;
-        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0, Some(1_000.012_345)).unwrap();
         let lost: Vec<usize> = (0..1000).filter(|&k| !checked.usable[k]).collect();
         assert_eq!(lost, [300, 500, 700, 900]);
     }
@@ -507,7 +578,8 @@ mod tests {
             for at in [0, 500, 999] {
                 let mut t = regular(1000);
                 t[at] = wild;
-                let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
+                let checked =
+                    check(Stream::A, &t, &vec![true; 1000], 0.0, Some(1_000.012_345)).unwrap();
                 assert_eq!(checked.faults.len(), 1, "{wild} at {at}");
                 let fault = &checked.faults[0];
                 assert_eq!(fault.kind, FaultKind::TimestampFar);
@@ -516,7 +588,7 @@ mod tests {
         }
         // Samples that are all far from each other leave nothing.
         let t: Vec<f64> = (0..1000).map(|k| 59.0 * f64::from(k)).collect();
-        assert!(check(Stream::A, &t, &vec![true; 1000], 0.0).is_none());
+        assert!(check(Stream::A, &t, &vec![true; 1000], 0.0, Some(1_000.012_345)).is_none());
     }
 
     #[test]
@@ -527,7 +599,7 @@ mod tests {
             .enumerate()
             .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
             .collect();
-        let checked = check(Stream::B, &t, &vec![true; 4500], 0.0).unwrap();
+        let checked = check(Stream::B, &t, &vec![true; 4500], 0.0, Some(1_000.012_345)).unwrap();
         // The comparison with the other stream decides; until then the stamps stay.
         assert_eq!((checked.faults.len(), &checked.t), (0, &t));
         let pattern = checked.pattern.unwrap();
@@ -548,23 +620,31 @@ mod tests {
 
     #[test]
     fn coarse_stamps_are_distinguished_from_even_ones() {
+        let odd_s = 1_000.012_345;
         let cases = [
-            // Step of the samples, resolution of the stamps, expected result.
-            (8.333e-3, 1e-3, 1e-3),
-            (11.86e-3, 10e-3, 10e-3),
-            (3.497e-3, 1e-3, 1e-3),
-            (5e-3, 1e-9, 0.0),
-            (10e-3, 10e-3, 0.0),
-            (10e-3, 1e-3, 0.0),
-            (2.0001e-3, 1e-9, 0.0),
+            // Step of the samples, resolution of the stamps, the first of them, expected result.
+            (8.333e-3, 1e-3, 1000.0, 1e-3),
+            (8.333e-3, 1e-3, odd_s, 1e-3),
+            (11.86e-3, 10e-3, 1000.0, 10e-3),
+            (3.497e-3, 1e-3, odd_s, 1e-3),
+            // A sampling of whole steps may be cut as well, unless it begins beside one.
+            (10e-3, 10e-3, 1000.0, 10e-3),
+            (5e-3, 1e-9, 1000.0, 1e-3),
+            (10e-3, 10e-3, odd_s, 0.0),
+            (10e-3, 1e-3, odd_s, 0.0),
+            (5e-3, 1e-9, odd_s, 0.0),
+            (2.0001e-3, 1e-9, 1000.0, 0.0),
         ];
-        for (step, resolution, expected) in cases {
+        for (step, resolution, first_s, expected) in cases {
             let t: Vec<f64> = (0..1000)
                 .filter(|k| k * k % 1009 % 97 != 5)
                 .map(|k| (step * f64::from(k) / resolution + 1e-6).floor() * resolution)
                 .collect();
-            let checked = check(Stream::A, &t, &vec![true; t.len()], 0.0).unwrap();
-            assert_eq!(checked.resolution_s, expected, "{step} {resolution}");
+            let checked = check(Stream::A, &t, &vec![true; t.len()], 0.0, Some(first_s)).unwrap();
+            assert_eq!(
+                checked.resolution_s, expected,
+                "{step} {resolution} {first_s}"
+            );
             let noted = |f: &Fault| matches!(f.kind, FaultKind::Gap | FaultKind::TimestampOrder);
             assert!(checked.faults.iter().all(noted), "{:?}", checked.faults);
         }
@@ -576,7 +656,7 @@ mod tests {
         for x in &mut t[400..] {
             *x += 0.05;
         }
-        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000], 0.0, Some(1_000.012_345)).unwrap();
         assert_eq!(checked.faults.len(), 1);
         assert_eq!(checked.faults[0].kind, FaultKind::Gap);
         assert_eq!(checked.t, t);
