@@ -670,11 +670,11 @@ class Command(Folder):
         noisy = lambda w: w + rng.normal(0, 3e-3, w.shape)  # noqa: E731
         first = self.file("a.csv", "t (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + rows(form, t, noisy(a)))
         second = self.file("b.csv", "t (s),gx (rad/s),gy (rad/s),gz (rad/s)\n" + rows(form, t * (1 + 2e-5) + 7, noisy(b)))
-        code, out, err = run(first, second)
+        code, out, err = run(first, second, "--exact-stamps")
         self.assertEqual(code, 0, out + err)
         self.assertRegex(out, r"^RELATED: .*, to ± [\d.]+ µs \(95 %\) where they were together; 8 of 8 stretches agree")
         self.assertRegex(out, r"b.csv - a.csv, 50\.0 to 350\.0 s: nothing supports the relation there")
-        relation = twist_sync.sync([first, second]).pairs[0].found
+        relation = twist_sync.sync([first, second], exact_stamps=True).pairs[0].found
         for at in (30.0, 370.0):
             there = relation.at(at)
             self.assertLess(abs(there.offset - 2e-5 * at), 4 * there.offset_sigma)
@@ -692,11 +692,11 @@ class Command(Folder):
         for axes in ([0, 1, 2], [1, 0, 2]):
             w = made.again(seed=4).w[:, axes] * ([1, 1, -1] if axes[0] == 0 else 1)
             mirrored = self.file("b.csv", form + rows("{},{},{},{}", made.s, w))
-            code, out, _ = run(right, mirrored)
+            code, out, _ = run(right, mirrored, "--exact-stamps")
             self.assertEqual(code, 0)
             self.assertRegex(out, "^RELATED.*mind the warning")
             self.assertIn("mirrored: in one of them two axes are exchanged", out)
-            pair = self.offset(right, mirrored)
+            pair = self.offset(right, mirrored, "--exact-stamps")
             self.assertEqual((pair["mirrored"], pair["rotation"]), (True, None))
         self.assertFalse(self.offset(A, B)["mirrored"])
         wrong = self.file("c.csv", "t,x,y,z\n" + rows("{},{},{},{}", T, W))

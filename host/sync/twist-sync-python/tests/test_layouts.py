@@ -270,7 +270,7 @@ class Refusals(Folder):
         rows = np.arange(len(w)) / 200
         path = self.file("a.csv", "t (s),gx,gy,gz\n" + "".join(f"{s:.4f},{x:.5f},{y:.5f},{z:.5f}\n" for s, (x, y, z) in zip(rows.tolist(), w.tolist())))
         other = self.file("b.csv", "t (s),gx,gy,gz\n" + "".join(f"{s:.4f},{x:.5f},{y:.5f},{z:.5f}\n" for s, (x, y, z) in zip(rows[::2].tolist(), w[::2].tolist())))
-        pair = report.object_of(twist_sync.sync([path, other]))["pairs"][0]
+        pair = report.object_of(twist_sync.sync([path, other], exact_stamps=True))["pairs"][0]
         self.assertTrue(pair["accepted"])
         self.assertRegex(pair["warnings"][0], "a.csv: 50% of its rows .*the first row of each value is taken; if the sensor .*up to 5 ms older")
 

@@ -60,7 +60,7 @@ def recordings(seconds, seed, peak=2.5, unrelated=False, rate=500):
     of_a = motion()
     of_b = motion() if unrelated else of_a
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    t_a = np.arange(0, seconds, 1 / rate)
+    t_a = np.arange(0, seconds, 1 / (1.000013 * rate))
     t_b = np.arange(0.2, seconds, 1 / 497)
     w_a = of_a(t_a) + rng.normal(0, 1.4e-3, (len(t_a), 3))
     w_b = of_b(t_b) @ turn.T + rng.normal(0, 1.2e-3, (len(t_b), 3))
