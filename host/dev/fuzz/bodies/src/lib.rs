@@ -217,6 +217,7 @@ pub fn video_metadata(data: &[u8]) {
     let file = folder.path().join("VID_timestamps.csv");
     std::fs::write(&file, data).unwrap();
     if let Ok(times) = read_timestamps(&file, &ReadMonitor::default()) {
-        assert!(times.is_sorted_by(|a, b| a < b));
+        // The app may get a frame twice, with one time.
+        assert!(times.is_sorted());
     }
 }
