@@ -77,7 +77,7 @@ fn is_near_truth(session: &SessionFile, truth: &Path) {
     assert!(compared > 4, "{text}");
 }
 
-/// What a command printed: exit code and lines.
+/// Exit code and output of a command.
 struct Typed {
     code: i32,
     lines: Vec<String>,

@@ -88,7 +88,8 @@ impl Tmux {
         self.run(&["capture-pane", "-p"])
     }
 
-    /// What is on the screen and went off it, with lines that the terminal has broken in one.
+    /// Returns the lines on the screen and those scrolled off it. Lines that the terminal has broken
+    /// are joined.
     pub(crate) fn lines(&self) -> String {
         self.run(&["capture-pane", "-p", "-J", "-S", "-500"])
     }

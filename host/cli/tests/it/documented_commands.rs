@@ -35,7 +35,7 @@ fn every_command_in_a_block_is_a_whole_command() {
     assert!(checked >= 20, "only {checked} commands were found");
 }
 
-/// What a message tells to run must run as it stands, with values in its braces.
+/// Each command in a message must run as it stands, with values in its braces.
 #[test]
 fn every_command_that_the_program_prints_is_a_whole_command() {
     let mut checked = 0;

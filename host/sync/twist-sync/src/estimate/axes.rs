@@ -6,7 +6,7 @@
 //! sum, the residual is `S·η + u·s·ρ + s″·κ + noise`, with a shift `η` of each axis, a rate `ρ`
 //! and the dispersion `κ`. That is solved once for either stream.
 //!
-//! How the shifts of the axes come about is a hypothesis: all are the same; one axis is late; or
+//! Three hypotheses explain the shifts of the axes: all are the same; one axis is late; or
 //! each is late. Such delays are normal, of a size that the shifts themselves decide. The
 //! relation is averaged over all of them, each weighted by its restricted likelihood, so that an
 //! undecided axis is part of the sigma.
