@@ -17,7 +17,7 @@ use std::path::Path;
 use clock::PhoneNanos;
 use system::ReadMonitor;
 
-use crate::rows::{BadRow, LATER, RowError, Rows};
+use crate::rows::{BadRow, RowError, Rows};
 
 const EXPECTED: &str = "one timestamp in whole nanoseconds";
 
@@ -32,7 +32,7 @@ impl<R: BufRead> Rows<R> {
     /// Reading fails, or the row is damaged. The next call reads the row after it.
     pub fn next_timestamp(&mut self) -> Result<Option<PhoneNanos>, RowError> {
         let parse = |line, text: &str| {
-            let field = field(text);
+            let field = text.split(',').next().unwrap_or_default().trim();
             let heading = line == 1 && !field.starts_with(|c: char| c.is_ascii_digit() || c == '-');
             match field.parse() {
                 Ok(nanos) => Some(Some(PhoneNanos(nanos))),
@@ -50,22 +50,10 @@ impl<R: BufRead> Rows<R> {
 ///
 /// The file cannot be read, or a row is damaged.
 pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowError> {
-    let mut rows = Rows::new(BufReader::new(
-        system::open(path, monitor)?.skipping_holes(),
-    ));
-    let mut times: Vec<PhoneNanos> = Vec::new();
-    loop {
-        let time = match rows.next_timestamp() {
-            Ok(Some(time)) => time,
-            Ok(None) => return Ok(times),
-            Err(RowError::Bad(row)) => match times.last() {
-                Some(&last) if row.expected == LATER && field(&row.found) == last.0.to_string() => {
-                    last
-                }
-                _ => return Err(row.into()),
-            },
-            Err(error) => return Err(error),
-        };
+    let reader = BufReader::new(system::open(path, monitor)?.skipping_holes());
+    let mut rows = Rows::new(reader).with_repeats();
+    let mut times = Vec::new();
+    while let Some(time) = rows.next_timestamp()? {
         if times.len() == MAX_TIMESTAMPS {
             return Err(RowError::Bad(BadRow {
                 line: times.len() as u64 + 1,
@@ -75,16 +63,13 @@ pub fn read(path: &Path, monitor: &ReadMonitor) -> Result<Vec<PhoneNanos>, RowEr
         }
         times.push(time);
     }
-}
-
-/// The first column of a row.
-fn field(row: &str) -> &str {
-    row.split(',').next().unwrap_or_default().trim()
+    Ok(times)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rows::LATER;
 
     fn read_text(text: &str) -> Result<Vec<i64>, BadRow> {
         let folder = tempfile::tempdir().unwrap();

@@ -47,6 +47,8 @@ pub struct Rows<R> {
     reader: R,
     line: u64,
     last: Option<PhoneNanos>,
+    /// True if a row may repeat the time of the row before.
+    repeats: bool,
     buffer: Vec<u8>,
 }
 
@@ -57,8 +59,15 @@ impl<R: BufRead> Rows<R> {
             reader,
             line: 0,
             last: None,
+            repeats: false,
             buffer: Vec::new(),
         }
+    }
+
+    /// Returns a reader to which a row that repeats the time of the row before is no damaged one.
+    pub(crate) const fn with_repeats(mut self) -> Self {
+        self.repeats = true;
+        self
     }
 
     /// Reads the next sample of a gyroscope or accelerometer. Returns `None` at the end.
@@ -108,10 +117,12 @@ impl<R: BufRead> Rows<R> {
             let Some(row) = row else { continue };
             // A last row that was cut within its timestamp has a time ten times
             // smaller, or more: it is not later than the row before.
-            if self.last.is_some_and(|last| time(&row) <= last) {
+            let at = time(&row);
+            let is_later = |last| at > last || self.repeats && at == last;
+            if !self.last.is_none_or(is_later) {
                 return Err(self.bad(LATER));
             }
-            self.last = Some(time(&row));
+            self.last = Some(at);
             return Ok(Some(row));
         }
     }
