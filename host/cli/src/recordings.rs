@@ -63,25 +63,27 @@ pub(crate) fn folder_of(recording: &Path) -> &Path {
 
 /// Returns the commands to type next about a recording, ready to be pasted: those that get what is
 /// missing of the phones, and the one that makes a data set of it.
-pub(crate) fn next_commands(recording: &Path) -> Vec<String> {
-    let session = SessionFile::load(recording).ok();
-    if session.as_ref().is_some_and(|it| !it.has_recorded()) {
+pub(crate) fn next_commands(recording: &Path, session: Option<&SessionFile>) -> Vec<String> {
+    if session.is_some_and(|session| !session.has_recorded()) {
         return vec![String::from("smartdepthsync record")];
     }
-    let mut commands = files_commands(recording, session.as_ref());
+    let mut commands = files_commands(recording, session);
     let shown = system::shell_word(recording);
     commands.push(format!("smartdepthsync extract {shown}"));
     commands
 }
 
-/// Returns the command that measures the constant bias from a recording's strobes, and writes it
+/// Returns the command that measures the constant bias from the strobes of recordings, and writes it
 /// into the profile if there is one.
-pub(crate) fn calibrate_command(recording: &Path, profile: &Place) -> String {
-    let recording = system::shell_word(recording);
-    let profile = profile.path.as_deref().map_or(String::new(), |profile| {
-        format!(" --calibrate {}", system::shell_word(profile))
-    });
-    format!("smartdepthsync evaluate precision {recording}{profile}")
+pub(crate) fn calibrate_command<P: AsRef<Path>>(recordings: &[P], profile: &Place) -> String {
+    let mut command = String::from("smartdepthsync evaluate precision");
+    for recording in recordings {
+        command += &format!(" {}", system::shell_word(recording.as_ref()));
+    }
+    if let Some(profile) = &profile.path {
+        command += &format!(" --calibrate {}", system::shell_word(profile));
+    }
+    command
 }
 
 /// Returns the commands that copy the files of the phones that are missing in a recording.

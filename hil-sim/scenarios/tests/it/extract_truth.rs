@@ -9,6 +9,7 @@ use crate::synthetic::{DepthTruth, Synthetic, Truth};
 use extract::layout::Format;
 use extract::options::Options;
 use extract::report::{ClockSource, Decision, ExtractReport, HintSource, LossPart, MatchError};
+use recording::session_file::SessionFile;
 use test_support::browser;
 
 /// Largest error and root mean square, µs.
@@ -171,7 +172,9 @@ fn the_page_shows_pairs_losses_and_the_clock() {
     let made = ten_minutes();
     let out = made.case.path("out");
     let pairs = format!("{} pairs of frames", made.true_pairs().len());
-    report::extraction::write(&out, &made.report, &made.case.path("recording")).unwrap();
+    let recording = made.case.path("recording");
+    let session = SessionFile::load(&recording).ok();
+    report::extraction::write(&out, &made.report, &recording, session.as_ref()).unwrap();
     browser::check(
         &out.join(report::REPORT_FILE),
         "extract",

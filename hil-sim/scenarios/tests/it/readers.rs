@@ -219,7 +219,9 @@ fn bags_and_tables(chain: &Chain) {
     // Sample pairs stay in the report when their images are gone.
     let samples = std::fs::read_to_string(euroc.join("sample_pairs.svg")).unwrap();
     assert_eq!(samples.matches("<image ").count(), 12);
-    report::extraction::write(ros2, &report, &case.path("recording")).unwrap();
+    let recording = case.path("recording");
+    let session = SessionFile::load(&recording).ok();
+    report::extraction::write(ros2, &report, &recording, session.as_ref()).unwrap();
     let page = ros2.join("report.html");
     assert!(std::fs::read_to_string(&page).unwrap().contains(&samples));
     browser::check(&page, "sample_pairs", &["Some pairs from the middle"]);

@@ -342,7 +342,7 @@ fn recordings_of(inputs: &[PathBuf], context: &Context) -> Result<Vec<PathBuf>, 
     let mut found = Vec::new();
     for input in inputs {
         let input = recording_of(input);
-        if input.join(DATA_SET_FILE).is_file() && !input.join(SESSION_FILE).exists() {
+        if input.join(extract::report::FILE).is_file() && !input.join(SESSION_FILE).exists() {
             context.say(format!("{} is a data set: left out", input.display()));
         } else if !found.contains(&input) {
             found.push(input);
@@ -385,20 +385,12 @@ fn next_command(args: &PrecisionArgs, inputs: &[PathBuf], result: &Precision) ->
         Some(_) if is_open && args.common.near.is_none() => {
             format!("smartdepthsync record {SHIFTED}{}", place.option())
         }
-        Some(profile) => {
-            let words = inputs.iter().map(|input| system::shell_word(input) + " ");
-            let words: String = words.collect();
-            let profile = system::shell_word(profile);
-            format!("smartdepthsync evaluate precision {words}--calibrate {profile}")
-        }
+        Some(_) => recordings::calibrate_command(inputs, &place),
     }
 }
 
 /// Options of a recording that shows an end of the strobe train.
 const SHIFTED: &str = "--shift 4ms --duration 1m";
-
-/// File that is in every data set.
-const DATA_SET_FILE: &str = "report.json";
 
 /// Lets the reports of recordings lead to an evaluation in their folder.
 fn show_in_recordings(inputs: &[PathBuf], page: &Path) {
@@ -487,9 +479,9 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     let output = DriftOutput {
         settings: &settings,
         drift: &evaluated.result,
-        next: vec![format!(
-            "smartdepthsync evaluate precision {}",
-            system::shell_word(&input)
+        next: vec![recordings::calibrate_command(
+            &[&input],
+            &Place { path: None },
         )],
     };
     context.print_checks(&output, || {

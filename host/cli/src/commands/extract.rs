@@ -144,33 +144,31 @@ pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, F
         extract(&job)
     })?;
     let folder = recordings::folder_of(&job.recording);
-    report::extraction::write(&job.out, &report, folder)
+    let session = SessionFile::load(folder).ok();
+    report::extraction::write(&job.out, &report, folder, session.as_ref())
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     // The recording may lie where nothing can be written.
     if let Err(error) = report::session::link_page(folder, &job.out.join(REPORT_FILE)) {
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {
-        let text = report::extraction::summary(&report, folder).text();
+        let text = report::extraction::summary(&report, folder, session.as_ref()).text();
         let (out, page) = (job.out.display(), job.out.join(REPORT_FILE));
-        let next = next_text(&next_commands(folder));
+        let next = session.as_ref();
+        let next = next.map_or_else(Vec::new, |session| next_commands(folder, session));
+        let next = next_text(&next);
         format!("{text}written to {out}\nreport {}\n{next}", page.display())
     })?;
-    let session = SessionFile::load(folder).ok();
     let is_lossy = session.is_some_and(|session| report::session::is_lossy(&session, None));
     Ok(ExitStatus::of_loss(is_lossy || !report.losses.is_empty()))
 }
 
 /// Returns the commands to type next about a recording that was extracted.
-fn next_commands(folder: &Path) -> Vec<String> {
-    let session = SessionFile::load(folder).ok();
-    let mut commands = recordings::files_commands(folder, session.as_ref());
-    let Some(session) = session else {
-        return Vec::new();
-    };
+fn next_commands(folder: &Path, session: &SessionFile) -> Vec<String> {
+    let mut commands = recordings::files_commands(folder, Some(session));
     let (own, place) = match ProfileArg::default().load() {
         Ok((profile, place)) if place.path.is_some() => (profile, place),
-        _ => (session.profile, Place { path: None }),
+        _ => (session.profile.clone(), Place { path: None }),
     };
     if !commands.is_empty() {
         let recording = system::shell_word(folder);
@@ -178,7 +176,7 @@ fn next_commands(folder: &Path) -> Vec<String> {
     } else if own.phone.learnt.is_none() && place.path.is_some() {
         commands.push(String::from("smartdepthsync record --calibrate"));
     } else if own.frame_sync.bias_measured.is_none() {
-        commands.push(recordings::calibrate_command(folder, &place));
+        commands.push(recordings::calibrate_command(&[folder], &place));
     } else {
         commands.push(String::from("smartdepthsync record --duration 1m"));
     }

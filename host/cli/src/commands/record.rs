@@ -358,7 +358,7 @@ fn next_commands(
             commands.push(format!("smartdepthsync record --duration 1m{profile}"));
         }
         (None, _) if args.more.shift.is_some() => {
-            commands.push(calibrate_command(folder, place));
+            commands.push(calibrate_command(&[folder], place));
         }
         (None, _) => commands.push(format!("smartdepthsync extract {recording}")),
     }

@@ -72,7 +72,7 @@ pub(crate) fn run(args: &VerifyArgs, context: &Context) -> Result<ExitStatus, Fa
             verification,
             verdict,
             report,
-            next: recordings::next_commands(&recording),
+            next: recordings::next_commands(&recording, session.as_ref()),
         })
     })?;
     let Verified {

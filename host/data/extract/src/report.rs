@@ -15,6 +15,9 @@ use crate::inputs::survey::ImuSpan;
 use crate::layout::Format;
 pub use crate::output::sample_pairs::FILE as SAMPLES_FILE;
 
+/// Name of the file, which every data set has.
+pub const FILE: &str = "report.json";
+
 /// Part of a recording that a loss concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]

@@ -51,7 +51,7 @@ use board::finding::{Finding, Severity};
 use recording::SESSION_FILE;
 use recording::contents::{FileContents, FileSums};
 use recording::error_budget::ErrorPart;
-use recording::verify::{Verification, verify_with};
+use recording::verify::{Verification, verify_without_phones};
 use system::ReadMonitor;
 
 /// Largest number of gaps between pulses that are listed one by one.
@@ -254,7 +254,7 @@ impl<'a> Extraction<'a> {
             found.is_ok_and(|found| found == *held)
         };
         let is_joined = !joined.is_empty() && joined.iter().all(is_whole);
-        let verification = verify_with(&inputs.board, &mut sums, &job.monitor)?;
+        let verification = verify_without_phones(&inputs.board, &mut sums, &job.monitor)?;
         Ok(Self {
             job,
             losses: losses_of(&verification),
@@ -268,14 +268,10 @@ impl<'a> Extraction<'a> {
     }
 }
 
-/// Returns what the check of the recording found missing, damaged or contradictory. The phone's files
-/// may be elsewhere, and are compared where they are read.
+/// Returns what the check of the recording found missing, damaged or contradictory.
 fn losses_of(verification: &Verification) -> Vec<Loss> {
     let findings = verification.findings.iter();
-    let findings = findings.filter(|finding| {
-        let is_of_phone = finding.kind.to_string().starts_with("phone_");
-        finding.severity != Severity::Good && !is_of_phone
-    });
+    let findings = findings.filter(|finding| finding.severity != Severity::Good);
     let loss = |finding: &Finding| Loss {
         part: LossPart::Board,
         what: finding.words(),
@@ -331,7 +327,7 @@ impl Extraction<'_> {
 
     fn write_report(&self, report: &ExtractReport) -> Result<(), ExtractError> {
         let json = serde_json::to_vec_pretty(report).map_err(|error| self.failed(error.into()))?;
-        self.write("report.json", &json)
+        self.write(crate::report::FILE, &json)
     }
 
     fn board_report(&self, survey: &Survey, sequences: &Sequences) -> BoardReport {

@@ -25,17 +25,21 @@ const SAMPLES: &str = "Some pairs from the middle, the phone's image above the d
     Depth: near is light, far is dark, none is black.";
 
 /// Writes the report of an extraction into its output folder `out`; `recording` is the folder of
-/// the recording, whose session has the predicted time difference.
+/// the recording, and `session` its session file, which has the predicted time difference.
 ///
 /// # Errors
 ///
 /// Fails if the file cannot be written.
-pub fn write(out: &Path, report: &ExtractReport, recording: &Path) -> io::Result<()> {
+pub fn write(
+    out: &Path,
+    report: &ExtractReport,
+    recording: &Path,
+    session: Option<&SessionFile>,
+) -> io::Result<()> {
     let samples = std::fs::read_to_string(out.join(SAMPLES_FILE)).ok();
-    let session = SessionFile::load(recording).ok();
     let link = link_to(recording, out);
-    let summary = summary(report, recording);
-    let html = page(report, summary, samples.as_deref(), session.as_ref(), link);
+    let summary = summary(report, recording, session);
+    let html = page(report, summary, samples.as_deref(), session, link);
     crate::put(&out.join(REPORT_FILE), &html)
 }
 
@@ -137,13 +141,13 @@ fn course_svg(course: &[WindowResult]) -> String {
 /// better than the verdict on the recording in the folder `recording`, apart from files that the
 /// extraction has from elsewhere.
 #[must_use]
-pub fn summary(report: &ExtractReport, recording: &Path) -> Summary {
+pub fn summary(report: &ExtractReport, recording: &Path, session: Option<&SessionFile>) -> Summary {
     let losses = report.losses.iter();
     let losses = losses.map(|loss| Finding::check(loss.part.name(), loss.what.as_str()));
     let remarks = report.remarks.iter();
     let remarks = remarks.map(|remark| Finding::good("note", remark.as_str()));
     let (own, mut text) = verdict(report);
-    let judged = doubts(recording);
+    let judged = session.map_or_else(Vec::new, |session| doubts(recording, session));
     let severity = judged
         .iter()
         .map(|doubt| doubt.severity)
@@ -167,18 +171,12 @@ pub fn summary(report: &ExtractReport, recording: &Path) -> Summary {
 
 /// Returns the parts of the verdict on a recording that bear on every data set of it: what the session
 /// lost, and what is not known of the alignment.
-fn doubts(recording: &Path) -> Vec<Finding> {
-    let Ok(session) = SessionFile::load(recording) else {
-        return Vec::new();
-    };
-    let is_lossy = is_lossy(&session, None);
-    let parts = session::summary(recording, &session, None)
-        .parts
-        .into_iter();
-    parts
-        .filter(|part| part.severity != Severity::Good)
-        .filter(|part| is_lossy || part.kind == ALIGNMENT)
-        .collect()
+fn doubts(recording: &Path, session: &SessionFile) -> Vec<Finding> {
+    let is_lossy = is_lossy(session, None);
+    let parts = session::summary(recording, session, None).parts;
+    let is_doubt =
+        |part: &Finding| part.severity != Severity::Good && (is_lossy || part.kind == ALIGNMENT);
+    parts.into_iter().filter(is_doubt).collect()
 }
 
 fn facts(report: &ExtractReport) -> Facts {

@@ -104,45 +104,52 @@ pub struct Verification {
 /// Returns an error if the file cannot be read or is no MCAP file at all. Damage is not an
 /// error: it is among the findings.
 pub fn verify(recording: &Path, monitor: &ReadMonitor) -> Result<Verification, RecordingError> {
-    verify_with(recording, &mut FileSums::default(), monitor)
+    checked(recording, &mut FileSums::default(), monitor, true)
 }
 
-/// Checks a recording as [`verify`] does, with checksums of files that were read already.
+/// Checks a recording as [`verify`] does, but for the content of the phones' files, which whoever
+/// reads them compares; with checksums of files that were read already.
 ///
 /// # Errors
 ///
 /// As [`verify`].
-pub fn verify_with(
+pub fn verify_without_phones(
     recording: &Path,
     sums: &mut FileSums,
     monitor: &ReadMonitor,
+) -> Result<Verification, RecordingError> {
+    checked(recording, sums, monitor, false)
+}
+
+fn checked(
+    recording: &Path,
+    sums: &mut FileSums,
+    monitor: &ReadMonitor,
+    with_phones: bool,
 ) -> Result<Verification, RecordingError> {
     let path = mcap_of(recording);
     let folder = system::folder_of(&path);
     let is_in_folder = path.file_name().is_some_and(|name| name == MCAP_FILE);
     let mut findings = Findings::default();
-    let session = match is_in_folder.then(|| SessionFile::load(folder)) {
-        Some(Ok(session)) => Some(session),
-        Some(Err(_)) if !folder.join(SESSION_FILE).exists() => None,
-        Some(Err(error)) => {
-            findings.add(&Fault::SessionDamaged(error), None);
-            None
-        }
-        None => None,
-    };
-    let is_readable = session.is_some() || findings.worst() == Severity::Good;
+    let has_session = is_in_folder && folder.join(SESSION_FILE).exists();
+    let loaded = has_session.then(|| SessionFile::load(folder)).transpose();
+    let session = loaded.unwrap_or_else(|error| {
+        findings.add(&Fault::SessionDamaged(error), None);
+        None
+    });
     let mut content = Content::new(session.as_ref());
     let mut walk = Walk::open(&path, monitor)?;
     while walk.next_part(&mut |event| content.check(event, &mut findings))? {}
     let file = walk.report().clone();
+    let is_whole = file.closed && !content.is_damaged;
     let mut compared = Vec::new();
-    if file.closed && !content.is_damaged {
+    if is_whole {
         compared.push(format!(
             "{} chunks, the data and the index with their checksums; the index with {} messages",
             file.chunks, file.messages
         ));
     }
-    if session.is_none() && is_readable && (is_in_folder || content.is_own) {
+    if !has_session && (is_in_folder || content.is_own) {
         findings.add(&Fault::NoSession, None);
     }
     let topics = content.tally.topics();
@@ -152,7 +159,6 @@ pub fn verify_with(
             content.stamps
         ));
     }
-    let is_whole = file.closed && !content.is_damaged;
     if is_in_folder && is_whole {
         let expected = walk.metadata(MCAP_FILE);
         compared.extend(held::metadata(folder, &expected, &mut findings));
@@ -175,7 +181,9 @@ pub fn verify_with(
             compared.extend(stated.finish(&topics, content.span, missing, &mut findings));
         }
         compared.extend(held::files(session, folder, sums, monitor, &mut findings)?);
-        compared.extend(held::phones(session, folder, monitor, &mut findings)?);
+        if with_phones {
+            compared.extend(held::phones(session, folder, monitor, &mut findings)?);
+        }
     }
     let grid = content.pulses.report();
     compared

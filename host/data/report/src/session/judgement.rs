@@ -18,7 +18,6 @@ use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, SessionFile, SessionOutcome,
 };
 use recording::verify::Verification;
-
 use system::shell_word;
 
 use super::{facts, seconds};
@@ -295,11 +294,10 @@ pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf
 
 /// Judges the alignment of the two exposures.
 fn alignment(session: &SessionFile) -> Finding {
-    const NAME: &str = ALIGNMENT;
     let Some(alignment) = session.alignment else {
         let found = String::from("the trigger was not aligned to the phone's frames");
         return part(
-            NAME,
+            ALIGNMENT,
             Severity::Bad,
             found,
             vec![String::from("record again")],
@@ -331,7 +329,7 @@ fn alignment(session: &SessionFile) -> Finding {
         }
         verdict = Severity::Check;
     }
-    part(NAME, verdict, found, next)
+    part(ALIGNMENT, verdict, found, next)
 }
 
 /// Returns true if the profile has what the check of this name asks for.

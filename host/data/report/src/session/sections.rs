@@ -160,23 +160,14 @@ fn band(session: &SessionFile, curves: &Curves) -> Option<(&'static str, Data)> 
     }
     let (span, alignment) = (session.recorded?, session.alignment?);
     let start_us = alignment.plan.phase_sigma_us_at(span.from.into());
-    let steps = curves.tracked_us.iter().copied();
-    let first = steps.clone().next().map_or(start_us, |(_, sigma)| sigma);
-    let last = steps
-        .clone()
-        .next_back()
-        .map_or(start_us, |(_, sigma)| sigma);
-    let ends = [
-        (span.from.as_secs_f64(), first),
-        (span.to.as_secs_f64(), last),
-    ];
-    let all = ends[..1]
-        .iter()
-        .copied()
-        .chain(steps)
-        .chain(ends[1..].iter().copied());
-    let all = all.map(|(at, sigma)| (at, -alignment.shift_us, sigma));
-    Some(("as followed, 1-sigma", Data::Band(all.collect())))
+    let steps = &curves.tracked_us;
+    let sigma_us = |step: Option<&(f64, f64)>| step.map_or(start_us, |(_, sigma_us)| *sigma_us);
+    let begin = (span.from.as_secs_f64(), sigma_us(steps.first()));
+    let end = (span.to.as_secs_f64(), sigma_us(steps.last()));
+    let all = [&[begin], &steps[..], &[end]].concat();
+    let all = all.into_iter();
+    let band = all.map(|(at, sigma_us)| (at, -alignment.shift_us, sigma_us));
+    Some(("as followed, 1-sigma", Data::Band(band.collect())))
 }
 
 /// Returns the predicted distance of the exposures' middles over the recording (depth minus

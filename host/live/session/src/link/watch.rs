@@ -21,8 +21,10 @@ const WIRE: &str = "check the trigger's wire and buffer";
 /// Next step for an IMU with missing samples.
 const IMU: &str = "check the IMU's wires; the trigger is not affected";
 
-/// Next step for missing messages.
+/// Next step for a board that has restarted its USB.
 const USB: &str = "use another cable or port if it happens again";
+
+/// Next step for missing messages.
 const COUNTED: &str = "nothing to do: counted, and times are not affected";
 
 /// A counter of the board that grows only when something goes wrong: kind of the finding, the
