@@ -106,7 +106,7 @@ pub(crate) fn paint() {
 pub(crate) fn fullest(call: u32) -> Depth {
     [&TASKS, &HANDLERS][call as usize % 2].look();
     let (tasks, handlers) = (TASKS.depth(), HANDLERS.depth());
-    // Of at most 64 KiB each.
+    // Both lie within 128 KiB, so that a product is below 2³².
     let tasks_are = tasks.used * handlers.size >= handlers.used * tasks.size;
     if tasks_are { tasks } else { handlers }
 }
