@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_scenarios::{ClockPath, Scenario, Twist, TwistSpec, options};
+use twist_scenarios::{ClockPath, Scenario, Twist, TwistSpec, options, rms};
 use twist_sync::robust;
 use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_offset};
 
@@ -228,15 +228,6 @@ fn print_row(name: &str, trials: &[Option<Accepted>], ms: f64) {
         largest(over_sigma()),
         rms(accepted.iter().map(|a| a.skew_sigmas)),
     );
-}
-
-fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut squares, mut count) = (0.0, 0_u32);
-    for value in values {
-        squares += value * value;
-        count += 1;
-    }
-    (squares / f64::from(count.max(1))).sqrt()
 }
 
 fn largest(values: impl Iterator<Item = f64>) -> f64 {

@@ -5,6 +5,7 @@
 
 use clap::Parser;
 use rayon::prelude::*;
+use twist_scenarios::rms;
 use twist_sync::estimate_offset;
 
 #[derive(Parser)]
@@ -25,8 +26,10 @@ struct Args {
 
 fn main() {
     let args = Args::parse();
-    println!("| family | accepted | rms µs | mean sigma µs | z rms | z 95 % | skew z | 95 % |");
-    println!("|---|---|---|---|---|---|---|---|");
+    println!(
+        "| family | accepted | asked | rms µs | mean sigma µs | z rms | z 95 % | skew z | 95 % |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
     for (place, family) in (0..).zip(twist_scenarios::families()) {
         if !family.name.contains(&args.only) {
             continue;
@@ -70,25 +73,24 @@ fn main() {
         });
         let each: Vec<(f64, f64, f64)> = each.collect::<Vec<_>>().into_iter().flatten().collect();
         let n = each.len().max(1) as f64;
-        let rms = |of: &dyn Fn(&(f64, f64, f64)) -> f64| {
-            (each.iter().map(|e| of(e).powi(2)).sum::<f64>() / n).sqrt()
-        };
-        let p95 = |of: &dyn Fn(&(f64, f64, f64)) -> f64| {
+        let rms = |of: fn(&(f64, f64, f64)) -> f64| rms(each.iter().map(of));
+        let p95 = |of: fn(&(f64, f64, f64)) -> f64| {
             let mut all: Vec<f64> = each.iter().map(|e| of(e).abs()).collect();
             all.sort_by(f64::total_cmp);
             all.get((all.len() * 95) / 100).copied().unwrap_or(f64::NAN)
         };
         println!(
-            "| {} | {} of {} | {:.1} | {:.1} | {:.2} | {:.1} | {:.2} | {:.1} |",
+            "| {} | {} of {} | {:.0} % | {:.1} | {:.1} | {:.2} | {:.1} | {:.2} | {:.1} |",
             family.name,
             each.len(),
             args.trials,
-            1e6 * rms(&|e| e.0),
+            1e2 * family.accepted,
+            1e6 * rms(|e| e.0),
             1e6 * each.iter().map(|e| e.1).sum::<f64>() / n,
-            rms(&|e| e.0 / e.1),
-            p95(&|e| e.0 / e.1),
-            rms(&|e| e.2),
-            p95(&|e| e.2),
+            rms(|e| e.0 / e.1),
+            p95(|e| e.0 / e.1),
+            rms(|e| e.2),
+            p95(|e| e.2),
         );
     }
 }

@@ -10,7 +10,7 @@
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_scenarios::{ClockPath, Motion, Twist, TwistSpec};
+use twist_scenarios::{ClockPath, Motion, Twist, TwistSpec, rms};
 use twist_sync::{ClockCourse, ClockRelation, Options, Wander, course_of_tracks, estimate_offset};
 
 /// Drift of the published system, µs in a minute.
@@ -118,15 +118,6 @@ fn whole(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
 fn course(recording: &Twist, wander: f64) -> Option<ClockCourse> {
     let estimated = course_of_tracks(&recording.a, &recording.b, None, &options(wander));
     estimated.ok().map(|clock| clock.course)
-}
-
-fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for v in values {
-        sum += v * v;
-        count += 1.0;
-    }
-    f64::sqrt(sum / f64::max(count, 1.0))
 }
 
 fn main() {

@@ -140,16 +140,17 @@ impl Stamps {
                     before = at;
                 }
             }
-            Self::White(sigma_s) => {
-                let least = 0.3 * (exact[1] - exact[0]);
+            Self::White(scale_s) | Self::Heavy(scale_s) => {
+                let most = 0.3 * (exact[1] - exact[0]);
+                let is_heavy = matches!(self, Self::Heavy(_));
                 for t in t.iter_mut() {
-                    *t += (sigma_s * normal(rng)).clamp(-least, least);
-                }
-            }
-            Self::Heavy(scale_s) => {
-                let least = 0.3 * (exact[1] - exact[0]);
-                for t in t.iter_mut() {
-                    *t += (scale_s * normal(rng) / exponential(rng).sqrt()).clamp(-least, least);
+                    let noise = scale_s * normal(rng);
+                    let noise = if is_heavy {
+                        noise / exponential(rng).sqrt()
+                    } else {
+                        noise
+                    };
+                    *t += noise.clamp(-most, most);
                 }
             }
             Self::Sawtooth {
@@ -191,6 +192,27 @@ fn log_range(rng: &mut Pcg64, low: f64, high: f64) -> f64 {
 fn near_whole(rng: &mut Pcg64, rates_hz: &[f64], ppm: f64) -> f64 {
     let rate = rates_hz[rng.random_range(0..rates_hz.len())];
     rate * (1.0 + 1e-6 * rng.random_range(-ppm..ppm))
+}
+
+/// A sawtooth of 20 µs to this height.
+fn sawtooth(rng: &mut Pcg64, height_s: f64, (low_s, high_s): (f64, f64), uneven: f64) -> Stamps {
+    Stamps::Sawtooth {
+        height_s: log_range(rng, 20e-6, height_s),
+        period_s: log_range(rng, low_s, high_s),
+        uneven,
+    }
+}
+
+/// Two gyroscopes on one vehicle, whose vibration has a frequency in this range, Hz.
+fn vehicle(rng: &mut Pcg64, spec: &mut TwistSpec, vibration_hz: (f64, f64)) -> Stamps {
+    spec.motion = Motion::Vehicle(
+        rng.random_range(0.3..1.0),
+        rng.random_range(0.02..0.1),
+        vibration_hz,
+    );
+    spec.a.rate_hz = near_whole(rng, &[120.0], 200.0);
+    spec.b.rate_hz = near_whole(rng, &[120.0], 200.0);
+    Stamps::Right
 }
 
 /// All families.
@@ -321,28 +343,13 @@ pub fn families() -> Vec<Family> {
             Stamps::Swing(log_range(rng, 5e-6, 50e-6), rng.random_range(3.0..15.0))
         }),
         family("sawtooth 20 to 500 µs, even", 0.95, |rng, _| {
-            let height_s = log_range(rng, 20e-6, 500e-6);
-            Stamps::Sawtooth {
-                height_s,
-                period_s: log_range(rng, 0.3, 3.0),
-                uneven: 0.0,
-            }
+            sawtooth(rng, 500e-6, (0.3, 3.0), 0.0)
         }),
         family("sawtooth 20 to 500 µs, uneven by 20 %", 0.95, |rng, _| {
-            let height_s = log_range(rng, 20e-6, 500e-6);
-            Stamps::Sawtooth {
-                height_s,
-                period_s: log_range(rng, 0.3, 3.0),
-                uneven: 0.2,
-            }
+            sawtooth(rng, 500e-6, (0.3, 3.0), 0.2)
         }),
         family("sawtooth 20 to 100 µs of 3 to 20 s", 0.95, |rng, _| {
-            let height_s = log_range(rng, 20e-6, 100e-6);
-            Stamps::Sawtooth {
-                height_s,
-                period_s: log_range(rng, 3.0, 20.0),
-                uneven: 0.0,
-            }
+            sawtooth(rng, 100e-6, (3.0, 20.0), 0.0)
         }),
         family("clock step 0.3 to 50 ms", 0.4, |rng, _| {
             Stamps::Step(log_range(rng, 0.3e-3, 50e-3), rng.random_range(0.3..0.7))
@@ -352,24 +359,10 @@ pub fn families() -> Vec<Family> {
             Stamps::Right
         }),
         family("vehicle at 120 Hz, vibration aliased", 0.9, |rng, s| {
-            s.motion = Motion::Vehicle(
-                rng.random_range(0.3..1.0),
-                rng.random_range(0.02..0.1),
-                (65.0, 115.0),
-            );
-            s.a.rate_hz = near_whole(rng, &[120.0], 200.0);
-            s.b.rate_hz = near_whole(rng, &[120.0], 200.0);
-            Stamps::Right
+            vehicle(rng, s, (65.0, 115.0))
         }),
         family("vehicle at 120 Hz, vibration in the band", 0.9, |rng, s| {
-            s.motion = Motion::Vehicle(
-                rng.random_range(0.3..1.0),
-                rng.random_range(0.02..0.1),
-                (10.0, 40.0),
-            );
-            s.a.rate_hz = near_whole(rng, &[120.0], 200.0);
-            s.b.rate_hz = near_whole(rng, &[120.0], 200.0);
-            Stamps::Right
+            vehicle(rng, s, (10.0, 40.0))
         }),
     ]
 }

@@ -44,8 +44,6 @@ pub enum Motion {
     Vehicle(f64, f64, (f64, f64)),
     /// Short pushes of 30 to 80 ms, with this peak rate in rad/s.
     Taps(f64),
-    /// One tone of this frequency in Hz about a fixed axis, with a peak rate of 2 rad/s.
-    Periodic(f64),
     /// Rest on a table.
     Still,
 }
@@ -344,7 +342,6 @@ impl Rates {
             Motion::Axes(_) => (1.0, 1.0, 0.5, 3.5, rest_s),
             Motion::Natural(low, high) => (low, high, 0.05, 1.5, 0.0),
             Motion::Vehicle(peak, ..) => (peak, peak, 0.05, 2.0, 0.0),
-            Motion::Periodic(hz) => (2.0, 2.0, hz, 1.000_001 * hz, 0.0),
             Motion::Still | Motion::Taps(_) => (0.0, 0.0, 0.5, 3.5, 0.0),
         };
         let parts = std::array::from_fn(|_| {
@@ -359,8 +356,7 @@ impl Rates {
                 })
                 .collect()
         });
-        let is_about_one = matches!(motion, Motion::SingleAxis(..) | Motion::Periodic(_));
-        let axis = is_about_one.then(|| direction(rng));
+        let axis = matches!(motion, Motion::SingleAxis(..)).then(|| direction(rng));
         let mut out = Self {
             parts,
             rest_s,
@@ -370,9 +366,6 @@ impl Rates {
             vibration: Vec::new(),
             taps: Vec::new(),
         };
-        if let Motion::Periodic(_) = motion {
-            out.parts[0].truncate(1);
-        }
         if let Motion::Taps(peak) = motion {
             let mut at = rest_s;
             while at < end_s - rest_s {
@@ -687,6 +680,14 @@ pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool
             track.w[k] = rates.value(track.t[k] - by_s);
         }
     }
+}
+
+/// Root of the mean square; 0 of no values.
+pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
+    f64::sqrt(sum / f64::max(count, 1.0))
 }
 
 /// Reads a CSV table with a header line, times in s and rates about x, y and z in rad/s.

@@ -77,10 +77,8 @@ impl<'a> CheckedStream<'a> {
             .iter()
             .map(|v| v.iter().all(|x| x.is_finite() && x.abs() < LARGEST_RATE))
             .collect();
-        let checked = {
-            let first_s = (!options.exact_stamps).then_some(track.epoch_s);
-            timestamps::check(stream, t, &finite, known_jump_s, first_s)?
-        };
+        let first_s = (!options.exact_stamps).then_some(track.epoch_s);
+        let checked = timestamps::check(stream, t, &finite, known_jump_s, first_s)?;
         let mut out = Self {
             stream,
             epoch_s: track.epoch_s - delay_s,

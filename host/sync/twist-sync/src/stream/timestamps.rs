@@ -167,12 +167,10 @@ pub(crate) fn check(
     out.leave_out(&mut kept, fault(FaultKind::NotFinite, bad));
     let far = far(t, &kept);
     out.leave_out(&mut kept, fault(FaultKind::TimestampFar, far));
-    let equal: Vec<usize> = {
-        let disordered = out_of_order(t, &kept);
-        out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, disordered));
-        let pairs = kept.windows(2).filter(|p| t[p[1]] == t[p[0]]);
-        pairs.map(|p| p[1]).collect()
-    };
+    let disordered = out_of_order(t, &kept);
+    out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, disordered));
+    let equal = kept.windows(2).filter(|p| t[p[1]] == t[p[0]]);
+    let equal: Vec<usize> = equal.map(|p| p[1]).collect();
     if kept.len() < 8 {
         return None;
     }
@@ -183,9 +181,8 @@ pub(crate) fn check(
     }
     let steps: Vec<f64> = kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect();
     let span_s = t[*kept.last()?] - t[*kept.first()?];
-    let mean = span_s / steps.len() as f64;
     let step = if out.shared {
-        mean
+        span_s / steps.len() as f64
     } else {
         robust::median(&steps)?
     };
@@ -211,16 +208,12 @@ pub(crate) fn check(
             out.unresolved_skew = (drift_sigma * each_s).abs();
         }
     }
-    let is_sawtooth = out.pattern.as_ref().is_some_and(|p| p.sawtooth.is_some());
-    let is_step = !is_sawtooth && has_steps(&steps, step, out.resolution_s);
-    let even = out
-        .pattern
-        .as_ref()
-        .filter(|p| p.sawtooth.is_some())
-        .map(|pattern| {
-            let pairs = out.t.iter().zip(&pattern.later_s);
-            pairs.map(|(t, later)| t - later).collect::<Vec<f64>>()
-        });
+    let sawtooth = out.pattern.as_ref().filter(|p| p.sawtooth.is_some());
+    let is_step = sawtooth.is_none() && has_steps(&steps, step, out.resolution_s);
+    let even = sawtooth.map(|pattern| {
+        let pairs = out.t.iter().zip(&pattern.later_s);
+        pairs.map(|(t, later)| t - later).collect::<Vec<f64>>()
+    });
     // Regular sampling has no steps.
     if out.shared || !is_step {
         let t = even.as_deref().unwrap_or(&out.t);
@@ -524,18 +517,17 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     }
     let sawtooth = is_sawtooth.then(|| {
         let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
-        let is_lone = jumps.len() < FEW_RESETS;
-        let samples_len = jumps.len();
+        let count = jumps.len();
+        // Of few jumps the mean is unknown, too.
+        let lone_s = if count < FEW_RESETS {
+            size.abs() / 12.0_f64.sqrt()
+        } else {
+            0.0
+        };
         let samples = jumps.into_iter().map(|(k, _)| k).collect();
         let kind = FaultKind::TimestampSawtooth;
         Sawtooth {
-            open_s: size.abs()
-                * if is_lone {
-                    12.0_f64.sqrt().recip()
-                } else {
-                    0.0
-                }
-                + (uneven_s / (samples_len as f64).sqrt()).hypot(UNEVEN_MEAN * size),
+            open_s: lone_s + (uneven_s / (count as f64).sqrt()).hypot(UNEVEN_MEAN * size),
             open_skew: drift_sigma.abs(),
             prior: if size.abs() < OWN_JUMP * step {
                 0.9
