@@ -96,10 +96,6 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     (bench.has_recorder, bench.shows_ball) = (true, true);
     bench.copies_files = true;
     bench.hands().set_clock_to_now();
-    // What is left of the constant is known as well as its parts, which the profile has.
-    let owner = &mut bench.profile;
-    owner.frame_sync.bias_sigma_us = owner.depth.center_offset_sigma_us;
-    owner.frame_sync.bias_measured = Some(jiff::Zoned::now().date());
     bench.phone_link = (!options.without_cable).then_some(LinkRanges::PHONE_USB);
     let track = if options.without_cable {
         Track::Never

@@ -169,7 +169,9 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     });
     page.text(
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
-         clocks are models. Every figure is simulated and judged against the models' ground truth.",
+         clocks are models. Every figure is simulated and judged against the models' ground truth. \
+         The profile was given the models' delays: the error of a constant that an owner measures \
+         is in no figure, and nothing measured it.",
     );
     page.section(BEFORE.trim_end_matches(':'));
     page.text(
