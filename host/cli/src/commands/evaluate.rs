@@ -432,7 +432,10 @@ fn calibrate(
             nearest.filter(|_| is_open).unwrap_or(r.bias_us + applied)
         })
         .collect();
-    let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
+    // A session's clocks are off by as much in all of its frames.
+    let sigmas = result.recordings.iter();
+    let sigmas = sigmas.map(|r| r.sigma_us.hypot(r.clocks_sigma_us));
+    let sigmas: Vec<f64> = sigmas.collect();
     let bias = BiasStatistics::from_values(&whole, &sigmas)
         .ok_or_else(|| Failure::new(ExitStatus::Error, "no bias was measured"))?;
     if open && known.is_empty() && args.common.near.is_none() {

@@ -35,6 +35,8 @@ pub struct RecordingResult {
     pub applied_bias_us: Option<f64>,
     /// Part of that by which the trigger was shifted on purpose, µs.
     pub shift_us: f64,
+    /// 1-sigma of the clocks by the session of the recording, µs; 0 without one.
+    pub clocks_sigma_us: f64,
     /// Bias from perfect sync, µs; positive: the depth camera is exposed later.
     pub bias_us: f64,
     /// Standard uncertainty of the bias, µs.
@@ -213,6 +215,7 @@ fn measure(
         height: footage.reducer.height,
         applied_bias_us: footage.applied.map(|a| a.bias_us),
         shift_us: footage.applied.map_or(0.0, |a| a.shift_us),
+        clocks_sigma_us: footage.applied.map_or(0.0, |a| a.clocks_sigma_us),
         bias_us: joint.mean_us,
         sigma_us,
         uncertainty_99_us: COVERAGE_99 * sigma_us,

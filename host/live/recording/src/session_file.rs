@@ -272,6 +272,14 @@ impl Alignment {
             .max(self.phase_sigma_us)
     }
 
+    /// Returns the part of [`Self::stated_sigma_us`] of clocks and frame period, µs.
+    #[must_use]
+    pub fn clocks_sigma_us(&self) -> f64 {
+        let total = self.stated_sigma_us();
+        let constant = self.constant_sigma_us.unwrap_or_default();
+        (total * total - constant * constant).max(0.0).sqrt()
+    }
+
     /// Describes how well the cameras expose together.
     #[must_use]
     pub fn promise(&self) -> String {

@@ -18,6 +18,8 @@ pub(crate) struct Applied {
     pub bias_us: f64,
     /// The intended shift alone, µs.
     pub shift_us: f64,
+    /// 1-sigma of the session's clocks, µs: each launch is off by an error of its own.
+    pub clocks_sigma_us: f64,
     /// Exposure of a row as the phone reported it, µs.
     pub exposure_us: f64,
     /// Readout of the profile with which it was recorded.
@@ -60,6 +62,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
             Some(Applied {
                 bias_us: alignment.bias_us + alignment.shift_us,
                 shift_us: alignment.shift_us,
+                clocks_sigma_us: alignment.clocks_sigma_us(),
                 exposure_us: alignment.exposure_us,
                 readout: KnownReadout::of_phone(&session.profile.phone),
             })
@@ -117,6 +120,7 @@ mod tests {
             applied: Some(Applied {
                 bias_us: -3.5,
                 shift_us: 0.0,
+                clocks_sigma_us: session.alignment.unwrap().clocks_sigma_us(),
                 exposure_us: 500.0,
                 readout: KnownReadout::of_phone(&session.profile.phone),
             }),

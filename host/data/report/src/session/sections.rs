@@ -185,9 +185,7 @@ pub(crate) fn predicted(session: &SessionFile) -> Option<(&'static str, Data)> {
 /// Draws the parts of the total uncertainty, and the total, as bars.
 fn budget(page: &mut Page, session: &SessionFile, alignment: &Alignment) {
     let total = alignment.stated_sigma_us();
-    let constant = alignment.constant_sigma_us.unwrap_or_default();
-    let clocks = (total * total - constant * constant).max(0.0).sqrt();
-    let mut parts = vec![(ErrorPart::Clocks.text(), clocks)];
+    let mut parts = vec![(ErrorPart::Clocks.text(), alignment.clocks_sigma_us())];
     let constants = session.profile.constant_parts(alignment.exposure_us);
     parts.extend(
         constants
