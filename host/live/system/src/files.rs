@@ -3,7 +3,8 @@
 //! The bytes go into a temporary file beside the target. That file is synced to the disk, takes
 //! the target's name in one step, and the folder is synced: after a kill or a power cut there is
 //! the old file or the new one, never a part. If a step fails, the target stays as it was and the
-//! temporary file is removed.
+//! temporary file is removed; that of a program that was killed is removed by the next [`replace`] in
+//! its folder.
 //!
 //! Permissions: the new file has those of the file that it replaces, or those that the process's
 //! umask leaves for a new one. It belongs to the user who runs the program, and other hard links to
@@ -17,9 +18,17 @@
 use std::fs::{self, File, Permissions};
 use std::io::{self, ErrorKind, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tempfile::NamedTempFile;
+
+/// Begin and end of the names of temporary files.
+const PREFIX: &str = ".smartdepthsync-";
+const SUFFIX: &str = ".part";
+
+/// Time after which a temporary file that nobody holds is left over: a new one is not locked at once.
+const LEFT_FOR: Duration = Duration::from_secs(10);
 
 /// Replaces the file at `path` with `bytes`, or creates it.
 ///
@@ -33,6 +42,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
         None
     };
     let path = target.as_deref().unwrap_or(path);
+    remove_leftovers(folder_of(path), LEFT_FOR);
     let mut file = temporary(folder_of(path), permissions_of(path)?)?;
     file.write_all(bytes)?;
     put_in_place(file, path, true)
@@ -88,12 +98,35 @@ fn permissions_of(path: &Path) -> io::Result<Option<Permissions>> {
 /// Creates a temporary file that has `permissions` from the start, so that a private file is never
 /// open to others.
 fn temporary(folder: &Path, permissions: Option<Permissions>) -> io::Result<NamedTempFile> {
-    tempfile::Builder::new()
-        .prefix(".smartdepthsync-")
-        .suffix(".part")
+    let file = tempfile::Builder::new()
+        .prefix(PREFIX)
+        .suffix(SUFFIX)
         // The system applies the umask; the default of `tempfile` is 0600.
         .permissions(permissions.unwrap_or_else(|| Permissions::from_mode(0o666)))
-        .tempfile_in(folder)
+        .tempfile_in(folder)?;
+    // Held while the program lives. A file system without locks is used without.
+    let _ = file.as_file().try_lock();
+    Ok(file)
+}
+
+/// Removes temporary files in a folder that no program holds, and that were last written `age` ago. Those
+/// that cannot be removed do no harm.
+fn remove_leftovers(folder: &Path, age: Duration) {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_temporary = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with(PREFIX) && name.ends_with(SUFFIX)
+    };
+    for path in entries.map(|entry| entry.path()).filter(is_temporary) {
+        let is_left = File::open(&path).is_ok_and(|file| {
+            let modified = file.metadata().and_then(|meta| meta.modified());
+            let is_old = modified.is_ok_and(|at| at.elapsed().is_ok_and(|since| since >= age));
+            is_old && file.try_lock().is_ok()
+        });
+        if is_left {
+            let _ = fs::remove_file(&path);
+        }
+    }
 }
 
 /// Makes a new name durable. A file system or folder that does not allow this is no error: the
@@ -140,6 +173,19 @@ mod tests {
             assert_eq!(mode(&path), wanted);
             fs::remove_file(&path).unwrap();
         }
+    }
+
+    #[test]
+    fn what_a_killed_program_left_is_removed_and_what_a_running_one_holds_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let held = new_file_in(folder.path()).unwrap();
+        // The lock ends with the program; the file stays.
+        let (left, path) = new_file_in(folder.path()).unwrap().keep().unwrap();
+        drop(left);
+        remove_leftovers(folder.path(), LEFT_FOR);
+        assert!(path.exists());
+        remove_leftovers(folder.path(), Duration::ZERO);
+        assert!(!path.exists() && held.path().exists());
     }
 
     #[test]
