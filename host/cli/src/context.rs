@@ -3,6 +3,7 @@
 //! Results go to standard output (text, or one JSON document with `--json`);
 //! progress and errors go to standard error.
 
+use std::error::Error as _;
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -147,6 +148,7 @@ impl Context {
         &self,
         work: impl FnOnce(&ReadMonitor) -> Result<T, E>,
     ) -> Result<T, Failure> {
+        start_threads()?;
         let bar = Arc::new(ReadingBar::new(self));
         let shown = Arc::clone(&bar);
         let monitor = ReadMonitor::new(self.interrupt.cancel(), move |progress| {
@@ -274,7 +276,7 @@ impl Interrupt {
     pub(crate) fn install(&self) -> io::Result<()> {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
         let interrupt = self.clone();
-        std::thread::spawn(move || {
+        let heard = move || {
             for signal in signals.forever() {
                 if signal != SIGINT {
                     interrupt.0.terminates.store(true, Ordering::Relaxed);
@@ -283,13 +285,27 @@ impl Interrupt {
                     std::process::exit(ExitStatus::Interrupted.code().into());
                 }
             }
-        });
-        Ok(())
+        };
+        let thread = std::thread::Builder::new().name(String::from("signals"));
+        thread.spawn(heard).map(drop)
     }
 }
 
 fn bar_style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
+/// Starts the threads that read and write in parallel: their library would panic where the system
+/// starts none.
+fn start_threads() -> Result<(), Failure> {
+    let started = rayon::ThreadPoolBuilder::new().build_global();
+    // They may run already, which has no source.
+    let refused = started.as_ref().err().and_then(|error| error.source());
+    refused.map_or(Ok(()), |error| {
+        let text = format!("the system starts no further thread: {error}");
+        let step = "raise the limits of this shell: `ulimit -v`, `ulimit -u`";
+        Err(Failure::new(ExitStatus::Storage, text).next_step(step))
+    })
 }
 
 /// Returns true if the error means that the terminal was closed.

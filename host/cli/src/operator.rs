@@ -45,13 +45,17 @@ impl AtTerminal {
 /// be cancelled.
 pub(crate) fn lines_of_stdin() -> Receiver<String> {
     let (sender, lines) = channel();
-    std::thread::spawn(move || {
+    let read = move || {
         let lines = std::io::stdin().lock().lines();
         // Ends with the input, or when the receiver is dropped.
         let _ = lines
             .map_while(Result::ok)
             .try_for_each(|line| sender.send(line));
-    });
+    };
+    let thread = std::thread::Builder::new().name(String::from("standard input"));
+    if let Err(error) = thread.spawn(read) {
+        tracing::warn!("nothing that is typed is read: {error}");
+    }
     lines
 }
 

@@ -246,6 +246,10 @@ impl From<ExtractError> for Failure {
                 ExitStatus::Storage,
                 "make room or check the rights, and run it again: it keeps what is there",
             ),
+            ExtractError::Thread(_) => (
+                ExitStatus::Storage,
+                "raise the limits of this shell: `ulimit -v`, `ulimit -u`",
+            ),
             ExtractError::Cancelled => (
                 ExitStatus::Interrupted,
                 "run the same command again to go on",

@@ -21,7 +21,7 @@ use super::phone_command::endless;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, text};
 use test_support::TestFolder;
-use test_support::processes::worked_s;
+use test_support::processes::{Ran, run, worked_s};
 
 /// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over but
 /// for `noise` bytes that cannot be packed.
@@ -203,6 +203,64 @@ fn a_decoder_that_never_ends_is_ended_and_named() {
     }
 }
 
+/// A video of one frame, whose index states ten million.
+#[test]
+fn a_video_that_states_more_frames_than_it_holds_is_refused() {
+    const FRAMES: u32 = 10_000_000;
+    let parent = TestFolder::new();
+    let folder = recording_with_video(parent.path());
+    let video = folder.join("VID_20260131_140327.mp4");
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args([
+        "-v",
+        "error",
+        "-y",
+        "-f",
+        "lavfi",
+        "-i",
+        "color=gray:s=64x64",
+    ]);
+    run(ffmpeg.args(["-frames:v", "1", "-c:v", "mpeg4"]).arg(&video));
+    let mut bytes = fs::read(&video).unwrap();
+    // The number of samples of the tables of sizes and of times: 12 bytes after each box's name.
+    for table in [b"stsz", b"stts"] {
+        let at = bytes.windows(4).position(|name| name == table).unwrap() + 12;
+        bytes[at..at + 4].copy_from_slice(&FRAMES.to_be_bytes());
+    }
+    fs::write(&video, bytes).unwrap();
+    let output = limited_to(3, &["evaluate", "precision", utf8(&video)]);
+    assert_eq!(code(&output), 2, "{output:?}");
+    let expected = format!("it states {FRAMES} frames");
+    assert!(text(&output.stderr).contains(&expected), "{output:?}");
+    let out = TestFolder::new();
+    let output = limited_to(3, &["extract", utf8(&folder), "--out", utf8(out.path())]);
+    assert_eq!(code(&output), 4, "{output:?}");
+    assert!(text(&output.stdout).contains(&expected), "{output:?}");
+}
+
+/// Too little memory for a thread, or a short stack, is an error in words and not a panic.
+#[test]
+fn a_system_without_threads_or_stack_is_named() {
+    let parent = TestFolder::new();
+    let folder = synthetic::make(parent.path(), Wrong::default());
+    let run = |limit: &str| {
+        let out = TestFolder::new();
+        let mut command = Command::new("prlimit");
+        command.args([limit, "--core=0", env!("CARGO_BIN_EXE_smartdepthsync")]);
+        let args = ["extract", utf8(&folder), "--out", utf8(out.path())];
+        Ran::new(command.args(args))
+    };
+    assert_eq!(code(&run("--stack=65536")), 4);
+    let mut named = 0;
+    for megabytes in (20..44).step_by(4) {
+        let output = run(&format!("--as={}", megabytes << 20));
+        let said = text(&output.stderr);
+        assert!(!said.contains("panicked"), "{megabytes} MiB: {said}");
+        named += u32::from(said.contains("thread") && said.contains("ulimit"));
+    }
+    assert!(named > 0);
+}
+
 /// A file that begins like this, ends like that, and was never written between for a terabyte.
 fn sparse(path: &Path, begin: &[u8], end: &[u8]) {
     let file = fs::File::create(path).unwrap();
@@ -285,7 +343,8 @@ impl Long {
         bomb(&folder, Topic::Marker, TIMES, 100, (16 << 20) / 15);
         SessionFile::save(&synthetic::session(), &folder).unwrap();
         fs::write(&profile, DEFAULT).unwrap();
-        fs::write(&video, "a video").unwrap();
+        // As many bytes as its frames need.
+        fs::write(&video, vec![b' '; 80 << 20]).unwrap();
         fs::write(&times, vec![b'\n'; 200 << 20]).unwrap();
         Self {
             phone: endless(),

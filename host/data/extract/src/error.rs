@@ -31,6 +31,9 @@ pub enum ExtractError {
     /// The depth recording cannot be read.
     #[error(transparent)]
     Depth(#[from] DepthError),
+    /// The system starts no further thread.
+    #[error("cannot start a thread: {0}")]
+    Thread(std::io::Error),
     /// The phone's video cannot be decoded.
     #[error(transparent)]
     Video(#[from] phone::video::VideoError),

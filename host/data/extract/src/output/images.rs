@@ -331,7 +331,8 @@ fn in_batches<T: Send>(
 ) -> Result<(), ExtractError> {
     let (sender, receiver) = sync_channel::<Result<Vec<T>, ExtractError>>(1);
     std::thread::scope(|scope| {
-        scope.spawn(move || {
+        let reader = std::thread::Builder::new().name(String::from("images"));
+        let read = move || {
             let mut more = true;
             while more {
                 let (mut batch, mut size, mut failure) = (Vec::new(), 0, None);
@@ -353,7 +354,10 @@ fn in_batches<T: Send>(
                     }
                 }
             }
-        });
+        };
+        reader
+            .spawn_scoped(scope, read)
+            .map_err(ExtractError::Thread)?;
         // Leaving drops the receiver, which stops a reader that still sends.
         for batch in receiver {
             each(batch?)?;

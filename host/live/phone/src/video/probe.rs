@@ -10,6 +10,12 @@ use super::{MAX_SIDE, VideoError, failed, file_url, limits, program};
 
 /// Most bytes of an answer: times of five million frames.
 const MAX_ANSWER: usize = 64 << 20;
+/// Least bytes of a coded frame: encoders take a few dozen for a frame in which nothing changes.
+const LEAST_FRAME: u64 = 8;
+/// Frames that are accepted besides.
+const FEW_FRAMES: u64 = 100;
+/// Most bytes of an answer besides those for each byte of a small file.
+const SMALL_ANSWER: u64 = 64 << 10;
 /// Bytes of a video that may be holes. A larger part may be holes only up to half of the file.
 const MAX_MISSING: u64 = 64 << 20;
 
@@ -71,10 +77,14 @@ pub fn probe(path: &Path, monitor: &ReadMonitor) -> Result<Info, VideoError> {
         .arg("stream=width,height,pix_fmt,color_range,avg_frame_rate,nb_frames,duration");
     let answer = ask(&mut command, path, monitor)?;
     if answer.status.success() {
-        return Ok(Info {
-            bytes,
-            ..parse_probe(&answer.stdout)?
-        });
+        let info = parse_probe(&answer.stdout)?;
+        let most = bytes / LEAST_FRAME + FEW_FRAMES;
+        return match info.frames.filter(|frames| *frames > most) {
+            Some(frames) => Err(VideoError::NotAVideo(format!(
+                "it states {frames} frames, which {bytes} bytes cannot hold"
+            ))),
+            None => Ok(Info { bytes, ..info }),
+        };
     }
     let said = answer.messages.lines().next().unwrap_or("no reason given");
     let hint = if said.contains("moov atom not found") {
@@ -108,7 +118,11 @@ fn check_written(path: &Path, monitor: &ReadMonitor) -> Result<u64, VideoError> 
 /// Runs `ffprobe` on a file.
 fn ask(command: &mut Command, path: &Path, monitor: &ReadMonitor) -> Result<Output, VideoError> {
     command.arg("-i").arg(file_url(path));
-    let answer = system::run(command, limits(path, monitor), MAX_ANSWER);
+    // A line of a time takes as many bytes as the smallest frame.
+    let length = path.metadata().map_or(u64::MAX, |meta| meta.len());
+    let most = length.saturating_mul(2).saturating_add(SMALL_ANSWER);
+    let most = usize::try_from(most).unwrap_or(MAX_ANSWER).min(MAX_ANSWER);
+    let answer = system::run(command, limits(path, monitor), most);
     answer.map_err(failed("ffprobe"))
 }
 
