@@ -60,8 +60,25 @@ pub fn serial_number(board_id: &[u8; 12]) -> heapless::String<24> {
     serial
 }
 
+/// Begin of the serial number of a simulated MCU: the word in ASCII. A real one begins with its
+/// coordinates on the wafer in decimal digits (RM0351 47.1), and these are none.
+const SIMULATED: &str = "53494D554C41544544";
+
+/// Returns true for the [`serial_number`] of a simulated MCU.
+#[must_use]
+pub fn is_simulated(serial: &str) -> bool {
+    serial.starts_with(SIMULATED)
+}
+
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn a_simulated_chip_is_known_by_its_serial_number() {
+        let serial = super::serial_number(b"SIMULATED 01");
+        assert!(super::is_simulated(&serial));
+        assert!(!super::is_simulated("280041000A47313237313930"));
+    }
+
     #[test]
     fn a_pair_of_ids_is_parsed_or_refused() {
         assert_eq!(super::parse("1209:Fe01"), Some((0x1209, 0xFE01)));

@@ -65,8 +65,13 @@ pub(crate) const TIM4: usize = 3;
 pub(crate) const TIM5: usize = 4;
 const TIMERS: usize = 5;
 
-/// Number of the specimen, in the system memory.
-const UNIQUE_ID: [u32; 3] = [0x0041_0028, 0x3231_470a, 0x3039_3137];
+/// Number of the specimen, in the system memory: it says what it is, so that nobody takes a
+/// simulated recording for one of a real board.
+const UNIQUE_ID: [u32; 3] = [
+    u32::from_le_bytes(*b"SIMU"),
+    u32::from_le_bytes(*b"LATE"),
+    u32::from_le_bytes(*b"D 01"),
+];
 
 /// Where an I2C bus is wired to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

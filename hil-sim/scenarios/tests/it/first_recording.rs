@@ -2,57 +2,17 @@
 //! The screens are kept in `target/tmp/walk`.
 
 use std::ffi::OsStr;
-use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::live_view::Tmux;
+use crate::served::Served;
 use crate::support;
 use crate::whole_rig::PATIENCE;
 use clock::BoardToPhone;
 use protocol::Ticks;
 use recording::session_file::SessionFile;
-use test_support::{TestFolder, processes};
-
-/// A rig that waits for commands, and what it said at first.
-struct Served {
-    child: Child,
-    commands: Vec<String>,
-}
-
-impl Served {
-    fn start(folder: &Path) -> Self {
-        let mut child = processes::bound(env!("CARGO_BIN_EXE_hil-sim"))
-            .args([
-                "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
-            ])
-            .args(["--wait-for-host", "--tolerate-failures"])
-            .args(["--phone", "0", "--profile", "rig.toml"])
-            .args(["--truth", "truth.csv"])
-            .current_dir(folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let mut commands: Vec<String> = Vec::new();
-        for line in lines.map_while(Result::ok) {
-            let is_last = line.starts_with("Each command");
-            commands.push(line);
-            if is_last {
-                break;
-            }
-        }
-        Self { child, commands }
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+use test_support::TestFolder;
 
 /// The phone's clock as the session knows it against what the rig wrote of it, within five
 /// times what is stated.
@@ -123,7 +83,10 @@ fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
     let folder = TestFolder::new();
     let place = folder.path();
     support::smartdepthsync();
-    let rig = Served::start(place);
+    let rig = Served::start(
+        place,
+        &["--speed", "12", "--motion", "twist", "--wait-for-host"],
+    );
     let terminal = Tmux::run_in(80, 24, &["sh"].map(OsStr::new));
     terminal.line(&format!(
         "PS1='$ '; cd {}; export HOME=$PWD",
@@ -209,4 +172,23 @@ fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
             .is_some()
     );
     is_near_truth(&session, &place.join("truth.csv"));
+    let pages = pages(place);
+    assert!(pages.len() > done.len() / 2, "{pages:?}");
+    for page in pages {
+        let html = std::fs::read_to_string(&page).unwrap();
+        assert!(html.contains("<h1>Simulated: "), "{}", page.display());
+    }
+}
+
+/// Returns the pages below a folder.
+fn pages(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let below = entries.map(|entry| entry.unwrap().path()).flat_map(|path| {
+        if path.is_dir() {
+            return pages(&path);
+        }
+        let is_page = path.extension().is_some_and(|end| end == "html");
+        is_page.then_some(path).into_iter().collect()
+    });
+    below.collect()
 }

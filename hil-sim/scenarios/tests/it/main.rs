@@ -30,6 +30,7 @@ mod phone_rude;
 mod readers;
 mod record_process;
 mod record_track;
+mod served;
 mod session_faults;
 mod sessions;
 mod several_sensors;

@@ -5,7 +5,7 @@ use serde_json::json;
 
 use crate::page::Page;
 use crate::session::board_fact;
-use crate::summary::Summary;
+use crate::summary::{Summary, titled};
 use board::finding::{Finding, Severity};
 
 /// Returns the summary of a board test: each check with its limit.
@@ -41,7 +41,7 @@ pub fn summary(report: &BoardTestReport) -> Summary {
         }
     });
     Summary {
-        title: String::from("Board test"),
+        title: titled(String::from("Board test"), Some(&report.board.id)),
         severity,
         text,
         parts: parts.collect(),

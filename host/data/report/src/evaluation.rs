@@ -16,9 +16,10 @@ use evaluate::track::{FrameCounts, Identity};
 
 use crate::page::Page;
 use crate::session::link_to;
-use crate::summary::{Facts, Summary};
+use crate::summary::{Facts, Summary, titled};
 use board::finding::{Finding, Severity};
 use recording::error_budget::COARSE_US;
+use recording::session_file::SessionFile;
 
 /// Returns the page of a precision measurement, with pictures of one of its recordings.
 /// `is_written` is true if the profile has its bias by now; `out` is its future path, for the links.
@@ -30,8 +31,15 @@ pub fn precision(
     settings: &Settings,
     out: &Path,
 ) -> String {
-    let mut page = Page::new(&precision_summary(result, is_written));
     let recordings = result.recordings.iter();
+    let mut summary = precision_summary(result, is_written);
+    let boards: Vec<String> = recordings
+        .clone()
+        .filter_map(|r| board_of(&r.path))
+        .collect();
+    let simulated = boards.iter().find(|id| protocol::usb::is_simulated(id));
+    summary.title = titled(summary.title, simulated.map(String::as_str));
+    let mut page = Page::new(&summary);
     let links = recordings.filter_map(|recording| recording_link(&recording.path, out));
     page.links(&links.collect::<Vec<_>>());
     pictures(&mut page, shown);
@@ -46,7 +54,9 @@ pub fn precision(
 /// Returns the page of a drift measurement; `out` is its future path, for the links.
 #[must_use]
 pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String {
-    let mut page = Page::new(&drift_summary(&drift.result));
+    let mut summary = drift_summary(&drift.result);
+    summary.title = titled(summary.title, board_of(&drift.result.path).as_deref());
+    let mut page = Page::new(&summary);
     page.links(recording_link(&drift.result.path, out).as_slice());
     pictures(&mut page, &drift.shown);
     page.figure(
@@ -55,6 +65,12 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings, out: &Path) -> String 
     );
     page.settings("Settings", &json!(settings));
     page.html()
+}
+
+/// Returns the serial number of the board with which a video was recorded, if that is known.
+fn board_of(video: &Path) -> Option<String> {
+    let session = SessionFile::load(system::folder_of(video)).ok()?;
+    session.board.map(|board| board.id)
 }
 
 /// Returns the link to the report of the recording that contains a video.

@@ -15,7 +15,7 @@ use crate::REPORT_FILE;
 use crate::chart::{self, Data};
 use crate::page::Page;
 use crate::session::{self, ALIGNMENT, is_lossy, link_to, predicted, rig_of};
-use crate::summary::{Facts, Summary};
+use crate::summary::{Facts, Summary, titled};
 use board::finding::{Finding, Severity};
 use recording::error_budget::COARSE_US;
 use recording::session_file::SessionFile;
@@ -54,6 +54,7 @@ fn page(
     if let Some(session) = session {
         summary.title += &format!(" of {}", rig_of(session));
     }
+    summary.title = titled(summary.title, report.board.id.as_deref());
     let mut page = Page::new(&summary);
     page.links(recording.as_slice());
     if let Some(pairs) = &report.pairs {

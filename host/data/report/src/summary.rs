@@ -38,6 +38,14 @@ impl Summary {
     }
 }
 
+/// Returns a report's title, which says so if the board with this serial number is simulated.
+pub(crate) fn titled(title: String, board: Option<&str>) -> String {
+    match board {
+        Some(id) if protocol::usb::is_simulated(id) => format!("Simulated: {title}"),
+        _ => title,
+    }
+}
+
 /// Returns the begin of a finding's line.
 const fn mark(severity: Severity) -> &'static str {
     match severity {

@@ -21,7 +21,7 @@ use recording::verify::Verification;
 use system::shell_word;
 
 use super::{facts, seconds};
-use crate::summary::Summary;
+use crate::summary::{Summary, titled};
 
 /// Name of the part about the phone's and the board's data, of that about the alignment, and of that
 /// about the check of the files.
@@ -107,7 +107,10 @@ pub fn summary(
         _ => text,
     };
     Summary {
-        title: format!("Recording {} of {}", session.name, rig_of(session)),
+        title: titled(
+            format!("Recording {} of {}", session.name, rig_of(session)),
+            session.board.as_ref().map(|board| board.id.as_str()),
+        ),
         severity,
         text,
         parts,
