@@ -24,6 +24,9 @@ struct PrintedInfo {
     kept_panic: Option<String>,
     settings: BoardSettings,
     round_trip_us: f64,
+    /// Messages that the board could not send, and frames that arrived damaged, in this exchange.
+    lost_messages: u64,
+    damaged_frames: u32,
     imu: ImuSetup,
     /// The rig profile that `record` and `doctor` would use.
     profile: Place,
@@ -40,7 +43,8 @@ pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failu
     let imu = board.call(QueryImu)?;
     let settings = board.call(QueryBoard)?;
     let hello = board.hello();
-    context.show(&PrintedInfo {
+    let link = board.conversation();
+    let info = PrintedInfo {
         board: BoardInfo::new(hello),
         has_outputs: hello.board.has_outputs(),
         now_ticks: hello.now.0,
@@ -50,11 +54,13 @@ pub(crate) fn run(port: &PortArg, context: &Context) -> Result<ExitStatus, Failu
         kept_panic: hello.kept_panic.as_ref().map(ToString::to_string),
         settings,
         round_trip_us: round_trip.as_secs_f64() * 1e6,
+        lost_messages: link.counts().lost(),
+        damaged_frames: link.damaged_frames(),
         imu,
         profile: ProfileArg::default().place(),
-    })?;
-    let link = board.conversation();
+    };
+    context.show(&info)?;
     Ok(ExitStatus::of_loss(
-        link.counts().lost() > 0 || link.damaged_frames() > 0,
+        info.lost_messages > 0 || info.damaged_frames > 0,
     ))
 }
