@@ -44,9 +44,9 @@ tty=/dev/ttyACM0
 
 step() { # name, command …
     name=$1; shift
-    if "$@" >/tmp/out 2>&1; then result=ok; else result=failed; fi
+    if "$@" >/tmp/out 2>&1; then result=ok; else result="failed with code $?"; fi
     sed 's/^/    /' /tmp/out
-    [ $result = ok ] || dmesg | tail -20
+    [ "$result" = ok ] || dmesg | tail -20
     echo; echo "STEP $name: $result"
 }
 appears() { for _ in $(seq 100); do [ -c $tty ] && return; sleep 0.2; done; echo "no $tty"; false; }

@@ -1,6 +1,8 @@
 //! A USB host that nobody here wrote: the simulated board at a real Linux kernel, over USB/IP
 //! (`Documentation/usb/usbip_protocol.rst` in the kernel's sources) at the level of transfers.
-//! `cargo xtask linux-usb` makes the machine that boots in QEMU, and runs this.
+//! `cargo xtask linux-usb` makes the machine that boots in QEMU, and runs this. It takes two cores
+//! that do nothing else: a slower kernel does not read what the board sends, the board drops and
+//! counts it, and commands end with the code for losses.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, ErrorKind, Read as _, Write as _};
