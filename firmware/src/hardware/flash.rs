@@ -1,5 +1,5 @@
 //! The end of the flash, where [`firmware::storage`] is. The core runs from the same flash and
-//! pauses while a word is written, some 16 µs (DS8626, flash memory programming): to be written only while no
+//! pauses while a word is written, some 16 µs (DS8626 table 40): to be written only while no
 //! output runs, and only with the supply that the HAL's width of 32 bits needs, which a reset by a
 //! dip may lack.
 
