@@ -190,7 +190,7 @@ fn spread(values: &[f64]) -> [(f64, f64); 2] {
     ]
 }
 
-fn rms(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn rms(values: impl Iterator<Item = f64>) -> f64 {
     mean(&values.map(|value| value * value).collect::<Vec<_>>()).sqrt()
 }
 

@@ -21,6 +21,7 @@ use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use session::options::Track;
 
+use super::launches::rms;
 use super::{Figure, Specimen};
 use crate::demo::{teach, wishes};
 use crate::frame_phase::{PhaseError, summarise};
@@ -31,6 +32,9 @@ use crate::whole_chain::new_folder;
 
 /// Time over which a recording's phase is given besides the whole of it, seconds.
 const FIVE_MINUTES_S: f64 = 300.0;
+/// Frames in a mean: ten seconds of them leave a twentieth of what the cameras' own jitter is from
+/// frame to frame, and clocks move by less than a microsecond in that time.
+const MEAN: usize = 300;
 
 /// Records the sessions of a rig, `seconds` each, below `out`.
 ///
@@ -83,6 +87,13 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
         quantile(&sizes, 0.95).unwrap_or(f64::NAN)
     };
     let drift = summarise(early).map_or(f64::NAN, |line| line.drift_us_per_min);
+    let means = early.chunks_exact(MEAN).filter_map(|frames| {
+        let (first, line) = (frames.first()?, summarise(frames)?);
+        let errors = frames.iter().map(|frame| frame.error_us);
+        let error_us = errors.sum::<f64>() / frames.len() as f64;
+        Some((PhaseError { error_us, ..*first }, line.residual_us))
+    });
+    let (means, scatter): (Vec<PhaseError>, Vec<f64>) = means.unzip();
     let figure = |what: &str, error| Figure {
         name: format!("{name}: {what}"),
         error,
@@ -91,6 +102,11 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
     let mut figures = vec![
         figure("phase at the start (µs)", verdict.phase.start_us),
         figure("95 % of the frames of five minutes (µs)", within(early)),
+        figure("95 % of their means over 300 frames (µs)", within(&means)),
+        figure(
+            "scatter of frames about these, rms (µs)",
+            rms(scatter.into_iter()),
+        ),
         figure("drift over five minutes (µs/min)", drift),
     ];
     if early.len() < phases.len() {
