@@ -6,6 +6,7 @@
 //! ([`gates`]).
 
 mod axes;
+mod bands;
 mod calibration;
 mod coarse;
 mod crosscheck;
@@ -28,7 +29,7 @@ pub use self::options::Options;
 use self::pair::{Pair, Settings};
 pub use self::report::{Estimate, Refusal, Report, Warning};
 use self::rigid::Stretch;
-use crate::clock::{ClockRelation, Wander, transition};
+use crate::clock::{ClockRelation, Wander, WithSigma, transition};
 use crate::faults::{Stream, Why};
 use crate::signal::Signal;
 use crate::stream::{CheckedStream, Made};
@@ -66,6 +67,31 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
+    let (result, apart) = estimated(a, b, options);
+    let Some(by) = apart.filter(|_| options.low_pass_hz > bands::LOW_HZ) else {
+        return result;
+    };
+    let low_pass_hz = bands::LOW_HZ;
+    let low = Options {
+        low_pass_hz,
+        ..*options
+    };
+    let warning = Warning::LowBand { low_pass_hz, by };
+    let mut result = estimated(a, b, &low).0;
+    match &mut result {
+        Ok(Estimate { report, .. }) | Err(Refusal { report }) => report.warnings.push(warning),
+    }
+    result
+}
+
+/// Estimates the relation in one band. If a lower one shows another offset, returns how far they
+/// are apart, and no useful result.
+fn estimated(
+    a: &GyroTrack,
+    b: &GyroTrack,
+    options: &Options,
+) -> (Result<Estimate, Refusal>, Option<WithSigma>) {
+    let mut apart = None;
     let mut report = Report::default();
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);
     let jump_s = options.b_jump_s;
@@ -73,16 +99,16 @@ pub fn estimate_offset(
     let usable = |s: &Option<CheckedStream<'_>>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {
-        return Err(Refusal { report });
+        return (Err(Refusal { report }), None);
     };
     let sampled = report.judge(Gate::rate(a.step_s.max(b.step_s)));
     let mut pair = Pair::new(a, b);
     let found = enough
         .and(sampled)
-        .and_then(|()| related(&mut pair, options, &mut report));
+        .and_then(|()| related(&mut pair, options, &mut report, &mut apart));
     report.faults = pair.faults();
     report.left_out = pair.left_out;
-    match found {
+    let result = match found {
         Some((clock, calibration)) if report.is_passed() => Ok(Estimate {
             clock,
             calibration: calibration.matrix.transpose().into(),
@@ -100,7 +126,8 @@ pub fn estimate_offset(
                 .splice(0..0, causes.into_iter().filter(|gate| !gate.passed));
             Err(Refusal { report })
         }
-    }
+    };
+    (result, apart)
 }
 
 /// Judges faults of whole recordings that make all other gates fail.
@@ -133,6 +160,7 @@ fn related(
     pair: &mut Pair<'_>,
     options: &Options,
     report: &mut Report,
+    apart: &mut Option<WithSigma>,
 ) -> Option<(ClockRelation, Calibration)> {
     let mut signals = pair.signals(options.low_pass_hz);
     report.judge(Gate::motion(
@@ -151,6 +179,8 @@ fn related(
         in_one_relation = 1.0 - steps / one_body;
     }
     let mut fit = pair.fitted(&mut signals, start, &settings)?;
+    *apart = bands::apart(&fit, &settings);
+    report.judge(Gate::bands(*apart))?;
     let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
     let mut late_axis = None;
     let first = fit.link;

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::clock::WithSigma;
+
 /// Fewest usable samples of a stream.
 const FEWEST_SAMPLES: f64 = 100.0;
 /// Least rate of the samples, Hz.
@@ -195,6 +197,20 @@ impl Gate {
         Self::at_most("consistent", 1e6 * scatter_s, 1e6 * limit_s, unit).or(
             "parts of the overlap disagree about the offset",
             "the timestamps of a device wander, or the two were not held firmly: twist again",
+        )
+    }
+
+    pub(crate) fn bands(apart: Option<WithSigma>) -> Self {
+        let sigmas = apart.map_or(0.0, |by| by.value.abs() / by.sigma);
+        Self::at_most(
+            "bands",
+            sigmas,
+            if apart.is_some() { 0.0 } else { 1.0 },
+            "sigmas apart",
+        )
+        .or(
+            "slow and fast motion show different offsets",
+            "the two do not move as one body, or vibrate faster than they are sampled",
         )
     }
 
