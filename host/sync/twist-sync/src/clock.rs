@@ -197,6 +197,10 @@ impl State {
         }
     }
 
+    pub(crate) fn parts(&self) -> (Vector2<f64>, Matrix2<f64>) {
+        (self.mean, self.covariance)
+    }
+
     pub(crate) fn relation(&self, base: f64, reference: f64, wander: Wander) -> ClockRelation {
         let symmetric = 0.5 * (self.covariance + self.covariance.transpose());
         ClockRelation {

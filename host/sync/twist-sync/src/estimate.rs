@@ -29,7 +29,7 @@ pub use self::options::Options;
 use self::pair::{Pair, Settings};
 pub use self::report::{Estimate, Refusal, Report, Warning};
 use self::rigid::Stretch;
-use crate::clock::{ClockRelation, Wander, WithSigma, transition};
+use crate::clock::{ClockRelation, Wander, transition};
 use crate::faults::{Stream, Why};
 use crate::signal::Signal;
 use crate::stream::{CheckedStream, Made};
@@ -67,31 +67,25 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
-    let (result, apart) = estimated(a, b, options);
-    let Some(by) = apart.filter(|_| options.low_pass_hz > bands::LOW_HZ) else {
-        return result;
+    let (full, differ) = in_band(a, b, options);
+    let is_left_out = |estimate: &Estimate| !estimate.report.left_out.is_empty();
+    let is_doubtful = match &full {
+        Ok(estimate) => differ || is_left_out(estimate),
+        Err(refusal) => bands::is_explainable(refusal),
     };
-    let low_pass_hz = bands::LOW_HZ;
-    let low = Options {
-        low_pass_hz,
-        ..*options
-    };
-    let warning = Warning::LowBand { low_pass_hz, by };
-    let mut result = estimated(a, b, &low).0;
-    match &mut result {
-        Ok(Estimate { report, .. }) | Err(Refusal { report }) => report.warnings.push(warning),
+    if !is_doubtful {
+        return full;
     }
-    result
+    bands::joined(full, differ, options, |options| in_band(a, b, options).0)
 }
 
-/// Estimates the relation in one band. If a lower one shows another offset, returns how far they
-/// are apart, and no useful result.
-fn estimated(
+/// Estimates the relation in one band. Returns true as well if slow motion contradicts it.
+fn in_band(
     a: &GyroTrack,
     b: &GyroTrack,
     options: &Options,
-) -> (Result<Estimate, Refusal>, Option<WithSigma>) {
-    let mut apart = None;
+) -> (Result<Estimate, Refusal>, bool) {
+    let mut differ = false;
     let mut report = Report::default();
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);
     let jump_s = options.b_jump_s;
@@ -99,13 +93,13 @@ fn estimated(
     let usable = |s: &Option<CheckedStream<'_>>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {
-        return (Err(Refusal { report }), None);
+        return (Err(Refusal { report }), false);
     };
     let sampled = report.judge(Gate::rate(a.step_s.max(b.step_s)));
     let mut pair = Pair::new(a, b);
     let found = enough
         .and(sampled)
-        .and_then(|()| related(&mut pair, options, &mut report, &mut apart));
+        .and_then(|()| related(&mut pair, options, &mut report, &mut differ));
     report.faults = pair.faults();
     report.left_out = pair.left_out;
     let result = match found {
@@ -127,7 +121,7 @@ fn estimated(
             Err(Refusal { report })
         }
     };
-    (result, apart)
+    (result, differ)
 }
 
 /// Judges faults of whole recordings that make all other gates fail.
@@ -160,7 +154,7 @@ fn related(
     pair: &mut Pair<'_>,
     options: &Options,
     report: &mut Report,
-    apart: &mut Option<WithSigma>,
+    differ: &mut bool,
 ) -> Option<(ClockRelation, Calibration)> {
     let mut signals = pair.signals(options.low_pass_hz);
     report.judge(Gate::motion(
@@ -179,8 +173,7 @@ fn related(
         in_one_relation = 1.0 - steps / one_body;
     }
     let mut fit = pair.fitted(&mut signals, start, &settings)?;
-    *apart = bands::apart(&fit, &settings);
-    report.judge(Gate::bands(*apart))?;
+    *differ = bands::differ(&fit, pair, &signals, &settings);
     let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
     let mut late_axis = None;
     let first = fit.link;

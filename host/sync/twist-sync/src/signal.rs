@@ -133,6 +133,11 @@ impl Smooth {
         }
     }
 
+    /// Returns the rate with a narrower low-pass.
+    pub(crate) fn narrow(&self, low_pass_hz: f64) -> Signal {
+        self.resampled.smoothed(low_pass_hz)
+    }
+
     /// Returns the rate with another low-pass, which must be the same at each call.
     pub(crate) fn wide(&self, low_pass_hz: f64) -> &Signal {
         self.wide

@@ -61,7 +61,7 @@ pub(crate) struct LateAxis {
 }
 
 /// Columns of the residual's derivatives at a node.
-pub(crate) type Row<const N: usize> = SMatrix<f64, 3, N>;
+type Row<const N: usize> = SMatrix<f64, 3, N>;
 
 /// Variance of the dispersion without a filter, s⁶: that of a delay of 0.1 ms.
 const NONE_S3: f64 = 1e-26;
@@ -137,7 +137,7 @@ fn without_calibration<const N: usize>(
 /// Least squares of the residual on these columns, with what is known beforehand as mean and
 /// precision of each parameter; returns the parameters and their covariance from the scatter of
 /// blocks.
-pub(crate) fn regressed<const N: usize>(
+fn regressed<const N: usize>(
     fit: &Fit,
     mut rows: Vec<Row<N>>,
     options: &FitOptions,

@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use crate::clock::WithSigma;
-
 /// Fewest usable samples of a stream.
 const FEWEST_SAMPLES: f64 = 100.0;
 /// Least rate of the samples, Hz.
@@ -200,15 +198,8 @@ impl Gate {
         )
     }
 
-    pub(crate) fn bands(apart: Option<WithSigma>) -> Self {
-        let sigmas = apart.map_or(0.0, |by| by.value.abs() / by.sigma);
-        Self::at_most(
-            "bands",
-            sigmas,
-            if apart.is_some() { 0.0 } else { 1.0 },
-            "sigmas apart",
-        )
-        .or(
+    pub(crate) fn bands() -> Self {
+        Self::at_least("bands", 0.0, 1.0, "").or(
             "slow and fast motion show different offsets",
             "the two do not move as one body, or vibrate faster than they are sampled",
         )

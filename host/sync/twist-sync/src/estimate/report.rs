@@ -144,13 +144,11 @@ pub enum Warning {
         /// Its lateness in seconds.
         by: WithSigma,
     },
-    /// Faster motion shows another offset, as vibration that is aliased does: the estimate is
+    /// Faster motion shows another relation, as vibration that is aliased does: the estimate is
     /// from a low band.
     LowBand {
         /// −3 dB frequency of the low band, Hz.
         low_pass_hz: f64,
-        /// Offset of the low band against that of the full one, in seconds.
-        by: WithSigma,
     },
 }
 
@@ -188,11 +186,9 @@ impl Warning {
                 "{} holds samples of about {rate_hz:.0} Hz; only the first of each is used",
                 name(stream)
             ),
-            Self::LowBand { low_pass_hz, by } => format!(
-                "faster motion shows an offset that is {:.0} ± {:.0} µs off, as vibration does that \
-                 is faster than half the samples: the estimate is from motion below {low_pass_hz} Hz",
-                -by.value * 1e6,
-                by.sigma * 1e6
+            Self::LowBand { low_pass_hz } => format!(
+                "the estimate is from motion below {low_pass_hz:.1} Hz: faster motion shows another \
+                 relation, as vibration does that is faster than half the samples"
             ),
             Self::LateAxis { stream, axis, by } => format!(
                 "axis {} of {} comes {:.0} ± {:.0} µs later than its other two, to which \
