@@ -24,7 +24,7 @@ use crate::mixture::{Supposed, mixed};
 /// Ratio of neighbouring bands.
 const RATIO: f64 = 1.6;
 /// Lowest band, Hz: hands and vehicles turn slower, vibration that is aliased below is rare.
-const LOWEST_HZ: f64 = 2.4;
+const LOWEST_HZ: f64 = 1.4;
 /// Square of the difference in sigmas, offset and skew together, from which the bands are
 /// compared in full: 1 % of right pairs exceed it.
 const DIFFER: f64 = 9.0;
@@ -95,7 +95,7 @@ pub(crate) fn joined(
         match estimated(&options) {
             Ok(estimate) => bands.push((low_pass_hz, estimate)),
             // What slow motion does not bear out either is no pair.
-            Err(_) if full.is_err() => break,
+            Err(refusal) if full.is_err() && is_explainable(&refusal) => break,
             Err(_) => {}
         }
     }
