@@ -80,11 +80,7 @@ pub fn estimate_offset(
 }
 
 /// Estimates the relation in one band. Returns true as well if slow motion contradicts it.
-fn in_band(
-    a: &GyroTrack,
-    b: &GyroTrack,
-    options: &Options,
-) -> (Result<Estimate, Refusal>, bool) {
+fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate, Refusal>, bool) {
     let mut differ = false;
     let mut report = Report::default();
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);

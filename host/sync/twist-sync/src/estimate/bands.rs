@@ -93,7 +93,17 @@ pub(crate) fn joined(
             ..*options
         };
         match estimated(&options) {
-            Ok(estimate) => bands.push((low_pass_hz, estimate)),
+            Ok(low) => {
+                // Stretches that slow motion lacks as well are no vibration.
+                if let Ok(full) = &full
+                    && !differ
+                    && bands.is_empty()
+                    && square(&low.clock, &full.clock) <= DIFFER
+                {
+                    break;
+                }
+                bands.push((low_pass_hz, low));
+            }
             // What slow motion does not bear out either is no pair.
             Err(refusal) if full.is_err() && is_explainable(&refusal) => break,
             Err(_) => {}
@@ -134,6 +144,13 @@ pub(crate) fn joined(
             report: estimate.report,
         })
     }
+}
+
+/// Square of the difference of two relations in sigmas of the first.
+fn square(low: &ClockRelation, full: &ClockRelation) -> f64 {
+    let at = low.reference;
+    let by = [full.offset_at(at).value - low.offset, full.skew - low.skew];
+    (0..2).map(|k| by[k] * by[k] / low.covariance[k][k]).sum()
 }
 
 /// Average of the relations from all bands, the lowest first, and the highest band that most
