@@ -172,3 +172,26 @@ fn recordings_that_do_not_belong_together_are_refused() {
     let accepted: Vec<_> = pairs.par_iter().filter(is_accepted).collect();
     assert!(accepted.is_empty(), "{accepted:?}");
 }
+
+#[test]
+fn periodic_motion_is_ambiguous_over_a_whole_recording() {
+    let noise = |seed: f64| 1e-3 * ((seed * 12.9898).sin() * 43_758.545_3).fract();
+    let turned = |from: f64, seed: f64| -> GyroTrack {
+        let times: Vec<f64> = (0..6000).map(|k| from + 0.01 * f64::from(k)).collect();
+        let rate = |&t: &f64| {
+            let phase = std::f64::consts::PI * t;
+            let clean = [
+                phase.sin(),
+                0.5 * (2.0 * phase).cos(),
+                0.3 * (3.0 * phase).sin(),
+            ];
+            let axis = |k: usize| clean[k] + noise(t + seed + k as f64);
+            [axis(0), axis(1), axis(2)]
+        };
+        GyroTrack::from_seconds(&times, times.iter().map(rate).collect())
+    };
+    let (a, b) = (turned(0.0, 0.3), turned(7.0, 0.7));
+    let refused = course_of_tracks(&a, &b, None, &Options::for_windows()).unwrap_err();
+    let said = refused.to_string();
+    assert!(said.contains("several time shifts"), "{said}");
+}

@@ -3,8 +3,9 @@
 //! All gyroscopes on a rigid body measure the same magnitude of the angular rate, in any
 //! orientation. So the magnitudes of both recordings, averaged over [`BIN`], are correlated
 //! over all lags (an FFT over the whole recording: 100 kB an hour). The best lags
-//! are then tried with [`estimate_offset`] on the parts with the most motion, then those at which
-//! [single parts](super::together) agree; the first that passes its gates is the relation.
+//! are then tried with [`estimate_offset`] on the parts with the most motion, and of those that pass
+//! the gates the one that explains most is the relation, unless another explains about as much
+//! (periodic motion). If none passes, those at which [single parts](super::together) agree are tried.
 
 use std::error::Error;
 
@@ -12,7 +13,7 @@ use super::error::CourseError;
 use super::together;
 use crate::clock::ClockRelation;
 use crate::correlate::Correlator;
-use crate::estimate::{Options, estimate_offset};
+use crate::estimate::{Estimate, Gate, Options, estimate_offset};
 use crate::track::{GyroOpener, GyroSample, GyroTrack, MOST_SAMPLES};
 
 /// Length of an average, ns: 40 ms.
@@ -51,10 +52,8 @@ pub(crate) fn first_relation<E: Error + 'static>(
     let profile_a = profile(a()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let profile_b = profile(b()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
     let lags = best_lags(&profile_a.bins, &profile_b.bins);
-    let busy = busiest(&profile_a.bins).into_iter();
-    let usual = busy.flat_map(|part| lags.iter().map(move |lag| (part, *lag)));
     let mut reason = None;
-    let mut tried = |(part, lag): (i64, i64)| -> Result<Option<ClockRelation>, E> {
+    let mut tried = |(part, lag): (i64, i64)| -> Result<Option<Estimate>, E> {
         let from = profile_a.start.saturating_add(part * BIN);
         let window = between(a, from, from.saturating_add(PART as i64 * BIN))?;
         // Bin i of a is bin i + lag of b.
@@ -74,26 +73,54 @@ pub(crate) fn first_relation<E: Error + 'static>(
             ..*options
         };
         match estimate_offset(&window, &around, &options) {
-            Ok(estimate) => Ok(Some(estimate.clock)),
+            Ok(estimate) => Ok(Some(estimate)),
             Err(error) => {
                 reason = reason.take().or(Some(error.to_string()));
                 Ok(None)
             }
         }
     };
-    for candidate in usual {
-        if let Some(found) = tried(candidate)? {
-            return Ok(found);
+    for part in busiest(&profile_a.bins) {
+        let mut found = Vec::new();
+        for &lag in &lags {
+            found.extend(tried((part, lag))?);
         }
+        found.sort_by(|x, y| unexplained(x).total_cmp(&unexplained(y)));
+        let Some(best) = found.first() else {
+            continue;
+        };
+        let is_other = |other: &&Estimate| {
+            let at = best.clock.reference;
+            (other.clock.offset_at(at).value - best.clock.offset).abs() > MARGIN
+        };
+        let rival = found.iter().find(is_other);
+        let ratio = rival.map_or(f64::INFINITY, |other| {
+            unexplained(other) / unexplained(best)
+        });
+        let unique = Gate::unique_peak(ratio);
+        return if unique.passed {
+            Ok(best.clock)
+        } else {
+            Err(no(&unique.to_string()))
+        };
     }
     for candidate in together::alike(&profile_a.bins, &profile_b.bins, PART, ALIKE) {
         if let Some(found) = tried(candidate)? {
-            return Ok(found);
+            return Ok(found.clock);
         }
     }
     Err(no(
         &reason.unwrap_or_else(|| "the recordings are too short".into())
     ))
+}
+
+/// Power of the residual over that of the motion.
+fn unexplained(estimate: &Estimate) -> f64 {
+    let Some((residual, motion)) = estimate.report.residual_rms.zip(estimate.report.motion_rms)
+    else {
+        return f64::INFINITY;
+    };
+    (residual / motion).powi(2).max(1e-14)
 }
 
 fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Option<Profile>, E> {
