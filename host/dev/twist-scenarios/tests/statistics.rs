@@ -235,3 +235,28 @@ fn the_real_twist_is_stable_and_its_faults_are_found() {
     let moved = faulty.clock.offset_at(estimate.clock.reference).value - estimate.clock.offset;
     assert!(moved < -80e-6, "the faults move the answer by {moved}");
 }
+
+/// Of the wrong sign by milliseconds without slow motion's say.
+#[test]
+fn aliased_vibration_does_not_move_the_relation() {
+    let families = twist_scenarios::families();
+    let aliased = families.iter().find(|f| f.name.contains("aliased"));
+    let aliased = aliased.unwrap();
+    let errors = (0..16_u64).into_par_iter().filter_map(|trial| {
+        let (twist, options, _) = aliased.twist(31_000 + 1000 * trial);
+        let estimate = estimate_offset(&twist.a, &twist.b, &options).ok()?;
+        let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference);
+        let of_skew = estimate.clock.skew - twist.skew;
+        Some([
+            error / estimate.offset_sigma_s(),
+            of_skew / estimate.skew_sigma(),
+        ])
+    });
+    let errors: Vec<[f64; 2]> = errors.collect();
+    assert!(errors.len() >= 13, "{errors:?}");
+    let largest = errors
+        .as_flattened()
+        .iter()
+        .fold(0.0, |m: f64, z| m.max(z.abs()));
+    assert!(largest < 4.5, "{errors:?}");
+}

@@ -46,6 +46,9 @@ const EXPLAINABLE: [&str; 8] = [
     "settled",
 ];
 
+/// Unexplained part of the motion's rms from which the two are unrelated, vibration or not.
+const UNRELATED: f64 = 0.5;
+
 /// Bands below that of `low_pass_hz`, the lowest first.
 fn below(low_pass_hz: f64) -> Vec<f64> {
     let next = |hz: &f64| Some(hz / RATIO).filter(|hz| *hz > LOWEST_HZ);
@@ -75,7 +78,11 @@ pub(crate) fn differ(fit: &Fit, pair: &Pair<'_>, signals: &Signals, settings: &S
 /// Returns true if vibration can be the reason of a refusal.
 pub(crate) fn is_explainable(refusal: &Refusal) -> bool {
     let mut failed = refusal.report.gates.iter().filter(|gate| !gate.passed);
-    failed.clone().next().is_some() && failed.all(|gate| EXPLAINABLE.contains(&gate.name))
+    let is_explainable = |gate: &Gate| {
+        let unrelated = gate.name == "explained" && gate.value > 1e2 * UNRELATED;
+        EXPLAINABLE.contains(&gate.name) && !unrelated
+    };
+    failed.clone().next().is_some() && failed.all(is_explainable)
 }
 
 /// Joins the result of the full band with those of lower bands, which `estimated` makes.
