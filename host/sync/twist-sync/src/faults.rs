@@ -4,6 +4,8 @@ use std::fmt;
 
 /// One of the two recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 pub enum Stream {
     /// Recording a, the first argument.
     A,
@@ -24,6 +26,7 @@ impl fmt::Display for Stream {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
+#[non_exhaustive]
 pub enum FaultKind {
     /// Times or rates that are not finite numbers.
     NotFinite,
@@ -110,6 +113,7 @@ pub enum Action {
 
 /// One fault of one stream.
 #[derive(Debug, Clone, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Fault {
     /// Stream with the fault.
     pub stream: Stream,

@@ -105,6 +105,7 @@ impl Report {
 
 /// A limitation of an accepted estimate. [`Display`](fmt::Display) explains it in a sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Warning {
     /// The motion was about one axis only.
     OneAxis,
