@@ -151,7 +151,8 @@ impl<'a> CheckedStream<'a> {
                 .map(|(t, f)| t - f)
                 .collect();
             let better = noise_ln(&self.t) - noise_ln(&regular);
-            if better > DECISIVE {
+            // A line that keeps all within one step of the stamps is no coincidence.
+            if better > DECISIVE || sampling.is_whole && better > -DECISIVE {
                 prior = STAMPS_ERR;
                 self.t = regular;
             } else if better < -DECISIVE {
