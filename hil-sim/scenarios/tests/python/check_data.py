@@ -36,6 +36,64 @@ def refused(path, expected, **more):
         raise AssertionError(f"{path} was opened")
 
 
+def is_same(text, other):
+    try:
+        return json.loads(text or b"") == json.loads(other)
+    except ValueError:
+        return False
+
+
+def no_change_is_good(folder):
+    """Every file but the page, gone, empty, cut, cut at a line, longer, with one byte changed, with a line
+    repeated, or exchanged with another: none is opened and read to its end."""
+    copy = folder / "changed"
+    shutil.copytree(euroc, copy, ignore=shutil.ignore_patterns(".extraction"))
+
+    def is_good():
+        try:
+            dataset = Dataset(copy)
+            for pair in dataset:
+                pair.image, pair.depth
+            return len(dataset.board_imu) > 0
+        except DatasetError:
+            return False
+
+    assert is_good()
+    files = [path for path in sorted(copy.rglob("*")) if path.is_file() and path.name != "report.html"]
+    images = [path for path in files if path.suffix in (".png", ".jpg")]
+    tables = [path for path in files if path not in images]
+    assert len(tables) > 12 and len(images) > 60
+    paired = [copy / name for pair in list(Dataset(copy))[::40] for name in (pair.image_path, pair.depth_path)]
+    tried, good = 0, []
+    for path in [*tables, *paired]:
+        whole = path.read_bytes()
+        lines = whole.splitlines(keepends=True)
+        others = (one for one in [*tables, *paired] if one != path and one.suffix == path.suffix)
+        other = next(others, path)
+        for what, changed in [
+            ("gone", None),
+            ("empty", b""),
+            ("cut", whole[: len(whole) // 2]),
+            ("cut at a line", b"".join(lines[: len(lines) // 2])),
+            ("without a line", b"".join(lines[:1] + lines[2:])),
+            ("longer", whole + b"\n"),
+            ("changed", whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 1]) + whole[len(whole) // 2 + 1 :]),
+            ("a line twice", b"".join(lines[:2] + lines[1:])),
+            ("lines exchanged", b"".join(lines[:1] + lines[2:3] + lines[1:2] + lines[3:])),
+            ("another", other.read_bytes()),
+        ]:
+            if changed == whole or (path.name == "contents.json" and is_same(changed, whole)):
+                continue
+            path.unlink() if changed is None else path.write_bytes(changed)
+            tried += 1
+            if is_good():
+                good.append(f"{path.relative_to(copy)} {what}")
+        path.write_bytes(whole)
+    print(f"{tried} changes of a data set")
+    assert not good, good
+    assert tried > 150 and is_good()
+
+
 def the_data_set(folder):
     dataset = Dataset(euroc)
     pairs = pd.read_csv(euroc / "pairs.csv")
@@ -151,6 +209,7 @@ def the_node(folder):
 
 with tempfile.TemporaryDirectory() as folder:
     the_data_set(Path(folder))
+    no_change_is_good(Path(folder))
     actions()
     the_node(Path(folder))
 print("ok")

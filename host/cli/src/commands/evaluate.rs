@@ -395,7 +395,7 @@ const SHIFTED: &str = "--shift 4ms --duration 1m";
 /// Lets the reports of recordings lead to an evaluation in their folder.
 fn show_in_recordings(inputs: &[PathBuf], page: &Path) {
     for folder in inputs {
-        if let Err(error) = report::session::link_page(folder, page) {
+        if let Err(error) = report::session::link_page(folder, page, None) {
             tracing::warn!("the report of {} is as it was: {error}", folder.display());
         }
     }

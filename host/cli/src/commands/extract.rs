@@ -148,7 +148,8 @@ pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, F
     report::extraction::write(&job.out, &report, folder, session.as_ref())
         .map_err(|error| Failure::file("write the report in", &job.out, &error))?;
     // The recording may lie where nothing can be written.
-    if let Err(error) = report::session::link_page(folder, &job.out.join(REPORT_FILE)) {
+    let (page, checked) = (job.out.join(REPORT_FILE), report.verification.clone());
+    if let Err(error) = report::session::link_page(folder, &page, Some(checked)) {
         tracing::info!("the report of the recording is as it was: {error}");
     }
     context.print_checks(&report, || {

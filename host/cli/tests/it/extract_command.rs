@@ -18,7 +18,7 @@ const OFFSET: i64 = 900_000;
 const PERIOD_NS: i64 = 33_333_333;
 
 /// A recording without depth, whose clocks have whole seconds between them.
-fn recording(parent: &Path) -> PathBuf {
+pub(crate) fn recording(parent: &Path) -> PathBuf {
     let folder = make(parent, Wrong::default());
     let mut session = SessionFile::load(&folder).unwrap();
     session.phones[0].clock = Some(ClockRelation {
@@ -33,7 +33,7 @@ fn recording(parent: &Path) -> PathBuf {
 }
 
 /// The phone's video of `frames` frames, and `rows` timestamps.
-fn phone(folder: &Path, frames: u32, rows: i64) {
+pub(crate) fn phone(folder: &Path, frames: u32, rows: i64) {
     let place = folder.join("phone/20260131_140327");
     fs::create_dir_all(&place).unwrap();
     let name = "VID_20260131_140327";

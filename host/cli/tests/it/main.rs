@@ -10,6 +10,7 @@ mod extract_command;
 mod fuzz_smoke;
 mod hostile_costs;
 mod hostile_files;
+mod killed;
 mod phone_command;
 mod report_browser;
 mod sentences;

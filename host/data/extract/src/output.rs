@@ -1,5 +1,6 @@
 //! The output folder, and the files in it that are the same in all formats.
 
+pub(crate) mod contents;
 pub mod folder;
 pub(crate) mod images;
 pub(crate) mod imu_tables;

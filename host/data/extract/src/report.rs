@@ -4,6 +4,7 @@
 //! a repeated one writes the same file.
 
 use recording::error_budget::ErrorPart;
+use recording::verify::Verification;
 use serde::{Serialize, Serializer};
 
 pub use crate::clocks::gyro_clock::WindowResult;
@@ -60,6 +61,10 @@ pub struct Loss {
     pub what: String,
 }
 
+fn compared<S: Serializer>(verification: &Verification, to: S) -> Result<S::Ok, S::Error> {
+    verification.compared.serialize(to)
+}
+
 /// Report of an extraction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExtractReport {
@@ -95,6 +100,10 @@ pub struct ExtractReport {
     pub sequences: Vec<SequenceReport>,
     /// Constants used for the times, ns.
     pub constants: Constants,
+    /// Check of the recording before it was read, but for the content of the phones' files; in the file
+    /// the comparisons that it made, in words.
+    #[serde(rename = "compared", serialize_with = "compared")]
+    pub verification: Verification,
     /// Missing and damaged data; empty if everything is there.
     pub losses: Vec<Loss>,
     /// Observations that are not loss.

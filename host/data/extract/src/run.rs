@@ -38,6 +38,7 @@ use crate::inputs::survey::{ImuSpan, Survey, survey};
 use crate::inputs::{Inputs, PhoneInput};
 use crate::layout::{DataSetInfo, Format, ImuRow, Layout};
 use crate::options::Options;
+use crate::output::contents;
 use crate::output::folder::{FileMark, OutputDir, check_outside};
 use crate::output::imu_tables::TableWriter;
 use crate::output::sequences::Sequences;
@@ -61,7 +62,7 @@ const LISTED_GAPS: usize = 1_000;
 const DRAWN_PAIRS: usize = 1_000;
 
 /// Version of the report's format.
-const REPORT_VERSION: u32 = 4;
+const REPORT_VERSION: u32 = 5;
 
 /// Task of an extraction.
 #[derive(Clone, Debug)]
@@ -90,6 +91,7 @@ struct Extraction<'a> {
     inputs: Inputs,
     output: OutputDir,
     losses: Vec<Loss>,
+    verification: Verification,
     remarks: Vec<String>,
     /// True if images are missing that the next run may write.
     unfinished: bool,
@@ -199,12 +201,13 @@ fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
         sensors: sensors(&survey, run.inputs.lidar.as_deref()),
         sequences: sequence_reports,
         constants,
+        verification: run.verification.clone(),
         losses: run.losses.clone(),
         remarks: run.remarks.clone(),
     };
     run.check_stop()?;
-    run.keep_joined()?;
     run.write_report(&report)?;
+    run.write_contents()?;
     Ok(report)
 }
 
@@ -258,6 +261,7 @@ impl<'a> Extraction<'a> {
         Ok(Self {
             job,
             losses: losses_of(&verification),
+            verification,
             remarks: inputs.remarks.clone(),
             inputs,
             output,
@@ -307,18 +311,23 @@ impl Extraction<'_> {
         }
     }
 
-    /// Keeps what a later run compares the larger files with into which the images were joined.
-    fn keep_joined(&self) -> Result<(), ExtractError> {
-        if self.unfinished || self.joined.is_empty() {
-            return Ok(());
+    /// Writes what the data set holds, by which its readers see that a part is missing or changed, and
+    /// keeps what a later run compares the larger files with into which images were joined.
+    fn write_contents(&self) -> Result<(), ExtractError> {
+        let contents = contents::of(&self.output.out, &self.job.monitor);
+        let contents = contents.map_err(|error| self.failed(error))?;
+        if !self.unfinished && !self.joined.is_empty() {
+            let own = |name: &String| self.joined.iter().any(|path| Path::new(name) == path);
+            let joined = contents.files.iter().filter(|(name, _)| own(name));
+            let joined: Joined = joined.map(|(name, held)| (name.into(), *held)).collect();
+            let kept = self.output.store("joined", &joined);
+            kept.map_err(|error| self.failed(error))?;
         }
-        let read = |path: &PathBuf| {
-            let contents = FileContents::read(&self.output.out.join(path), &self.job.monitor)?;
-            Ok((path.clone(), contents))
-        };
-        let joined: io::Result<Joined> = self.joined.iter().map(read).collect();
-        let kept = joined.and_then(|joined| self.output.store("joined", &joined));
-        kept.map_err(|error| self.failed(error))
+        let json = serde_json::to_vec_pretty(&contents);
+        self.write(
+            contents::FILE,
+            &json.map_err(|error| self.failed(error.into()))?,
+        )
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {

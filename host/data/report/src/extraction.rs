@@ -244,6 +244,8 @@ fn facts(report: &ExtractReport) -> Facts {
         let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
         facts.push(("auxiliary sensor", line));
     }
+    let compared = report.verification.compared.iter();
+    facts.extend(compared.map(|compared| ("compared", compared.clone())));
     facts
 }
 
@@ -255,6 +257,12 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
     // Nothing is good if its accuracy is unknown.
     let sigma_us = report.pairs.as_ref().map(|pairs| pairs.sigma_us);
     let is_open = sigma_us.is_some_and(|sigma| sigma.is_none_or(|sigma| sigma >= COARSE_US));
+    let complete = if report.verification.is_bare {
+        "All that is there was read; nothing says what it should hold."
+    } else {
+        "Complete: nothing is missing or changed since the recording was closed, and the phone's files \
+         cover its frames."
+    };
     match report.losses.len() {
         0 => (
             if is_open {
@@ -262,7 +270,7 @@ fn verdict(report: &ExtractReport) -> (Severity, String) {
             } else {
                 Severity::Good
             },
-            format!("Complete, and all times are in board time.{pairs}"),
+            format!("{complete} All times are in board time.{pairs}"),
         ),
         count => (
             Severity::Check,

@@ -52,12 +52,17 @@ pub fn write(
 }
 
 /// Writes the report again if it has a link to `page`, the new page of a data set or of an
-/// evaluation. Otherwise it changes nothing and returns `None`.
+/// evaluation. Otherwise it changes nothing and returns `None`. Checks the recording unless it was: then
+/// all but the content of the phones' files is taken from that check.
 ///
 /// # Errors
 ///
 /// Fails like [`write`].
-pub fn link_page(folder: &Path, page: &Path) -> Result<Option<PathBuf>, RecordingError> {
+pub fn link_page(
+    folder: &Path,
+    page: &Path,
+    checked: Option<Verification>,
+) -> Result<Option<PathBuf>, RecordingError> {
     let page = page.canonicalize().ok();
     let is_linked = |(_, address): &(String, String)| {
         page.is_some() && folder.join(address).canonicalize().ok() == page
@@ -67,7 +72,10 @@ pub fn link_page(folder: &Path, page: &Path) -> Result<Option<PathBuf>, Recordin
         return Ok(None);
     };
     let monitor = ReadMonitor::default();
-    let verification = verify(folder, &monitor)?;
+    let verification = match checked {
+        Some(checked) => checked.with_phones(folder, &monitor)?,
+        None => verify(folder, &monitor)?,
+    };
     write(folder, &session, &verification, &monitor).map(Some)
 }
 

@@ -104,11 +104,12 @@ pub struct Verification {
 /// Returns an error if the file cannot be read or is no MCAP file at all. Damage is not an
 /// error: it is among the findings.
 pub fn verify(recording: &Path, monitor: &ReadMonitor) -> Result<Verification, RecordingError> {
-    checked(recording, &mut FileSums::default(), monitor, true)
+    verify_without_phones(recording, &mut FileSums::default(), monitor)?
+        .with_phones(recording, monitor)
 }
 
-/// Checks a recording as [`verify`] does, but for the content of the phones' files, which whoever
-/// reads them compares; with checksums of files that were read already.
+/// Checks a recording as [`verify`] does, but for the content of the phones' files
+/// ([`Verification::with_phones`]); with checksums of files that were read already.
 ///
 /// # Errors
 ///
@@ -117,15 +118,6 @@ pub fn verify_without_phones(
     recording: &Path,
     sums: &mut FileSums,
     monitor: &ReadMonitor,
-) -> Result<Verification, RecordingError> {
-    checked(recording, sums, monitor, false)
-}
-
-fn checked(
-    recording: &Path,
-    sums: &mut FileSums,
-    monitor: &ReadMonitor,
-    with_phones: bool,
 ) -> Result<Verification, RecordingError> {
     let path = mcap_of(recording);
     let folder = system::folder_of(&path);
@@ -181,9 +173,6 @@ fn checked(
             compared.extend(stated.finish(&topics, content.span, missing, &mut findings));
         }
         compared.extend(held::files(session, folder, sums, monitor, &mut findings)?);
-        if with_phones {
-            compared.extend(held::phones(session, folder, monitor, &mut findings)?);
-        }
     }
     let grid = content.pulses.report();
     compared
@@ -203,6 +192,32 @@ fn checked(
         findings: findings.into_vec(),
         alignment: alignment.map(|alignment| alignment.promise()),
     })
+}
+
+impl Verification {
+    /// Adds the comparison of the content of the phones' files, with the session as it is on the disk.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error if reads are cancelled.
+    pub fn with_phones(
+        mut self,
+        recording: &Path,
+        monitor: &ReadMonitor,
+    ) -> Result<Self, RecordingError> {
+        let path = mcap_of(recording);
+        let folder = system::folder_of(&path);
+        // One that cannot be read is among the findings.
+        let session = SessionFile::load(folder).ok().filter(|_| !self.is_bare);
+        let mut findings = Findings::default();
+        if let Some(session) = session {
+            let compared = held::phones(&session, folder, monitor, &mut findings)?;
+            self.compared.extend(compared);
+        }
+        self.severity = self.severity.max(findings.worst());
+        self.findings.extend(findings.into_vec());
+        Ok(self)
+    }
 }
 
 /// Checks the outcome of a session.

@@ -40,9 +40,11 @@ class Dataset(Sequence):
                 raise ValueError(f"its parts {parts} are not all folders below it")
             if not isinstance(self.report["recording"], str):
                 raise ValueError("it does not name its recording")
+        except DatasetError:
+            raise
         except Exception as error:
             raise DatasetError(
-                f"{path} has no readable report.json ({error}); expected the output of "
+                f"{path} has no readable contents.json or report.json ({error}); expected the output of "
                 "`smartdepthsync extract`"
             ) from error
         if kind != "euroc":

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import tarfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 #: Longest file that is read at once, bytes. An hour of samples at 1 kHz takes a third of it.
 MAX_LENGTH = 1 << 30
+
+#: The file that lists size and checksum of every other.
+CONTENTS = "contents.json"
+
+#: Version of its form that is read.
+VERSION = 1
 
 
 class DatasetError(Exception):
@@ -20,7 +28,8 @@ def is_below(name: str) -> bool:
 
 
 class Files:
-    """Reads files by their path in a data set. Can be pickled for the workers of a loader."""
+    """Reads files by their path in a data set, and compares each with what was extracted. Can be
+    pickled for the workers of a loader."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -30,6 +39,33 @@ class Files:
             with tarfile.open(path, "r:") as tar:
                 members = [member for member in tar if member.isfile()]
             self._places = {m.name: (m.offset_data, m.size) for m in members}
+        self._held: dict[str, tuple[int, int]] = {}
+        contents = json.loads(self.read(CONTENTS))
+        if contents["version"] != VERSION:
+            raise DatasetError(
+                f"{CONTENTS} in {path} has version {contents['version']}; this package reads {VERSION}: "
+                "use the one of the program that extracted it"
+            )
+        held = contents["files"]
+        self._held = {name: (int(one["bytes"]), int(one["checksum"])) for name, one in held.items()}
+        self._compare()
+
+    def _compare(self) -> None:
+        """Compares tables and other short files with what was extracted, and the sizes of all. Images are
+        compared when they are read."""
+        for name, (size, _) in self._held.items():
+            if name not in self:
+                raise DatasetError(f"{name} is missing in {self.path}; extract it again")
+            found = (self.path / name).stat().st_size if self._places is None else self._places[name][1]
+            if found != size:
+                raise self._changed(name)
+            if not name.endswith((".png", ".jpg")):
+                self.read(name)
+
+    def _changed(self, name: str) -> DatasetError:
+        return DatasetError(
+            f"{name} in {self.path} has other bytes than when it was extracted; copy or extract it again"
+        )
 
     def __contains__(self, name: str) -> bool:
         if not is_below(name):
@@ -50,4 +86,9 @@ class Files:
             )
         with open(place, "rb") as file:
             file.seek(at)
-            return file.read(size)
+            content = file.read(size)
+        # Only what the list is read from is not in it.
+        held = self._held.get(name) if name != CONTENTS else (size, zlib.crc32(content))
+        if held != (len(content), zlib.crc32(content)):
+            raise self._changed(name)
+        return content
