@@ -85,7 +85,7 @@ fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
     support::smartdepthsync();
     let rig = Served::start(
         place,
-        &["--speed", "12", "--motion", "twist", "--wait-for-host"],
+        &["--speed", "6", "--motion", "twist", "--wait-for-host"],
     );
     let terminal = Tmux::run_in(80, 24, &["sh"].map(OsStr::new));
     terminal.line(&format!(
