@@ -185,11 +185,11 @@ pub const MODEL_RANGES: [ModelRange; 39] = [
     ModelRange::named("depth frames lost at once", Draw::Rare)
         .within(1.0, (1.0, 60.0), "")
         .sets(|count, rig, _| camera(rig, |camera| camera.dropped_at_once = count as u32)),
-    ModelRange::named("photodiode: delay when light comes", Draw::Even)
-        .within(0.0, (0.0, 20.0), "µs")
+    ModelRange::named("photodiode: delay when light comes", Draw::Log)
+        .within(0.0, (0.05, 1.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.0 = micros(us))),
-    ModelRange::named("photodiode: delay when light goes", Draw::Even)
-        .within(0.0, (0.0, 20.0), "µs")
+    ModelRange::named("photodiode: delay when light goes", Draw::Log)
+        .within(0.0, (0.05, 1.0), "µs")
         .sets(|us, rig, _| camera(rig, |camera| camera.photodiode_delay.1 = micros(us))),
     ModelRange::named("time of the temperature's step", Draw::Even)
         .within(150.0, (0.0, 600.0), "s")

@@ -58,7 +58,8 @@ pub struct Plan {
     pub name: String,
     /// Share of the depth frames that get lost on the way to the computer.
     pub drop_probability: f64,
-    /// By how much the camera flashes later than the owner's profile says.
+    /// By how much the camera flashes later than the owner's profile says. No photodiode is there
+    /// to show it.
     pub hidden_delay: SimDuration,
     /// Twists before the recording.
     pub twists: u32,
@@ -180,6 +181,7 @@ pub fn record(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> 
     let mut config = known.clone();
     if let Some(camera) = &mut config.depth_camera {
         camera.flash_delay = camera.flash_delay + plan.hidden_delay;
+        camera.photodiode &= plan.hidden_delay == SimDuration::ZERO;
     }
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());

@@ -83,7 +83,10 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
     match profile.frame_sync.bias_measured {
         None => checks.warn(
             CHECK_BIAS,
-            "not measured",
+            match &profile.depth.measured {
+                Some(half) => format!("depth camera's part measured on {}, phone's not", half.date),
+                None => "not measured".to_owned(),
+            },
             "measure it with the strobes' light in the phone's picture: \
              `smartdepthsync record --shift 4ms --duration 1m` ends with the command",
         ),

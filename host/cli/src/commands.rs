@@ -1,6 +1,7 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
 pub(crate) mod board;
+mod calibration;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod evaluate;

@@ -20,6 +20,7 @@ fn constants_that_were_not_measured_widen_the_stated_error() {
         let mut rig = Twisted::with(number, |config, phone| {
             if let Some(depth) = &mut config.depth_camera {
                 depth.flash_delay = SimDuration::from_secs_f64(flash_ms * 1e-3);
+                depth.photodiode = false;
             }
             phone.gyroscope.low_pass.delay_s = gyro_ms * 1e-3;
             phone.camera.row_time_ns = readout_ms * 1e6 / (phone.camera.rows - 1) as f64;

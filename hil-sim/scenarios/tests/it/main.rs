@@ -9,6 +9,7 @@ mod bench;
 mod bring_up;
 mod calibration;
 mod default_profile;
+mod depth_exposures;
 mod doctor;
 mod documented_commands;
 mod evaluate_not_strobes;

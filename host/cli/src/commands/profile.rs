@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde::Serialize;
 
+use super::calibration;
 use super::setup::CameraArg;
 use crate::context::Context;
 use crate::new_profile::{self, Camera};
@@ -21,6 +22,7 @@ use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
+use recording::strobes::SeenExposures;
 use report::summary::facts_text;
 use session::learn;
 use system::ReadMonitor;
@@ -48,7 +50,8 @@ enum Action {
         /// The profile
         file: PathBuf,
     },
-    /// Learn the phones' frame periods, and from two twists the rates of their clocks
+    /// Learn the phones' frame periods, from two twists the rates of their clocks, and from a
+    /// photodiode the middle of the depth exposure
     #[command(after_help = "Example: smartdepthsync profile learn recordings/walk")]
     Learn {
         #[command(flatten)]
@@ -113,9 +116,9 @@ pub(crate) fn run(args: &ProfileArgs, context: &Context) -> Result<ExitStatus, F
             let (phone, timestamps) = (phone.as_deref(), timestamps.as_deref());
             let learnt = context
                 .over_files(|monitor| learn(file, folder, &session, phone, timestamps, monitor))?;
-            context.print(&BTreeMap::from([("learnt", &learnt)]), || {
-                learnt.iter().map(Lesson::text).collect()
-            })?;
+            let depth = calibration::write_depth(file, &session)?;
+            let learnt = Learned { learnt, depth };
+            context.print(&learnt, || learnt.text())?;
             Ok(ExitStatus::Good)
         }
         Action::ImportKalibr { file, chain, phone } => {
@@ -172,6 +175,23 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
         .map_err(|error| Failure::file("write", file, &error))?;
     context.show(&BTreeMap::from([("profile", file.display().to_string())]))?;
     Ok(ExitStatus::Good)
+}
+
+/// Lessons of a recording, for `--json`.
+#[derive(Debug, Serialize)]
+struct Learned {
+    learnt: Vec<Lesson>,
+    /// The depth exposures that a photodiode saw.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth: Option<SeenExposures>,
+}
+
+impl Learned {
+    fn text(&self) -> String {
+        let mut text: String = self.learnt.iter().map(Lesson::text).collect();
+        text.extend(self.depth.iter().map(|depth| format!("{}\n", depth.text())));
+        text
+    }
 }
 
 /// The clocks of a phone as learnt from a recording, for `--json`.

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::calibration;
 use super::profile::{Lesson, learn};
 use crate::checks;
 use crate::context::Context;
@@ -22,6 +23,7 @@ use recording::RecordingError;
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
+use recording::strobes::SeenExposures;
 use recording::verify::{Verification, verify};
 use report::session::{is_lossy, summary};
 use report::summary::{Summary, findings_text};
@@ -58,8 +60,8 @@ pub(crate) struct RecordArgs {
     /// Never prompt; stop at the first failure (so do -q and --json)
     #[arg(long)]
     yes: bool,
-    /// Record for 90 s between two twists, and write what that teaches about the phone's
-    /// clocks into the rig profile
+    /// Record for 90 s between two twists, and write what that teaches into the rig profile: the
+    /// phone's clocks, and with a photodiode on PA2 the middle of the depth exposure
     #[arg(long)]
     calibrate: bool,
     /// Twist again at the end: a far better skew, and `profile learn` needs it
@@ -149,6 +151,9 @@ struct PrintedSession<'a> {
     /// With `--calibrate`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     learnt: Vec<Lesson>,
+    /// With `--calibrate`: the depth exposures that were written into the profile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth: Option<SeenExposures>,
     #[serde(flatten)]
     session: &'a SessionFile,
 }
@@ -196,6 +201,10 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
             return Err(Failure::from(error).commands(vec![next]));
         }
     };
+    let depth = match to_teach {
+        Some(path) => calibration::write_depth(path, &file)?,
+        None => None,
+    };
     let (learnt, not_learnt) = match to_teach.filter(|_| file.has_recorded()) {
         Some(profile) => {
             match learn(profile, &folder, &file, None, None, &ReadMonitor::default()) {
@@ -232,6 +241,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         folder,
         report: html,
         learnt,
+        depth,
         session: &file,
     };
     if args.more.events {
@@ -379,6 +389,9 @@ fn text(printed: &PrintedSession<'_>) -> String {
         text += &format!("and {more} more, in session.json\n");
     }
     text.extend(printed.learnt.iter().map(Lesson::text));
+    if let Some(depth) = &printed.depth {
+        text += &format!("{}; written to the profile\n", depth.text());
+    }
     text += &match &printed.report {
         Some(html) => format!("report {}\n", html.display()),
         None => format!("folder {}\n", printed.folder.display()),

@@ -7,6 +7,7 @@ use protocol::ImuSensor;
 use recording::error_budget::ErrorPart;
 use recording::profile::{Phone, Profile};
 use recording::session_file::{PhoneRecord, SessionFile};
+use recording::strobes::SeenExposures;
 use serde::Serialize;
 use twist_sync::Prior;
 
@@ -38,6 +39,13 @@ pub struct Constants {
     /// Largest contribution to it.
     #[serde(skip)]
     pub(crate) constant_part: ErrorPart,
+    /// The same without the depth camera's part; `None` if a measured bias includes it.
+    #[serde(skip)]
+    pub(crate) without_depth: Option<(f64, ErrorPart)>,
+    /// The profile's measured middle of the depth exposure after the trigger's edge and its
+    /// 1-sigma, µs.
+    #[serde(skip)]
+    pub(crate) measured_depth: Option<[f64; 2]>,
     /// Model of the board's IMU.
     #[serde(skip)]
     pub(crate) board_sensor: ImuSensor,
@@ -78,6 +86,8 @@ impl Constants {
             is_center_known: center.is_some(),
             constant_sigma_us: Some(profile.constant_sigma_us(exposure_us)),
             constant_part: profile.constant_part(exposure_us),
+            without_depth: without_depth(profile, exposure_us),
+            measured_depth: measured_depth(profile),
             board_sensor: imu.map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
             prior: session.and_then(SessionFile::clock).map(Prior::Relation),
             ..Self::default()
@@ -103,6 +113,21 @@ impl Constants {
         constants.with_middle(nanos(exposure_us), nanos(phone.middle_row_us()))
     }
 
+    /// Takes the time from pulse to depth timestamp from a photodiode. Returns its difference from
+    /// the one before, ns, with true if that was measured and is another one; `None` if a bias was
+    /// measured that includes the error of that.
+    pub(crate) fn see_depth(&mut self, seen: &SeenExposures) -> Option<(i64, bool)> {
+        let (others_us, part) = self.without_depth?;
+        let center_ns = nanos(seen.center_us)?;
+        let change_ns = center_ns - self.depth_center_ns;
+        let disagrees = (self.measured_depth)
+            .is_some_and(|[before_us, sigma_us]| seen.disagree_with(before_us, sigma_us));
+        self.depth_center_ns = center_ns;
+        self.constant_sigma_us = Some(others_us.hypot(seen.sigma_us));
+        self.constant_part = part;
+        Some((change_ns, disagrees))
+    }
+
     /// Makes depth timestamps later by `by_ns`.
     pub(crate) const fn delay_depth(&mut self, by_ns: i64) {
         self.depth_center_ns = self.depth_center_ns.saturating_add(by_ns);
@@ -117,6 +142,26 @@ impl Constants {
             ..self
         }
     }
+}
+
+/// Returns the middle of the depth exposure and its 1-sigma, µs, if a photodiode has measured it in
+/// the profile's mode.
+fn measured_depth(profile: &Profile) -> Option<[f64; 2]> {
+    let (part, sigma_us) = profile.depth.center_part();
+    (part == ErrorPart::MeasuredDepth).then_some([profile.depth.center_offset_us, sigma_us])
+}
+
+/// Returns the 1-sigma of a profile's constant without the depth camera's part, µs, and its largest
+/// part.
+fn without_depth(profile: &Profile, exposure_us: f64) -> Option<(f64, ErrorPart)> {
+    let (of_depth, _) = profile.depth.center_part();
+    let parts = profile.constant_parts(exposure_us);
+    let others = parts.iter().filter(|part| part.0 != of_depth);
+    let largest = others.clone().max_by(|a, b| a.1.total_cmp(&b.1))?.0;
+    profile.frame_sync.bias_measured.is_none().then(|| {
+        let sigma_us = others.fold(0.0, |sum: f64, part| sum.hypot(part.1));
+        (sigma_us, largest)
+    })
 }
 
 /// Converts microseconds to whole nanoseconds; `None` beyond ±1 s.

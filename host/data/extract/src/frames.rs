@@ -4,9 +4,11 @@ pub(crate) mod pairs;
 pub(crate) mod trigger_offset;
 pub(crate) mod video_rows;
 
+use crate::constants::nanos;
 use crate::depth::DepthIndex;
 use crate::depth::depth_clock::{DepthMatch, FrameState, PulseTime};
 use crate::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
+use recording::strobes::SeenExposure;
 
 /// A frame of the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,13 +77,20 @@ pub(crate) fn color_frames(
     stamps.iter().enumerate().filter_map(frame).collect()
 }
 
-/// Returns the depth frames in board time, `center` (ns) after their pulses.
+/// Returns the depth frames in board time: the middle of the exposure that a photodiode saw after
+/// their pulse, of those in `seen`, or else `center` (ns) after their pulses.
 pub(crate) fn depth_frames(
     index: &DepthIndex,
     found: Option<&DepthMatch>,
     pulses: &[PulseTime],
+    seen: &[SeenExposure],
     center: i64,
 ) -> Vec<DepthFrame> {
+    let own = |pulse: Option<usize>| {
+        let edge = pulses.get(pulse?)?.at.ticks();
+        let place = seen.binary_search_by_key(&edge, |exposure| exposure.edge);
+        nanos(seen.get(place.ok()?)?.center_us)
+    };
     let frames = index.frames.iter().enumerate();
     frames
         .map(|(number, stamp)| {
@@ -94,7 +103,10 @@ pub(crate) fn depth_frames(
             };
             DepthFrame {
                 device: stamp.at,
-                at: edge.map(|edge| BoardNanos(edge.0.saturating_add(center))),
+                at: edge.map(|edge| {
+                    let center = own(pulse).unwrap_or(center);
+                    BoardNanos(edge.0.saturating_add(center))
+                }),
                 state: assigned.map(|assigned| assigned.state),
                 pulse,
                 residual: assigned.map_or(0, |assigned| assigned.residual),

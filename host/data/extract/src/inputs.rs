@@ -23,6 +23,7 @@ use recording::depth_files::{depth_recordings, is_mkv};
 use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::rosbag2::METADATA_FILE;
 use recording::session_file::{PHONES_FOLDER, PhoneRecord, SessionFile};
+use recording::strobes::StrobeTrain;
 use recording::verify::assumed_frames;
 
 /// Phone and its files.
@@ -158,6 +159,13 @@ pub enum InputsError {
         /// The file.
         path: PathBuf,
     },
+}
+
+impl Inputs {
+    /// Returns the flashes of the depth camera in the profile's mode.
+    pub(crate) fn train(&self) -> Option<StrobeTrain> {
+        self.camera?.mode(self.depth_mode.as_deref()?)?.train
+    }
 }
 
 fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {

@@ -122,15 +122,16 @@ pub fn run(job: &Job) -> Result<ExtractReport, ExtractError> {
 
 fn steps(job: &Job) -> Result<ExtractReport, ExtractError> {
     let mut run = Extraction::open(job)?;
-    let survey = survey(&run.inputs.board, &job.monitor)?;
+    let survey = survey(&run.inputs.board, run.inputs.train(), &job.monitor)?;
     run.note_published(&survey);
     run.judge_board(&survey);
-    let input = run.inputs.phone.clone();
+    let mut input = run.inputs.phone.clone();
     let mut constants = input.constants;
 
     let phone = run.read_phone(&input, &survey)?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
+    input.constants = constants;
 
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);

@@ -8,6 +8,7 @@
 
 pub(crate) use crate::depth::k4a::DeviceNanos;
 pub(crate) use clock::PhoneNanos;
+use protocol::Ticks;
 
 /// Nanoseconds in a second.
 pub(crate) const SECOND: i64 = 1_000_000_000;
@@ -17,6 +18,20 @@ pub(crate) const SECOND: i64 = 1_000_000_000;
 /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub(crate) struct BoardNanos(pub i64);
+
+impl BoardNanos {
+    /// Returns the nearest tick.
+    pub(crate) fn ticks(self) -> Ticks {
+        let ticks = (i128::from(self.0.max(0)) * 6 + 62) / 125;
+        Ticks(u64::try_from(ticks).unwrap_or(u64::MAX))
+    }
+}
+
+impl From<Ticks> for BoardNanos {
+    fn from(ticks: Ticks) -> Self {
+        Self(i64::try_from(ticks.as_nanos()).unwrap_or(i64::MAX))
+    }
+}
 
 /// An instant of some clock in whole nanoseconds.
 pub(crate) trait ClockNanos: Copy {

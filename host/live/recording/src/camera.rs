@@ -9,6 +9,8 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
+use crate::strobes::StrobeTrain;
+
 /// Word in a profile for the camera of the published rig.
 pub const DEFAULT_CAMERA: &str = "azure-kinect-dk";
 
@@ -70,6 +72,8 @@ pub struct Mode {
     pub rates: Vec<u32>,
     /// Time from the edge to the middle of exposure.
     pub center: Center,
+    /// Infrared flashes of one exposure; none of a camera whose emitter is on, if it has one.
+    pub train: Option<StrobeTrain>,
     /// 1-sigma of that time, µs.
     pub sigma_us: f64,
     /// Origin of that time.

@@ -15,6 +15,10 @@ pub enum ErrorPart {
     Bias,
     /// The assumed time from the trigger's edge to the middle of the depth exposure.
     DepthCenter,
+    /// That time, as a photodiode has measured it.
+    MeasuredDepth,
+    /// That time, measured with another camera, mode or rate.
+    StaleDepth,
     /// The assumed delay of the phone's gyroscope.
     GyroDelay,
     /// The assumed readout time of the phone.
@@ -32,6 +36,8 @@ impl ErrorPart {
         match self {
             Self::Bias => "the measured bias",
             Self::DepthCenter => "the assumed centre of the depth exposure",
+            Self::MeasuredDepth => "the measured centre of the depth exposure",
+            Self::StaleDepth => "the centre of the depth exposure, measured in another mode",
             Self::GyroDelay => "the assumed delay of the phone's gyroscope",
             Self::Readout => "the assumed readout of the phone",
             Self::Exposure => "an exposure of the phone that is not known to be locked",

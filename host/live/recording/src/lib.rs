@@ -27,6 +27,7 @@
 //!   compared with them. [`walk`]: topics and messages from
 //!   the records. [`reader`]: messages as Rust values. [`samples`]: joins the messages of an IMU
 //!   sample. [`grid`]: the grid of the trigger's pulses.
+//! - [`strobes`]: exposures of the depth camera from the edges of the strobe input.
 //! - [`verify`]: checks that a recording is complete and agrees with itself.
 //!
 //! The format is described in `docs/formats.md`.
@@ -51,6 +52,7 @@ pub mod rosbag2;
 pub mod samples;
 mod scan;
 pub mod session_file;
+pub mod strobes;
 pub mod topic;
 pub mod verify;
 pub mod walk;

@@ -9,12 +9,14 @@ pub mod edit;
 mod error;
 mod fit;
 mod geometry;
+pub mod measured;
 
 use std::path::Path;
 
 pub use error::ProfileError;
 pub use fit::Objection;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
+use measured::MeasuredDepth;
 
 use crate::camera::{DEFAULT_CAMERA, Model};
 use crate::error_budget::ErrorPart;
@@ -247,6 +249,8 @@ pub struct Depth {
     pub center_offset_us: f64,
     /// 1-sigma of `center_offset_us`, µs.
     pub center_offset_sigma_us: f64,
+    /// Measurement of it by a photodiode.
+    pub measured: Option<MeasuredDepth>,
     /// Length of the trigger pulse, µs.
     pub pulse_width_us: f64,
     /// Exposure of its colour images, µs, if it records them and the exposure is known.
@@ -446,7 +450,7 @@ impl Profile {
         let mut parts = match self.frame_sync.bias_measured {
             Some(_) => vec![(ErrorPart::Bias, self.frame_sync.bias_sigma_us)],
             None => vec![
-                (ErrorPart::DepthCenter, self.depth.center_offset_sigma_us),
+                self.depth.center_part(),
                 (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
                 (
                     ErrorPart::Readout,
@@ -473,7 +477,7 @@ impl Profile {
     pub fn other_constant_sigma_us(&self, phone: &Phone, exposure_us: f64) -> f64 {
         let common = match self.frame_sync.bias_measured {
             Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.constant_sigma_us()),
-            None => self.depth.center_offset_sigma_us,
+            None => self.depth.center_part().1,
         };
         let own = phone.constant_sigma_us();
         let exposure = phone.exposure_sigma_us(exposure_us);

@@ -15,6 +15,7 @@ use super::{RecordingError, SESSION_FILE};
 use crate::contents::{Contents, FileContents, TopicContents, files_of};
 use crate::error_budget::{COARSE_US, ErrorPart, together};
 use crate::profile::{Phone, Profile};
+use crate::strobes::SeenExposures;
 use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
@@ -68,6 +69,9 @@ pub struct SessionFile {
     /// Recorded span of board time: from the arrival of the trigger on the phone's frames to the
     /// stop.
     pub recorded: Option<Span>,
+    /// Exposures of the depth camera that a photodiode saw; nothing if it saw none.
+    #[serde(default)]
+    pub exposures: Option<SeenExposures>,
     /// Markers of the user.
     pub markers: Vec<Marker>,
     /// Messages received and lost on each stream, during the recorded span.
@@ -356,6 +360,7 @@ impl SessionFile {
             alignment: None,
             tracking: None,
             recorded: None,
+            exposures: None,
             markers: Vec::new(),
             counts: StreamCounts::default(),
             damaged_frames: 0,

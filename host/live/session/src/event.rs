@@ -16,6 +16,7 @@ use clock::alignment::Placement;
 use clock::rates::RateChange;
 use protocol::{DeviceToHost, ResetCause, Ticks};
 use recording::session_file::{Alignment, SessionOutcome, Video};
+use recording::strobes::SeenExposures;
 use serde::{Serialize, Serializer};
 
 use crate::devices::RecorderEnd;
@@ -261,6 +262,15 @@ pub enum SessionEvent {
     AlignmentRemark {
         /// The remark.
         remark: String,
+    },
+    /// A photodiode sees the exposures of the depth camera.
+    ExposuresSeen {
+        /// Their statistics.
+        seen: SeenExposures,
+        /// The profile's time from the trigger's edge to their middle, µs.
+        profile_us: f64,
+        /// True if that was measured, and is another one.
+        disagrees: bool,
     },
     /// The trigger moves onto the phone's frames.
     Aligning {

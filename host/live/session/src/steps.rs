@@ -9,7 +9,9 @@ use protocol::{
     AlignTrigger, EdgeGrid, Output, Period, QueryImu, QueryTrigger, SetPeriod, StartTrigger,
     StopTrigger, TICK_HZ, Ticks, TrainState, TriggerStart, TriggerStatus,
 };
+use recording::error_budget::ErrorPart;
 use recording::session_file::{Alignment, ImuInfo, Marker, Span, Twist, Video};
+use recording::strobes::{ExposureFinder, StrobesRefused};
 
 use crate::alignment::plan;
 use crate::auxiliary;
@@ -143,6 +145,7 @@ fn start_trigger(session: &mut Session<'_>) -> Result<(), Stop> {
         first_edge: None,
     };
     let output = Output::Camera;
+    session.monitors.exposures = Some(ExposureFinder::new(profile.depth.train()));
     session.call(|board| board.call(StartTrigger { output, start }))?;
     session.log.report(SessionEvent::TriggerStarted {
         period_s: period.as_secs_f64(),
@@ -156,7 +159,8 @@ fn align(
     video: &Video,
 ) -> Result<Alignment, Stop> {
     let course = session.phones.course(REFERENCE, *clock);
-    let planned = plan(session.profile, &course, video).map_err(SessionError::Alignment)?;
+    use_seen_exposures(session)?;
+    let planned = plan(&session.file.profile, &course, video).map_err(SessionError::Alignment)?;
     for remark in planned.remarks {
         session
             .log
@@ -177,6 +181,35 @@ fn align(
         alignment,
     })?;
     Ok(alignment)
+}
+
+/// Takes the middle of the depth exposure from the photodiode, if it sees the camera's light. A
+/// bias that was measured as a whole includes the error of the profile's, which then stays.
+fn use_seen_exposures(session: &mut Session<'_>) -> Result<(), Stop> {
+    let Some(finder) = &session.monitors.exposures else {
+        return Ok(());
+    };
+    let seen = match finder.statistics() {
+        Ok(seen) => seen,
+        Err(StrobesRefused::Dark) => return Ok(()),
+        Err(refused) => {
+            let remark = format!("{refused}; the profile's centre of the depth exposure is used");
+            return session.log.report(SessionEvent::AlignmentRemark { remark });
+        }
+    };
+    let profile = &mut session.file.profile;
+    let (part, sigma_us) = profile.depth.center_part();
+    let profile_us = profile.depth.center_offset_us;
+    let disagrees = part == ErrorPart::MeasuredDepth && seen.disagree_with(profile_us, sigma_us);
+    if profile.frame_sync.bias_measured.is_none() {
+        let date = session.clock.wall_clock().date();
+        profile.depth.set_measured(&seen, date);
+    }
+    session.log.report(SessionEvent::ExposuresSeen {
+        seen,
+        profile_us,
+        disagrees,
+    })
 }
 
 /// The planned arrival of a train on its grid.

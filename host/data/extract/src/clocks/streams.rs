@@ -201,7 +201,7 @@ mod tests {
             .unwrap()
             .map(|sample| sample.unwrap().rate[0]);
         assert_eq!(kept.collect::<Vec<_>>(), [0.0, 2.0]);
-        let imu = survey(&path, &monitor).unwrap().imu;
+        let imu = survey(&path, None, &monitor).unwrap().imu;
         assert_eq!((imu.samples, imu.marked), (4, 2));
     }
 }

@@ -26,6 +26,7 @@ use clock::{BoardSeconds, BoardToPhone, ClockRelation, PhoneNanos};
 use protocol::Ticks;
 use recording::messages::{self, RosMessage, Time, TimeReference, from_cdr};
 use recording::samples::{RecordedSample, SampleJoiner};
+use recording::strobes::StrobeEdge;
 use recording::walk::{Event, Message, Walk};
 use recording::{Item, RecordingError, Topic};
 
@@ -38,8 +39,7 @@ use system::ReadMonitor;
 const MAX_FAULTS: usize = 50;
 
 /// Topics that the extraction has no use for; their messages are not decoded.
-const UNUSED: [Topic; 6] = [
-    Topic::Capture,
+const UNUSED: [Topic; 5] = [
     Topic::Status,
     Topic::Link,
     Topic::HostTime,
@@ -94,6 +94,8 @@ pub(crate) enum BoardEvent {
     Sample(RecordedSample),
     /// A trigger pulse.
     Pulse(PulseTime),
+    /// An edge on the strobe input.
+    Strobe(StrobeEdge),
     /// A mark of the user: a sequence begins.
     Mark(BoardNanos),
     /// A pair of times.
@@ -240,8 +242,8 @@ impl Sorter {
                 let clock = relation.map(|relation| BoardEvent::Clock(name, relation));
                 self.events.extend(clock);
             }
-            Item::Capture(_)
-            | Item::Status(_)
+            Item::Capture(edge) => self.events.push_back(BoardEvent::Strobe((&edge).into())),
+            Item::Status(_)
             | Item::Link(_)
             | Item::HostTime(_)
             | Item::Period(_)

@@ -11,6 +11,7 @@ use crate::inputs::board_data::{BoardEvent, Reference, TimePair};
 use crate::time::{BoardNanos, SECOND, median_step};
 use clock::ClockRelation;
 use clock::tracker::{Asked, Exchange};
+use recording::strobes::{ExposureFinder, SeenExposure, SeenExposures, StrobeTrain};
 use system::ReadMonitor;
 
 /// Number of pulses, pairs of times and exchanges that are kept of any recording; 12 hours of
@@ -33,6 +34,8 @@ pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockRelation>;
 pub(crate) struct Survey {
     /// Pulses in order of time, each once.
     pub(crate) pulses: Vec<PulseTime>,
+    /// Exposures that a photodiode saw, with their statistics; `None` if it saw none.
+    pub(crate) exposures: Option<(SeenExposures, Vec<SeenExposure>)>,
     /// Times of the marks.
     pub(crate) marks: Vec<BoardNanos>,
     /// Pairs of times.
@@ -108,6 +111,7 @@ impl Survey {
 /// a multiple of its length.
 struct Collector {
     out: Survey,
+    finder: ExposureFinder,
     /// Number of pulses, pairs and exchanges that may still be added.
     room: u64,
     /// Names of the sensors on auxiliary outputs.
@@ -116,9 +120,10 @@ struct Collector {
 }
 
 impl Collector {
-    fn new(length: u64) -> Self {
+    fn new(length: u64, train: Option<StrobeTrain>) -> Self {
         Self {
             out: Survey::default(),
+            finder: ExposureFinder::new(train),
             room: EVENTS.max(length / BYTES_AN_EVENT),
             outputs: BTreeSet::new(),
             left_out: BTreeMap::new(),
@@ -147,8 +152,10 @@ impl Collector {
             }
             BoardEvent::Pulse(pulse) => {
                 self.room -= 1;
+                self.finder.pulse(pulse.at.ticks());
                 out.pulses.push(pulse);
             }
+            BoardEvent::Strobe(edge) => self.finder.edge(edge),
             BoardEvent::Times(pair) => match self.shared(&pair.of) {
                 Some(of) => {
                     self.room -= 1;
@@ -192,14 +199,18 @@ impl Collector {
     }
 }
 
-/// Surveys a recording.
+/// Surveys a recording of a depth camera with these flashes.
 ///
 /// # Errors
 ///
 /// Fails if the recording cannot be read.
-pub(crate) fn survey(board: &Path, monitor: &ReadMonitor) -> Result<Survey, ExtractError> {
+pub(crate) fn survey(
+    board: &Path,
+    train: Option<StrobeTrain>,
+    monitor: &ReadMonitor,
+) -> Result<Survey, ExtractError> {
     let length = std::fs::metadata(board).map_or(0, |meta| meta.len());
-    let mut collector = Collector::new(length);
+    let mut collector = Collector::new(length, train);
     let mut words = each_event(board, monitor, |event| {
         collector.add(event);
         Ok(())
@@ -208,6 +219,7 @@ pub(crate) fn survey(board: &Path, monitor: &ReadMonitor) -> Result<Survey, Extr
     words.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));
     let mut out = collector.out;
     out.left_out = words;
+    out.exposures = collector.finder.finish().ok();
     out.pulses.sort_by_key(|pulse| (pulse.at, pulse.number));
     out.pulses.dedup_by_key(|pulse| (pulse.train, pulse.number));
     Ok(out)

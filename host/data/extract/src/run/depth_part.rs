@@ -59,6 +59,14 @@ impl Extraction<'_> {
             self.lose(LossPart::Depth, fault.clone());
         }
         self.set_center(&index, constants);
+        let mut has_seen = false;
+        if let Some((seen, _)) = &survey.exposures
+            && let Some((change_ns, disagrees)) = constants.see_depth(seen)
+        {
+            has_seen = true;
+            self.remarks
+                .push(depth_wording::own_strobes(seen, change_ns, disagrees));
+        }
         let constants = *constants;
         let matched = self.match_depth(&input, &index, survey, &constants)?;
         if let Some(by) = &index.rewritten {
@@ -88,7 +96,10 @@ impl Extraction<'_> {
             Err(_) => self.lose(LossPart::Depth, depth_wording::ROUNDED),
         }
         let found = matched.as_ref().ok();
-        let frames = frames::depth_frames(&index, found, &survey.pulses, constants.depth_center_ns);
+        let seen = survey.exposures.as_ref().filter(|_| has_seen);
+        let seen = seen.map_or(&[][..], |(_, each)| each);
+        let center = constants.depth_center_ns;
+        let frames = frames::depth_frames(&index, found, &survey.pulses, seen, center);
         let broken = frames.iter().filter(|frame| !frame.whole).count();
         if broken > 0 {
             self.lose(LossPart::Depth, depth_wording::broken(broken));

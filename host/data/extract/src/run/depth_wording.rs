@@ -2,6 +2,7 @@
 
 use crate::depth::depth_clock::MatchError;
 use crate::layout::number;
+use recording::strobes::SeenExposures;
 
 /// End of the advice to set something in the rig profile.
 pub(super) const WITH_PROFILE: &str = "then extract with `--profile rig.toml`";
@@ -9,6 +10,21 @@ pub(super) const WITH_PROFILE: &str = "then extract with `--profile rig.toml`";
 /// Returns nanoseconds as microseconds.
 fn micros(nanos: i64) -> String {
     number(nanos as f64 / 1000.0, 3)
+}
+
+/// Depth frames have the time of their own flashes, whose mean is `change` ns after the profile's
+/// middle of exposure; that was measured, and another one, if it `disagrees`.
+pub(super) fn own_strobes(seen: &SeenExposures, change: i64, disagrees: bool) -> String {
+    let advice = if disagrees {
+        ", which was measured otherwise: measure it again with `smartdepthsync record --calibrate`"
+    } else {
+        ""
+    };
+    format!(
+        "each depth frame is timed by its own flashes: {}; {} µs later than by the profile{advice}",
+        seen.text(),
+        micros(change)
+    )
 }
 
 /// Delays in the depth camera's file, ns: `subordinate` from trigger to colour, `depth` from

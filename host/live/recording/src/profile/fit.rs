@@ -80,7 +80,9 @@ impl Profile {
                 format!("set depth.fps to {}", rates.join(" or ")),
             );
         }
-        if let Center::Fixed(center) = mode.center {
+        if let Center::Fixed(center) = mode.center
+            && depth.measured.is_none()
+        {
             let given = depth.center_offset_us;
             let is_of = |other: &Mode| matches!(other.center, Center::Fixed(at) if at == given);
             let off = (given - center).abs();

@@ -300,6 +300,21 @@ impl SessionEvent {
                 format!("the trigger runs with a period of {:.6} ms", period_s * 1e3),
             ),
             Self::AlignmentRemark { remark } => good(Kind::Align, remark),
+            Self::ExposuresSeen {
+                seen,
+                disagrees: false,
+                ..
+            } => good(Kind::Align, seen.text()),
+            Self::ExposuresSeen {
+                seen, profile_us, ..
+            } => warning(
+                Kind::Align,
+                format!(
+                    "{}; the profile has {profile_us:.2} µs, measured before in this mode",
+                    seen.text()
+                ),
+                "measure it again with `smartdepthsync record --calibrate`",
+            ),
             Self::Aligning {
                 shift_us,
                 frames,

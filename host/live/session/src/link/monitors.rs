@@ -8,6 +8,7 @@ use board::imu::{ImuLook, Sample};
 use clock::push_board_sample;
 use protocol::{Arrived, DeviceToHost, ImuFlags, ImuSample, Ticks};
 use recording::session_file::{SessionFile, Span};
+use recording::strobes::ExposureFinder;
 use twist_sync::GyroTrack;
 
 use crate::error::Stop;
@@ -32,6 +33,8 @@ pub struct Monitors {
     least_ahead_s: Option<f64>,
     /// Temperature of the IMU, °C, from its last sample.
     pub(crate) temperature: Option<f64>,
+    /// Exposures that a photodiode sees, once the trigger runs.
+    pub(crate) exposures: Option<ExposureFinder>,
     /// The last arrival that the board reported.
     pub(crate) arrived: Option<Arrived>,
 }
@@ -116,6 +119,13 @@ impl Monitors {
     }
 
     fn message(&mut self, message: &DeviceToHost) {
+        match (message, &mut self.exposures) {
+            (DeviceToHost::Pulse(pulse), Some(finder)) if pulse.output.is_camera() => {
+                finder.pulse(pulse.at);
+            }
+            (DeviceToHost::Capture(capture), Some(finder)) => finder.edge(capture.into()),
+            _ => {}
+        }
         match (message, &mut self.watch) {
             (DeviceToHost::Pulse(pulse), Some(watch)) if pulse.output.is_camera() => {
                 watch.pulse(pulse, &mut self.findings);

@@ -57,6 +57,8 @@ fn end_of_recording(session: &mut Session<'_>) -> bool {
     if session.monitors.watch.take().is_none() {
         return false;
     }
+    let exposures = session.monitors.exposures.take();
+    session.file.exposures = exposures.and_then(|finder| finder.statistics().ok());
     let now = session.now();
     if let Some(span) = &mut session.file.recorded {
         span.to = span.from.max(now);
