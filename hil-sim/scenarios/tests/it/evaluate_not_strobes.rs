@@ -1,16 +1,20 @@
 //! Recordings of other things than strobes give no figure; recordings of strobes do. All are
-//! drawn by a seed, encoded, and lie in the folder of a session that aligned its trigger.
+//! drawn by a seed, encoded, and lie in the folder of a session that aligned its trigger while the
+//! video ran, with the board's pulses and the frames' timestamps.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use clock::PhoneNanos;
 use evaluate::footage::Footage;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::track::Evidence;
 use evaluate::{EvaluateError, Settings, drift};
+use protocol::{Pulse, Ticks};
 use recording::profile::Profile;
-use recording::session_file::{Alignment, SessionFile};
+use recording::session_file::{Alignment, SessionFile, Video};
+use recording::writer::Writer;
 use rig::picture::rolling_shutter::{Flash, FlashTrain, Flicker, GreyImage, RollingShutter};
 use rig::picture::video_writer::{Mp4Writer, Quality, VideoSettings};
 use rig::random::{Random, Seed, Stream};
@@ -34,12 +38,18 @@ fn camera(random: &mut Random) -> RollingShutter {
 /// Paints a frame: when it begins, and its number.
 type Paint<'a> = dyn Fn(&RollingShutter, i64, u64, &mut GreyImage) + 'a;
 
+/// Bias of the pulse of a frame, µs; nothing if the trigger is not running.
+type Trigger<'a> = dyn Fn(u64) -> Option<f64> + 'a;
+
 /// A video, in the folder of a session that aligned its trigger with a bias.
 struct Drawn<'a> {
     rate: f64,
     frames: u64,
     applied_us: f64,
     camera: RollingShutter,
+    /// 1-sigma of the readout in the profile, as a share of it: known, or the published guess.
+    readout_sigma: Option<f64>,
+    trigger: Box<Trigger<'a>>,
     draw: Box<Paint<'a>>,
 }
 
@@ -54,13 +64,50 @@ impl Drawn<'_> {
             frame_rate: self.rate,
             quality: Quality::RateFactor(18),
         };
-        session(folder, self.applied_us);
+        self.session(folder, &start_ns);
         let mut writer = Mp4Writer::create(&folder.join("video.mp4"), video).unwrap();
         for frame in 0..self.frames {
             (self.draw)(&self.camera, start_ns(frame), frame, &mut image);
             writer.write(&image).unwrap();
         }
         writer.finish().unwrap();
+    }
+
+    /// Writes pulses, timestamps and session. The phone's clock is the board's.
+    fn session(&self, folder: &Path, start_ns: &dyn Fn(u64) -> i64) {
+        let camera = &self.camera;
+        let mut profile = Profile::published().unwrap();
+        if let Some(share) = self.readout_sigma {
+            profile.phone.readout_us = 1e-3 * camera.row_time_ns * (camera.rows - 1) as f64;
+            profile.phone.readout_sigma_us = share * profile.phone.readout_us;
+        }
+        let alignment = Alignment {
+            exposure_us: 1e-3 * camera.exposure_ns,
+            center_offset_us: profile.depth.center_offset_us,
+            bias_us: self.applied_us,
+            ..Alignment::default()
+        };
+        session(folder, profile, alignment);
+        let mut writer = Writer::create(folder).unwrap();
+        let mut times = String::new();
+        for frame in 0..self.frames {
+            times += &format!("{}\n", start_ns(frame));
+            let Some(bias_us) = (self.trigger)(frame) else {
+                continue;
+            };
+            let center = start_ns(frame) as f64 + camera.middle_offset_ns() + 1e3 * bias_us;
+            let edge = center - 1e3 * alignment.center_offset_us;
+            let pulse = Pulse {
+                seq: frame as u32,
+                train: 1,
+                number: frame,
+                at: Ticks((edge * 0.048) as u64),
+                ..Pulse::default()
+            };
+            writer.pulse(&pulse).unwrap();
+        }
+        writer.finish().unwrap();
+        std::fs::write(folder.join("video_timestamps.csv"), times).unwrap();
     }
 
     /// Evaluates it.
@@ -76,15 +123,23 @@ fn figure(folder: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError
     evaluate_recording(footage, settings, 16)
 }
 
-fn session(folder: &Path, applied_us: f64) {
+fn session(folder: &Path, profile: Profile, alignment: Alignment) {
     std::fs::create_dir_all(folder).unwrap();
-    let mut session = SessionFile::new(String::from("drawn"), Profile::published().unwrap());
-    session.alignment = Some(Alignment {
-        exposure_us: 250.0,
-        bias_us: applied_us,
-        ..Alignment::default()
+    let mut session = SessionFile::new(String::from("drawn"), profile);
+    session.phones[0].clock = Some(alignment.plan.clock);
+    session.phones[0].video = Some(Video {
+        phase: PhoneNanos(1_000_000_000),
+        frame_duration_ns: 33e6,
+        exposure_ns: None,
+        boot_minus_frames_ns: 0,
     });
+    session.alignment = Some(alignment);
     session.save(folder).unwrap();
+}
+
+/// A trigger that comes from elsewhere by some µs a pulse, and then rests.
+fn aligned(bias_us: f64, slew_us: f64, moves: u64) -> impl Fn(u64) -> Option<f64> + Copy {
+    move |frame| Some(bias_us + slew_us * moves.saturating_sub(frame) as f64)
 }
 
 /// Something bright that wanders through a picture.
@@ -120,8 +175,61 @@ fn lamp(random: &mut Random, kind: usize) -> (String, Drawn<'static>) {
     (name, drawn(random, rate, camera, paint))
 }
 
+/// A lamp that stands still in the picture and is switched on, off, on and off, or to another brightness
+/// while the video runs, or is there in some frames only; also at the time when the trigger arrives.
+fn switched(random: &mut Random, kind: usize) -> (String, Drawn<'static>) {
+    let rate = *random.one_of(&[24.0, 25.0, 30.0, 60.0]);
+    let times = random.uniform(120.0, 900.0) / rate;
+    let hz = times.round() * rate * (1.0 + random.uniform(-3e-5, 3e-5));
+    let duty = random.uniform(0.03, 0.12);
+    let dimmed = random.uniform(0.03, 0.6);
+    let at = *random.one_of(&[3.0, 6.0, 9.0, 12.0, 20.0, 30.0]) / rate + random.uniform(0.0, 0.04);
+    let blink_s = random.uniform(0.02, 0.6);
+    let some = *random.one_of(&[2, 3, 5]);
+    let camera = RollingShutter {
+        row_time_ns: random.uniform(7e3, 30e3),
+        ..camera(random)
+    };
+    let name = format!(
+        "{kind}: lamp {hz:.3} Hz at {rate:.2}, on {duty:.3}, {dimmed:.3} from {at:.3} s, {blink_s:.3} s, {some}, {camera:?}"
+    );
+    let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
+        let mut flashes = pulses(camera, start, [hz, duty]);
+        let since = |flash: &Flash| (flash.start_ns - 1_000_000_000) as f64 * 1e-9 - at;
+        match kind % 5 {
+            0 => flashes.retain(|flash| since(flash) > 0.0),
+            1 => flashes.retain(|flash| since(flash) < 0.0),
+            2 => flashes.retain(|flash| (since(flash) / blink_s).floor() as i64 % 2 == 0),
+            3 => {
+                let before = flashes.iter_mut().filter(|flash| since(flash) < 0.0);
+                before.for_each(|flash| flash.duration_ns = (1e9 * dimmed / hz) as i64);
+            }
+            _ if frame.is_multiple_of(some) => flashes.clear(),
+            _ => {}
+        }
+        *image = camera.render(start, frame, &flashes);
+    };
+    let trigger = aligned(
+        random.uniform(-700.0, 700.0),
+        random.uniform(-100.0, 100.0),
+        (at * rate) as u64,
+    );
+    let known = random.one_of(&[None, None, Some(0.002), Some(0.03)]);
+    let drawn = Drawn {
+        trigger: Box::new(trigger),
+        readout_sigma: *known,
+        ..drawn(random, rate, camera, paint)
+    };
+    (name, drawn)
+}
+
 /// Renders a frame in the light of a lamp of a frequency and duty cycle.
-fn lit_by(camera: &RollingShutter, start: i64, frame: u64, [hz, duty]: [f64; 2]) -> GreyImage {
+fn lit_by(camera: &RollingShutter, start: i64, frame: u64, lamp: [f64; 2]) -> GreyImage {
+    camera.render(start, frame, &pulses(camera, start, lamp))
+}
+
+/// Pulses of a lamp about a frame.
+fn pulses(camera: &RollingShutter, start: i64, [hz, duty]: [f64; 2]) -> Vec<Flash> {
     let turn = 1e9 / hz;
     let end = start as f64 + camera.rows as f64 * camera.row_time_ns + 20e6;
     let pulses = ((start as f64 - 20e6) / turn) as i64..(end / turn) as i64;
@@ -129,7 +237,7 @@ fn lit_by(camera: &RollingShutter, start: i64, frame: u64, [hz, duty]: [f64; 2])
         start_ns: (k as f64 * turn) as i64,
         duration_ns: (duty * turn) as i64,
     };
-    camera.render(start, frame, &pulses.map(pulse).collect::<Vec<_>>())
+    pulses.map(pulse).collect()
 }
 
 /// Bars across the picture, still or moving by some rows a frame.
@@ -199,6 +307,8 @@ fn drawn<'a>(
         frames: *random.one_of(&[40, 40, 80]),
         applied_us: 0.0,
         camera,
+        readout_sigma: None,
+        trigger: Box::new(aligned(random.uniform(-700.0, 700.0), 90.0, 9)),
         draw: Box::new(paint),
     }
 }
@@ -246,7 +356,8 @@ fn nothing_but_strobes_gives_a_figure() {
 #[test]
 fn test_pictures_are_no_strobes() {
     let dir = tempfile::tempdir().unwrap();
-    session(dir.path(), 0.0);
+    let profile = Profile::published().unwrap();
+    session(dir.path(), profile, Alignment::default());
     let video = dir.path().join("video.mp4");
     for picture in [
         "testsrc2=",
@@ -288,11 +399,40 @@ fn the_rate_of_a_lamp_is_reported() {
     assert!(refusal.to_string().contains("613.7 Hz"), "{refusal}");
 }
 
+/// Lamps that begin, end, blink or dim in the video give no figure.
+fn lamps_give_no_figure(count: usize, seed: u64) {
+    let mut random = Seed(seed).stream(Stream::Test);
+    let mut accepted = Vec::new();
+    for kind in 0..count {
+        let (name, video) = switched(&mut random, kind);
+        println!("{kind}, {} accepted", accepted.len());
+        if let Ok(found) = video.figure(&Settings::default()) {
+            accepted.push(format!("{name}: {:?}", found.result));
+        }
+    }
+    assert!(
+        accepted.is_empty(),
+        "{} of {count}: {accepted:#?}",
+        accepted.len()
+    );
+}
+
+#[test]
+fn lamps_that_are_switched_while_the_video_runs_give_no_figure() {
+    lamps_give_no_figure(10, 8100);
+}
+
+#[test]
+#[ignore = "500 lamps take minutes"]
+fn five_hundred_lamps_that_are_switched_while_the_video_runs_give_no_figure() {
+    lamps_give_no_figure(500, 8200);
+}
+
 /// Flashes of a depth camera at a bias in each frame, if the trigger reached it.
 fn strobes<'a>(
     camera: RollingShutter,
     rate: f64,
-    bias_us: impl Fn(u64) -> Option<f64> + 'a,
+    bias_us: impl Fn(u64) -> Option<f64> + Copy + 'a,
 ) -> Drawn<'a> {
     let paint = move |camera: &RollingShutter, start: i64, frame: u64, image: &mut GreyImage| {
         let centred = |bias: f64| start + (camera.middle_offset_ns() + 1e3 * bias) as i64;
@@ -300,54 +440,94 @@ fn strobes<'a>(
         let flashes: Vec<Flash> = flashes.into_iter().flatten().collect();
         *image = camera.render(start, frame, &flashes);
     };
-    drawn(&mut Seed(3).stream(Stream::Test), rate, camera, paint)
+    Drawn {
+        trigger: Box::new(bias_us),
+        ..drawn(&mut Seed(3).stream(Stream::Test), rate, camera, paint)
+    }
 }
 
-/// Strobes that begin after some frames, that come on some frames only, that the trigger
-/// brings from elsewhere at 60 to 100 µs a frame, or of a camera with a known row time.
-#[test]
-fn strobes_give_a_figure() {
+/// Brightness that rises or falls over the rows, as on paper that is tilted.
+fn tilt(image: &mut GreyImage, grey: f64) {
+    let rows = (image.pixels.len() / image.width) as f64;
+    for (row, line) in image.pixels.chunks_mut(image.width).enumerate() {
+        let more = grey * (row as f64 / rows - 0.5);
+        for pixel in line {
+            *pixel = (f64::from(*pixel) + more).clamp(0.0, 255.0) as u8;
+        }
+    }
+}
+
+/// Strobes over textured and tilted scenes, with six frames before the first flash: of a camera whose
+/// readout is known; with an end of the train in the picture; or that the trigger brings from elsewhere at
+/// 30 to 100 µs a frame. All but one in a hundred give a figure, and it is right.
+fn strobes_give_figures(count: usize, seed: u64) {
+    let mut random = Seed(seed).stream(Stream::Test);
     let mut refused = Vec::new();
-    for seed in SEEDS {
-        let mut random = Seed(seed ^ 0x5EED).stream(Stream::Test);
-        for kind in 0..8 {
-            let camera = camera(&mut random);
-            let rate = *random.one_of(&[24.0, 30.0, 60.0]);
-            let bias_us = random.uniform(-700.0, 700.0);
-            let slew_us = random.uniform(60.0, 100.0);
-            let some = *random.one_of(&[3, 5, 11]);
-            let bias = move |frame: u64| match kind % 4 {
-                0 => (frame >= some).then_some(bias_us),
-                1 => frame.is_multiple_of(some.min(3)).then_some(bias_us),
-                2 => Some(bias_us + slew_us * (5 + some).saturating_sub(frame) as f64),
-                _ => Some(bias_us),
-            };
-            let settings = Settings {
-                row_time_us: (kind % 4 == 3).then_some(1e-3 * camera.row_time_ns),
-                ..Settings::default()
-            };
-            let name =
-                format!("{kind}: {bias_us:.1} µs, {slew_us:.0} {some} at {rate}, {camera:?}");
-            let pitch = 1575.0 / 2.0;
-            match strobes(camera, rate, bias).figure(&settings) {
-                // Which flash is which is not asked here.
-                Ok(Evaluated { result, .. }) => {
-                    let off = (result.bias_us - bias_us) / pitch;
-                    let off_us = (off - off.round()) * pitch;
-                    assert!(
-                        off_us.abs() < 3.0 + result.uncertainty_99_us,
-                        "{name}: {result:?}"
-                    );
-                }
-                Err(refusal) => refused.push(format!("{name}: {refusal}")),
+    for kind in 0..count {
+        let mut camera = RollingShutter {
+            texture: random.uniform(0.0, 0.06),
+            ..camera(&mut random)
+        };
+        let grey = random.uniform(-60.0, 60.0);
+        let rate = *random.one_of(&[24.0, 30.0, 60.0]);
+        let mut bias_us = random.uniform(-700.0, 700.0);
+        let (slew_us, mut moves) = (random.uniform(30.0, 100.0), 20);
+        match kind % 3 {
+            0 => moves = 0,
+            1 => {
+                moves = 0;
+                camera.row_time_ns = random.uniform(10.5e3, 15e3);
+                bias_us = 3000.0 * bias_us.signum() + bias_us;
             }
+            _ => {}
+        }
+        let move_us = aligned(bias_us, slew_us, moves);
+        let bias = move |frame: u64| (frame >= 6).then(|| move_us(frame)).flatten();
+        let name =
+            format!("{kind}: {bias_us:.1} µs, {slew_us:.0} at {rate}, tilt {grey:.0}, {camera:?}");
+        let plain = strobes(camera, rate, bias);
+        let draw = plain.draw;
+        let video = Drawn {
+            frames: 40,
+            readout_sigma: (kind % 3 == 0).then_some(0.002),
+            trigger: Box::new(move_us),
+            draw: Box::new(move |camera, start, frame, image| {
+                draw(camera, start, frame, image);
+                tilt(image, grey);
+            }),
+            ..plain
+        };
+        let pitch = 1575.0 / 2.0;
+        println!("{kind}, {} refused", refused.len());
+        match video.figure(&Settings::default()) {
+            // Which flash is which is not asked here.
+            Ok(Evaluated { result, .. }) => {
+                let off = (result.bias_us - bias_us) / pitch;
+                let off_us = (off - off.round()) * pitch;
+                assert!(
+                    off_us.abs() < 3.0 + result.uncertainty_99_us,
+                    "{name}: {result:?}"
+                );
+            }
+            Err(refusal) => refused.push(format!("{name}: {refusal}")),
         }
     }
     assert!(
-        refused.is_empty(),
-        "{} refused: {refused:#?}",
+        refused.len() * 100 <= count,
+        "{} of {count} refused: {refused:#?}",
         refused.len()
     );
+}
+
+#[test]
+fn strobes_give_a_figure() {
+    strobes_give_figures(9, 8300);
+}
+
+#[test]
+#[ignore = "200 recordings take minutes"]
+fn two_hundred_recordings_of_strobes_give_a_figure() {
+    strobes_give_figures(200, 8400);
 }
 
 /// A recording of which nothing shows that its bands are flashes, until a second one was

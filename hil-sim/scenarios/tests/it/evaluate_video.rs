@@ -46,7 +46,10 @@ fn compressed_video_keeps_the_bias() {
     .into_iter()
     .enumerate()
     {
-        let scene = scene(exposure, row_time, grey, 217.0 - 133.3 * i as f64);
+        // Without the row time, an end of the train shows that these are flashes: one more would be in the
+        // picture.
+        let end_us = if i > 1 { 0.0 } else { 4100.0 };
+        let scene = scene(exposure, row_time, grey, 217.0 - 133.3 * i as f64 + end_us);
         let path = dir.path().join(format!("{i}.mp4"));
         scene.write_mp4(&path, quality);
         let settings = Settings {

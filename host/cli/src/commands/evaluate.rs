@@ -247,9 +247,7 @@ impl From<EvaluateError> for Failure {
             E::Unproven { .. } => (
                 ExitStatus::Refused,
                 "record once more with the trigger moved (`smartdepthsync record --shift 4ms`) and \
-                 give both recordings to `evaluate precision`; or begin the video a second before \
-                 the depth camera runs, so that it also shows the scene alone; or give --row-time \
-                 if it is known",
+                 give both recordings to `evaluate precision`; or give --row-time if it is known",
             ),
             E::RowTime { .. } => (
                 ExitStatus::Refused,

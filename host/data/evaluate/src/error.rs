@@ -108,7 +108,7 @@ pub enum EvaluateError {
     },
     /// Nothing shows that the bands are flashes of the depth camera.
     #[error(
-        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the frames do not fall into some clearly with them and some clearly without, and they do not move with the trigger{}", suffix(.lamp)
+        "{path}: nothing shows that these bands are the depth camera's flashes and not a dimmed lamp or the picture itself: the row time is not known, no end of the train is seen in frames beside some without any bands, and the bands do not move with the trigger{}", suffix(.lamp)
     )]
     Unproven { path: PathBuf, lamp: Option<String> },
     /// The row time of the bands is not that of the camera.

@@ -4,6 +4,7 @@ pub(crate) mod frame;
 mod input;
 mod source;
 pub(crate) mod store;
+mod trigger;
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +14,7 @@ use self::input::Applied;
 use self::source::Video;
 pub use self::source::{FrameSource, FrameTimes, SourceInfo, read_timestamps};
 use self::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
+use self::trigger::Trigger;
 use crate::train::search::RowGrid;
 use crate::{EvaluateError, Settings};
 
@@ -49,6 +51,10 @@ pub struct Footage {
     pub(crate) path: PathBuf,
     /// Alignment of the recording, if its session has one.
     pub(crate) applied: Option<Applied>,
+    /// The board's pulses, if the recording has them.
+    pub(crate) trigger: Option<Trigger>,
+    /// Time of the first frame on the phone's clock of frames, ns, if it is known.
+    pub(crate) first_ns: Option<i64>,
     /// Layout of the rows in the image.
     pub(crate) reducer: RowReducer,
     /// Number of the sensor's middle row, from 0.
@@ -81,10 +87,11 @@ impl Footage {
         settings: &Settings,
         expected: Option<(usize, usize)>,
     ) -> Result<Self, EvaluateError> {
-        let input = input::resolve(path)?;
+        let input = input::resolve(path, &settings.monitor)?;
         let mut source = Video::open(&input.path, &settings.monitor)?;
         let mut footage = Self::from_source(&mut source, settings, expected)?;
         footage.applied = input.applied;
+        footage.trigger = input.trigger;
         Ok(footage)
     }
 
@@ -155,6 +162,8 @@ impl Footage {
         Ok(Self {
             path: info.path,
             applied: None,
+            trigger: None,
+            first_ns: info.times.first_ns(),
             reducer,
             middle_row,
             rows,

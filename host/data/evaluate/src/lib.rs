@@ -121,6 +121,13 @@ impl KnownReadout {
         }
     }
 
+    /// Returns the row time of a picture with `rows` rows, µs, if it is known as well as
+    /// [`Evidence::RowTime`](track::Evidence::RowTime) needs.
+    fn exact_row_time_us(&self, rows: usize) -> Option<f64> {
+        let is_exact = self.sigma_us <= track::evidence::ROW_TIME_AGREES * self.readout_us;
+        is_exact.then(|| self.readout_us / rows.saturating_sub(1).max(1) as f64)
+    }
+
     /// Compares a row time and its 1-sigma, µs, of a picture with `rows` rows. Returns the expected
     /// row time and its 1-sigma if they contradict each other.
     fn contradicts(&self, row_time_us: f64, sigma_us: f64, rows: usize) -> Option<(f64, f64)> {

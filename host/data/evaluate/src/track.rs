@@ -251,6 +251,7 @@ fn earlier(footage: &Footage, settings: &Settings) -> Option<Evidence> {
     };
     let mut beginning = Footage::read(&footage.path, &settings, None).ok()?;
     beginning.applied = footage.applied;
+    beginning.trigger = footage.trigger.clone();
     track(&beginning, &settings, Choice::All).ok()?.evidence
 }
 

@@ -8,7 +8,9 @@ use recording::SESSION_FILE;
 use recording::depth_files::is_mkv;
 use recording::folder::entries;
 use recording::session_file::SessionFile;
+use system::ReadMonitor;
 
+use super::trigger::Trigger;
 use crate::{EvaluateError, KnownReadout};
 
 /// Alignment of a recording.
@@ -32,16 +34,20 @@ pub(crate) struct Input {
     pub path: PathBuf,
     /// Alignment of the recording, if the input belongs to one.
     pub applied: Option<Applied>,
+    /// The board's pulses, if the recording has them.
+    pub trigger: Option<Trigger>,
 }
 
 /// Finds the video of a recording's folder, and the session of a video in one.
-pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
+pub(crate) fn resolve(path: &Path, monitor: &ReadMonitor) -> Result<Input, EvaluateError> {
     let is_folder = std::fs::metadata(path)
         .map_err(EvaluateError::io(path))?
         .is_dir();
     let folder = if is_folder { Some(path) } else { path.parent() };
     let session = folder.filter(|folder| folder.join(SESSION_FILE).is_file());
     let session = session.map(SessionFile::load).transpose()?;
+    let trigger = folder.zip(session.as_ref());
+    let trigger = trigger.map(|(folder, session)| Trigger::read(folder, session, monitor));
     let reference = |session: &SessionFile| session.phone_folder(&session.profile.phone.name);
     Ok(Input {
         path: if is_folder {
@@ -67,6 +73,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
                 readout: KnownReadout::of_phone(&session.profile.phone),
             })
         }),
+        trigger: trigger.transpose()?.flatten(),
     })
 }
 
@@ -94,6 +101,10 @@ mod tests {
     use recording::session_file::Alignment;
 
     use super::*;
+
+    fn resolve(path: &Path) -> Result<Input, EvaluateError> {
+        super::resolve(path, &ReadMonitor::default())
+    }
 
     fn alignment(bias_us: f64, exposure_us: f64) -> Alignment {
         Alignment {
@@ -124,6 +135,7 @@ mod tests {
                 exposure_us: 500.0,
                 readout: KnownReadout::of_phone(&session.profile.phone),
             }),
+            trigger: None,
         };
         assert_eq!(resolve(dir.path()).unwrap(), expected);
         assert_eq!(resolve(&path("VID_1.mp4")).unwrap(), expected);

@@ -1,20 +1,25 @@
 //! Evidence that the bands of a recording are the depth camera's flashes.
 //!
 //! A lamp that is dimmed by switching, bars of a picture and flashes look alike to a
-//! rolling shutter when the row time is unknown. The trigger distinguishes them: flashes are
-//! missing in frames without a pulse, and they move with the trigger. Bands that show neither
-//! give no result. A train that begins and ends in view is not evidence, because bars of a
-//! picture do so too.
+//! rolling shutter when the row time is unknown: a lamp of another frequency looks like flashes at
+//! another row time. A lamp may also be switched on, off or to another brightness during the video. So
+//! frames without bands are no evidence alone. What distinguishes flashes is that their train ends, that
+//! their distance is known in microseconds, and that they move with the trigger. Bands that show none of
+//! these give no result, nor do bands that stand still while the trigger moves, or go on where a train
+//! ends. A train that begins and ends in every frame is not evidence, because bars of a picture do so
+//! too.
 
+use nalgebra::DVector;
 use serde::Serialize;
 
 use crate::footage::Footage;
-use crate::stats::{Line, mean};
+use crate::stats::{Line, evenly_spaced, mean, median};
 use crate::track::BEGINNING_S;
 use crate::track::classify::{FrameClass, FrameCounts, Seen, frames_of, mean_of};
+use crate::track::identity::DECIDED;
 use crate::track::lamp;
-use crate::train::Shape;
 use crate::train::fit::{FrameFit, Model};
+use crate::train::{Shape, TrainGeometry};
 use crate::{EvaluateError, Settings};
 
 /// Frames that must show the evidence.
@@ -24,30 +29,34 @@ const FRAMES: usize = 3;
 const LIGHT: f64 = 0.5;
 /// Largest distance of the fitted row time from a known one, as a share. A lamp dimmed at
 /// 630 Hz, which stands still at 30 frames per second, is 0.8 % off.
-const ROW_TIME_AGREES: f64 = 0.005;
-/// Consecutive frames that show a train at rest.
+pub(crate) const ROW_TIME_AGREES: f64 = 0.005;
+/// Frames in which the ends of the train are looked for, and the share of them that must agree. A lamp
+/// that blinks shows an end in some frames.
+const ENDS: usize = 16;
+const AGREE: f64 = 0.8;
+/// Flashes before and after a train that goes on: more than any picture shows.
+const GOES_ON: u32 = 26;
+/// Last frames, of whose median the rest of the recording is compared with the trigger.
 const REST: usize = 16;
 /// Least motion of a train before it rests, or between two recordings, as a part of a pitch.
 pub(crate) const MOVED: f64 = 0.1;
 /// Fastest motion due to two crystals, or to a trigger that is slowly aligned to the frames,
 /// µs/s.
 const FASTEST_US_PER_S: f64 = 1000.0;
-/// Fastest motion after the alignment, due to two crystals, µs/s.
-const STEADY_US_PER_S: f64 = 100.0;
-/// Scatter about even motion, as a part of the pitch.
+/// Scatter about even motion, and about the trigger's motion, as a part of the pitch.
 const UNEVEN: f64 = 0.03;
 
 /// Evidence that the bands are the depth camera's flashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Evidence {
-    /// This number of frames shows no bands.
-    FramesWithout(usize),
+    /// The train ends in the picture, at the same place in frame after frame, and this number of
+    /// frames shows no bands.
+    Ends(usize),
     /// The spacing of the bands agrees with a known row time.
     RowTime,
-    /// The bands moved in this number of frames and then came to rest, as the session aligned the
-    /// trigger.
-    Aligned(usize),
+    /// The bands moved as the board's pulses did, in this number of frames.
+    Trigger(usize),
     /// The bands moved with the trigger from one recording to another.
     Shift,
 }
@@ -60,15 +69,53 @@ pub(crate) fn find(
     shape: &Shape,
     settings: &Settings,
 ) -> Option<Evidence> {
-    let counts = FrameCounts::count(seen, footage.frames.len());
-    if are_distinct(&counts) && adds_light(footage, seen) {
-        return Some(Evidence::FramesWithout(counts.without_flashes));
+    let [with, against] = beside_trigger(footage, model, seen);
+    let [ends, goes_on] = train_ends(footage, model, seen, shape);
+    if against >= FRAMES && against > with || goes_on >= FRAMES && goes_on > ends {
+        return None;
     }
-    let known = settings.row_time_us.or(settings.row_time_hint_us);
+    if with >= FRAMES && with > 2 * against {
+        return Some(Evidence::Trigger(with));
+    }
+    let rows = footage.reducer.sensor_rows();
+    let readout = settings.known_readout;
+    let known = settings
+        .row_time_us
+        .or(settings.row_time_hint_us)
+        .or(readout.and_then(|readout| readout.exact_row_time_us(rows)));
     if known.is_some_and(|known| (shape.row_time_us / known - 1.0).abs() < ROW_TIME_AGREES) {
         return Some(Evidence::RowTime);
     }
-    aligned(footage, model, seen)
+    let counts = FrameCounts::count(seen, footage.frames.len());
+    let has_ends = ends >= FRAMES && are_distinct(&counts) && adds_light(footage, seen);
+    has_ends.then_some(Evidence::Ends(counts.without_flashes))
+}
+
+/// Returns the number of frames in which the train ends in the picture where it does in most, and the
+/// number in which the bands go on beyond its end. No ends count unless most frames agree.
+fn train_ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) -> [usize; 2] {
+    let train = TrainGeometry {
+        count: model.train.count + 2 * GOES_ON,
+        ..model.train
+    };
+    let endless = Model::new(model.rows, train, model.smooth.clone());
+    let lit: Vec<_> = frames_of(footage, seen, FrameClass::Used).collect();
+    let asked = evenly_spaced(lit.len(), ENDS);
+    let (mut ends, mut goes_on) = (Vec::new(), 0);
+    for (frame, s) in asked.iter().filter_map(|place| lit.get(*place)) {
+        let y: DVector<f64> = model.detrend(&frame.rows);
+        let (own, other) = (s.fit.rss, endless.local(&y, &shape.at(s.fit.bias_us)).rss);
+        let noise = own.min(other) / y.len().max(1) as f64;
+        let margin = (other - own) / (noise * s.fit.inflation).max(1e-12);
+        if margin > DECIDED {
+            ends.push(s.fit.bias_us);
+        }
+        goes_on += usize::from(margin < -DECIDED);
+    }
+    let usual = median(&ends);
+    ends.retain(|bias| (bias - usual).abs() < 0.5 * model.train.pitch_us);
+    let agree = ends.len() as f64 >= AGREE * asked.len() as f64;
+    [if agree { ends.len() } else { 0 }, goes_on]
 }
 
 /// Returns true if enough frames are without flashes, and those with flashes are more than the
@@ -91,38 +138,42 @@ fn adds_light(footage: &Footage, seen: &[Seen]) -> bool {
     level(FrameClass::Used) - level(FrameClass::Dark) > LIGHT * mean(&light)
 }
 
-/// Finds bands that came to rest, in the video of a session that aligned the trigger. Before,
-/// they must have been where their motion at rest, continued backwards, does not lead: the bands
-/// of a lamp move evenly all the time.
+/// Returns the number of frames in which the bands were elsewhere than at the end of the recording by as
+/// much as the board's pulses were, and the number of those in which the pulses were elsewhere and the
+/// bands not there.
 ///
-/// Only the beginning is looked at: over minutes a line through half a second leads anywhere.
-fn aligned(footage: &Footage, model: &Model, seen: &[Seen]) -> Option<Evidence> {
-    footage.applied?;
-    let places: Vec<(f64, f64)> = footage
-        .frames
-        .iter()
-        .zip(seen)
-        .take_while(|(frame, _)| frame.time_s <= BEGINNING_S)
-        .filter(|(_, s)| s.class != FrameClass::Dark && s.fit.is_train(0.5))
-        .map(|(frame, s)| (frame.time_s, s.fit.bias_us))
-        .collect();
+/// Only the beginning is looked at: over minutes the relation of the two clocks leads elsewhere.
+fn beside_trigger(footage: &Footage, model: &Model, seen: &[Seen]) -> [usize; 2] {
+    let Some(trigger) = &footage.trigger else {
+        return [0; 2];
+    };
     let pitch = model.train.pitch_us;
-    let at_rest = |some: &[(f64, f64)]| {
-        let (_, first) = *some.first()?;
-        let near = |&(time, place)| (time, first + off_pitch(place - first, pitch));
-        let some: Vec<(f64, f64)> = some.iter().map(near).collect();
-        let line = Line::fit(&some, 1).filter(|_| some.len() >= REST / 2)?;
-        let rests = line.slope.abs() <= STEADY_US_PER_S && line.residual_sd <= UNEVEN * pitch;
-        rests.then_some((line, some))
+    let frames = footage.frames.iter().zip(seen);
+    let beginning = frames.take_while(|(frame, _)| frame.time_s <= BEGINNING_S);
+    let lit = beginning.filter(|(_, s)| s.class != FrameClass::Dark && s.fit.is_train(0.5));
+    let places = lit.filter_map(|(frame, s)| {
+        let expected = trigger.bias_us(footage.first_ns?, frame.time_s)?;
+        Some((expected, s.fit.bias_us - expected))
+    });
+    let places: Vec<(f64, f64)> = places.collect();
+    let Some(&[.., (rest, apart)]) = places.rchunks(REST).next() else {
+        return [0; 2];
     };
-    let (rest, some) = places.rchunks(REST).find_map(at_rest)?;
-    let (since, _) = *some.first()?;
-    let is_elsewhere = |&&(time, place): &&(f64, f64)| {
-        let doubt = 4.0 * rest.slope_sigma * (since - time);
-        time < since && off_pitch(place - rest.at(time), pitch).abs() > MOVED * pitch + doubt
-    };
-    let elsewhere = places.iter().filter(is_elsewhere).count();
-    (elsewhere >= FRAMES).then_some(Evidence::Aligned(elsewhere))
+    // Relative to the last, and of the median of the last ones.
+    let from_last = |&(_, off): &(f64, f64)| off_pitch(off - apart, pitch);
+    let last: Vec<f64> = places.iter().rev().take(REST).map(from_last).collect();
+    let apart = apart + median(&last);
+    let moved = places
+        .iter()
+        .filter(|(expected, _)| off_pitch(expected - rest, pitch).abs() > MOVED * pitch);
+    let mut counts = [0; 2];
+    for (_, off) in moved {
+        let is_off = off_pitch(off - apart, pitch).abs() > UNEVEN * pitch;
+        if let Some(count) = counts.get_mut(usize::from(is_off)) {
+            *count += 1;
+        }
+    }
+    counts
 }
 
 /// Returns the part of a motion that is not whole pitches, µs.

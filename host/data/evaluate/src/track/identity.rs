@@ -19,7 +19,7 @@ use crate::train::fit::{FrameFit, Model};
 /// Frames on which the assignment is judged.
 const FRAMES: usize = 16;
 /// Margin (χ²) by which one assignment of flashes must fit better than another.
-const DECIDED: f64 = 25.0;
+pub(crate) const DECIDED: f64 = 25.0;
 /// Longest exposure that is considered, µs.
 const MAX_EXPOSURE_US: f64 = 8500.0;
 /// Largest distance of the level over dark frames from a whole number of flashes.

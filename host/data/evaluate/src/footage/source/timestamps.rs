@@ -2,7 +2,7 @@
 //!
 //! The phone's app writes them beside the video ([`phone::frame_timestamps`]).
 //! Without such a file a constant frame rate is assumed. Only differences
-//! of these times are used.
+//! of these times are used, and in a recording their distance from the board's pulses.
 
 use std::path::{Path, PathBuf};
 
@@ -22,6 +22,14 @@ pub enum FrameTimes {
 }
 
 impl FrameTimes {
+    /// Returns the time of the first frame, ns of the camera's clock, if it is known.
+    pub(crate) fn first_ns(&self) -> Option<i64> {
+        match self {
+            Self::Listed(times) => times.first().copied(),
+            Self::Rate(_) => None,
+        }
+    }
+
     /// Returns the seconds from the first frame to frame `index`, or `None` beyond the end of a
     /// list.
     pub fn seconds(&self, index: usize) -> Option<f64> {
