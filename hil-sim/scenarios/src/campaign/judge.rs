@@ -4,17 +4,19 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use board::finding::{EventKind, FindingKind};
+use board::finding::{EventKind, FindingKind, Severity};
 use protocol::{DeviceToHost, ImuFlags, ImuState, ResetCause, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::{Alignment, SessionFile, SessionOutcome};
+use recording::verify::verify;
 use rig::wiring::{self, UNITS_PER_TICK};
 use session::event::{Phase, SessionEvent};
 use session::run::Ended as EndedSession;
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::sim::{FailureKind, ResetCause as ChipReset};
 use stm32f4_sim::time::{SimDuration, SimTime};
+use system::ReadMonitor;
 
 use super::plan::{Fault, Plan};
 use super::{Ended, Verdict};
@@ -55,6 +57,7 @@ pub(super) fn judge(plan: &Plan, ended: &Ended) -> Result<Verdict> {
     judge_samples(plan, &session.file, &compared, &delivered)?;
     contains(&session.folder, &delivered, SimTime::NEVER).context("the recording")?;
     judge_time_of_day(plan, ended, &session.folder, zero)?;
+    no_false_alarm(&session.folder, outcome)?;
     if let Some(killed) = ended.happened.killed {
         let promised = killed.units().saturating_sub(KILL_COSTS.units());
         contains(&ended.killed, &delivered, SimTime::from_units(promised))
@@ -81,6 +84,21 @@ pub(super) fn judge(plan: &Plan, ended: &Ended) -> Result<Verdict> {
         problems,
         digest: crc32fast::hash(&std::fs::read(session.folder.join(MCAP_FILE))?),
     })
+}
+
+/// The check of a recording that holds what was delivered finds no damage, and no loss unless the session
+/// had one.
+fn no_false_alarm(folder: &Path, outcome: SessionOutcome) -> Result<()> {
+    let verification = verify(folder, &ReadMonitor::default())?;
+    let most = if outcome == SessionOutcome::Good {
+        Severity::Good
+    } else {
+        Severity::Check
+    };
+    let mut alarms = verification.findings.iter();
+    let alarm = alarms.find(|finding| finding.severity > most);
+    ensure!(alarm.is_none(), "false alarm of verify: {alarm:?}");
+    Ok(())
 }
 
 /// When the board was reset; the firmware failed in no other way.

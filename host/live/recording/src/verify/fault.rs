@@ -111,8 +111,8 @@ pub(super) enum Fault {
     /// The board was reset.
     #[error("the board was reset within the recording")]
     BoardReset,
-    /// The IMU was silent, as the board explains.
-    #[error("{} without IMU samples, as the board itself says", ms(*.0))]
+    /// The IMU was silent, as the board explains, or would in a sample that is missing.
+    #[error("{} without IMU samples, as the board says or a missing sample would", ms(*.0))]
     ImuGap(u64),
     /// The IMU was silent, and the board does not explain it.
     #[error("{} without IMU samples, and the board does not say why", ms(*.0))]

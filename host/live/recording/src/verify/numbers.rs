@@ -116,7 +116,8 @@ impl Numbers {
         if silence <= interval.saturating_mul(steps).saturating_add(interval / 2) || after_gap {
             return;
         }
-        let fault = if has_reason {
+        // The sample that had the reason may be among those that are missing, which are counted.
+        let fault = if has_reason || steps > 1 {
             Fault::ImuGap(silence)
         } else {
             Fault::ImuGapUnexplained(silence)
