@@ -34,6 +34,8 @@ pub(crate) const ROW_TIME_AGREES: f64 = 0.005;
 /// that blinks shows an end in some frames.
 const ENDS: usize = 16;
 const AGREE: f64 = 0.8;
+/// Flashes that must be in view where the train ends: one distance between two fits any row time.
+const IN_VIEW: usize = 3;
 /// Flashes before and after a train that goes on: more than any picture shows.
 const GOES_ON: u32 = 26;
 /// Last frames, of whose median the rest of the recording is compared with the trigger.
@@ -92,7 +94,8 @@ pub(crate) fn find(
 }
 
 /// Returns the number of frames in which the train ends in the picture where it does in most, and the
-/// number in which the bands go on beyond its end. No ends count unless most frames agree.
+/// number in which the bands go on beyond its end. No ends count unless most frames agree, and show
+/// [`IN_VIEW`] flashes.
 fn train_ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) -> [usize; 2] {
     let train = TrainGeometry {
         count: model.train.count + 2 * GOES_ON,
@@ -114,7 +117,13 @@ fn train_ends(footage: &Footage, model: &Model, seen: &[Seen], shape: &Shape) ->
     }
     let usual = median(&ends);
     ends.retain(|bias| (bias - usual).abs() < 0.5 * model.train.pitch_us);
-    let agree = ends.len() as f64 >= AGREE * asked.len() as f64;
+    let rows = &model.rows;
+    let view_us = [0, rows.len.saturating_sub(1)].map(|i| rows.position(i) * shape.row_time_us);
+    let in_view = (0..model.train.count)
+        .map(|k| model.train.flash_us(k, usual))
+        .filter(|at| (view_us[0]..=view_us[1]).contains(at))
+        .count();
+    let agree = ends.len() as f64 >= AGREE * asked.len() as f64 && in_view >= IN_VIEW;
     [if agree { ends.len() } else { 0 }, goes_on]
 }
 
