@@ -95,8 +95,16 @@ impl FileMark {
 pub(crate) struct OutputDir {
     /// Path of the folder.
     pub(crate) out: PathBuf,
-    /// Holds the lock while it is open.
-    _lock: File,
+    /// Holds the lock.
+    lock: File,
+}
+
+impl Drop for OutputDir {
+    /// Gives the lock up even where a process that was just started has a copy of the open file.
+    fn drop(&mut self) {
+        // It ends with the file in any case.
+        let _ = self.lock.unlock();
+    }
 }
 
 /// Content of `job.json`, which identifies an extraction.
@@ -178,7 +186,7 @@ impl OutputDir {
         }
         Ok(Self {
             out: out.to_owned(),
-            _lock: lock,
+            lock,
         })
     }
 
