@@ -86,7 +86,7 @@ fn until<T: Debug>(mut ask: impl FnMut() -> T, is_expected: impl Fn(&T) -> bool)
     }
 }
 
-/// What a user can do to a rig by a word is seen by the program, and so is its end.
+/// The program sees each change that a word makes to the rig.
 #[test]
 fn each_word_does_to_the_rig_what_it_says() {
     let folder = TestFolder::new();
