@@ -196,7 +196,8 @@ fn a_kill_at_any_write_of_an_extraction_leaves_what_the_next_run_completes() {
 fn a_kill_at_any_write_of_a_profile_leaves_the_old_one_or_the_new_one() {
     let parent = TestFolder::new();
     let folder = recording(parent.path());
-    phone(&folder, 20, 20);
+    // As many timestamps as it takes to learn from.
+    phone(&folder, 20, 400);
     let profile = parent.path().join("rig.toml");
     let learn = || {
         fs::write(&profile, DEFAULT).unwrap();
