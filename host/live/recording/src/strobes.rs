@@ -9,8 +9,9 @@
 
 use std::collections::VecDeque;
 
-use protocol::{TICK_HZ, Ticks};
+use protocol::Ticks;
 use serde::{Deserialize, Serialize};
+use twist_sync::robust::{Line, median_in_place};
 
 /// Flashes of one exposure, as the camera's maker states them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -281,8 +282,12 @@ impl ExposureFinder {
             return Err(StrobesRefused::Dark);
         }
         let mut each = self.seen;
-        let typical = median(each.iter().map(|exposure| exposure.center_us));
-        let flash_us = median(each.iter().map(|exposure| exposure.flash_us));
+        let usual = |of: fn(&SeenExposure) -> f64| {
+            let mut values: Vec<f64> = each.iter().map(of).collect();
+            median_in_place(&mut values).unwrap_or_default()
+        };
+        let typical = usual(|exposure| exposure.center_us);
+        let flash_us = usual(|exposure| exposure.flash_us);
         let before = each.len();
         each.retain(|exposure| {
             (exposure.center_us - typical).abs() <= OFF_CENTER_US
@@ -294,24 +299,33 @@ impl ExposureFinder {
         if used < LEAST_USED || scattered > used || 4 * used < pulses {
             return Err(StrobesRefused::DoesNotFollow { used, pulses });
         }
-        let line = Line::through(&each);
-        let [drift, drift_sigma] = line.drift_us_per_min;
+        let count = used as f64;
+        let first = each.first().map_or(Ticks::ZERO, |exposure| exposure.edge);
+        let minutes = |exposure: &SeenExposure| micros(exposure.edge, first) / 60e6;
+        let points = each.iter().map(|seen| (minutes(seen), seen.center_us));
+        let points: Vec<(f64, f64)> = points.collect();
+        let line = Line::through(&points);
+        let off = points.iter().map(|(at, center)| center - line.at(*at));
+        let spread_us = (off.map(|off| off * off).sum::<f64>() / (count - 2.0).max(1.0)).sqrt();
+        let moved_us = line.slope.abs() * (line.squares / count).sqrt();
+        let drift = line.slope;
+        let drift_sigma = spread_us / line.squares.sqrt().max(f64::MIN_POSITIVE);
         if drift.abs() > MOST_DRIFT_US_PER_MIN.max(SIGNIFICANT * drift_sigma) {
             return Err(StrobesRefused::Moves { us_per_min: drift });
         }
         // A circuit that stretches a flash moves its middle by up to half of that.
         let train = self.train.as_ref();
         let stretch_us = train.map_or(0.0, |train| 0.5 * (flash_us - train.length_us).abs());
-        let of_mean = line.spread_us / (used as f64).sqrt();
+        let of_mean = spread_us / count.sqrt();
         let known: usize = each.iter().map(|exposure| exposure.flashes).sum();
         let statistics = SeenExposures {
-            center_us: line.mean_us,
+            center_us: line.mean,
             sigma_us: of_mean
-                .hypot(line.moved_us)
+                .hypot(moved_us)
                 .hypot(CIRCUIT_SIGMA_US)
                 .hypot(stretch_us),
-            spread_us: line.spread_us,
-            drift_us_per_min: line.drift_us_per_min,
+            spread_us,
+            drift_us_per_min: [drift, drift_sigma],
             flash_us,
             pulses,
             used,
@@ -448,56 +462,9 @@ fn longest(flashes: &[(f64, f64)]) -> Found {
     Found::At([from + 0.5 * length, length], 1)
 }
 
-/// A line through the middles over time.
-struct Line {
-    mean_us: f64,
-    /// Standard deviation about the line.
-    spread_us: f64,
-    /// Standard deviation due to the slope.
-    moved_us: f64,
-    drift_us_per_min: [f64; 2],
-}
-
-impl Line {
-    /// Through two exposures and more.
-    fn through(each: &[SeenExposure]) -> Self {
-        let count = each.len().max(1) as f64;
-        let first = each.first().map_or(Ticks(0), |exposure| exposure.edge);
-        let minutes = |exposure: &SeenExposure| micros(exposure.edge, first) / 60e6;
-        let mean_us = each.iter().map(|exposure| exposure.center_us).sum::<f64>() / count;
-        let mean_min = each.iter().map(minutes).sum::<f64>() / count;
-        let (mut squares, mut of_time, mut both) = (0.0, 0.0, 0.0);
-        for exposure in each {
-            let (off, time) = (exposure.center_us - mean_us, minutes(exposure) - mean_min);
-            squares += off * off;
-            of_time += time * time;
-            both += off * time;
-        }
-        let slope = both / of_time.max(f64::MIN_POSITIVE);
-        let moved = slope * both;
-        let spread_us = ((squares - moved).max(0.0) / (count - 2.0).max(1.0)).sqrt();
-        Self {
-            mean_us,
-            spread_us,
-            moved_us: (moved / count).sqrt(),
-            drift_us_per_min: [slope, spread_us / of_time.sqrt().max(f64::MIN_POSITIVE)],
-        }
-    }
-}
-
 /// Time from `from` to `at`, µs.
 fn micros(at: Ticks, from: Ticks) -> f64 {
-    (at - from).0 as f64 * 1e6 / f64::from(TICK_HZ)
-}
-
-/// The median; 0 of nothing.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    (at - from).as_secs_f64() * 1e6
 }
 
 #[cfg(test)]

@@ -58,7 +58,8 @@ fn end_of_recording(session: &mut Session<'_>) -> bool {
         return false;
     }
     let exposures = session.monitors.exposures.take();
-    session.file.exposures = exposures.and_then(|finder| finder.statistics().ok());
+    let seen = exposures.and_then(|finder| finder.finish().ok());
+    session.file.exposures = seen.map(|(statistics, _)| statistics);
     let now = session.now();
     if let Some(span) = &mut session.file.recorded {
         span.to = span.from.max(now);
