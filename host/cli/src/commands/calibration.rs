@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::outcome::{Failure, write_file};
-use recording::profile::measured::with_depth;
+use recording::profile::measured::{MeasuredDepth, with_depth};
 use recording::profile::{MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 use recording::strobes::SeenExposures;
@@ -24,13 +24,12 @@ pub(crate) fn write_depth(
     };
     let text = system::read_text(profile, MAX_LENGTH)
         .map_err(|error| Failure::file("read", profile, &error))?;
-    let now = Profile::parse(&text, Some(profile))?.depth;
-    let then = &session.profile.depth;
-    if (&now.camera, &now.mode, now.fps) != (&then.camera, &then.mode, then.fps) {
-        return Ok(None);
-    }
     let began = session.began().unwrap_or_else(jiff::Timestamp::now);
     let date = began.to_zoned(jiff::tz::TimeZone::system()).date();
+    let now = Profile::parse(&text, Some(profile))?.depth;
+    if !MeasuredDepth::of(&session.profile.depth, date).holds_for(&now) {
+        return Ok(None);
+    }
     let constant = [seen.center_us, seen.sigma_us];
     write_file(profile, &with_depth(&text, profile, constant, date)?)?;
     Ok(Some(seen))

@@ -201,22 +201,21 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
             return Err(Failure::from(error).commands(vec![next]));
         }
     };
-    let depth = match to_teach {
-        Some(path) => calibration::write_depth(path, &file)?,
-        None => None,
-    };
-    let (learnt, not_learnt) = match to_teach.filter(|_| file.has_recorded()) {
-        Some(profile) => {
-            match learn(profile, &folder, &file, None, None, &ReadMonitor::default()) {
-                Ok(learnt) => {
-                    learnt_now(&mut file, &folder)?;
-                    (learnt, None)
-                }
-                Err(failure) => (Vec::new(), Some(failure)),
+    let (mut depth, mut learnt, mut not_learnt) = (None, Vec::new(), None);
+    if let Some(profile) = to_teach.filter(|_| file.has_recorded()) {
+        let monitor = ReadMonitor::default();
+        let taught = calibration::write_depth(profile, &file).and_then(|seen| {
+            depth = seen;
+            learn(profile, &folder, &file, None, None, &monitor)
+        });
+        match taught {
+            Ok(lessons) => {
+                learnt_now(&mut file, &folder)?;
+                learnt = lessons;
             }
+            Err(failure) => not_learnt = Some(failure),
         }
-        None => (Vec::new(), None),
-    };
+    }
     // The recording is complete without its report.
     let (verification, html) = match write_report(&folder, &file) {
         Ok((verification, path)) => (Some(verification), Some(path)),

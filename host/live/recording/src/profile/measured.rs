@@ -27,6 +27,25 @@ pub struct MeasuredDepth {
     pub fps: u32,
 }
 
+impl MeasuredDepth {
+    /// Describes a measurement of a camera as the profile has it.
+    #[must_use]
+    pub fn of(depth: &Depth, date: Date) -> Self {
+        Self {
+            date,
+            camera: depth.camera.clone(),
+            mode: depth.mode.clone(),
+            fps: depth.fps,
+        }
+    }
+
+    /// Returns true if the camera is the same still, in the same mode and at the same rate.
+    #[must_use]
+    pub fn holds_for(&self, depth: &Depth) -> bool {
+        *self == Self::of(depth, self.date)
+    }
+}
+
 impl Depth {
     /// Returns the flashes of its mode; none if the model is not known to flash.
     #[must_use]
@@ -38,12 +57,7 @@ impl Depth {
     pub fn set_measured(&mut self, seen: &SeenExposures, date: Date) {
         self.center_offset_us = seen.center_us;
         self.center_offset_sigma_us = seen.sigma_us;
-        self.measured = Some(MeasuredDepth {
-            date,
-            camera: self.camera.clone(),
-            mode: self.mode.clone(),
-            fps: self.fps,
-        });
+        self.measured = Some(MeasuredDepth::of(self, date));
     }
 
     /// Returns the part of the error budget that the time from the edge to the middle of exposure
@@ -53,13 +67,7 @@ impl Depth {
         let sigma_us = self.center_offset_sigma_us;
         match &self.measured {
             None => (ErrorPart::DepthCenter, sigma_us),
-            Some(measured)
-                if measured.camera == self.camera
-                    && measured.mode == self.mode
-                    && measured.fps == self.fps =>
-            {
-                (ErrorPart::MeasuredDepth, sigma_us)
-            }
+            Some(measured) if measured.holds_for(self) => (ErrorPart::MeasuredDepth, sigma_us),
             Some(_) => {
                 // Of a mode that no file has, as little is known as of any.
                 let modes = Model::all().iter().flat_map(Model::modes);
