@@ -89,10 +89,23 @@ impl Footage {
     ) -> Result<Self, EvaluateError> {
         let input = input::resolve(path, &settings.monitor)?;
         let mut source = Video::open(&input.path, &settings.monitor)?;
-        let mut footage = Self::from_source(&mut source, settings, expected)?;
-        footage.applied = input.applied;
-        footage.trigger = input.trigger;
-        Ok(footage)
+        let footage = Self::from_source(&mut source, settings, expected)?;
+        Ok(Self {
+            applied: input.applied,
+            trigger: input.trigger,
+            ..footage
+        })
+    }
+
+    /// Reads another part of the same video. Errors are those of [`read`](Self::read).
+    pub(crate) fn read_part(&self, settings: &Settings) -> Result<Self, EvaluateError> {
+        let mut source = Video::open(&self.path, &settings.monitor)?;
+        let footage = Self::from_source(&mut source, settings, None)?;
+        Ok(Self {
+            applied: self.applied,
+            trigger: self.trigger.clone(),
+            ..footage
+        })
     }
 
     /// Reads an opened source to its end. Arguments and errors are those of

@@ -249,9 +249,7 @@ fn earlier(footage: &Footage, settings: &Settings) -> Option<Evidence> {
         to_s: Some((from_s + 2.0).min(BEGINNING_S)),
         ..settings.clone()
     };
-    let mut beginning = Footage::read(&footage.path, &settings, None).ok()?;
-    beginning.applied = footage.applied;
-    beginning.trigger = footage.trigger.clone();
+    let beginning = footage.read_part(&settings).ok()?;
     track(&beginning, &settings, Choice::All).ok()?.evidence
 }
 
