@@ -18,7 +18,7 @@ use signal_hook::iterator::Signals;
 use system::{Cancel, ReadMonitor, ReadProgress};
 
 use crate::fields;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, RAISE_LIMITS};
 use crate::terminal::{Shown, harmless, wrapped};
 
 /// Where the options of every subcommand stand in a help: below its own.
@@ -303,8 +303,7 @@ fn start_threads() -> Result<(), Failure> {
     let refused = started.as_ref().err().and_then(|error| error.source());
     refused.map_or(Ok(()), |error| {
         let text = format!("the system starts no further thread: {error}");
-        let step = "raise the limits of this shell: `ulimit -v`, `ulimit -u`";
-        Err(Failure::new(ExitStatus::Storage, text).next_step(step))
+        Err(Failure::new(ExitStatus::Storage, text).next_step(RAISE_LIMITS))
     })
 }
 

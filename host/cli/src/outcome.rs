@@ -222,6 +222,9 @@ pub(crate) fn next_text<C: AsRef<str>>(commands: &[C]) -> String {
     format!("next\n{}", lines.collect::<String>())
 }
 
+/// Next step where the system starts no further thread.
+pub(crate) const RAISE_LIMITS: &str = "raise the limits of this shell: `ulimit -v`, `ulimit -u`";
+
 /// Refuses to overwrite a file, or to write into a missing folder.
 ///
 /// # Errors

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::advice::bag_step;
 use crate::context::Context;
 use crate::options::one_of;
-use crate::outcome::{ExitStatus, Failure, file_step, next_text};
+use crate::outcome::{ExitStatus, Failure, RAISE_LIMITS, file_step, next_text};
 use crate::recordings::{self, RecordingArg};
 use crate::rig_profile::{Place, ProfileArg};
 use extract::error::ExtractError;
@@ -247,10 +247,7 @@ impl From<ExtractError> for Failure {
                 ExitStatus::Storage,
                 "make room or check the rights, and run it again: it keeps what is there",
             ),
-            ExtractError::Thread(_) => (
-                ExitStatus::Storage,
-                "raise the limits of this shell: `ulimit -v`, `ulimit -u`",
-            ),
+            ExtractError::Thread(_) => (ExitStatus::Storage, RAISE_LIMITS),
             ExtractError::Cancelled => (
                 ExitStatus::Interrupted,
                 "run the same command again to go on",
