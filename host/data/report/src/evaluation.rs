@@ -33,12 +33,9 @@ pub fn precision(
 ) -> String {
     let recordings = result.recordings.iter();
     let mut summary = precision_summary(result, is_written);
-    let boards: Vec<String> = recordings
-        .clone()
-        .filter_map(|r| board_of(&r.path))
-        .collect();
-    let simulated = boards.iter().find(|id| protocol::usb::is_simulated(id));
-    summary.title = titled(summary.title, simulated.map(String::as_str));
+    let mut boards = recordings.clone().filter_map(|r| board_of(&r.path));
+    let simulated = boards.find(|id| protocol::usb::is_simulated(id));
+    summary.title = titled(summary.title, simulated.as_deref());
     let mut page = Page::new(&summary);
     let links = recordings.filter_map(|recording| recording_link(&recording.path, out));
     page.links(&links.collect::<Vec<_>>());
