@@ -11,7 +11,7 @@
 use std::path::Path;
 
 use anyhow::Result;
-use evaluate::stats::quantile;
+use evaluate::stats::{mean, quantile};
 use rig::clocks::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -32,8 +32,8 @@ use crate::whole_chain::new_folder;
 
 /// Time over which a recording's phase is given besides the whole of it, seconds.
 const FIVE_MINUTES_S: f64 = 300.0;
-/// Frames in a mean: ten seconds of them leave a twentieth of what the cameras' own jitter is from
-/// frame to frame, and clocks move by less than a microsecond in that time.
+/// Frames in a mean, ten seconds of them: a seventeenth of the cameras' own jitter from frame to
+/// frame is left in it.
 const MEAN: usize = 300;
 
 /// Records the sessions of a rig, `seconds` each, below `out`.
@@ -82,18 +82,16 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
     let begin_s = phases.first().map_or(0.0, |phase| phase.at_s);
     let count = phases.partition_point(|phase| phase.at_s <= begin_s + FIVE_MINUTES_S);
     let early = phases.get(..count).unwrap_or_default();
-    let within = |phases: &[PhaseError]| {
-        let sizes: Vec<f64> = phases.iter().map(|phase| phase.error_us.abs()).collect();
+    let errors =
+        |phases: &[PhaseError]| -> Vec<f64> { phases.iter().map(|phase| phase.error_us).collect() };
+    let within = |errors: &[f64]| {
+        let sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
         quantile(&sizes, 0.95).unwrap_or(f64::NAN)
     };
     let drift = summarise(early).map_or(f64::NAN, |line| line.drift_us_per_min);
-    let means = early.chunks_exact(MEAN).filter_map(|frames| {
-        let (first, line) = (frames.first()?, summarise(frames)?);
-        let errors = frames.iter().map(|frame| frame.error_us);
-        let error_us = errors.sum::<f64>() / frames.len() as f64;
-        Some((PhaseError { error_us, ..*first }, line.residual_us))
-    });
-    let (means, scatter): (Vec<PhaseError>, Vec<f64>) = means.unzip();
+    let tens = early.chunks_exact(MEAN);
+    let means: Vec<f64> = tens.clone().map(|frames| mean(&errors(frames))).collect();
+    let scatter = tens.filter_map(|frames| Some(summarise(frames)?.residual_us));
     let figure = |what: &str, error| Figure {
         name: format!("{name}: {what}"),
         error,
@@ -101,16 +99,16 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
     };
     let mut figures = vec![
         figure("phase at the start (µs)", verdict.phase.start_us),
-        figure("95 % of the frames of five minutes (µs)", within(early)),
-        figure("95 % of their means over 300 frames (µs)", within(&means)),
         figure(
-            "scatter of frames about these, rms (µs)",
-            rms(scatter.into_iter()),
+            "95 % of the frames of five minutes (µs)",
+            within(&errors(early)),
         ),
+        figure("95 % of their means over 300 frames (µs)", within(&means)),
+        figure("scatter of frames about these, rms (µs)", rms(scatter)),
         figure("drift over five minutes (µs/min)", drift),
     ];
     if early.len() < phases.len() {
-        let all = within(phases);
+        let all = within(&errors(phases));
         figures.push(figure("95 % of all frames (µs)", all));
     }
     figures
