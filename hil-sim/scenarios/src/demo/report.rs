@@ -170,8 +170,8 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     page.text(
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
          clocks are models. Every figure is simulated and judged against the models' ground truth. \
-         The profile was given the models' delays: the error of a constant that an owner measures \
-         is in no figure, and nothing measured it.",
+         The profile was given the models' delays. A photodiode shows that of the depth camera; the \
+         error of the phone's, which nothing measured, is in no figure.",
     );
     page.section(BEFORE.trim_end_matches(':'));
     page.text(
