@@ -61,7 +61,7 @@ pub fn serial_number(board_id: &[u8; 12]) -> heapless::String<24> {
 }
 
 /// Begin of the serial number of a simulated MCU: the word in ASCII. A real one begins with its
-/// coordinates on the wafer in decimal digits (RM0351 47.1), and these are none.
+/// coordinates on the wafer in decimal digits (`LL_GetUID_Word0` in ST's drivers): these are none.
 const SIMULATED: &str = "53494D554C41544544";
 
 /// Returns true for the [`serial_number`] of a simulated MCU.
