@@ -3,7 +3,9 @@
 
 use rayon::prelude::*;
 use twist_scenarios::{RealMotion, TwistSpec};
-use twist_sync::{Estimate, FaultKind, Gate, GyroTrack, Options, Stream, Warning, estimate_offset};
+use twist_sync::{
+    Estimate, FaultKind, Gate, GateKind, GyroTrack, Options, Stream, Warning, estimate_offset,
+};
 
 /// Noise of a sample of either gyroscope, rad/s.
 const NOISE: f64 = 1.4e-3;
@@ -370,7 +372,7 @@ fn exact_data_are_right_to_a_tenth_of_a_microsecond() {
             let (a, b) = (track(a_hz, 0.0), track(b_hz, 0.123_456_7));
             // Without a word they may as well be cut to a hundredth of a second.
             let refusal = estimate_offset(&a, &b, &Options::default()).unwrap_err();
-            let is_sigma = |gate: &Gate| !gate.passed && gate.name == "sigma";
+            let is_sigma = |gate: &Gate| !gate.passed && gate.kind == GateKind::Sigma;
             assert!(refusal.report.gates.iter().any(is_sigma));
             let options = Options {
                 exact_stamps: true,
@@ -395,9 +397,9 @@ fn faults_of_a_whole_recording_are_reported_first() {
         let other = twist_scenarios::twist(&TwistSpec::default(), 72_000).a;
         let refusal = estimate_offset(&other, &twist.b, &Options::default()).unwrap_err();
         let failed = refusal.report.gates.iter().find(|gate| !gate.passed);
-        failed.map(|gate| gate.name)
+        failed.map(|gate| gate.kind)
     };
-    assert_eq!(first(|w| *w = [w[0], 0.0, 0.0]), Some("axes"));
-    assert_eq!(first(|w| *w = w.map(f64::to_degrees)), Some("unit"));
-    assert_eq!(first(|_| {}), Some("explained"));
+    assert_eq!(first(|w| *w = [w[0], 0.0, 0.0]), Some(GateKind::Axes));
+    assert_eq!(first(|w| *w = w.map(f64::to_degrees)), Some(GateKind::Unit));
+    assert_eq!(first(|_| {}), Some(GateKind::Explained));
 }

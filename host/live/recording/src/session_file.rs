@@ -20,9 +20,9 @@ use board::finding::Finding;
 use board::imu::Scale;
 use board::{BoardInfo, StreamCounts};
 use clock::alignment::{GridPlan, Placement};
-use clock::twists::report::TwistReport;
 use clock::{BoardSeconds, ClockRelation, PhoneNanos};
 use system::ReadMonitor;
+use twist_sync::Report;
 
 /// Version of the form of this file.
 pub const FORMAT: u32 = 4;
@@ -159,8 +159,9 @@ pub struct Twist {
     pub skew_sigma_ppm: Option<f64>,
     /// Temperature of the board's IMU at the end of the twist, °C.
     pub board_temperature_c: Option<f64>,
-    /// Findings of the estimator (gates, faults, residuals).
-    pub report: Option<TwistReport>,
+    /// Findings of the estimator (gates, faults, residuals): stream a is the board, stream b the
+    /// phone.
+    pub report: Option<Report>,
 }
 
 /// A span of board time.
@@ -606,4 +607,78 @@ fn is_below(path: &str) -> bool {
 #[derive(Deserialize)]
 struct Form {
     format: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use twist_sync::{Action, Fault, FaultKind, Gate, GateKind, Stream, Warning};
+
+    /// The last of two sawteeth of the phone counts, and a gate keeps a value that JSON lacks.
+    #[test]
+    fn findings_about_a_twist_are_read_as_they_were_written() {
+        let sawtooth = |stream, jump_s| Fault {
+            stream,
+            kind: FaultKind::TimestampSawtooth,
+            count: 3,
+            period: None,
+            displacement_s: Some(jump_s),
+            action: Action::Corrected,
+            samples: Vec::new(),
+        };
+        let gate = Gate {
+            kind: GateKind::Unit,
+            passed: false,
+            value: f64::INFINITY,
+            limit: 20.0,
+        };
+        let held = Warning::Held {
+            stream: Stream::B,
+            rate_hz: 50.0,
+        };
+        let report = Report {
+            faults: vec![
+                sawtooth(Stream::B, 2e-3),
+                sawtooth(Stream::B, 4e-3),
+                sawtooth(Stream::A, 1e-3),
+            ],
+            gates: vec![gate],
+            warnings: vec![held],
+            ..Report::default()
+        };
+        let text = serde_json::to_string(&report).unwrap();
+        let read: Report = serde_json::from_str(&text).unwrap();
+        assert_eq!((&read, read.sawtooth_s(Stream::B)), (&report, Some(4e-3)));
+    }
+
+    #[test]
+    fn a_gate_has_one_name() {
+        use GateKind::{
+            Axes, Bands, Consistent, Explained, Motion, OneBody, OneRelation, Overlap, Rate,
+            Residual, Samples, Settled, Sigma, Skew, Solvable, UniquePeak, Unit, Usable,
+        };
+        let kinds = [
+            Samples,
+            Rate,
+            Motion,
+            Axes,
+            Unit,
+            Overlap,
+            Explained,
+            UniquePeak,
+            Residual,
+            Usable,
+            OneBody,
+            OneRelation,
+            Consistent,
+            Bands,
+            Sigma,
+            Skew,
+            Settled,
+            Solvable,
+        ];
+        for kind in kinds {
+            assert_eq!(serde_json::to_value(kind).unwrap(), kind.name());
+        }
+    }
 }

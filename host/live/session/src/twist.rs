@@ -3,13 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use clock::twists::report::warning_text;
 use clock::{ClockRelation, phone_track};
 use phone::PhoneSample;
 use protocol::TICK_HZ;
 use recording::error_budget::micros_text;
 use recording::session_file::Twist;
-use twist_sync::{LeftOut, Options as EstimateOptions, Report, estimate_offset};
+use twist_sync::{LeftOut, Options as EstimateOptions, Report, Stream, Warning, estimate_offset};
 
 use crate::alignment::skew_prior;
 use crate::devices::Choice;
@@ -308,7 +307,7 @@ fn relate(
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         board_temperature_c: board.temperature_c,
-        report: Some(report.into()),
+        report: Some(report.clone()),
     };
     file.phones[place].twists.push(twist);
     file.files.push(name);
@@ -316,7 +315,7 @@ fn relate(
     let mut remarks: Vec<_> = together(report).into_iter().collect();
     remarks.extend(report.left_out.iter().map(LeftOut::to_string));
     if result.is_ok() {
-        remarks.extend(report.warnings.iter().map(warning_text));
+        remarks.extend(report.warnings.iter().map(with_devices));
     }
     let result = match result {
         Ok(estimate) => Ok(estimate.clock),
@@ -358,10 +357,15 @@ fn together(report: &Report) -> Option<String> {
     (!stretches.is_empty()).then(|| format!("board and phone moved as one body {stretches}"))
 }
 
+/// Returns the sentence of a warning with the names of the two devices.
+fn with_devices(warning: &Warning) -> String {
+    warning.named("the board's stream", "the phone's stream")
+}
+
 /// Jump of the sawtooth in the phone's timestamps, s, by the last twist that showed one; 0 if none
 /// did. In a twist without a jump, its drift cannot be distinguished from the clock's.
 fn seen_jump_s(twists: &[Twist]) -> f64 {
-    let jump = |twist: &Twist| twist.report.as_ref()?.phone_sawtooth_s();
+    let jump = |twist: &Twist| twist.report.as_ref()?.sawtooth_s(Stream::B);
     twists.iter().rev().find_map(jump).unwrap_or(0.0)
 }
 

@@ -13,8 +13,6 @@
 //! two clocks have. [`crate::tracker`] does not join twists: its hypotheses are about the
 //! motion of a rate that is observed many times a second.
 
-pub mod report;
-
 use crate::rates::{Course, Fit, Rate};
 use crate::tracker::WARMING_S;
 use crate::{BoardSeconds, ClockRelation};

@@ -142,11 +142,11 @@ fn left_out_out(left_out: &LeftOut) -> LeftOutOut {
 fn gate_out(gate: &Gate) -> GateOut {
     let text = gate.to_string();
     (
-        gate.name,
+        gate.kind.name(),
         gate.passed,
         gate.value,
         gate.limit,
-        gate.unit,
+        gate.kind.unit(),
         text,
     )
 }

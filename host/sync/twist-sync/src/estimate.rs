@@ -24,7 +24,7 @@ use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 use self::axes::{Dispersion, LateAxis};
 use self::calibration::Calibration;
 use self::fit::Fit;
-pub use self::gates::Gate;
+pub use self::gates::{Gate, GateKind};
 pub use self::options::Options;
 use self::pair::{Pair, Settings};
 pub use self::report::{Estimate, Refusal, Report, Warning};

@@ -128,7 +128,8 @@ pub struct Fault {
     pub displacement_s: Option<f64>,
     /// Treatment of the fault.
     pub action: Action,
-    /// Indices of the affected samples in the recording as given.
+    /// Indices of the affected samples in the recording as given. They are not serialised.
+    #[cfg_attr(feature = "serde", serde(skip))]
     pub samples: Vec<usize>,
 }
 

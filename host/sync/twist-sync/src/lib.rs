@@ -38,7 +38,7 @@ pub use course::{
     ClockCourse, ClockStep, CourseError, Prior, RecordingClock, RefusedWindows, Unsupported,
     course_of_tracks, estimate_course,
 };
-pub use estimate::{Estimate, Gate, Options, Refusal, Report, Warning, estimate_offset};
+pub use estimate::{Estimate, Gate, GateKind, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
 #[doc(hidden)] // for the workspace only: not part of the interface
 pub use signal::interpolant;

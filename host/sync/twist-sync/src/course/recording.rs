@@ -325,10 +325,10 @@ impl Found {
             self.unrelated.push(window.span());
         }
         let mut known = self.refused.iter_mut();
-        match known.find(|own| own.gate.name == gate.name) {
+        match known.find(|own| own.gate.kind == gate.kind) {
             Some(own) => own.count += window.count,
             None => self.refused.push(RefusedWindows {
-                gate: gate.clone(),
+                gate: *gate,
                 count: window.count,
             }),
         }

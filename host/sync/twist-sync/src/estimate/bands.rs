@@ -17,7 +17,7 @@ use nalgebra::Vector2;
 
 use super::fit::{self, Fit};
 use super::pair::{Pair, Settings, Signals};
-use super::{Estimate, Gate, Options, Refusal, Warning};
+use super::{Estimate, Gate, GateKind, Options, Refusal, Warning};
 use crate::clock::{ClockRelation, State};
 use crate::mixture::{Supposed, mixed};
 
@@ -35,15 +35,15 @@ const ERRORS: [[f64; 4]; 2] = [[30e-6, 300e-6, 3e-3, 30e-3], [1e-6, 10e-6, 100e-
 /// Least variance of a step in that of the lower band, which is itself estimated.
 const LEAST_STEP: f64 = 0.25;
 /// Gates that fail if the streams share vibration which is no motion.
-const EXPLAINABLE: [&str; 8] = [
-    "explained",
-    "unique_peak",
-    "one_body",
-    "residual",
-    "one_relation",
-    "consistent",
-    "skew",
-    "settled",
+const EXPLAINABLE: [GateKind; 8] = [
+    GateKind::Explained,
+    GateKind::UniquePeak,
+    GateKind::OneBody,
+    GateKind::Residual,
+    GateKind::OneRelation,
+    GateKind::Consistent,
+    GateKind::Skew,
+    GateKind::Settled,
 ];
 
 /// Unexplained part of the motion's rms from which the two are unrelated, vibration or not.
@@ -79,8 +79,8 @@ pub(crate) fn differ(fit: &Fit, pair: &Pair<'_>, signals: &Signals, settings: &S
 pub(crate) fn is_explainable(refusal: &Refusal) -> bool {
     let mut failed = refusal.report.gates.iter().filter(|gate| !gate.passed);
     let is_explainable = |gate: &Gate| {
-        let unrelated = gate.name == "explained" && gate.value > 1e2 * UNRELATED;
-        EXPLAINABLE.contains(&gate.name) && !unrelated
+        let unrelated = gate.kind == GateKind::Explained && gate.value > 1e2 * UNRELATED;
+        EXPLAINABLE.contains(&gate.kind) && !unrelated
     };
     failed.clone().next().is_some() && failed.all(is_explainable)
 }
@@ -139,7 +139,7 @@ pub(crate) fn joined(
     }
     let sigma = Gate::sigma(estimate.offset_sigma_s(), options.sigma_limit_s);
     let gates = &mut estimate.report.gates;
-    gates.retain(|gate| gate.name != "sigma");
+    gates.retain(|gate| gate.kind != GateKind::Sigma);
     gates.push(sigma);
     if is_refused && best == 0 {
         gates.push(Gate::bands());

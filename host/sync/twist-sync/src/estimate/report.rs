@@ -5,7 +5,7 @@ use std::fmt;
 
 use super::gates::Gate;
 use crate::clock::{ClockRelation, WithSigma};
-use crate::faults::{Fault, LeftOut, Stream};
+use crate::faults::{Fault, FaultKind, LeftOut, Stream};
 use crate::signal::interpolant::Vec3;
 
 /// An accepted estimate.
@@ -48,13 +48,15 @@ pub struct Refusal {
 impl Refusal {
     /// Returns true if both gyroscopes move, but do not match at any lag that was tried.
     pub(crate) fn is_about_lag(&self) -> bool {
-        let is_about_lag = |gate: &Gate| !gate.passed && Gate::ABOUT_LAG.contains(&gate.name);
+        let is_about_lag = |gate: &Gate| !gate.passed && gate.kind.is_about_lag();
         self.report.gates.iter().any(is_about_lag)
     }
 }
 
 /// Figures on which an estimate or a refusal is based.
 #[derive(Debug, Clone, PartialEq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(default))]
 pub struct Report {
     /// Rms of the in-band residual over the overlap and the axes, in rad/s.
     pub residual_rms: Option<f64>,
@@ -91,6 +93,14 @@ impl Report {
         reasons.join("; ")
     }
 
+    /// Returns the jump of the sawtooth in a stream's timestamps, in seconds, if they show one.
+    #[must_use]
+    pub fn sawtooth_s(&self, stream: Stream) -> Option<f64> {
+        let is_sawtooth =
+            |fault: &&Fault| fault.stream == stream && fault.kind == FaultKind::TimestampSawtooth;
+        self.faults.iter().rfind(is_sawtooth)?.displacement_s
+    }
+
     /// Records a judged gate; returns `None` if it is not passed.
     pub(crate) fn judge(&mut self, gate: Gate) -> Option<()> {
         let passed = gate.passed;
@@ -105,6 +115,8 @@ impl Report {
 
 /// A limitation of an accepted estimate. [`Display`](fmt::Display) explains it in a sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 #[non_exhaustive]
 pub enum Warning {
     /// The motion was about one axis only.
