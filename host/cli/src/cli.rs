@@ -48,21 +48,21 @@ enum Command {
     Setup(commands::setup::SetupArgs),
     /// Check that the rig is ready for a recording; each problem is listed with its fix
     Doctor(commands::doctor::DoctorArgs),
-    /// Record: twist, align the trigger to the phone's frames, record, stop
+    /// Record a session: twist, align the trigger to the phone's frames, record, stop
     Record(commands::record::RecordArgs),
     /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, ROS, ...
     Extract(commands::extract::ExtractArgs),
     /// Measure frame sync from the depth camera's strobes on the phone's video
     Evaluate(commands::evaluate::EvaluateArgs),
-    /// Check a recording, and write its report again
+    /// Check a recording, and rewrite its report
     Verify(commands::verify::VerifyArgs),
-    /// Look at the board live: trigger, gyroscope, rates, losses
+    /// Watch the board live: trigger, gyroscope, rates, losses
     Monitor(commands::monitor::MonitorArgs),
-    /// Use the board by hand: list, info, flash, test, trigger, imu, pps
+    /// Operate the board by hand: list, info, flash, test, trigger, imu, pps
     Board(commands::board::BoardArgs),
-    /// Talk to the phone's app
+    /// Control the phone's app
     Phone(commands::phone::PhoneArgs),
-    /// Make, check and teach a rig profile by hand
+    /// Create, check and calibrate a rig profile
     Profile(commands::profile::ProfileArgs),
     /// Print the completions for a shell
     #[command(hide = true)]

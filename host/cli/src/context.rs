@@ -30,7 +30,7 @@ pub struct Global {
     /// Print the result as JSON
     #[arg(long, global = true, help_heading = GLOBAL)]
     pub json: bool,
-    /// Print results and errors alone
+    /// Print only results and errors
     #[arg(short, long, global = true, help_heading = GLOBAL, conflicts_with = "verbose")]
     pub quiet: bool,
     /// Log more on standard error: -v info, -vv debug, -vvv trace

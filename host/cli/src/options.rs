@@ -10,7 +10,7 @@ use crate::rig_profile::ProfileArg;
 /// The option of every command that talks to the board.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct PortArg {
-    /// The board's serial port, if not the profile's `port` or the one board that is plugged in
+    /// Serial port of the board [default: the profile's `port`, or the only board that is found]
     #[arg(long, value_name = "PATH", global = true, hide_short_help = true)]
     pub(crate) port: Option<String>,
 }

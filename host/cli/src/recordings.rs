@@ -18,7 +18,7 @@ pub(crate) const FOLDER: &str = "recordings";
 /// The option of every command that reads a recording.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RecordingArg {
-    /// The recording: its folder, or its recording.mcap; else the newest in `recordings`
+    /// Folder of the recording, or its recording.mcap [default: the newest in `recordings`]
     #[arg(value_name = "RECORDING")]
     recording: Option<PathBuf>,
 }

@@ -15,7 +15,7 @@ pub(crate) const FILE: &str = "rig.toml";
 /// The option of every command that takes a rig profile.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct ProfileArg {
-    /// The rig profile, if not ./rig.toml
+    /// Rig profile [default: ./rig.toml]
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub(crate) profile: Option<PathBuf>,
 }

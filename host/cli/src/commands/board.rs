@@ -27,10 +27,10 @@ pub(crate) struct BoardArgs {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// List the serial ports, and which look like the board
+    /// List the serial ports, and mark those that look like the board
     #[command(after_help = "Example: smartdepthsync board list")]
     List,
-    /// Show who the board is: ID, firmware, uptime, last reset
+    /// Show the board's ID, firmware, uptime and last reset
     #[command(after_help = "Example: smartdepthsync board info")]
     Info,
     /// Put firmware on the board by USB, without a programmer, and check it

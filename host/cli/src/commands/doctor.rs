@@ -36,10 +36,10 @@ pub(crate) struct DoctorArgs {
     pub(crate) port: PortArg,
     #[command(flatten)]
     pub(crate) profile: ProfileArg,
-    /// Do not try the trigger (no pulses on the wire)
+    /// Skip the trigger (no pulses on the wire)
     #[arg(long)]
     pub(crate) no_trigger: bool,
-    /// Do not look for the phone
+    /// Skip the phone
     #[arg(long)]
     pub(crate) no_phone: bool,
 }

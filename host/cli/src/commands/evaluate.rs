@@ -53,10 +53,10 @@ struct CommonArgs {
     /// Strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
     #[arg(long, default_value = "nfov", value_name = "TRAIN")]
     train: TrainGeometry,
-    /// Degrees by which the image is turned clockwise against the sensor's read-out
+    /// Clockwise rotation of the image relative to the sensor's readout, in degrees
     #[arg(long, default_value = "0", value_name = "DEGREES", value_parser = one_of(&ROTATIONS))]
     rotation: Direction,
-    /// Part of the image to look at, in pixels
+    /// Part of the image to evaluate, in pixels
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT")]
     region: Option<Region>,
     /// Exposure of a row, such as 500us, if known to 2 %
@@ -65,7 +65,7 @@ struct CommonArgs {
     /// Row time, such as 10.2us, if known to 0.5 %
     #[arg(long, value_name = "TIME", value_parser = parse_micros)]
     row_time: Option<f64>,
-    /// Expected bias; decides which flash is which where the picture does not
+    /// Expected bias, which identifies the flashes where the picture does not
     #[arg(long, value_name = "TIME", value_parser = parse_micros, allow_hyphen_values = true)]
     near: Option<f64>,
     /// Delay of the light path from strobe to LED, subtracted
@@ -91,10 +91,10 @@ struct CommonArgs {
     after_help = "Example: smartdepthsync evaluate precision recordings/walk --calibrate rig.toml"
 )]
 struct PrecisionArgs {
-    /// Recordings' folders, or videos; each is one recording
+    /// Folders of recordings, or videos; each is one recording
     #[arg(required = true, value_name = "VIDEO_OR_FRAMES")]
     inputs: Vec<PathBuf>,
-    /// Frames with flashes to use of each recording, the last ones
+    /// Number of frames with flashes to use from each recording, counted from its end
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
     frames: u16,
     /// Write the bias into this rig profile
@@ -109,7 +109,7 @@ struct PrecisionArgs {
     after_help = "Example: smartdepthsync evaluate drift recordings/walk --out recordings/walk/drift.html"
 )]
 struct DriftArgs {
-    /// Recording's folder, or video
+    /// Folder of the recording, or video
     #[arg(value_name = "VIDEO_OR_FRAMES")]
     input: PathBuf,
     #[command(flatten)]

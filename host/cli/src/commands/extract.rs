@@ -42,27 +42,27 @@ const MORE: &str = "More";
 pub(crate) struct ExtractArgs {
     #[command(flatten)]
     recording: RecordingArg,
-    /// The format: EuRoC (ASL), TUM RGB-D, a folder a topic as the published extractor has it,
-    /// what Kalibr's bag creator takes, or a ROS 2 bag (MCAP)
+    /// Format: EuRoC (ASL), TUM RGB-D, one folder per topic as by the published extractor, input of
+    /// Kalibr's bag creator, or a ROS 2 bag (MCAP)
     #[arg(long, default_value = "euroc", value_parser = one_of(&FORMATS))]
     format: Format,
-    /// The output folder; else RECORDING-FORMAT beside the recording
+    /// Output folder [default: RECORDING-FORMAT beside the recording]
     #[arg(short, long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Replace a former extraction in the output folder
+    /// Replace an earlier extraction in the output folder
     #[arg(long)]
     overwrite: bool,
-    /// The phone's files: a folder, or the video itself; else the recording's folder. Of several
-    /// phones with its name; may be given for each
+    /// Folder with the phone's files, or the video itself [default: the recording's folder]. With
+    /// several phones, give the name too; may be repeated
     #[arg(long, value_name = "[NAME=]PATH")]
     phone: Vec<String>,
-    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
-    /// or its .mcap file); else the one in the recording's folder
+    /// Recording of the depth camera: an .mkv file, or a ROS 2 bag of its driver (its folder, or
+    /// its .mcap file) [default: the one in the recording's folder]
     #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
-    /// Reproject depth into another camera, in the size of its images: the phone's
-    /// (the profile must have its intrinsics and where both cameras are), or that of the depth
-    /// camera's colour images
+    /// Reproject depth into another camera, at the size of its images: the phone's, whose
+    /// intrinsics and both cameras' poses the profile must hold, or the depth camera's colour
+    /// camera
     #[arg(long, value_parser = one_of(&VIEWS))]
     register: Option<View>,
     #[command(flatten, next_help_heading = MORE)]
@@ -72,20 +72,20 @@ pub(crate) struct ExtractArgs {
 /// Options of `extract` that its short help leaves out.
 #[derive(Debug, clap::Args)]
 struct MoreArgs {
-    /// A rig profile that goes before the one that the recording was made with: constants and
-    /// geometry of the first phone and of the depth camera
+    /// Rig profile that overrides the recording's: constants and geometry of the first phone and of
+    /// the depth camera
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     profile: Option<PathBuf>,
-    /// The topic of the depth images in a bag, if it has several
+    /// Topic of the depth images, if a bag has several
     #[arg(long, value_name = "TOPIC", hide_short_help = true)]
     depth_topic: Option<String>,
-    /// Take the pairs from outside the aligned span too, and those more than 10 ms apart
+    /// Include pairs from outside the aligned span, and pairs more than 10 ms apart
     #[arg(long, hide_short_help = true)]
     all_pairs: bool,
-    /// Write infrared images too
+    /// Also write infrared images
     #[arg(long, hide_short_help = true)]
     infrared: bool,
-    /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
+    /// Pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
     #[arg(long, value_name = "N", hide_short_help = true)]
     first_pulse: Option<usize>,
 }

@@ -26,22 +26,21 @@ use session::link::watch;
 /// Interval of the plain lines where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
 
-/// Look at the board: trigger, gyroscope, rates, losses. Nothing is changed and
-/// nothing is recorded.
+/// Watch the board: trigger, gyroscope, rates, losses. Changes nothing and records nothing.
 ///
-/// On a terminal a live view (h shows its keys), else a line a second. With --json
-/// the state at the end.
+/// Shows a live view on a terminal (h lists its keys), and a line per second elsewhere. With
+/// --json, prints the state at the end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync monitor --duration 1m")]
 pub(crate) struct MonitorArgs {
     #[command(flatten)]
     port: PortArg,
-    /// Length of the look in board time: 90s, 5m, 1h; else until stopped
+    /// Duration in board time, such as 90s, 5m or 1h [default: until stopped]
     #[arg(long, value_name = "TIME", value_parser = parse_length)]
     duration: Option<u64>,
     #[command(flatten)]
     profile: ProfileArg,
-    /// Plain lines even on a terminal
+    /// Print plain lines even on a terminal
     #[arg(long)]
     plain: bool,
 }

@@ -19,7 +19,7 @@ use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
 use phone::{PhoneClient, PhoneError, Settings};
 
-/// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
+/// Control the phone's app (OpenCamera Sensors, with its remote control switched on).
 #[derive(Debug, clap::Args)]
 pub(crate) struct PhoneArgs {
     #[command(flatten)]
@@ -31,11 +31,11 @@ pub(crate) struct PhoneArgs {
 /// Options for reaching the phone.
 #[derive(Clone, Debug, clap::Args)]
 struct ConnectionArgs {
-    /// The phone's address, as the app's dialog shows it, if not the profile's; port 6969 if
-    /// it has none
+    /// Address of the phone, as the app's dialog shows it; without a port, 6969 [default: the
+    /// profile's]
     #[arg(long, global = true, value_name = "HOST[:PORT]")]
     phone: Option<String>,
-    /// Longest wait for the phone, beyond the time that the request itself takes
+    /// Longest wait for the phone, in addition to the time that the request itself takes
     #[arg(long, global = true, value_name = "TIME", default_value = "15s", value_parser = parse_real_time)]
     timeout: Duration,
 }
@@ -45,7 +45,7 @@ struct ConnectionArgs {
 enum Request {
     /// Record the phone's gyroscope for a while
     Imu(ImuArgs),
-    /// Start a video; prints the phase and duration of its frames
+    /// Start a video, and print the phase and duration of its frames
     #[command(after_help = "Example: smartdepthsync phone start")]
     Start,
     /// Stop the video
@@ -64,7 +64,7 @@ struct ImuArgs {
     /// Length of the recording
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = imu_duration)]
     duration: Duration,
-    /// Save the samples in this file, as the app writes them
+    /// Save the samples to this file, in the app's format
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Replace the file if it is there
@@ -76,17 +76,17 @@ struct ImuArgs {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync phone get-video --recorded --out recordings/walk")]
 struct GetVideoArgs {
-    /// Folder for the video (it keeps a safe form of its name), or the file to write
+    /// Folder for the video, which keeps a safe form of its name, or the file to write
     #[arg(short, long, value_name = "PATH", default_value = ".")]
     out: PathBuf,
     /// Overwrite an existing file
     #[arg(long)]
     overwrite: bool,
-    /// The app has made a video since it was opened. Without one, the request ends the app,
-    /// and a video that it would be recording: so it is not asked unless you say so
+    /// Confirm that the app has made a video since it was opened. Without one, the request crashes
+    /// the app, and with it a recording in progress
     #[arg(long)]
     recorded: bool,
-    /// Longest wait for the app to finish the file before it sends it
+    /// Longest wait for the app to finish the file
     #[arg(long, value_name = "TIME", default_value = "120s", value_parser = parse_real_time)]
     ready: Duration,
 }
@@ -97,13 +97,13 @@ struct GetVideoArgs {
     after_help = "Example: smartdepthsync phone get-files --phase 1234567890 --out recordings/walk"
 )]
 struct GetFilesArgs {
-    /// The phase that `phone start` printed, or `session.json` has: it names the video
+    /// Phase that `phone start` printed or `session.json` holds, which identifies the video
     #[arg(long, value_name = "NS")]
     phase: i64,
     /// Folder for the files, such as the recording's
     #[arg(short, long, value_name = "FOLDER", default_value = ".")]
     out: PathBuf,
-    /// Copy the video too
+    /// Also copy the video
     #[arg(long)]
     video: bool,
 }

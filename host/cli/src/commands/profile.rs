@@ -58,7 +58,7 @@ enum Action {
         recording: RecordingArg,
         #[command(flatten)]
         profile: ProfileArg,
-        /// The phone to learn about, if the rig has several; else all of them
+        /// Phone to learn about, if the rig has several [default: all of them]
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
         /// The app's file of frame timestamps, if it is not in the recording's folder; of
@@ -66,18 +66,18 @@ enum Action {
         #[arg(long, value_name = "FILE")]
         timestamps: Option<PathBuf>,
     },
-    /// Take over intrinsics and poses of the cameras from Kalibr's camchain-imucam.yaml
+    /// Import intrinsics and poses of the cameras from Kalibr's camchain-imucam.yaml
     #[command(
         after_help = "Example: smartdepthsync profile import-kalibr rig.toml chain-camchain-imucam.yaml"
     )]
     ImportKalibr {
-        /// The profile to write into; its comments stay
+        /// Profile to update; its comments are kept
         file: PathBuf,
         /// The result of kalibr_calibrate_imu_camera: cam0 is the phone, cam1 the depth
         /// camera's colour
         #[arg(value_name = "CAMCHAIN")]
         chain: PathBuf,
-        /// The phone that is cam0, if the rig has several; else the reference
+        /// Phone that is cam0, if the rig has several [default: the reference]
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
     },

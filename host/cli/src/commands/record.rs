@@ -48,28 +48,27 @@ const MORE: &str = "More";
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync record --duration 5m")]
 pub(crate) struct RecordArgs {
-    /// Length of the recording in board time: 90s, 5m, 1h; else until stopped
+    /// Duration in board time, such as 90s, 5m or 1h [default: until stopped]
     #[arg(long, value_name = "TIME", value_parser = parse_length)]
     duration: Option<u64>,
-    /// Folder in which the recording's folder is made
+    /// Parent folder of the recording's folder
     #[arg(short, long, value_name = "FOLDER", default_value = recordings::FOLDER)]
     out: PathBuf,
-    /// Name of the recording's folder, if not date and time
+    /// Name of the recording's folder [default: date and time]
     #[arg(long, value_parser = check_name)]
     name: Option<String>,
-    /// Never prompt; stop at the first failure (so do -q and --json)
+    /// Never prompt, and stop at the first failure; -q and --json imply it
     #[arg(long)]
     yes: bool,
     /// Record for 90 s between two twists, and write what that teaches into the rig profile: the
     /// phone's clocks, and with a photodiode on PA2 the middle of the depth exposure
     #[arg(long)]
     calibrate: bool,
-    /// Twist again at the end: a far better skew, and `profile learn` needs it
+    /// Twist again at the end, for a far better skew; `profile learn` needs it
     #[arg(long)]
     second_twist: bool,
-    /// Follow the phone's clock through adb while it records, so that the trigger stays on
-    /// its frames for hours: auto where an adb server has the phone, always or it is an error,
-    /// never
+    /// Follow the phone's clock through adb during the recording, which keeps the trigger on its
+    /// frames for hours: auto (if an adb server has the phone), always (or fail), or never
     #[arg(long, value_name = "WHEN", default_value = "auto", value_parser = one_of(&TRACKS),
           hide_possible_values = true)]
     track: Track,
@@ -87,28 +86,28 @@ struct MoreArgs {
     port: PortArg,
     #[command(flatten)]
     profile: ProfileArg,
-    /// Twists before the recording, a minute apart: two know the rate of the clocks today,
-    /// three and more how it changes while the rig warms up
+    /// Number of twists before the recording, a minute apart: two show the present rate of the
+    /// clocks, three or more how it changes while the rig warms up
     #[arg(long, value_name = "NUMBER", default_value_t = 1, hide_short_help = true,
           value_parser = clap::value_parser!(u32).range(1..=5))]
     twists: u32,
-    /// Set a mark this long after the start; may be given more than once
+    /// Set a mark this long after the start; may be repeated
     #[arg(long = "marker", value_name = "TIME", hide_short_help = true,
           value_parser = parse_duration)]
     markers: Vec<u64>,
-    /// Align the trigger this far before the phone's frames, such as 4ms, which shows an end of
-    /// the strobe train: for `evaluate precision --calibrate`
+    /// Align the trigger this far ahead of the phone's frames, such as 4ms, so that an end of the
+    /// strobe train is in the picture, for `evaluate precision --calibrate`
     #[arg(long, value_name = "TIME", hide_short_help = true, value_parser = parse_real_time,
           conflicts_with = "calibrate")]
     shift: Option<Duration>,
-    /// Plain lines instead of the live view
+    /// Print plain lines instead of the live view
     #[arg(long, hide_short_help = true)]
     plain: bool,
-    /// Print what happens as it happens, one JSON object a line, and nothing else on standard
-    /// output; plain lines instead of the live view
+    /// Print events as JSON objects, one per line, and nothing else on standard output; implies
+    /// --plain
     #[arg(long, hide_short_help = true)]
     events: bool,
-    /// Record every frame of the USB link as it came too, for the report of a fault
+    /// Also record each frame of the USB link as received, for a bug report
     #[arg(long, hide_short_help = true)]
     raw_link: bool,
 }

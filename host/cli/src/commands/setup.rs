@@ -19,7 +19,7 @@ use crate::rig_profile::{FILE, ProfileArg};
 use phone::{adb, check_address};
 use recording::camera::{DEFAULT_CAMERA, Mode, Model};
 
-/// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
+/// Create the profile of a rig: asks for what is unknown, writes `rig.toml`, checks the rig as
 /// `doctor` does, and names the next command.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync setup --phone 192.168.1.50 --recorder k4arecorder")]
@@ -35,19 +35,19 @@ pub(crate) struct SetupArgs {
     /// Name of the rig
     #[arg(long)]
     name: Option<String>,
-    /// The phone's address, as the app's dialog shows it
+    /// Address of the phone, as the app's dialog shows it
     #[arg(long, value_name = "HOST[:PORT]")]
     phone: Option<String>,
     #[command(flatten)]
     camera: CameraArg,
-    /// The program that records the depth camera, with its arguments; {folder} and {fps} are
-    /// filled in. `none` for none; the camera's own if it is installed
+    /// Program that records the depth camera, with its arguments; {folder} and {fps} are filled in,
+    /// and `none` means no program [default: the camera's own, if it is installed]
     #[arg(long, value_name = "COMMAND")]
     recorder: Option<String>,
-    /// Ask nothing; use defaults for what is not given
+    /// Never prompt; use the defaults for options that are not given
     #[arg(long)]
     yes: bool,
-    /// Do not try the trigger (no pulses on the wire)
+    /// Skip the trigger (no pulses on the wire)
     #[arg(long)]
     no_trigger: bool,
 }
@@ -61,7 +61,7 @@ pub(crate) struct CameraArg {
     /// Mode of the depth camera, as its programs call it
     #[arg(long, value_name = "MODE")]
     pub(crate) depth_mode: Option<String>,
-    /// Exposure of the depth camera, such as 8ms, if it is one whose exposure is set
+    /// Exposure of the depth camera, such as 8ms, for models whose exposure can be set
     #[arg(long, value_name = "TIME", value_parser = parse_exposure)]
     pub(crate) exposure: Option<f64>,
 }

@@ -14,9 +14,9 @@ use report::summary::Summary;
 use report::verification;
 use serde::Serialize;
 
-/// Check a recording: every message and file against what it held when it was closed, and
-/// checksums, numbers, times, grid and clocks against each other. Its report is written again,
-/// into its folder.
+/// Check a recording: every message and file against its contents when it was closed, and
+/// checksums, numbers, times, grid and clocks against each other. Rewrites the report in its
+/// folder.
 ///
 /// Ends with exit code 0 if nothing is missing or changed, 4 if something is missing,
 /// damaged or cannot be compared, 13 if it cannot be read at all.

@@ -32,10 +32,10 @@ const BY_HAND: Duration = Duration::from_secs(180);
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board flash")]
 pub(crate) struct FlashArgs {
-    /// Image to put on it, `smartdepthsync-firmware*.dfu`; else the installed one
+    /// Image to write, `smartdepthsync-firmware*.dfu` [default: the installed one]
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
-    /// Which board it is, where none answers: discovery or black-pill
+    /// Model of the board, if none answers: discovery or black-pill
     #[arg(long, value_name = "BOARD", value_parser = parse_board)]
     board: Option<BoardModel>,
 }

@@ -21,7 +21,7 @@ const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board imu --duration 60s")]
 pub(crate) struct BoardImuArgs {
-    /// Length of the look in board time: 90s, 5m, 1h
+    /// Duration in board time, such as 90s, 5m or 1h
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = parse_length)]
     duration: u64,
 }

@@ -17,28 +17,27 @@ pub(crate) struct PpsArgs {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Start the pulse on the next whole second of board time; as a Velodyne
-    /// VLP-16 wants it by default
+    /// Start the pulse on the next whole second of board time; the defaults suit a Velodyne VLP-16
     #[command(after_help = "Example: smartdepthsync board pps start --baud 115200 --zda")]
     Start {
-        /// UTC of the present second as Unix time; else by this computer's clock
+        /// Present second of UTC as Unix time [default: by this computer's clock]
         #[arg(long, value_name = "SECONDS")]
         utc: Option<i64>,
         /// Rate of the serial line: 9600 or 115200
         #[arg(long, value_name = "BD", default_value = "9600", value_parser = parse_baud)]
         baud: Baud,
-        /// The serial line is high when idle, as a UART's; otherwise low, as
-        /// behind an RS-232 driver
+        /// Keep the idle serial line high, as a UART does; by default it is low, as behind an
+        /// RS-232 driver
         #[arg(long)]
         idle_high: bool,
         /// Send $GPZDA after $GPRMC
         #[arg(long)]
         zda: bool,
     },
-    /// Stop pulse and sentences
+    /// Stop the pulse and the sentences
     #[command(after_help = "Example: smartdepthsync board pps stop")]
     Stop,
-    /// Show its state
+    /// Show the state
     #[command(after_help = "Example: smartdepthsync board pps status")]
     Status,
 }

@@ -20,8 +20,8 @@ use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
 ///
-/// Wire PA5 to PA3 and to PA2, and the IMU; nothing else. Then move the wire at PA2, unplug
-/// and reset what you are asked to; Enter leaves it out. Takes five minutes.
+/// Connect PA5 to PA3 and PA2, and the IMU; nothing else. The test asks you to move the wire at
+/// PA2, to unplug the cable and to press reset; Enter skips a step. It takes five minutes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: smartdepthsync board test --hands-off")]
 pub(crate) struct TestArgs {
@@ -35,18 +35,18 @@ pub(crate) struct TestArgs {
     /// Skip the parts that need a person at the board
     #[arg(long)]
     hands_off: bool,
-    /// Time to compare the crystal with this computer's clock: 60s, 5m
+    /// Time over which the crystal is compared with this computer's clock, such as 60s or 5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
     clock_time: Duration,
-    /// Then let trigger and IMU run for this many hours, with a computer that sleeps and a board
-    /// that leaves the bus
+    /// Afterwards, run the trigger and the IMU for this many hours, with a sleeping computer and a
+    /// board that leaves the bus
     #[arg(long, value_name = "N", default_value_t = 0)]
     hours: u32,
-    /// Keep what was measured in the board: the delay of its inputs, the start delay of its
+    /// Store the measurements in the board: the delay of its inputs, the start delay of its
     /// outputs, its crystal against this computer's clock
     #[arg(long)]
     keep: bool,
-    /// Folder for board-test.json and board-test.html; of some parts with their names
+    /// Folder for board-test.json and board-test.html; a test of some parts adds their names
     #[arg(short, long, value_name = "FOLDER", default_value = "board-test")]
     out: PathBuf,
 }

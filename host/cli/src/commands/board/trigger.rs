@@ -15,7 +15,7 @@ use crate::outcome::{ExitStatus, Failure};
 /// Options of `board trigger`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct TriggerArgs {
-    /// Which trigger output: 1 is the camera's (PA5); 2, 3, 4 are PE11, PE13, PE14
+    /// Trigger output: 1 is the camera's (PA5); 2, 3 and 4 are PE11, PE13 and PE14
     #[arg(long, value_name = "N", default_value_t = 1, global = true,
           value_parser = clap::value_parser!(u8).range(1..=4))]
     output: u8,
@@ -34,7 +34,7 @@ enum Action {
         /// outputs 2 to 4
         #[arg(long, value_name = "TIME", value_parser = parse_ticks)]
         width: Option<u32>,
-        /// Board time of the first rising edge, in ticks of 48 MHz; else at once
+        /// Board time of the first rising edge, in ticks of 48 MHz [default: at once]
         #[arg(long, value_name = "TICK")]
         first_edge: Option<u64>,
     },
@@ -42,12 +42,12 @@ enum Action {
     /// when it has arrived
     #[command(after_help = "Example: smartdepthsync board trigger align --anchor 4416000000")]
     Align {
-        /// A tick of 48 MHz on which an edge must fall; at most an hour away
+        /// Tick of 48 MHz on which an edge must fall, at most an hour away
         #[arg(long, value_name = "TICK")]
         anchor: u64,
         #[command(flatten)]
         period: PeriodArg,
-        /// Move at most so far a frame; 0s jumps at once
+        /// Largest move per frame; 0s jumps at once
         #[arg(long, value_name = "TIME", default_value = "100us", value_parser = parse_ticks)]
         slew: u32,
     },
@@ -69,7 +69,7 @@ enum Action {
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[group(multiple = false)]
 struct PeriodArg {
-    /// Frames a second, such as 30 or 29.97; exact; 30 where a train begins
+    /// Frames per second, such as 30 or 29.97, exact; 30 when a train starts
     #[arg(long, value_name = "FPS", value_parser = parse_fps)]
     fps: Option<Period>,
     /// Period, such as 33330.652us; exact to 2⁻³² ticks
