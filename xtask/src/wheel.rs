@@ -60,6 +60,7 @@ pub(crate) fn installed() -> Result<PathBuf> {
     let python = tools::ensure_python()?;
     let folder = process::fresh_folder("wheels")?;
     let mut maturin = maturin(&python, &folder);
+    maturin.args(["--features", "built-for-workspace"]);
     process::run(maturin.env("VIRTUAL_ENV", process::target_dir().join("venv")))?;
     let wheel = only_file(&folder)?;
     tools::pip_install(&python, &["--no-deps", "--force-reinstall"], &wheel)?;
