@@ -12,13 +12,9 @@ use rand_pcg::Pcg64;
 use recording::profile::DEFAULT;
 
 use super::extract_command::{phone, recording};
-use test_support::TestFolder;
+use test_support::{TestFolder, kills};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_smartdepthsync");
-
-/// The calls by which a program changes files.
-const WRITES: &str =
-    "write,pwrite64,writev,openat,rename,renameat,renameat2,mkdir,unlink,fsync,fdatasync";
 
 /// The files of a data set that its reader sees, but for the page.
 fn contents(out: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -117,7 +113,8 @@ fn many_extractions_at_once_leave_one_whole_data_set() {
     println!("300 extractions in 60 groups, {killed} killed");
 }
 
-/// Every file of a data set gone, empty, cut, or with a changed byte, each in another run.
+/// Every file of a data set gone, empty, cut, or with a changed byte, each in another run, and what a killed
+/// one leaves unfinished.
 #[test]
 fn the_next_run_writes_again_what_was_changed() {
     let parent = TestFolder::new();
@@ -141,28 +138,13 @@ fn the_next_run_writes_again_what_was_changed() {
                 }
                 fs::write(path, changed).unwrap();
             }
+            for left in ["contents.json.partial", "1.png.partial"] {
+                fs::write(out.join(left), "").unwrap();
+            }
             assert_eq!(code(extract(&folder, format, &out)), usual);
             assert!(contents(&out) == expected, "{format} {kind}");
         }
     }
-}
-
-/// Runs a command that is killed within one of its [`WRITES`]. Returns true if it was.
-fn is_killed_at(write: usize, command: &Command) -> bool {
-    let mut traced = Command::new("strace");
-    traced.args(["-f", "-qq", "-o", "/dev/null", "-e"]);
-    traced.arg(format!("trace={WRITES}")).arg("-e");
-    traced.arg(format!("inject={WRITES}:signal=SIGKILL:when={write}"));
-    traced.arg(command.get_program()).args(command.get_args());
-    traced.stdout(Stdio::null()).stderr(Stdio::null());
-    code(traced).is_none_or(|code| code == 137)
-}
-
-/// Of each thread's writes, every one in turn, with steps that grow.
-fn writes() -> impl Iterator<Item = usize> {
-    (1..60)
-        .chain((60..200).step_by(5))
-        .chain((200..2000).step_by(100))
 }
 
 #[test]
@@ -172,20 +154,17 @@ fn a_kill_at_any_write_of_an_extraction_leaves_what_the_next_run_completes() {
     for format in ["euroc", "ros2"] {
         let parent = TestFolder::new();
         let (folder, usual, expected) = alone(parent.path(), format);
-        for write in writes() {
-            let out = parent.path().join(format!("{write}"));
-            if !is_killed_at(write, &extract(&folder, format, &out)) {
-                break;
-            }
-            killed += 1;
-            assert_eq!(
-                code(extract(&folder, format, &out)),
-                usual,
-                "{format} {write}"
-            );
-            assert!(contents(&out) == expected, "{format} {write}");
-            fs::remove_dir_all(&out).unwrap();
-        }
+        let out = parent.path().join("killed");
+        killed += kills::at_writes(
+            12,
+            || extract(&folder, format, &out),
+            |call, number| {
+                let again = code(extract(&folder, format, &out));
+                assert_eq!(again, usual, "{format} {call} {number}");
+                assert!(contents(&out) == expected, "{format} {call} {number}");
+                fs::remove_dir_all(&out).unwrap();
+            },
+        );
     }
     println!("{killed} kills");
     assert!(killed > 100, "{killed}");
@@ -210,17 +189,15 @@ fn a_kill_at_any_write_of_a_profile_leaves_the_old_one_or_the_new_one() {
     assert_eq!(code(learn()), Some(0));
     let learnt = fs::read_to_string(&profile).unwrap();
     assert_ne!(learnt, DEFAULT);
-    let (mut killed, mut old) = (0, 0);
-    // Each of them: the last ones find the new profile.
-    for write in 1.. {
-        if !is_killed_at(write, &learn()) {
-            break;
-        }
-        killed += 1;
+    let mut old = 0;
+    let killed = kills::at_writes(100, learn, |call, number| {
         let found = fs::read_to_string(&profile).unwrap();
-        assert!(found == DEFAULT || found == learnt, "{write}: {found}");
+        assert!(
+            found == DEFAULT || found == learnt,
+            "{call} {number}: {found}"
+        );
         old += usize::from(found == DEFAULT);
-    }
+    });
     println!("{killed} kills, {old} with the old profile");
     assert!(old > 10 && killed > old, "{killed} {old}");
 }

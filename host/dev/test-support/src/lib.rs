@@ -1,5 +1,5 @@
 //! Helpers of the tests of several crates: pages of the book, reports in a browser, Python,
-//! images of firmware, messages of a board, calibrations, folders and processes.
+//! images of firmware, messages of a board, calibrations, folders, processes and their kills.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -11,6 +11,7 @@ pub mod board;
 pub mod browser;
 pub mod calibrations;
 pub mod documents;
+pub mod kills;
 pub mod processes;
 pub mod python;
 

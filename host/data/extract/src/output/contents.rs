@@ -4,14 +4,16 @@
 //! again ([`PAGE`]) are left out, and what begins with a point.
 
 use std::collections::BTreeMap;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use rayon::prelude::*;
 use recording::contents::FileContents;
 use recording::folder::entries;
 use serde::Serialize;
 use system::ReadMonitor;
+
+use super::whole_file::PARTIAL;
 
 /// Name of the file, in the output folder.
 pub(crate) const FILE: &str = "contents.json";
@@ -30,11 +32,11 @@ pub(crate) struct DataSetContents {
     pub(crate) files: BTreeMap<String, FileContents>,
 }
 
-/// Reads all files of a data set.
+/// Reads all files of a data set that is finished, and removes those that a killed run left unfinished.
 ///
 /// # Errors
 ///
-/// Fails if a file cannot be read, or reads are cancelled.
+/// Fails if a file cannot be read or removed, or reads are cancelled.
 pub(crate) fn of(out: &Path, monitor: &ReadMonitor) -> io::Result<DataSetContents> {
     let mut paths = Vec::new();
     collect(out, &mut paths)?;
@@ -63,6 +65,8 @@ fn collect(folder: &Path, paths: &mut Vec<PathBuf>) -> io::Result<()> {
     for path in entries(folder, is_shown)? {
         if path.is_dir() {
             collect(&path, paths)?;
+        } else if path.extension().is_some_and(|end| end == PARTIAL) {
+            fs::remove_file(&path)?;
         } else {
             paths.push(path);
         }

@@ -6,6 +6,9 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempPath;
 
+/// Ending of the name of a file under construction.
+pub(crate) const PARTIAL: &str = "partial";
+
 /// Writes a file, and creates its folder. The file appears only when it is complete.
 ///
 /// # Errors
@@ -36,7 +39,8 @@ impl WholeFile {
             fs::create_dir_all(folder)?;
         }
         let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(".partial");
+        name.push(".");
+        name.push(PARTIAL);
         let partial = path.with_file_name(name);
         Ok(Self {
             writer: BufWriter::with_capacity(256 * 1024, File::create(&partial)?),
