@@ -166,6 +166,9 @@ pub(crate) fn run(args: &ExtractArgs, context: &Context) -> Result<ExitStatus, F
 
 /// Returns the commands to type next about a recording that was extracted.
 fn next_commands(folder: &Path, session: &SessionFile) -> Vec<String> {
+    if !session.has_recorded() {
+        return recordings::next_commands(folder, Some(session));
+    }
     let mut commands = recordings::files_commands(folder, Some(session));
     let (own, place) = match ProfileArg::default().load() {
         Ok((profile, place)) if place.path.is_some() => (profile, place),
