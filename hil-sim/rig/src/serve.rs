@@ -158,10 +158,11 @@ pub fn run(args: &ServeArgs) -> Result<()> {
             let own = std::env::current_exe().context("where is this program?")?;
             let table = Table::new(rig.parts(), phone, &own)?;
             let port = format!("port = \"{}\"\n", rig.port().display());
-            let fresh = port + &rig.profile()? + &table.recorder();
+            let fresh = port + &rig.profile()? + &table.of_recorder()?;
             let before = std::fs::read_to_string(path).unwrap_or_default();
             std::fs::write(path, served_again(&before, &fresh).unwrap_or(fresh))
                 .with_context(|| format!("cannot write {}", path.display()))?;
+            println!("recorder: {}", table.recorder.join(" "));
             println!("\nHere, while it runs: {WORDS}.");
             print!("{}", table.commands(path));
             Some(table)

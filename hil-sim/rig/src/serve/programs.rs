@@ -13,7 +13,8 @@ use crate::whole_rig::config::RigParts;
 /// The programs, the depth camera's cable and the phone's clock. They end when it is dropped.
 #[derive(Debug)]
 pub(super) struct Table {
-    recorder: String,
+    /// The command of the depth recorder.
+    pub(super) recorder: Vec<String>,
     programs: PathBuf,
     _clock: ClockServer,
     _cable: Cable,
@@ -46,8 +47,7 @@ impl Table {
             "{fps}",
             "{folder}/depth.mkv",
         ];
-        // JSON's strings are TOML's too.
-        let recorder = serde_json::to_string(&recorder)?;
+        let recorder = recorder.map(str::to_owned).to_vec();
         let programs = folder.path().join("bin");
         std::fs::create_dir(&programs).context("no folder for the rig's programs")?;
         let tool = hil_sim.with_file_name("smartdepthsync");
@@ -71,9 +71,14 @@ impl Table {
     }
 
     /// The table of a rig profile that names the depth recorder.
-    #[must_use]
-    pub(super) fn recorder(&self) -> String {
-        format!("\n[depth.recorder]\ncommand = {}\n", self.recorder)
+    ///
+    /// # Errors
+    ///
+    /// None: its words are text.
+    pub(super) fn of_recorder(&self) -> Result<String> {
+        // JSON's strings are TOML's too.
+        let command = serde_json::to_string(&self.recorder)?;
+        Ok(format!("\n[depth.recorder]\ncommand = {command}\n"))
     }
 
     /// The first commands, to be pasted.
@@ -84,7 +89,8 @@ impl Table {
             format!(" --profile {}", profile.display())
         };
         format!(
-            "\nIn a second terminal, in this folder:\n\n\
+            "\nIn a second terminal, in this folder, or in another with these answers for \
+             `smartdepthsync setup`:\n\n\
              export PATH={}:$PATH\n\
              smartdepthsync doctor{profile}\n\n\
              Each command ends with the next one.\n\n",

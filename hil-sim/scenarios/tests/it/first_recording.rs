@@ -1,6 +1,7 @@
 //! The commands that `hil-sim serve` and then each other print, followed to an evaluated data set.
 //! The screens are kept in `target/tmp/walk`.
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -43,8 +44,10 @@ struct Typed {
     lines: Vec<String>,
 }
 
-/// Types a command into a shell as a person does, with Enter where the screen says so.
-fn typed(terminal: &Tmux, number: usize, command: &str) -> Typed {
+/// Types a command into a shell as a person does, with Enter where the screen says so, and the answer to
+/// a question that has one of these words: Enter to all others.
+fn typed(terminal: &Tmux, number: usize, command: &str, answers: &[(&str, &str)]) -> Typed {
+    let mut answered = BTreeSet::new();
     terminal.forget();
     let end = format!("code of {number} = ");
     terminal.line(&format!("clear; {command}; echo '{end}'$?"));
@@ -62,6 +65,15 @@ fn typed(terminal: &Tmux, number: usize, command: &str) -> Typed {
         if screen.contains("Enter go on") {
             terminal.keys("Enter");
         }
+        let mut last = screen.lines().rev().map(str::trim_end);
+        let last = last.find(|line| !line.is_empty());
+        let is_question = |line: &&str| line.ends_with('?') || line.contains("? [");
+        if let Some(question) = last.filter(is_question)
+            && answered.insert(question.to_owned())
+        {
+            let answer = answers.iter().find(|(word, _)| question.contains(word));
+            terminal.line(answer.map_or("", |(_, answer)| answer));
+        }
         assert!(begun.elapsed() < PATIENCE, "{command} goes on:\n{screen}");
         std::thread::sleep(Duration::from_millis(100));
     }
@@ -75,46 +87,60 @@ fn keep(number: usize, typed: &Typed) {
     std::fs::write(folder.join(name), typed.lines.join("\n")).unwrap();
 }
 
-/// From an empty folder on, nothing but what is printed is typed, in a terminal of 80 columns: with
-/// less than its minutes it calibrates, records, extracts, is refused a measurement, records as the
-/// refusal says, measures, and ends in a data set whose constant is known.
-#[test]
-fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
+/// In a terminal of 80 columns nothing but what is printed is typed, with less than its minutes, until
+/// there are two data sets. Returns the commands.
+fn walk(from_nothing: bool) -> Vec<String> {
     let folder = TestFolder::new();
     let place = folder.path();
+    for name in ["rig", "desk"] {
+        std::fs::create_dir(place.join(name)).unwrap();
+    }
+    let desk = place.join(if from_nothing { "desk" } else { "rig" });
     support::smartdepthsync();
     let rig = Served::start(
-        place,
+        &place.join("rig"),
         &["--speed", "6", "--motion", "twist", "--wait-for-host"],
     );
     let terminal = Tmux::run_in(80, 24, &["sh"].map(OsStr::new));
     terminal.line(&format!(
         "PS1='$ '; cd {}; export HOME=$PWD",
-        place.display()
+        desk.display()
     ));
     let is_command = |line: &&str| line.trim_start().starts_with("smartdepthsync ");
-    let commands = rig.commands.iter().map(|line| line.trim());
-    let export = commands
-        .clone()
-        .find(|line| line.starts_with("export PATH="));
+    let mut commands = rig.commands.iter().map(|line| line.trim());
+    let export = commands.find(|line| line.starts_with("export PATH="));
     terminal.line(export.unwrap());
-    let mut next = commands.rev().find(is_command).map(str::to_owned);
+    let mut commands = commands.filter(is_command);
+    let mut next = commands.next().map(str::to_owned);
+    if from_nothing {
+        // A simulated board is not found by itself.
+        next = next.map(|next| format!("{next} --port {}", rig.printed("port:")));
+    }
+    let answers = [
+        ("address", rig.printed("phone:")),
+        ("start it yourself", rig.printed("recorder:")),
+    ];
     let mut done: Vec<String> = Vec::new();
     let is_over = |done: &[String]| done.iter().filter(|it| it.starts_with("extract")).count() == 2;
     while let Some(command) = next.filter(|_| !is_over(&done)) {
         assert!(done.len() < 12, "{done:?}");
         let shorter = command.replace("--duration 1m", "--duration 12s");
         let shorter = shorter.replace("record --calibrate", "record --calibrate --duration 60s");
-        let said = typed(&terminal, done.len(), &shorter);
+        let said = typed(&terminal, done.len(), &shorter, &answers);
         keep(done.len(), &said);
         let words = command.trim_start_matches("smartdepthsync ");
         let word = words.split(' ').take(2).collect::<Vec<_>>();
         let word = match word.as_slice() {
-            [verb @ ("extract" | "doctor"), ..] => (*verb).to_owned(),
+            [verb @ ("extract" | "doctor" | "setup"), ..] => (*verb).to_owned(),
             words => words.join(" "),
         };
         // A refusal is an answer if it leads on.
-        let is_refused = word == "evaluate precision" && said.code == 3;
+        let is_refused = match word.as_str() {
+            "evaluate precision" => said.code == 3,
+            // Without a profile there is no phone.
+            "doctor" => from_nothing && said.code == 2,
+            _ => false,
+        };
         assert!(
             said.code == 0 || is_refused,
             "{command}: {}\n{}",
@@ -134,8 +160,77 @@ fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
         );
     }
     drop(rig);
+    let recordings = std::fs::read_dir(desk.join("recordings")).unwrap();
+    let mut recordings: Vec<PathBuf> = recordings.map(|entry| entry.unwrap().path()).collect();
+    recordings.retain(|path| path.join("session.json").exists());
+    recordings.sort();
+    let recording = recordings.last().unwrap();
+    let name = recording.file_name().unwrap().to_string_lossy();
+    let data = recording.with_file_name(format!("{name}-euroc/mav0"));
+    for camera in ["cam0", "depth0"] {
+        let images = std::fs::read_dir(data.join(camera).join("data")).unwrap();
+        assert!(images.count() > 200, "{camera}: {done:?}");
+    }
+    let session = SessionFile::load(recording).unwrap();
+    let measured = &session.profile.frame_sync;
+    assert!(measured.bias_measured.is_some());
+    // What the profile has wrong of the phone.
+    let truth = std::fs::read_to_string(place.join("rig/truth.csv")).unwrap();
+    let delay = truth
+        .lines()
+        .find_map(|line| line.strip_prefix("# gyro_delay_us = "));
+    let delay_us: f64 = delay.unwrap().parse().unwrap();
+    let bias_us = session.profile.phone.gyro_delay_us - delay_us;
+    let error_us = measured.bias_us - bias_us;
+    println!(
+        "bias {bias_us:.1} µs, error {error_us:+.1} ± {:.1} µs",
+        measured.bias_sigma_us
+    );
+    assert!(error_us.abs() < 5.0 * measured.bias_sigma_us, "{error_us}");
+    assert!(
+        session
+            .profile
+            .phone
+            .learnt
+            .as_ref()
+            .unwrap()
+            .skew
+            .is_some()
+    );
+    is_near_truth(&session, &place.join("rig/truth.csv"));
+    let pages = pages(place);
+    assert!(pages.len() > done.len() / 2, "{pages:?}");
+    for page in pages {
+        let html = std::fs::read_to_string(&page).unwrap();
+        assert!(html.contains("<h1>Simulated: "), "{}", page.display());
+    }
+    done
+}
+
+/// From an empty folder on: the constant that the default profile has wrong is measured.
+#[test]
+fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
     assert_eq!(
-        done,
+        walk(true),
+        [
+            "doctor",
+            "setup",
+            "record --calibrate",
+            "record --duration",
+            "extract",
+            "evaluate precision",
+            "record --duration",
+            "extract"
+        ]
+    );
+}
+
+/// With the profile of the rig's owner no end of the train is seen at first.
+#[test]
+#[ignore = "another minute of the processor"]
+fn a_refused_measurement_leads_on_to_one_with_the_trigger_moved() {
+    assert_eq!(
+        walk(false),
         [
             "doctor",
             "record --calibrate",
@@ -148,36 +243,6 @@ fn each_next_that_is_printed_leads_on_to_an_evaluated_data_set() {
             "extract"
         ]
     );
-    let recordings = std::fs::read_dir(place.join("recordings")).unwrap();
-    let mut recordings: Vec<PathBuf> = recordings.map(|entry| entry.unwrap().path()).collect();
-    recordings.retain(|path| path.join("session.json").exists());
-    recordings.sort();
-    let recording = recordings.last().unwrap();
-    let name = recording.file_name().unwrap().to_string_lossy();
-    let data = recording.with_file_name(format!("{name}-euroc/mav0"));
-    for camera in ["cam0", "depth0"] {
-        let images = std::fs::read_dir(data.join(camera).join("data")).unwrap();
-        assert!(images.count() > 200, "{camera}: {done:?}");
-    }
-    let session = SessionFile::load(recording).unwrap();
-    assert!(session.profile.frame_sync.bias_measured.is_some());
-    assert!(
-        session
-            .profile
-            .phone
-            .learnt
-            .as_ref()
-            .unwrap()
-            .skew
-            .is_some()
-    );
-    is_near_truth(&session, &place.join("truth.csv"));
-    let pages = pages(place);
-    assert!(pages.len() > done.len() / 2, "{pages:?}");
-    for page in pages {
-        let html = std::fs::read_to_string(&page).unwrap();
-        assert!(html.contains("<h1>Simulated: "), "{}", page.display());
-    }
 }
 
 /// Returns the pages below a folder.

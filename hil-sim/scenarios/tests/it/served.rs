@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
 use crate::support;
@@ -50,7 +50,7 @@ impl Served {
     }
 
     /// Returns the rest of a line that it printed.
-    fn printed(&self, name: &str) -> &str {
+    pub(crate) fn printed(&self, name: &str) -> &str {
         let mut lines = self.commands.iter();
         lines
             .find_map(|line| line.strip_prefix(name))
@@ -136,10 +136,42 @@ fn each_word_does_to_the_rig_what_it_says() {
 
     let turned = || spread(&board("imu --duration 1s").json());
     until(turned, |rate| *rate < 0.05);
+    // It is short: one more for each look until one falls into it.
+    let knocked = || {
+        rig.say("knock");
+        turned()
+    };
+    until(knocked, |rate| *rate > 0.2);
+    until(turned, |rate| *rate < 0.05);
     rig.say("twist");
     until(turned, |rate| *rate > 0.5);
+
+    let brightest = || {
+        let video = "get-video --recorded --overwrite --out lamp.mp4";
+        for words in ["start", "stop", video] {
+            until(|| tool(&format!("phone {words} --phone {phone}")), is_good);
+        }
+        brightest(&folder.path().join("lamp.mp4"))
+    };
+    assert!(brightest() > BALL);
+    rig.say("lamp on");
+    assert!(brightest() < BALL);
+    rig.say("lamp off");
+    assert!(brightest() > BALL);
     rig.say("lamp of");
     assert!(rig.complaint().contains("lamp on, lamp off"));
+}
+
+/// Brightness between that of the ball and that of the wall with the strobes' light on it.
+const BALL: u8 = 125;
+
+/// Returns the largest brightness in a video.
+fn brightest(video: &Path) -> u8 {
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args(["-v", "error", "-i"]).arg(video);
+    ffmpeg.args(["-pix_fmt", "gray", "-f", "rawvideo", "-"]);
+    let pixels = processes::run(&mut ffmpeg);
+    *pixels.stdout.iter().max().unwrap()
 }
 
 /// Returns the largest standard deviation of a rate of turn in a look at the IMU, rad/s.

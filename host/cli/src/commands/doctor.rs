@@ -99,7 +99,21 @@ pub(crate) fn run(args: &DoctorArgs, context: &Context) -> Result<ExitStatus, Fa
             _ => ("Not ready: mend what is BAD.", "doctor"),
         };
         let checks = findings_text(&found.checks.checks);
-        let next = format!("smartdepthsync {next}{}", place.option());
+        let mut next = format!("smartdepthsync {next}{}", place.option());
+        // It cannot be found without, until a profile has it.
+        let known = args
+            .profile
+            .load()
+            .ok()
+            .and_then(|(profile, _)| profile.port);
+        if let Some(port) = args
+            .port
+            .port
+            .as_ref()
+            .filter(|&port| known.as_ref() != Some(port))
+        {
+            next += &format!(" --port {}", system::shell_word(Path::new(port)));
+        }
         format!("{checks}{verdict}\n{}", next_text(&[next]))
     })?;
     if context.interrupt.requested() {
