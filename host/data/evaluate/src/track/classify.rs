@@ -21,6 +21,9 @@ const DARK_ROWS_TOGETHER: usize = 8;
 /// Frames in which a row must be dark to be its own reference.
 const DARK_ROWS: u32 = 4;
 
+/// Steps in which the middle of many points is found.
+const CENTRE_STEPS: usize = 30;
+
 /// Class of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -263,23 +266,11 @@ pub(crate) fn mark_flicker(
     shape: &Shape,
 ) -> Option<Flicker> {
     let forms = smooth_forms(model, plain, frames, seen, shape);
-    // The comparison is with frames without flashes, if there are any.
-    let dark = seen.iter().filter(|s| s.class == FrameClass::Dark).count();
-    let compared = if dark >= 3 {
-        FrameClass::Dark
-    } else {
-        FrameClass::Used
-    };
-    // The median, so that a few frames in which a flash was missed do not make all others
-    // look wrong.
-    let usual = |k: usize| {
-        let forms = forms.iter().zip(&*seen);
-        let values: Vec<f64> = forms
-            .filter(|(_, s)| s.class == compared)
-            .filter_map(|(form, _)| form.get(k).copied())
-            .collect();
-        median(&values)
-    };
+    // With each other, and not with the frames without flashes: where black is crushed or the tone curve
+    // bends, flashes add something smooth to the picture, the same in each frame.
+    let lit = forms.iter().zip(&*seen);
+    let lit = lit.filter(|(_, s)| s.class == FrameClass::Used);
+    let usual = centre(&lit.map(|(form, _)| form).collect::<Vec<_>>())?;
     let allowed = light_allowed(seen);
     // The constant, which is the first of the plain columns, and a multiple of the
     // usual form are free.
@@ -288,7 +279,7 @@ pub(crate) fn mark_flicker(
         2,
         |k, column| match column {
             0 => f64::from(k == 0),
-            _ => usual(k),
+            _ => usual.get(k).copied().unwrap_or(0.0),
         },
     ));
     let mut worst = Vec::new();
@@ -312,6 +303,26 @@ pub(crate) fn mark_flicker(
             worst.len()
         ),
     })
+}
+
+/// Returns the point from which the sum of the distances to some points is least (Weiszfeld's iteration):
+/// a few of them elsewhere hardly move it, and it lies in the middle of a flicker's phases, which are spread
+/// evenly over the mains' period.
+fn centre(points: &[&DVector<f64>]) -> Option<DVector<f64>> {
+    let mut centre = (*points.first()?).clone();
+    centre.fill(0.0);
+    let mut weights = vec![1.0; points.len()];
+    for _ in 0..CENTRE_STEPS {
+        let total: f64 = weights.iter().sum();
+        centre.fill(0.0);
+        for (point, weight) in points.iter().zip(&weights) {
+            centre.axpy(weight / total, point, 1.0);
+        }
+        for (weight, point) in weights.iter_mut().zip(points) {
+            *weight = 1.0 / (*point - &centre).norm().max(1e-6);
+        }
+    }
+    Some(centre)
 }
 
 /// Returns the coefficients of each frame's smooth part, with the flashes subtracted.
