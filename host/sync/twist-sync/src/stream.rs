@@ -26,8 +26,6 @@ const LARGEST_RATE: f64 = 1e4;
 const STAMPS_ERR: f64 = 0.9;
 /// Difference of the logarithms of two likelihoods that decides.
 const DECISIVE: f64 = 5.0;
-/// Least noise of a prediction, rad/s: noiseless samples decide as well.
-const LEAST_NOISE: f64 = 1e-7;
 
 /// A stream whose timestamps and samples were checked.
 pub(crate) struct CheckedStream<'a> {
@@ -138,19 +136,16 @@ impl<'a> CheckedStream<'a> {
     fn judge_fast(&mut self, sampling: Sampling, is_removed: bool) {
         let mut prior = if is_removed { STAMPS_ERR } else { 0.5 };
         if !is_removed {
-            let (w, step_s) = (&self.w[..], self.step_s);
-            let noise_ln = |t: &[f64]| {
-                let against = Samples { t, w, step_s }.predictions(&self.usable);
-                let noise = neighbours::noise_of(&against).map(|noise| noise.max(LEAST_NOISE).ln());
-                (against.len() as f64) * noise.iter().sum::<f64>()
-            };
             let regular: Vec<f64> = self
                 .t
                 .iter()
                 .zip(&sampling.fast_s)
                 .map(|(t, f)| t - f)
                 .collect();
-            let better = noise_ln(&self.t) - noise_ln(&regular);
+            let (w, step_s) = (&self.w[..], self.step_s);
+            let against =
+                [&self.t, &regular].map(|t| Samples { t, w, step_s }.predictions(&self.usable));
+            let better = neighbours::better_ln(&against[0], &against[1]);
             // A line that keeps all within one step of the stamps is no coincidence.
             if better > DECISIVE || sampling.is_whole && better > -DECISIVE {
                 prior = STAMPS_ERR;

@@ -1,6 +1,8 @@
 //! Comparison of each sample with its prediction from its neighbours: Lagrange interpolation
 //! at the true times, three samples on each side.
 
+use std::cmp::Ordering;
+
 use super::interpolant::Vec3;
 use crate::robust;
 
@@ -8,6 +10,11 @@ use crate::robust;
 const SIDE: usize = 3;
 /// A sample with its neighbours.
 const NEAR: usize = 1 + 2 * SIDE;
+/// Degrees of freedom of the prediction errors.
+const FREEDOM: f64 = 4.0;
+/// Predictions that count as one, since neighbours share samples: the sum of the squares of their
+/// correlations, which at equal distances are `C(12, 6 + k) / C(12, 6)`.
+const ALIKE: f64 = 3.17;
 /// Predictions in a block whose scatter is judged together.
 const SCALE_BLOCK: usize = 64;
 
@@ -222,6 +229,36 @@ pub(crate) fn noise_of(against: &[Against]) -> Vec3 {
             .filter(|sigma| sigma.is_finite())
             .unwrap_or(0.0)
     })
+}
+
+/// Returns the logarithm by which the errors of the second predictions are likelier than those of
+/// the first, over the samples that both predict. The density is Student's t, since taps and
+/// faults err more than noise, with the mean of both variances around each sample.
+pub(crate) fn better_ln(first: &[Against], second: &[Against]) -> f64 {
+    let [mut ours, mut theirs] = [first, second].map(|against| {
+        let noise = noise_of(against);
+        let variances: Vec<Vec3> = local_variances(against, &noise).collect();
+        against.iter().zip(variances).peekable()
+    });
+    let mut better = 0.0;
+    while let (Some((one, _)), Some((other, _))) = (ours.peek(), theirs.peek()) {
+        match one.index.cmp(&other.index) {
+            Ordering::Less => drop(ours.next()),
+            Ordering::Greater => drop(theirs.next()),
+            Ordering::Equal => {
+                let pair = ours.next().zip(theirs.next());
+                better += pair.map_or(0.0, |((one, first), (other, second))| {
+                    let axis = |axis: usize| {
+                        let freedom = FREEDOM * 0.5 * (first[axis] + second[axis]);
+                        let square = |against: &Against| against.error[axis].powi(2) / freedom;
+                        0.5 * (FREEDOM + 1.0) * (square(one).ln_1p() - square(other).ln_1p())
+                    };
+                    axis(0) + axis(1) + axis(2)
+                });
+            }
+        }
+    }
+    better / ALIKE
 }
 
 /// Variance of the prediction errors around each sample: the noise, or more
