@@ -64,6 +64,8 @@ const OWN_JUMP: f64 = 0.1;
 
 /// Decimal resolutions of stamps that are searched for, seconds, the coarsest first.
 const RESOLUTIONS_S: [f64; 9] = [20e-3, 10e-3, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5];
+/// Largest number of stamps that are late together, on either side of a distance that stands out.
+const LATE_TOGETHER: usize = 3;
 /// Part of the samples with the stamp of the sample before, above which stamps are of batches;
 /// below it, those samples are left out.
 const SHARED: f64 = 0.1;
@@ -255,14 +257,25 @@ pub(crate) fn check(
 /// sampling, stepped.
 fn has_steps(steps: &[f64], step: f64, resolution_s: f64) -> bool {
     let odd = |d: &f64| d - (d / step).round().max(1.0) * step;
+    // A sample so late that one seems lost before it seems one too many after it.
+    let whole = |sum: f64| sum - (sum / step).round() * step;
     let odd: Vec<f64> = steps.iter().map(odd).collect();
     let scatter = robust::mad_sigma(odd.clone()).unwrap_or(0.0);
     let least = (8.0 * scatter).max(LEAST_RESET_S).max(1.5 * resolution_s);
-    // A stamp that is late alone is followed by a short distance.
+    // After stamps that are late alone, the sum of the distances is right again.
+    let sums = odd.iter().scan(0.0, |sum, odd| {
+        *sum += odd;
+        Some(*sum)
+    });
+    let sums: Vec<f64> = std::iter::once(0.0).chain(sums).collect();
     let stays = |k: usize| {
-        let near = odd[k.saturating_sub(1)..(k + 2).min(odd.len())].iter();
-        let with_either = near.map(|other| (odd[k] + other).abs());
-        odd[k].abs() > least && with_either.fold(f64::INFINITY, f64::min) > least
+        let before = &sums[k.saturating_sub(LATE_TOGETHER)..=k];
+        let mut after = sums[k + 1..].iter().take(1 + LATE_TOGETHER);
+        after.all(|after| {
+            before
+                .iter()
+                .all(|before| whole(after - before).abs() > least)
+        })
     };
     let count = (0..odd.len()).filter(|&k| stays(k)).count();
     (1..FEW_RESETS).contains(&count)
