@@ -1,15 +1,17 @@
 //! A straight line through values that err slowly.
 //!
 //! `y = shift + rate·u + g(u) + noise`, where the noise of each value is independent and of known
-//! variance, and `g` is a stationary first-order process with rms `size` and the covariance
-//! `size²·exp(−distance/memory)`. A Kalman filter removes `g` from the values and from both
+//! variance, and `g` is a stationary process with rms `size`: of first order, with the covariance
+//! `size²·exp(−d/memory)` over the distance `d`, or smooth, with `size²·(1 + x)·exp(−x)` and
+//! `x = √3·d/memory` (Matérn 3/2; Rasmussen and Williams, Gaussian Processes for Machine Learning,
+//! 4.2.1 and B.2). A Kalman filter removes `g` from the values and from both
 //! columns of the line, and least squares of the innovations give shift and rate with the
 //! covariance that the process leaves them.
 //!
 //! Size and memory are unknown. The lines for all pairs of a grid are averaged, each weighted by
 //! its restricted likelihood (Harville, Biometrika 61, 1974) and its prior.
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, RowVector3, Vector2};
 
 use crate::mixture::Supposed;
 
@@ -24,13 +26,39 @@ pub(crate) struct Point {
     pub(crate) variance: f64,
 }
 
-/// A first-order process.
+/// A stationary process.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Process {
     /// Rms, seconds.
     pub(crate) size_s: f64,
-    /// Time over which its correlation falls to 1/e, seconds.
+    /// Time over which its correlation falls to 1/e, or to one half if it is smooth, seconds.
     pub(crate) memory_s: f64,
+    /// True if it has a derivative.
+    pub(crate) is_smooth: bool,
+}
+
+impl Process {
+    /// Covariance of value and derivative.
+    fn stationary(self) -> Matrix2<f64> {
+        let value = self.size_s * self.size_s;
+        let derivative = if self.is_smooth {
+            3.0 * value / (self.memory_s * self.memory_s)
+        } else {
+            0.0
+        };
+        Matrix2::from_diagonal(&Vector2::new(value, derivative))
+    }
+
+    /// Value and derivative, expected `later_s` after they were one.
+    fn transition(self, later_s: f64) -> Matrix2<f64> {
+        if self.is_smooth {
+            let rate = 3.0_f64.sqrt() / self.memory_s;
+            let x = rate * later_s;
+            Matrix2::new(1.0 + x, later_s, -rate * x, 1.0 - x) * (-x).exp()
+        } else {
+            Matrix2::new((-later_s / self.memory_s).exp(), 0.0, 0.0, 0.0)
+        }
+    }
 }
 
 /// Returns (shift, rate) at `u = 0` with their covariance, and the restricted likelihood, if the
@@ -42,24 +70,26 @@ pub(crate) fn line(points: &[Point], process: Process, prior: f64) -> Option<Sup
     }
     // In units of the mean variance, so that no figure is tiny.
     let unit = points.iter().map(|p| p.variance).sum::<f64>() / n;
-    let stationary = process.size_s * process.size_s / unit;
+    let stationary = process.stationary() / unit;
     let (mut variance, mut ln_volume) = (stationary, 0.0);
-    // The filter's expectation of shift, rate and value; products of the innovations.
-    let mut expected = Vector3::zeros();
+    // The filter's expectation of shift, rate and value, with derivatives; products of the
+    // innovations.
+    let mut expected = Matrix2x3::zeros();
     let mut products = Matrix3::zeros();
     let mut before = points.first()?.u;
     for point in points {
-        let kept = (-(point.u - before) / process.memory_s).exp();
+        let transition = process.transition(point.u - before);
         before = point.u;
-        expected *= kept;
-        variance = stationary + kept * kept * (variance - stationary);
-        let row = Vector3::new(1.0, point.u, point.y / unit.sqrt());
-        let innovation = row - expected;
-        let spread = variance + point.variance / unit;
-        products += innovation * innovation.transpose() / spread;
+        expected = transition * expected;
+        variance = stationary + transition * (variance - stationary) * transition.transpose();
+        let row = RowVector3::new(1.0, point.u, point.y / unit.sqrt());
+        let innovation = row - expected.row(0);
+        let spread = variance[(0, 0)] + point.variance / unit;
+        products += innovation.transpose() * innovation / spread;
         ln_volume += 0.5 * spread.ln();
-        expected += innovation * (variance / spread);
-        variance *= 1.0 - variance / spread;
+        let gain = variance.column(0) / spread;
+        expected += gain * innovation;
+        variance -= gain * variance.row(0);
     }
     let normal: Matrix2<f64> = products.fixed_view::<2, 2>(0, 0).into_owned();
     let right = Vector2::new(products[(0, 2)], products[(1, 2)]);

@@ -56,7 +56,12 @@ pub(crate) fn include_wander(fit: &mut Fit, oversampling: f64) {
 }
 
 fn given(points: &[Point], size_s: f64, memory_s: f64, prior: f64) -> Option<Supposed<2>> {
-    line(points, Process { size_s, memory_s }, prior)
+    let process = Process {
+        size_s,
+        memory_s,
+        is_smooth: false,
+    };
+    line(points, process, prior)
 }
 
 /// The overlap in parts of equal information.

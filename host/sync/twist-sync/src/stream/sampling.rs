@@ -3,8 +3,8 @@
 //! A gyroscope samples by an oscillator of its own, and the stamps that a device puts on the
 //! samples err: by the latency of a bus or of a host, by batches, by the step of a counter, by a
 //! clock that is steered. So each stamp is a straight line over the number of its sample, plus
-//! white noise, plus a first-order process ([`crate::slow`]); sizes and memory come from the
-//! stamps themselves. The same deviations may also be the sampling's own, with right stamps.
+//! white noise, plus a process of first order or a smooth one ([`crate::slow`]); kind, size and
+//! memory come from the stamps themselves. The same deviations may also be the sampling's own, with right stamps.
 //! The samples decide: the fast part by how well each sample follows from its neighbours, the
 //! slow part by the other stream.
 //!
@@ -285,10 +285,12 @@ fn line(
     let memories = MEMORIES_S
         .into_iter()
         .filter(|memory| *memory < 0.5 * span_s);
-    let processes = memories.flat_map(|memory_s| {
+    let kinds = memories.flat_map(|memory_s| [(memory_s, false), (memory_s, true)]);
+    let processes = kinds.flat_map(|(memory_s, is_smooth)| {
         SIZES.map(|size| Process {
             size_s: size * size_s,
             memory_s,
+            is_smooth,
         })
     });
     let all: Vec<Supposed<2>> = processes
