@@ -703,6 +703,12 @@ class Command(Folder):
         code, out, _ = run(B, wrong, "--unit", "rad/s", "--unit", "deg/s")
         self.assertEqual(code, 3)
         self.assertRegex(out.splitlines()[0], r"57 times as fast as c\.csv.*the unit of .*c\.csv \(given\) is doubted.*Next: give it with --unit")
+        code, out, _ = run(wrong, wrong, "--unit", "deg/s", "--unit", "deg/s")
+        self.assertEqual(code, 3)
+        self.assertRegex(out.splitlines()[0], r"c\.csv hardly turns, by 0\.0\d+ rad/s .*that unit is doubted.*Next: give it")
+        alone = twist_sync.sync([B, twist_sync.read(wrong, unit="deg/s")])
+        with self.assertRaisesRegex(twist_sync.Refused, r"number 2; .*c\.csv: "):
+            alone.clock(1)
 
     def test_a_refusal_is_drawn_with_its_gates_and_ten_recordings_end_in_ten_rows(self):
         from twist_sync import plot

@@ -284,7 +284,8 @@ class Synchronized:
         """Returns the clock of a recording (counted from 0) as b, against that of the first as
         a."""
         if self.network is None:
-            raise self.refused or Refused("no relation")
+            of_pairs = (f"{self.recordings[p.a].name} and {self.recordings[p.b].name}: {p.refused}" for p in self.pairs if p.refused)
+            raise Refused("; ".join([str(self.refused), *of_pairs]))
         first = self.recordings[0].t, self.recordings[number].t
         return DeviceClock(self.network, number, (int(first[0][0]), int(first[1][0])))
 
@@ -322,6 +323,12 @@ def _doubts(a: Recording, b: Recording, refused: Refused) -> list[str]:
                 f"taken for each other, so the unit of {said} is doubted; give it with --unit"
             )
     failed = [gate.name for gate in refused.report.gates if not gate.passed] if refused.report else ["sigma"]
+    for r, rate in zip((a, b), rates, strict=True) if "motion" in failed else ():
+        if r.unit_by == "given":
+            out.append(
+                f"{r.name} hardly turns, by {rate:.2g} rad/s in the unit that was given, so that unit is doubted; "
+                "give it with --unit"
+            )
     for r in (a, b) if "sigma" in failed else ():
         if max(step := _step(r.t), r.open_s * 1e9) > 150_000:
             why, remedy = f"the times of {r.name} have steps of {step * 1e-6:.3g} ms", "with more digits"
