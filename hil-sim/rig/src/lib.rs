@@ -9,6 +9,7 @@ pub mod clocks;
 pub mod depth_camera;
 pub mod imu;
 mod interrupt;
+pub mod led;
 pub mod lidar;
 pub mod model_ranges;
 pub mod motion;

@@ -66,7 +66,7 @@ pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
 pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
 
 /// All ranges.
-pub const MODEL_RANGES: [ModelRange; 39] = [
+pub const MODEL_RANGES: [ModelRange; 41] = [
     ModelRange::named("warming of the board's crystal", Draw::EitherSign)
         .within(0.0, WARMING_PPM, "ppm in 10 min")
         .sets(|ppm, rig, _| rig.board_clock.warming.ppm = ppm),
@@ -197,6 +197,16 @@ pub const MODEL_RANGES: [ModelRange; 39] = [
     ModelRange::named("time in which the clock follows the temperature", Draw::Log)
         .within(30.0, (10.0, 300.0), "s")
         .sets(|s, _, phone| phone.clock.warming.step_time_s = s),
+    ModelRange::named("LED: time in which its light comes", Draw::Log)
+        .within(0.1, (0.02, 0.5), "µs")
+        .sets(|us, rig, _| rig.led.iter_mut().for_each(|led| led.rise = micros(us))),
+    ModelRange::named("LED: persistence", Draw::Log)
+        .within(0.1, (0.02, 1.0), "µs")
+        .sets(|us, rig, _| {
+            rig.led
+                .iter_mut()
+                .for_each(|led| led.persistence = micros(us))
+        }),
 ];
 
 fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::DepthCameraConfig)) {

@@ -63,8 +63,8 @@ pub struct Surroundings {
     pub clock: TrueClock,
     /// The motion of the rig.
     pub motion: Arc<Motion>,
-    /// The flashes of the depth camera.
-    pub light: FlashLog,
+    /// The flashes of the depth camera and of the board's LED.
+    pub light: [FlashLog; 2],
 }
 
 impl Surroundings {
@@ -75,7 +75,7 @@ impl Surroundings {
         Self {
             clock,
             motion: walk.build(seed.stream(Stream::Motion)),
-            light: FlashLog::default(),
+            light: Default::default(),
         }
     }
 }

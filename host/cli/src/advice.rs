@@ -142,6 +142,10 @@ impl Advice for SessionError {
                 ExitStatus::Storage,
                 "free some space; what was recorded is kept",
             ),
+            Self::NoOutputForLed => (
+                ExitStatus::Usage,
+                "take one sensor out of the profile's [[outputs]] and off its pin for the calibration",
+            ),
             Self::OutputTooSlow { .. } => (
                 ExitStatus::Usage,
                 "set a smaller `every` in its `[[outputs]]` of the rig profile",

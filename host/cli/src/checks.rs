@@ -3,7 +3,8 @@
 
 use std::path::Path;
 
-use recording::error_budget::COARSE_US;
+use jiff::civil::Date;
+use recording::error_budget::{COARSE_US, ErrorPart};
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT};
 use rustix::fs::{Access, access};
@@ -44,12 +45,14 @@ pub(crate) fn host(profile: &Profile, place: &Place, out: &Path) -> Checks {
     checks
 }
 
-fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
+/// Returns true if a measurement of this day is to be repeated.
+fn is_old(date: Date) -> bool {
     let today = jiff::Zoned::now().date();
-    let is_old = |date: jiff::civil::Date| {
-        let age = today.since(date).map_or(0, |span| span.get_days());
-        age > OLD_DAYS
-    };
+    let age = today.since(date).map_or(0, |span| span.get_days());
+    age > OLD_DAYS
+}
+
+fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
     match place.path {
         Some(_) => checks.good("profile", format!("{} ({place})", profile.name)),
         None => checks.warn(
@@ -81,15 +84,7 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
         }
     }
     match profile.frame_sync.bias_measured {
-        None => checks.warn(
-            CHECK_BIAS,
-            match &profile.depth.measured {
-                Some(half) => format!("depth camera's part measured on {}, phone's not", half.date),
-                None => "not measured".to_owned(),
-            },
-            "measure it with the strobes' light in the phone's picture: \
-             `smartdepthsync record --shift 4ms --duration 1m` ends with the command",
-        ),
+        None => check_halves(checks, profile),
         Some(date) if is_old(date) => checks.warn(
             CHECK_BIAS,
             format!("measured on {date}"),
@@ -99,6 +94,41 @@ fn check_profile(checks: &mut Checks, profile: &Profile, place: &Place) {
             CHECK_BIAS,
             format!("{:+.1} µs, measured on {date}", profile.frame_sync.bias_us),
         ),
+    }
+}
+
+/// Checks the two halves of a constant that was not measured as a whole.
+fn check_halves(checks: &mut Checks, profile: &Profile) {
+    let (depth, phone) = (&profile.depth, &profile.phone);
+    let exposure_us = (phone.measured.as_ref()).map_or(phone.exposure_us, |of| of.exposure_us);
+    let parts = profile.constant_parts(exposure_us);
+    let has = |stale: ErrorPart| parts.iter().any(|(part, _)| *part == stale);
+    let text = |half: &str, date: Option<Date>, stale: ErrorPart| match date {
+        Some(date) if has(stale) => format!("{half} measured on {date} in other conditions"),
+        Some(date) => format!("{half} measured on {date}"),
+        None => format!("{half} not measured"),
+    };
+    let depth = depth.measured.as_ref().map(|half| half.date);
+    let phone = phone.measured.as_ref().map(|half| half.date);
+    let found = format!(
+        "{}, {}",
+        text("depth", depth, ErrorPart::StaleDepth),
+        text("phone", phone, ErrorPart::StalePhone)
+    );
+    if !profile.is_constant_measured(exposure_us) {
+        checks.warn(
+            CHECK_BIAS,
+            found,
+            "`smartdepthsync record --calibrate --led` measures it, with a photodiode and an LED",
+        );
+    } else if depth.into_iter().chain(phone).any(is_old) {
+        checks.warn(
+            CHECK_BIAS,
+            found,
+            "measure it again after changes of the rig",
+        );
+    } else {
+        checks.good(CHECK_BIAS, found);
     }
 }
 

@@ -191,7 +191,7 @@ pub struct App {
     /// The ground truth about the phone's clock.
     pub oscillator: Oscillator,
     pub(super) sensors: Sensors,
-    pub(super) light: FlashLog,
+    pub(super) light: [FlashLog; 2],
     storage: PathBuf,
     /// Removed with the phone.
     _folder: Option<tempfile::TempDir>,

@@ -223,9 +223,10 @@ pub(super) fn write_video(
         let images: Vec<GreyImage> = batch
             .par_iter()
             .map(|&n| {
+                let span = (at(frames.start_ns(n)), at(frames.end_ns(n)));
                 let flashes: Vec<Flash> = light
-                    .flashes(at(frames.start_ns(n)), at(frames.end_ns(n)))
-                    .into_iter()
+                    .iter()
+                    .flat_map(|log| log.flashes(span.0, span.1))
                     .map(|flash| {
                         let start_ns = oscillator.nanos_at(flash.start);
                         Flash {

@@ -20,6 +20,8 @@ pub enum Quality {
     RateFactor(u8),
     /// Average bit rate in bits per second; phones use about 17 Mbit/s for 1080p30.
     BitRate(u64),
+    /// Another encoder or other settings, as arguments of `ffmpeg`.
+    With(&'static [&'static str]),
 }
 
 /// Settings of a video.
@@ -68,6 +70,7 @@ impl Mp4Writer {
                 .args(["-b:v", &rate.to_string()])
                 .args(["-maxrate", &rate.to_string()])
                 .args(["-bufsize", &rate.to_string()]),
+            Quality::With(arguments) => command.args(arguments),
         };
         let messages = tempfile::tempfile()?;
         let child = command

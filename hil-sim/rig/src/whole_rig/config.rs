@@ -10,6 +10,7 @@ use crate::clocks::true_clock::TrueClock;
 use crate::depth_camera::flash_log::FlashLog;
 use crate::depth_camera::{DepthCamera, DepthCameraConfig};
 use crate::imu::{SensorModel, SimImu, SimImuConfig};
+use crate::led::{Led, LedConfig};
 use crate::motion::{Motion, MotionSpec};
 use crate::phone::Surroundings;
 use crate::random::{Seed, Stream};
@@ -32,6 +33,8 @@ pub struct RigConfig {
     pub imu: Option<SimImuConfig>,
     /// The depth camera on the trigger and strobe pins.
     pub depth_camera: Option<DepthCameraConfig>,
+    /// The LED before the phone's lens.
+    pub led: Option<LedConfig>,
 }
 
 impl RigConfig {
@@ -63,6 +66,7 @@ impl RigConfig {
                 clock: camera_clock,
                 ..DepthCameraConfig::default()
             }),
+            led: None,
         }
     }
 
@@ -113,6 +117,7 @@ impl RigConfig {
             imu,
             depth_camera,
             flashes,
+            led: FlashLog::default(),
         }
     }
 }
@@ -132,6 +137,8 @@ pub struct RigParts {
     pub depth_camera: Option<Shared<DepthCamera>>,
     /// The camera's flashes, for the cameras that see them.
     pub flashes: FlashLog,
+    /// Those of the LED.
+    pub led: FlashLog,
 }
 
 impl RigParts {
@@ -140,7 +147,7 @@ impl RigParts {
         Surroundings {
             clock: TrueClock::new(),
             motion: Arc::clone(&self.motion),
-            light: self.flashes.clone(),
+            light: [self.flashes.clone(), self.led.clone()],
         }
     }
 
@@ -153,6 +160,9 @@ impl RigParts {
         }
         if let Some(camera) = &self.depth_camera {
             board = board.model(Arc::clone(camera));
+        }
+        if let Some(config) = self.config.led {
+            board = board.model(Led::new(config, self.board.clone(), self.led.clone()));
         }
         board
     }

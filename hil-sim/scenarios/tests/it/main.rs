@@ -24,6 +24,8 @@ mod faults;
 mod first_recording;
 mod frame_clock;
 mod json_objects;
+mod led_rendered;
+mod led_session;
 mod live_view;
 mod phone_bench;
 mod phone_command;

@@ -1,13 +1,16 @@
-//! Middle of the depth exposure as a recording's photodiode has seen it, written into the rig
-//! profile.
+//! Middles of the two exposures as a recording has measured them with photodiode and LED, written
+//! into the rig profile.
 
 use std::path::Path;
 
+use crate::context::Context;
 use crate::outcome::{Failure, write_file};
-use recording::profile::measured::{MeasuredDepth, with_depth};
+use evaluate::led::calibration::{Calibration, calibrate};
+use recording::profile::measured::{MeasuredDepth, with_depth, with_phone};
 use recording::profile::{MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 use recording::strobes::SeenExposures;
+use system::ReadMonitor;
 
 /// Writes the middle of the depth exposure, if a photodiode has seen it and the profile has the
 /// same camera, mode and rate still.
@@ -22,10 +25,7 @@ pub(crate) fn write_depth(
     let Some(seen) = session.exposures else {
         return Ok(None);
     };
-    let text = system::read_text(profile, MAX_LENGTH)
-        .map_err(|error| Failure::file("read", profile, &error))?;
-    let began = session.began().unwrap_or_else(jiff::Timestamp::now);
-    let date = began.to_zoned(jiff::tz::TimeZone::system()).date();
+    let (text, date) = (read(profile)?, day(session));
     let now = Profile::parse(&text, Some(profile))?.depth;
     if !MeasuredDepth::of(&session.profile.depth, date).holds_for(&now) {
         return Ok(None);
@@ -33,4 +33,37 @@ pub(crate) fn write_depth(
     let constant = [seen.center_us, seen.sigma_us];
     write_file(profile, &with_depth(&text, profile, constant, date)?)?;
     Ok(Some(seen))
+}
+
+/// Measures the rows of the phone by the flashes of the LED on its video, and writes them; `None`
+/// if no LED has flashed.
+///
+/// # Errors
+///
+/// A file is missing or cannot be read or written, or the video does not show the LED.
+pub(crate) fn write_rows(
+    profile: &Path,
+    folder: &Path,
+    session: &SessionFile,
+    context: &Context,
+) -> Result<Option<Calibration>, Failure> {
+    if session.led.is_none() {
+        return Ok(None);
+    }
+    context.say("looking for the LED on the video");
+    let Some(found) = calibrate(folder, session, &ReadMonitor::default())? else {
+        return Ok(None);
+    };
+    let text = with_phone(&read(profile)?, profile, &found.constants, &found.measured)?;
+    write_file(profile, &text)?;
+    Ok(Some(found))
+}
+
+fn day(session: &SessionFile) -> jiff::civil::Date {
+    let began = session.began().unwrap_or_else(jiff::Timestamp::now);
+    began.to_zoned(jiff::tz::TimeZone::system()).date()
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    system::read_text(path, MAX_LENGTH).map_err(|error| Failure::file("read", path, &error))
 }

@@ -259,6 +259,15 @@ impl From<EvaluateError> for Failure {
                 "if the trigger is still being aligned there, choose a later time with --from; \
                  otherwise switch lamps off that are dimmed",
             ),
+            E::LedUnseen { .. } => (
+                ExitStatus::Phone,
+                "calibrate again, and let the phone's files be fetched",
+            ),
+            E::Led(_) => (
+                ExitStatus::Refused,
+                "hold the LED to the lens, a sheet of paper between, other lights off, exposure and \
+                 frame rate locked, and calibrate again",
+            ),
             E::Profile(error) => return error.into(),
             E::Session(error) => return error.into(),
         };

@@ -16,6 +16,7 @@ use crate::outcome::{ExitStatus, Failure, write_file};
 use crate::recordings::{self, RecordingArg};
 use crate::rig_profile::ProfileArg;
 use clock::frames::{LearntFrames, frame_period};
+use evaluate::led::calibration::Calibration;
 use phone::rows::RowError;
 use phone::{frame_timestamps, video_files};
 use recording::camera::{DEFAULT_CAMERA, Model};
@@ -50,8 +51,8 @@ enum Action {
         /// The profile
         file: PathBuf,
     },
-    /// Learn the phones' frame periods, from two twists the rates of their clocks, and from a
-    /// photodiode the middle of the depth exposure
+    /// Learn the phones' frame periods, from two twists the rates of their clocks, and what
+    /// photodiode and LED have shown
     #[command(after_help = "Example: smartdepthsync profile learn recordings/walk")]
     Learn {
         #[command(flatten)]
@@ -117,7 +118,12 @@ pub(crate) fn run(args: &ProfileArgs, context: &Context) -> Result<ExitStatus, F
             let learnt = context
                 .over_files(|monitor| learn(file, folder, &session, phone, timestamps, monitor))?;
             let depth = calibration::write_depth(file, &session)?;
-            let learnt = Learned { learnt, depth };
+            let rows = calibration::write_rows(file, folder, &session, context)?;
+            let learnt = Learned {
+                learnt,
+                depth,
+                rows,
+            };
             context.print(&learnt, || learnt.text())?;
             Ok(ExitStatus::Good)
         }
@@ -184,12 +190,19 @@ struct Learned {
     /// The depth exposures that a photodiode saw.
     #[serde(skip_serializing_if = "Option::is_none")]
     depth: Option<SeenExposures>,
+    /// The phone's rows by the LED.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rows: Option<Calibration>,
 }
 
 impl Learned {
     fn text(&self) -> String {
         let mut text: String = self.learnt.iter().map(Lesson::text).collect();
-        text.extend(self.depth.iter().map(|depth| format!("{}\n", depth.text())));
+        let depth = self.depth.as_ref().map(SeenExposures::text);
+        let rows = self.rows.as_ref().map(Calibration::text);
+        for line in depth.into_iter().chain(rows) {
+            text += &format!("{line}\n");
+        }
         text
     }
 }

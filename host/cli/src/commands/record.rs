@@ -18,6 +18,7 @@ use crate::rig_profile::{Place, ProfileArg};
 use crate::view::View;
 use crate::view::state::State;
 use board::finding::Finding;
+use evaluate::led::calibration::Calibration;
 use phone::task::PhoneTask;
 use recording::RecordingError;
 use recording::folder::check_name;
@@ -37,6 +38,10 @@ use system::ReadMonitor;
 /// Length of a calibration between its twists: a minute is the least that a rate is learnt
 /// from.
 const CALIBRATION_TICKS: u64 = seconds(90);
+
+/// The same after an LED has flashed, for this long.
+const AFTER_LED_TICKS: u64 = seconds(30);
+const LED_TICKS: u64 = seconds(60);
 
 /// The most problems that are listed at the end.
 const MAX_PROBLEMS: usize = 10;
@@ -61,7 +66,8 @@ pub(crate) struct RecordArgs {
     #[arg(long)]
     yes: bool,
     /// Record for 90 s between two twists, and write what that teaches into the rig profile: the
-    /// phone's clocks, and with a photodiode on PA2 the middle of the depth exposure
+    /// phone's clocks, with a photodiode on PA2 the middle of the depth exposure, and with --led that
+    /// of the phone's
     #[arg(long)]
     calibrate: bool,
     /// Twist again at the end, for a far better skew; `profile learn` needs it
@@ -86,6 +92,10 @@ struct MoreArgs {
     port: PortArg,
     #[command(flatten)]
     profile: ProfileArg,
+    /// With --calibrate: first flash an LED on PE14 (Black Pill: PA5) at the phone for a minute, and
+    /// write into the profile when the phone's rows are exposed
+    #[arg(long, hide_short_help = true, requires = "calibrate")]
+    led: bool,
     /// Number of twists before the recording, a minute apart: two show the present rate of the
     /// clocks, three or more how it changes while the rig warms up
     #[arg(long, value_name = "NUMBER", default_value_t = 1, hide_short_help = true,
@@ -121,7 +131,12 @@ const TRACKS: [(&str, Track); 3] = [
 
 impl RecordArgs {
     fn options(&self) -> Options {
-        let calibration = self.calibrate.then_some(CALIBRATION_TICKS);
+        let length = if self.more.led {
+            AFTER_LED_TICKS
+        } else {
+            CALIBRATION_TICKS
+        };
+        let calibration = self.calibrate.then_some(length);
         let duration = self.duration.or(calibration);
         let more = &self.more;
         Options {
@@ -130,6 +145,7 @@ impl RecordArgs {
             markers: more.markers.clone(),
             track: self.track,
             twists: more.twists,
+            led: if self.more.led { LED_TICKS } else { 0 },
             second_twist: self.second_twist || self.calibrate,
             fetch_video: !self.no_fetch,
             fetch_files: !self.no_fetch,
@@ -153,6 +169,9 @@ struct PrintedSession<'a> {
     /// With `--calibrate`: the depth exposures that were written into the profile.
     #[serde(skip_serializing_if = "Option::is_none")]
     depth: Option<SeenExposures>,
+    /// With `--led`: the phone's rows that were written into the profile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rows: Option<Calibration>,
     #[serde(flatten)]
     session: &'a SessionFile,
 }
@@ -201,6 +220,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         }
     };
     let (mut depth, mut learnt, mut not_learnt) = (None, Vec::new(), None);
+    let (mut rows, mut no_rows) = (None, None);
     if let Some(profile) = to_teach.filter(|_| file.has_recorded()) {
         let monitor = ReadMonitor::default();
         let taught = calibration::write_depth(profile, &file).and_then(|seen| {
@@ -213,6 +233,10 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
                 learnt = lessons;
             }
             Err(failure) => not_learnt = Some(failure),
+        }
+        match calibration::write_rows(profile, &folder, &file, context) {
+            Ok(found) => rows = found,
+            Err(failure) => no_rows = Some(failure),
         }
     }
     // The recording is complete without its report.
@@ -240,6 +264,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         report: html,
         learnt,
         depth,
+        rows,
         session: &file,
     };
     if args.more.events {
@@ -247,11 +272,14 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
     } else {
         context.print_checks(&report, || text(&report))?;
     }
-    match not_learnt {
-        Some(failure) => {
+    match (not_learnt, no_rows) {
+        (Some(failure), _) => {
             Err(failure.about("the recording is there, but nothing was learnt from it"))
         }
-        None => Ok(outcome),
+        (None, Some(failure)) => {
+            Err(failure.about("the recording is there, but the phone's rows were not measured"))
+        }
+        (None, None) => Ok(outcome),
     }
 }
 
@@ -389,6 +417,9 @@ fn text(printed: &PrintedSession<'_>) -> String {
     text.extend(printed.learnt.iter().map(Lesson::text));
     if let Some(depth) = &printed.depth {
         text += &format!("{}; written to the profile\n", depth.text());
+    }
+    if let Some(rows) = &printed.rows {
+        text += &format!("{}; written to the profile\n", rows.text());
     }
     text += &match &printed.report {
         Some(html) => format!("report {}\n", html.display()),

@@ -9,6 +9,7 @@ use recording::profile::ProfileError;
 use crate::drift::MIN_FRAMES;
 use crate::footage::Region;
 use crate::footage::frame::{MAX_SIDE, MIN_ROWS};
+use crate::led::LedRefusal;
 
 /// Failure of a measurement.
 #[derive(Debug, thiserror::Error)]
@@ -149,6 +150,12 @@ pub enum EvaluateError {
     /// Too few frames have flashes.
     #[error("{path}: {found} frames with flashes, at least {MIN_FRAMES} are needed")]
     TooFewFrames { path: PathBuf, found: usize },
+    /// The phone's video, its timestamps or its clock is missing.
+    #[error("{path}: no video with its frame timestamps and the relation of the clocks")]
+    LedUnseen { path: PathBuf },
+    /// The video does not show the LED.
+    #[error(transparent)]
+    Led(#[from] LedRefusal),
     /// The rig profile cannot be read or written.
     #[error(transparent)]
     Profile(#[from] ProfileError),

@@ -2,7 +2,7 @@
 
 pub(crate) mod frame;
 mod input;
-mod source;
+pub(crate) mod source;
 pub(crate) mod store;
 mod trigger;
 

@@ -43,6 +43,7 @@ pub mod calibrate;
 pub mod drift;
 mod error;
 pub mod footage;
+pub mod led;
 pub mod precision;
 pub mod shown;
 pub mod stats;

@@ -23,6 +23,10 @@ pub enum ErrorPart {
     GyroDelay,
     /// The assumed readout time of the phone.
     Readout,
+    /// Both of the phone's constants, as the board's LED has measured them.
+    MeasuredPhone,
+    /// Both, measured at another exposure or with another phone.
+    StalePhone,
     /// The phone's exposure, which may change.
     Exposure,
     /// The relation of the clocks, and the phone's frame period.
@@ -38,6 +42,10 @@ impl ErrorPart {
             Self::DepthCenter => "the assumed centre of the depth exposure",
             Self::MeasuredDepth => "the measured centre of the depth exposure",
             Self::StaleDepth => "the centre of the depth exposure, measured in another mode",
+            Self::MeasuredPhone => "the phone's rows, measured with the LED",
+            Self::StalePhone => {
+                "the phone's rows, measured at another exposure or with another phone"
+            }
             Self::GyroDelay => "the assumed delay of the phone's gyroscope",
             Self::Readout => "the assumed readout of the phone",
             Self::Exposure => "an exposure of the phone that is not known to be locked",

@@ -16,7 +16,7 @@ use std::path::Path;
 pub use error::ProfileError;
 pub use fit::Objection;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
-use measured::MeasuredDepth;
+use measured::{MeasuredDepth, MeasuredPhone};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
 use crate::error_budget::ErrorPart;
@@ -156,6 +156,8 @@ pub struct Phone {
     pub gyro_delay_us: f64,
     /// 1-sigma of `gyro_delay_us`, µs.
     pub gyro_delay_sigma_us: f64,
+    /// Measurement of delay and readout together by the board's LED.
+    pub measured: Option<MeasuredPhone>,
     /// Direction of the readout in the images of the video.
     #[serde(default)]
     pub readout_direction: Direction,
@@ -449,14 +451,9 @@ impl Profile {
         let phone = &self.phone;
         let mut parts = match self.frame_sync.bias_measured {
             Some(_) => vec![(ErrorPart::Bias, self.frame_sync.bias_sigma_us)],
-            None => vec![
-                self.depth.center_part(),
-                (ErrorPart::GyroDelay, phone.gyro_delay_sigma_us),
-                (
-                    ErrorPart::Readout,
-                    phone.readout_sigma_us * phone.middle_row_part(),
-                ),
-            ],
+            None => std::iter::once(self.depth.center_part())
+                .chain(phone.own_parts(exposure_us))
+                .collect(),
         };
         let exposure = (ErrorPart::Exposure, phone.exposure_sigma_us(exposure_us));
         parts.extend((exposure.1 > 0.0).then_some(exposure));
@@ -479,7 +476,8 @@ impl Profile {
             Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.constant_sigma_us()),
             None => self.depth.center_part().1,
         };
-        let own = phone.constant_sigma_us();
+        let own = phone.own_parts(exposure_us).into_iter();
+        let own = own.fold(0.0_f64, |sum, part| sum.hypot(part.1));
         let exposure = phone.exposure_sigma_us(exposure_us);
         common.hypot(own).hypot(exposure)
     }

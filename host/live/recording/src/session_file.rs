@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
-use protocol::{ImuSetup, Ticks};
+use protocol::{ImuSetup, Output, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
@@ -69,6 +69,9 @@ pub struct SessionFile {
     /// Recorded span of board time: from the arrival of the trigger on the phone's frames to the
     /// stop.
     pub recorded: Option<Span>,
+    /// The LED that flashed at the phone; nothing if none did.
+    #[serde(default)]
+    pub led: Option<LedRun>,
     /// Exposures of the depth camera that a photodiode saw; nothing if it saw none.
     #[serde(default)]
     pub exposures: Option<SeenExposures>,
@@ -184,6 +187,17 @@ pub struct TrackInfo {
     pub lost: u32,
 }
 
+/// Flashes of the LED of a calibration; the recording has each of them among the output's pulses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LedRun {
+    /// The output.
+    pub output: Output,
+    /// Length of a flash, ticks.
+    pub length: u32,
+    /// Time in which it flashed.
+    pub span: Span,
+}
+
 /// The answer to `video_start`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Video {
@@ -242,7 +256,8 @@ pub struct Alignment {
     pub constant_sigma_us: Option<f64>,
     /// Largest part of that.
     pub constant_part: Option<ErrorPart>,
-    /// True if the bias was measured, false if its parts were assumed.
+    /// True if the constant was measured, as a bias or in both its halves; false if a part of it
+    /// was assumed.
     #[serde(default)]
     pub bias_is_measured: bool,
     /// Grid of the trigger, with the relation of the clocks and the frame period that it was
@@ -361,6 +376,7 @@ impl SessionFile {
             alignment: None,
             tracking: None,
             recorded: None,
+            led: None,
             exposures: None,
             markers: Vec::new(),
             counts: StreamCounts::default(),

@@ -104,7 +104,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
         shift_us,
         constant_sigma_us: Some(profile.constant_sigma_us(exposure_us)),
         constant_part: Some(profile.constant_part(exposure_us)),
-        bias_is_measured: profile.frame_sync.bias_measured.is_some(),
+        bias_is_measured: profile.is_constant_measured(exposure_us),
         plan,
         phase_sigma_us: 0.0,
         largest_sigma_us: None,

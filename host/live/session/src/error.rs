@@ -145,6 +145,9 @@ pub enum SessionError {
         /// Number of trigger pulses per pulse of this output.
         every: u32,
     },
+    /// Each auxiliary output has a sensor, so that none is left for the LED.
+    #[error("the profile has a sensor on each of the outputs 2 to 4: none is left for the LED")]
+    NoOutputForLed,
     /// The profile's settings of the lidar are wrong.
     #[error("{0}")]
     Lidar(String),

@@ -14,7 +14,7 @@ use board::imu::{Sample, Scale};
 use clock::ClockRelation;
 use clock::alignment::Placement;
 use clock::rates::RateChange;
-use protocol::{DeviceToHost, ResetCause, Ticks};
+use protocol::{DeviceToHost, Output, ResetCause, Ticks};
 use recording::session_file::{Alignment, SessionOutcome, Video};
 use recording::strobes::SeenExposures;
 use serde::{Serialize, Serializer};
@@ -262,6 +262,13 @@ pub enum SessionEvent {
     AlignmentRemark {
         /// The remark.
         remark: String,
+    },
+    /// The LED of a calibration flashes.
+    LedFlashes {
+        /// The output that it is on.
+        output: Output,
+        /// For how long, s.
+        length_s: f64,
     },
     /// A photodiode sees the exposures of the depth camera.
     ExposuresSeen {

@@ -24,6 +24,8 @@ pub struct Options {
     pub twists: u32,
     /// Pause between two of these twists, ticks.
     pub twist_gap: u64,
+    /// Time for which the LED of a calibration flashes at the phone, ticks; 0 for none.
+    pub led: u64,
     /// True to twist again at the end.
     pub second_twist: bool,
     /// True to download the phones' videos at the end.
@@ -50,6 +52,7 @@ impl Options {
             track: Track::IfThere,
             twists: 1,
             twist_gap: seconds(60),
+            led: 0,
             second_twist: false,
             fetch_video: false,
             fetch_files: true,

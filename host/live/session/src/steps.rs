@@ -2,6 +2,7 @@
 
 pub mod close;
 pub mod connect;
+mod led;
 
 use board::imu::{ImuLook, Scale};
 use clock::{BoardToPhone, ClockRelation};
@@ -64,10 +65,23 @@ pub(crate) fn run(
         .video
         .ok_or(SessionError::NoVideo)?;
     let clock = session.file.clock().ok_or(SessionError::NoClock)?;
+    let led = if options.led > 0 {
+        Some(led::output(session)?)
+    } else {
+        None
+    };
+    if let Some(output) = led.filter(|output| output.is_camera()) {
+        led::flash(session, output, options.led)?;
+    }
     session.enter(Phase::Aligning);
     let alignment = align(session, &clock, &video)?;
     place_others(session)?;
     confirm_arrival(session, &alignment)?;
+    // A camera in step with the phone's frames flashes on the same rows of each: what light of its
+    // flashes the phone sees stands still, and is not the LED's.
+    if let Some(output) = led.filter(|output| !output.is_camera()) {
+        led::flash(session, output, options.led)?;
+    }
     auxiliary::start(session)?;
     record(session, options, &alignment)
 }
@@ -160,6 +174,7 @@ fn align(
 ) -> Result<Alignment, Stop> {
     let course = session.phones.course(REFERENCE, *clock);
     use_seen_exposures(session)?;
+    forget_other_app(session)?;
     let planned = plan(&session.file.profile, &course, video).map_err(SessionError::Alignment)?;
     for remark in planned.remarks {
         session
@@ -210,6 +225,20 @@ fn use_seen_exposures(session: &mut Session<'_>) -> Result<(), Stop> {
         profile_us,
         disagrees,
     })
+}
+
+/// Takes a measurement that was made with another version of the app for none.
+fn forget_other_app(session: &mut Session<'_>) -> Result<(), Stop> {
+    let version = session.file.phones[REFERENCE].version.clone();
+    let phone = &mut session.file.profile.phone;
+    let Some(of) = phone.forget_if_other_app(version.as_deref()) else {
+        return Ok(());
+    };
+    let remark = format!(
+        "the phone's rows were measured with version {of} of the app; measure them again with \
+         `smartdepthsync record --calibrate --led`"
+    );
+    session.log.report(SessionEvent::AlignmentRemark { remark })
 }
 
 /// The planned arrival of a train on its grid.

@@ -339,7 +339,7 @@ fn alignment(session: &SessionFile) -> Finding {
 fn is_in_profile(session: &SessionFile, name: &str) -> bool {
     let profile = &session.profile;
     match name {
-        CHECK_BIAS => profile.frame_sync.bias_measured.is_some(),
+        CHECK_BIAS => profile.is_constant_measured(profile.phone.exposure_us),
         _ => profile.phone.learnt.is_some(),
     }
 }

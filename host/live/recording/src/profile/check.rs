@@ -122,8 +122,14 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
     within(
         "phone",
         &[
-            ("gyro_delay_us", phone.gyro_delay_us, SPAN, "µs"),
+            ("gyro_delay_us", phone.gyro_delay_us, SIGNED, "µs"),
             ("gyro_delay_sigma_us", phone.gyro_delay_sigma_us, SPAN, "µs"),
+            (
+                "measured.exposure_us",
+                (phone.measured.as_ref()).map_or(0.0, |measured| measured.exposure_us),
+                SPAN,
+                "µs",
+            ),
             ("twist_s", f64::from(phone.twist_s), 3.0..=60.0, "s"),
         ],
     )?;

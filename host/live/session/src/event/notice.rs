@@ -7,6 +7,7 @@ use board::finding::{EventKind as Kind, Finding, FindingKind, Severity};
 use board::reset_cause;
 use clock::ClockRelation;
 use clock::rates::{PLANNED_S, RateChange};
+use protocol::Output;
 
 use super::{Device, PhoneName, SessionEvent};
 
@@ -300,6 +301,19 @@ impl SessionEvent {
                 format!("the trigger runs with a period of {:.6} ms", period_s * 1e3),
             ),
             Self::AlignmentRemark { remark } => good(Kind::Align, remark),
+            Self::LedFlashes { output, length_s } => good(
+                Kind::Output,
+                format!(
+                    "hold the LED on {} to the phone's lens, a sheet of paper between: it flashes \
+                     for {length_s:.0} s",
+                    match output {
+                        Output::Camera => "PA5, in place of the camera's cable,",
+                        Output::Two => "PE11",
+                        Output::Three => "PE13",
+                        Output::Four => "PE14",
+                    }
+                ),
+            ),
             Self::ExposuresSeen {
                 seen,
                 disagrees: false,

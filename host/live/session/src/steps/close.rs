@@ -78,7 +78,10 @@ fn stop_devices(session: &mut Session<'_>) {
     stop_recorder(session);
     if session.trigger_started {
         session.trigger_started = false;
-        if let Err(Stop::Failed(error)) = auxiliary::stop(session) {
+        let led = session.file.led.filter(|led| !led.output.is_camera());
+        let led = led.map(|led| session.call(|board| board.call(StopTrigger(led.output))));
+        let stopped = auxiliary::stop(session).and(led.transpose());
+        if let Err(Stop::Failed(error)) = stopped {
             report_not_stopped(&mut session.log, Device::Output, &error);
         }
         let stopped = session.call(|board| board.call(StopTrigger(Output::Camera)));
