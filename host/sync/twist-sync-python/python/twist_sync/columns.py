@@ -31,7 +31,7 @@ def words_of(name: str) -> list[str]:
 
 def split_unit(name: str, unit: str = "") -> tuple[list[str], Unit | None]:
     """Returns the words of a column's name without its unit, and the unit: of the row of units, in
-    brackets, or the last words of the name."""
+    brackets, or the last words of the name, or of time the first one, as in `seconds_elapsed`."""
     found = unit_of(unit) if unit else None
     for inside in re.findall(r"[\[({]([^\[({})\]]*(?:\([^()]*\)[^\[({})\]]*)?)[\])}]", name):
         if (of_name := unit_of(inside)) or len(words_of(inside)) > 1:
@@ -43,7 +43,8 @@ def split_unit(name: str, unit: str = "") -> tuple[list[str], Unit | None]:
         # One letter is an axis or a sensor more often than a unit.
         if not found and of_end and of_end[0] in ("rate", "time", "angle") and end != ["d"]:
             return (words[:-count] if of_end[0] != "time" else words), of_end
-    return words, found
+    of_begin = unit_of(words[0]) if len(words) > 1 and len(words[0]) > 4 else None
+    return words, found or (of_begin if of_begin and of_begin[0] == "time" else None)
 
 
 def kind_of(words: Sequence[str]) -> str | None:
