@@ -238,6 +238,57 @@ fn a_video_that_states_more_frames_than_it_holds_is_refused() {
     assert!(text(&output.stdout).contains(&expected), "{output:?}");
 }
 
+/// Files of a megabyte in place of all that a person or another program writes.
+#[test]
+fn a_megabyte_of_brackets_keys_or_aliases_is_refused_at_little_cost() {
+    const SIZE: usize = 1 << 20;
+    let parent = TestFolder::new();
+    let whole = synthetic::make(parent.path(), Wrong::default());
+    let repeated = |text: &str| text.repeat(SIZE / text.len());
+    let line = |from: char, to: char| {
+        let names = [to; 10].map(|name| format!("*{name}")).join(",");
+        format!("{from}: &{from} [{names}]\n")
+    };
+    let aliases: String = ('b'..='j')
+        .zip('a'..='i')
+        .map(|(from, to)| line(from, to))
+        .collect();
+    for content in [
+        repeated("["),
+        repeated("{\"a\":"),
+        repeated("[[a.b]]\n"),
+        format!("a{} = 1\n", repeated(".a")),
+        format!("a: &a [x,x,x,x,x,x,x,x,x,x]\n{aliases}"),
+        repeated("9"),
+    ] {
+        let recording = |name: &str| {
+            fs::write(whole.join(name), &content).unwrap();
+            vec![String::from("verify"), utf8(&whole).into()]
+        };
+        let file = parent.path().join("file");
+        fs::write(&file, &content).unwrap();
+        let profile = parent.path().join("rig.toml");
+        fs::write(&profile, DEFAULT).unwrap();
+        let [file, profile] = [&file, &profile].map(|path| utf8(path).to_owned());
+        for args in [
+            recording("metadata.yaml"),
+            recording(SESSION_FILE),
+            ["profile", "check", &file].map(str::to_owned).to_vec(),
+            ["profile", "import-kalibr", &profile, &file]
+                .map(str::to_owned)
+                .to_vec(),
+            ["board", "flash", "--image", &file]
+                .map(str::to_owned)
+                .to_vec(),
+        ] {
+            let args: Vec<&str> = args.iter().map(String::as_str).collect();
+            let output = limited_to(3, &args);
+            assert_ne!(code(&output), 0, "{args:?}: {output:?}");
+            assert!(output.stderr.len() < 4_000, "{args:?}");
+        }
+    }
+}
+
 /// Too little memory for a thread, or a short stack, is an error in words and not a panic.
 #[test]
 fn a_system_without_threads_or_stack_is_named() {

@@ -294,7 +294,8 @@ fn apart(pairs: &PairsReport) -> String {
     let (apart, unit) = if sigma_us < 1_000.0 {
         (format!("{median_us:.1} ± {sigma_us:.1}"), "µs")
     } else {
-        let [median, sigma] = [median_us, sigma_us].map(|us| us * 1e-3);
+        // In steps of what is shown: no zero has a sign.
+        let [median, sigma] = [median_us, sigma_us].map(|us| (us * 1e-2).round() * 1e-1 + 0.0);
         (format!("{median:.1} ± {sigma:.1}"), "ms")
     };
     format!("{apart} {unit} apart (depth − phone: median, largest 1-sigma{of})")

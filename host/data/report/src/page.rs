@@ -48,7 +48,7 @@ footer{margin-top:2rem;color:#555;font-size:.85rem}\
 .list,.list tbody,.list tr{display:block;width:auto}.list tr:first-child{display:none}.list tr{border-bottom:1px solid #ddd;padding:.3rem 0}\
 .list td{display:grid;grid-template-columns:9rem 1fr;border:0;padding:.1rem 0;text-align:left;overflow-wrap:anywhere}.list td::before{content:attr(data-h);color:#555}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
 @page{size:A4;margin:15mm}\
-@media print{body{font-size:10pt;max-width:none;padding:0}figure,table,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
+@media print{body{font-size:10pt;max-width:none;padding:0}figure,tr,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
 .wide{overflow:visible}}";
 
 /// A page under construction, filled from top to bottom.

@@ -41,14 +41,14 @@ impl ErrorPart {
             Self::Bias => "the measured bias",
             Self::DepthCenter => "the assumed centre of the depth exposure",
             Self::MeasuredDepth => "the measured centre of the depth exposure",
-            Self::StaleDepth => "the centre of the depth exposure, measured in another mode",
+            Self::StaleDepth => "the depth exposure, measured in another mode",
             Self::MeasuredPhone => "the phone's rows, measured with the LED",
             Self::StalePhone => {
                 "the phone's rows, measured at another exposure or with another phone"
             }
             Self::GyroDelay => "the assumed delay of the phone's gyroscope",
             Self::Readout => "the assumed readout of the phone",
-            Self::Exposure => "an exposure of the phone that is not known to be locked",
+            Self::Exposure => "an exposure that is not known to be locked",
             Self::Clocks => "clocks and frame period",
         }
     }

@@ -329,7 +329,8 @@ fn in_batches<T: Send>(
     bytes: impl Fn(&T) -> usize + Send,
     mut each: impl FnMut(Vec<T>) -> Result<(), ExtractError>,
 ) -> Result<(), ExtractError> {
-    let (sender, receiver) = sync_channel::<Result<Vec<T>, ExtractError>>(1);
+    // One batch is read while another is written, and none waits between.
+    let (sender, receiver) = sync_channel::<Result<Vec<T>, ExtractError>>(0);
     std::thread::scope(|scope| {
         let reader = std::thread::Builder::new().name(String::from("images"));
         let read = move || {
