@@ -21,6 +21,18 @@ pub struct LedConfig {
     pub persistence: SimDuration,
 }
 
+impl LedConfig {
+    /// Returns the LED of the model ranges' nominal values on a pin.
+    #[must_use]
+    pub const fn nominal(pin: Pin) -> Self {
+        Self {
+            pin,
+            rise: SimDuration::from_nanos(100),
+            persistence: SimDuration::from_nanos(100),
+        }
+    }
+}
+
 /// An LED.
 #[derive(Debug)]
 pub(crate) struct Led {

@@ -382,11 +382,14 @@ impl ModelValues {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::led::LedConfig;
     use crate::motion::MotionSpec;
+    use stm32f4_sim::pin::Pin;
 
     fn nominal() -> (RigConfig, PhoneConfig) {
         let motion = MotionSpec::always(Gesture::Twist);
-        let rig = RigConfig::published(Seed(3)).with_motion(motion);
+        let mut rig = RigConfig::published(Seed(3)).with_motion(motion);
+        rig.led = Some(LedConfig::nominal(Pin::PE14));
         (rig, PhoneConfig::draw(Seed(3)))
     }
 

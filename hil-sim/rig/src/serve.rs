@@ -14,6 +14,7 @@ use std::time::Duration;
 
 use crate::imu::{Fault, SensorModel, SimImu};
 use crate::interrupt;
+use crate::led::LedConfig;
 use crate::motion::MotionSpec;
 use crate::motion::gesture::Gesture;
 use crate::phone::{PhoneConfig, VideoMode};
@@ -121,6 +122,10 @@ pub fn run(args: &ServeArgs) -> Result<()> {
         .with_motion(MotionSpec::always(args.motion))
         .with_imu(args.imu);
     config.board = args.board;
+    // On the Black Pill it would take the camera's place.
+    if args.board == wiring::BoardKind::Discovery {
+        config.led = Some(LedConfig::nominal(wiring::OUTPUTS[2]));
+    }
     let mut board = wiring::board_of(args.board, args.elf.as_deref());
     let jumpers = Arc::new(Mutex::new(Jumpers::default()));
     if args.bring_up {
