@@ -70,7 +70,7 @@ fn a_good_rig_passes_and_each_fault_names_its_remedy() {
     // Nothing was learnt yet, and the published rig has no read-back: worth
     // knowing, and no reason to end.
     for (name, words) in [
-        ("constant bias", "record --shift 4ms"),
+        ("constant bias", "record --calibrate --led"),
         ("trigger read-back", "PA3"),
     ] {
         let (verdict, _, next) = check(&checks, name);
