@@ -203,6 +203,25 @@ fn a_decoder_that_never_ends_is_ended_and_named() {
     }
 }
 
+/// Makes a video of one grey frame of this size.
+fn grey(size: &str, video: &Path) {
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args(["-v", "error", "-y", "-f", "lavfi", "-i"]);
+    ffmpeg.arg(format!("color=gray:s={size}"));
+    run(ffmpeg.args(["-frames:v", "1", "-c:v", "mjpeg"]).arg(video));
+}
+
+/// A measurement and an extraction refuse the video of a recording for this reason.
+fn video_is_refused(folder: &Path, video: &Path, expected: &str) {
+    let output = limited_to(3, &["evaluate", "precision", utf8(video)]);
+    assert_eq!(code(&output), 2, "{output:?}");
+    assert!(text(&output.stderr).contains(expected), "{output:?}");
+    let out = TestFolder::new();
+    let output = limited_to(3, &["extract", utf8(folder), "--out", utf8(out.path())]);
+    assert_eq!(code(&output), 4, "{output:?}");
+    assert!(text(&output.stdout).contains(expected), "{output:?}");
+}
+
 /// A video of one frame, whose index states ten million.
 #[test]
 fn a_video_that_states_more_frames_than_it_holds_is_refused() {
@@ -210,17 +229,7 @@ fn a_video_that_states_more_frames_than_it_holds_is_refused() {
     let parent = TestFolder::new();
     let folder = recording_with_video(parent.path());
     let video = folder.join("VID_20260131_140327.mp4");
-    let mut ffmpeg = Command::new("ffmpeg");
-    ffmpeg.args([
-        "-v",
-        "error",
-        "-y",
-        "-f",
-        "lavfi",
-        "-i",
-        "color=gray:s=64x64",
-    ]);
-    run(ffmpeg.args(["-frames:v", "1", "-c:v", "mpeg4"]).arg(&video));
+    grey("64x64", &video);
     let mut bytes = fs::read(&video).unwrap();
     // The number of samples of the tables of sizes and of times: 12 bytes after each box's name.
     for table in [b"stsz", b"stts"] {
@@ -228,14 +237,18 @@ fn a_video_that_states_more_frames_than_it_holds_is_refused() {
         bytes[at..at + 4].copy_from_slice(&FRAMES.to_be_bytes());
     }
     fs::write(&video, bytes).unwrap();
-    let output = limited_to(3, &["evaluate", "precision", utf8(&video)]);
-    assert_eq!(code(&output), 2, "{output:?}");
-    let expected = format!("it states {FRAMES} frames");
-    assert!(text(&output.stderr).contains(&expected), "{output:?}");
-    let out = TestFolder::new();
-    let output = limited_to(3, &["extract", utf8(&folder), "--out", utf8(out.path())]);
-    assert_eq!(code(&output), 4, "{output:?}");
-    assert!(text(&output.stdout).contains(&expected), "{output:?}");
+    video_is_refused(&folder, &video, &format!("it states {FRAMES} frames"));
+}
+
+/// Its pictures would take a gigabyte of memory.
+#[test]
+fn a_small_video_of_huge_pictures_is_refused() {
+    let parent = TestFolder::new();
+    let folder = recording_with_video(parent.path());
+    let video = folder.join("VID_20260131_140327.mp4");
+    grey("8192x8192", &video);
+    assert!(fs::metadata(&video).unwrap().len() < 2_000_000);
+    video_is_refused(&folder, &video, "pictures of 8192x8192 pixels, which");
 }
 
 /// Files of a megabyte in place of all that a person or another program writes.
