@@ -31,6 +31,7 @@ from ray.cluster_utils import Cluster
 
 from smartdepthsync_data import Dataset
 from smartdepthsync_data.fleet import fleet
+from smartdepthsync_data.fleet.run import NotStarted
 
 recording, program = map(Path, sys.argv[1:])
 DAMAGED, TRUNCATED = "day1/walk3", "day2/walk8"
@@ -143,7 +144,15 @@ def main(folder):
     # A fleet leaves nothing on a node that lives.
     left = [path for path in scratch.iterdir()]
     assert len(left) <= 1, left
+    address = cluster.address
     cluster.shutdown()
+    # Nobody listens there any more.
+    try:
+        fleet(source, out, address=address, storage=keys)
+    except NotStarted as error:
+        assert "check --address" in str(error), error
+    else:
+        raise AssertionError("a cluster that has ended took recordings")
     server.stop()
 
 

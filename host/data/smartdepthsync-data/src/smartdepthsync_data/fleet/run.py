@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path, PurePosixPath
+from threading import Timer
 from time import monotonic
 from typing import Any
 
@@ -20,6 +23,10 @@ from .work import FAILED, PART, Job
 RECORDING = "recording.mcap"
 #: Time between two lines of progress while nothing is finished, s.
 QUIET = 30.0
+#: Longest wait for the address of a cluster, s.
+ANSWER = 10.0
+#: Time after which a start is late, s.
+LATE = 60.0
 #: Largest number of tasks submitted to the cluster at a time.
 AT_A_TIME = 1000
 
@@ -62,7 +69,7 @@ def fleet(
         raise ValueError(f"there is no {RECORDING} below {source}")
     own = not ray.is_initialized()
     if own:
-        _start(address)
+        _start(address, say)
     try:
         version = ray.get(ray.remote(num_cpus=0)(work.version_of).remote(program))
         earlier = _rows(store, [f"{root}/{job.name}.json" for job in jobs])
@@ -92,20 +99,30 @@ class NotStarted(Exception):
     """Ray did not start, or its cluster did not answer."""
 
 
-def _start(address: str | None) -> None:
+_STEP = (
+    "run it again, with RAY_raylet_start_wait_time_s=120 in the environment if this computer is busy "
+    "(`ray stop --force` ends what is left of the first try), or check --address"
+)
+
+
+def _start(address: str | None, say: Callable[[str], None]) -> None:
     import ray
 
-    dashboard = False if address is None else None
+    late = Timer(LATE, say, [f"Ray has not started after {LATE:.0f} s; Ctrl-C ends it, then {_STEP}"])
+    late.daemon = True
+    late.start()
     try:
+        # Ray itself tries again for minutes where nobody listens.
+        if place := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address or ""):
+            socket.create_connection((place[1], int(place[2])), timeout=ANSWER).close()
+        dashboard = False if address is None else None
         ray.init(address=address, include_dashboard=dashboard, log_to_driver=False)
     # A start that takes too long is a plain Exception of Ray's.
     except Exception as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise NotStarted(
-            f"Ray did not start: {reason[0]}; run it again, with "
-            "RAY_raylet_start_wait_time_s=120 in the environment if this computer is busy "
-            "(`ray stop --force` ends what is left of the first try), or check --address"
-        ) from error
+        raise NotStarted(f"Ray did not start: {reason[0]}; {_STEP}") from error
+    finally:
+        late.cancel()
 
 
 def _whole(url: str, storage: dict[str, Any]) -> str:
