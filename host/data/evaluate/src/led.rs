@@ -67,7 +67,7 @@ const LIGHT_SIGMA_US: f64 = 0.5;
 /// 1-sigma of the middle of the bands in a video that went through an encoder, lines: it predicts
 /// each block of the picture from those above and on the left, and moves the bands of all frames
 /// alike, so that no scatter shows it.
-const ENCODER_SIGMA_LINES: f64 = 0.4;
+const ENCODER_SIGMA_LINES: f64 = 0.6;
 
 /// Least 1-sigma of the middle of one strip of the picture, µs: an encoder moves bands by up to two
 /// lines.
