@@ -25,7 +25,7 @@ pub(crate) fn write_depth(
     let Some(seen) = session.exposures else {
         return Ok(None);
     };
-    let (text, date) = (read(profile)?, day(session));
+    let (text, date) = (read(profile)?, session.day());
     let now = Profile::parse(&text, Some(profile))?.depth;
     if !MeasuredDepth::of(&session.profile.depth, date).holds_for(&now) {
         return Ok(None);
@@ -57,11 +57,6 @@ pub(crate) fn write_rows(
     let text = with_phone(&read(profile)?, profile, &found.constants, &found.measured)?;
     write_file(profile, &text)?;
     Ok(Some(found))
-}
-
-fn day(session: &SessionFile) -> jiff::civil::Date {
-    let began = session.began().unwrap_or_else(jiff::Timestamp::now);
-    began.to_zoned(jiff::tz::TimeZone::system()).date()
 }
 
 fn read(path: &Path) -> Result<String, Failure> {

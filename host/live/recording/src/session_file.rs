@@ -402,6 +402,14 @@ impl SessionFile {
         self.started.parse().ok()
     }
 
+    /// Returns the day on which the session began, or today if [`Self::started`] is not valid, in
+    /// the computer's time zone.
+    #[must_use]
+    pub fn day(&self) -> jiff::civil::Date {
+        let began = self.began().unwrap_or_else(jiff::Timestamp::now);
+        began.to_zoned(jiff::tz::TimeZone::system()).date()
+    }
+
     /// Returns the folder of a phone's files, relative to the recording's: a folder of its own if
     /// there are several phones.
     #[must_use]

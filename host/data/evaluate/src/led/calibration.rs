@@ -102,12 +102,11 @@ pub fn calibrate(
         readout_us,
         direction: rows.direction,
     };
-    let began = session.began().unwrap_or_else(jiff::Timestamp::now);
     Ok(Some(Calibration {
         rows,
         constants,
         measured: MeasuredPhone {
-            date: began.to_zoned(jiff::tz::TimeZone::system()).date(),
+            date: session.day(),
             phone: phone.name.clone(),
             exposure_us,
             app: record.version.clone(),
