@@ -272,8 +272,8 @@ fn phone(args: &ServeArgs) -> PhoneConfig {
 
 /// Words that a rig takes while it runs, and what they do to it.
 const WORDS: &str = "unplug, plug (the board's USB); phone off, phone on (its network); readback off, \
-                     readback on; twist, knock; lamp on, lamp off (the strobes' light in place of the \
-                     ball, in the next video)";
+                     readback on; twist, knock; lamp on, lamp off (the light of strobes and LED in \
+                     place of the ball, in the next video)";
 
 /// Does to the rig what a line on standard input says.
 ///
