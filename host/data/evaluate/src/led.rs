@@ -69,8 +69,8 @@ const LIGHT_SIGMA_US: f64 = 0.5;
 /// alike, so that no scatter shows it.
 const ENCODER_SIGMA_LINES: f64 = 0.6;
 
-/// Least 1-sigma of the middle of one strip of the picture, µs: an encoder moves bands by up to two
-/// lines.
+/// Least 1-sigma of the middle of one strip of the picture, µs: two lines of the slowest readout, by
+/// which an encoder moves bands in weak light.
 const STRIP_SIGMA_US: f64 = 50.0;
 
 /// Least number of flashes of each period.
