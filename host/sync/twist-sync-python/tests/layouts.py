@@ -8,6 +8,7 @@ To add a layout, add a row.
 import gzip
 import io
 import json
+import lzma
 import struct
 import zipfile
 from dataclasses import dataclass, field
@@ -97,6 +98,13 @@ EPOCH = 1_773_000_000 * 10**9
 
 def head(*lines):
     return "".join(line + "\n" for line in lines)
+
+
+def table(names, *columns, between=","):
+    """Lines of values as they print, under their names."""
+    columns = [np.asarray(c).tolist() for c in columns]
+    rows = zip(*([f"{x:.7f}" if isinstance(x, float) else str(x) for x in c] for c in columns), strict=True)
+    return head(*([names] if names else []), *map(between.join, rows))
 
 
 def xyz(a):
@@ -491,6 +499,37 @@ def mavlink(m):
         "{},{:.0f},{:.0f},{:.0f}", [i.replace("T", " ") for i in m.iso(6)], *xyz(m.w * 1e3))
 
 
+def two_bodies(m):
+    lines = ["Format Version,1.25,Take Name,T,Rotation Type,Quaternion,Length Units,Millimeters", "", ",Type" + ",Rigid Body" * 16,
+             ",Name" + ",left" * 8 + ",right" * 8, ",ID" + ',"AB12"' * 8 + ',"CD34"' * 8, ",Parent" + "," * 16,
+             ",," + ",".join((["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"]) * 2), "Frame,Time (Seconds)" + ",X,Y,Z,W,X,Y,Z," * 2]
+    body = [*m.q[:, [1, 2, 3, 0]].T, *xyz(m.acc), m.s * 0]
+    other = [*m.q[:, [2, 3, 1, 0]].T, *xyz(m.acc), m.s * 0]
+    return head(*lines) + table("", np.arange(len(m.s)), m.ns * 1e-9, *body, *other)
+
+
+def faulty_cells(m):
+    """Errors of a spreadsheet and of C in the middle, and a row of words."""
+    lines = table("t (s),gx (deg/s),gy (deg/s),gz (deg/s)", m.ns * 1e-9, *xyz(m.deg)).splitlines()
+    return head(*lines[:300], "8.5401,-1.#IND,1.#QNAN,nan(ind)", "8.5402,#VALUE!,#DIV/0!,1.0", "sensor,lost,lost,lost", *lines[300:])
+
+
+def labels(m):
+    return head(*(f"t:{n // 1000},gx:{w[0]:.4f},gy:{w[1]:.4f},gz:{w[2]:.4f}" for n, w in zip(m.ns.tolist(), m.deg.tolist())))
+
+
+def echoed(m):
+    return "".join(f"header: \n  seq: {k}\n  stamp: \n    secs: {n // 10**9}\n    nsecs: {n % 10**9}\n  frame_id: \"imu\"\norientation: \n  x: 0.0\n  y: 0.0\n"
+                   f"  z: 0.0\n  w: 1.0\norientation_covariance: [0.0, 0.0, 0.0]\nangular_velocity: \n  x: {w[0]}\n  y: {w[1]}\n  z: {w[2]}\n---\n"
+                   for k, (n, w) in enumerate(zip(m.ns.tolist(), m.w.tolist())))
+
+
+def edge_impulse(m):
+    sensors = [{"name": f"{s}{k}", "units": u} for s, u in (("acc", "m/s2"), ("gyr", "d/s")) for k in "XYZ"]
+    payload = {"device_type": "X", "interval_ms": 5, "sensors": sensors, "values": np.column_stack([m.acc, m.deg]).tolist()}
+    return json.dumps({"protected": {"ver": "v1", "alg": "none"}, "signature": "0", "payload": payload})
+
+
 def windows_text(m):
     return ("﻿" + phyphox(m, "\t")).encode("utf-16")
 
@@ -622,5 +661,55 @@ LAYOUTS = [
     Layout("containers", "PX4 ULog", "docs.px4.io/main/en/dev_log/ulog_file_format", ulg, "sensor_combined", ".ulg"),
     Layout("containers", "PX4 ULog of sensor_gyro", "github.com/PX4/PX4-Autopilot msg/SensorGyro.msg", lambda m: ulg(m, "sensor_gyro"), "sensor_gyro", ".ulg"),
     Layout("containers", "ArduPilot's binary log", "github.com/ArduPilot/ardupilot AP_Logger/LogStructure.h", ardupilot, "IMU 0", ".bin"),
+    Layout("numbers", "faulty cells", "Microsoft's C runtime (1.#IND), Excel (#VALUE!)", faulty_cells, "line 301 and 2 more"),
+    Layout("headers", "psql", "postgresql.org/docs/current/app-psql: aligned output", lambda m: table(" ts | gx | gy | gz \n----+----+----+----",
+           [i.replace("T", " ") + "+00" for i in m.iso(6)], *xyz(m.w), between=" | ") + f"({len(m.s)} rows)\n", "with bars", ".txt", start=_ROS),
+    Layout("headers", "Motive, two bodies", "docs.optitrack.com/motive/data-export/data-export-csv", two_bodies, "Rigid Body left", topic="left", off=0.06),
+    Layout("headers", "WitMotion in Chinese", "wit-motion.com: the Chinese program's export", lambda m: table("时间\t角速度X(°/s)\t角速度Y(°/s)\t角速度Z(°/s)",
+           [i.replace("T", " ") for i in m.iso(3)], *xyz(m.deg), between="\t"), "'时间', dates", ".txt", start=_ROS),
+    Layout("headers", "units in a comment", "loggers that state them once, above the names", lambda m: table("# units: time [ms], gyro [deg/s]\ntime,gx,gy,gz", m.ns / 1e6, *xyz(m.deg)),
+           "deg/s (said above)"),
+    Layout("time", "MATLAB's timetable", "mathworks.com/help/matlab/ref/writetimetable.html", lambda m: table("Timestamp,X,Y,Z", [
+        n.astype("M8[ms]").item().strftime("%d-%b-%Y %H:%M:%S.%f") for n in m.ns.astype("M8[ns]")], *xyz(m.w)), "dates", start=_ROS),
+    Layout("time", "twelve hours", "dates of the United States: month first", lambda m: table("time,gx,gy,gz", [
+        f"{int(i[5:7])}/{int(i[8:10])}/{i[:4]} {int(i[11:13]) % 12 or 12}:{i[14:23]} {'AP'[int(i[11:13]) > 11]}M" for i in m.iso(3)], *xyz(m.w)), "dates", start=_ROS),
+    Layout("time", "two digits of a year", "Excel's short date in German", lambda m: table("Zeit;gyro x;gyro y;gyro z", [
+        f"{i[8:10]}.{i[5:7]}.{i[2:4]} {i[11:23]}" for i in m.iso(3)], *xyz(m.w), between=";").replace(".", ",").replace("03,26 ", "03.26 ").replace("08,03.", "08.03."), "dates", start=_ROS),
+    Layout("time", "a clock of whole seconds and milliseconds", "Arduino loggers with an RTC and millis() % 1000", lambda m: table("Time,Millis,gx,gy,gz", [
+        i[11:19] for i in m.iso(3)], m.ns // 10**6 % 1000, *xyz(m.w)), "'Time' and 'Millis' in ms", start=3600 * 10**9),
+    Layout("time", "gpmd2csv", "github.com/JuanIrache/gopro-utils: gpmd2csv", lambda m: table("Milliseconds,GyroX,GyroY,GyroZ", m.ns / 1e6, *xyz(m.w)), "in ms (named)"),
+    Layout("time", "ticks with their length", "names of ROS 1 bridges and lidars, as in stamp_100us", lambda m: table("tick_100us,gx_dps,gy_dps,gz_dps", m.ns // 10**5 % 65536, *xyz(m.deg)),
+           "in 100 us (named)", counted=True, off=0.05),
+    Layout("time", "a counter of 8 bits", "packet counters of one byte", lambda m: table("packet_counter,gyro_x_dps,gyro_y_dps,gyro_z_dps", np.arange(len(m.s)) % 256, *xyz(m.deg)),
+           "wraps at 256", options={"rate": 200.0}, counted=True),
+    Layout("time", "a time for each sensor", "lidars: sys_ts, accel_ts, gyro_ts", lambda m: table("sys_ts,accel_ts,gyro_ts,lax,lay,laz,avx,avy,avz",
+           m.ns + 10**9, m.ns - 10**6, m.ns, *xyz(m.acc), *xyz(m.deg)), "'gyro_ts' in ns"),
+    Layout("time", "Arduino's monitor", "docs.arduino.cc: Serial Monitor, Show timestamp", lambda m: head(*(
+        f"{i[11:23]} -> {n // 1000},{w[0]:.4f},{w[1]:.4f},{w[2]:.4f}" for i, n, w in zip(m.iso(3), m.ns.tolist(), m.deg.tolist()))), "'2' in us", ".txt"),
+    Layout("rows", "letters for sensors", "rows A,t,x,y,z and G,t,x,y,z of small loggers", lambda m: head(*(line for n, a, w in zip(m.ns.tolist(), m.acc.tolist(), m.w.tolist()) for line in (
+        f"A,{n / 1e6},{a[0]:.5f},{a[1]:.5f},{a[2]:.5f}", f"G,{n / 1e6},{w[0]:.6f},{w[1]:.6f},{w[2]:.6f}"))), "commas: G,", ".txt"),
+    Layout("rows", "sentences of NMEA", "nmea.org: $, fields, * and a checksum", lambda m: head(*(
+        f"$PIMU,{n // 1000},{w[0]:.5f},{w[1]:.5f},{w[2]:.5f}*{n % 256:02X}" for n, w in zip(m.ns.tolist(), m.w.tolist()))), "'2' in us", ".txt"),
+    Layout("rates", "Kalibr, omega and alpha", "github.com/ethz-asl/kalibr wiki/bag-format", lambda m: table("timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z",
+           m.ns, *xyz(m.w), *xyz(m.acc)), "'omega_x'", start=_ROS),
+    Layout("rates", "Physics Toolbox, all sensors", "vieyrasoftware.net: Multi Record", lambda m: table("time,gFx,gFy,gFz,wx,wy,wz", m.ns * 1e-9, *xyz(m.acc / 9.81), *xyz(m.w)), "'wx'"),
+    Layout("rates", "p, q, r", "rates of flight mechanics", lambda m: table("time (s),p (rad/s),q (rad/s),r (rad/s)", m.ns * 1e-9, *xyz(m.w)), "'p (rad/s)'"),
+    Layout("rates", "tenths of a degree", "a unit with a factor", lambda m: table("t (s),gyro x (0.1 deg/s),gyro y (0.1 deg/s),gyro z (0.1 deg/s)", m.ns * 1e-9, *xyz(m.deg * 10)), "0.1 deg/s (named)"),
+    Layout("rates", "PX4's vehicle_angular_velocity", "github.com/PX4/PX4-Autopilot msg/VehicleAngularVelocity.msg", lambda m: table(
+        "timestamp,timestamp_sample,xyz[0],xyz[1],xyz[2],xyz_derivative[0],xyz_derivative[1],xyz_derivative[2]", m.ns // 1000 + 200, m.ns // 1000, *xyz(m.w), *xyz(m.acc)), "'timestamp_sample'"),
+    Layout("orientations", "PX4's vehicle_attitude", "github.com/PX4/PX4-Autopilot msg/VehicleAttitude.msg", lambda m: table("timestamp,timestamp_sample,q[0],q[1],q[2],q[3],delta_q_reset[0]",
+           m.ns // 1000 + 200, m.ns // 1000, *m.q.T, m.s * 0), "quaternions", off=0.06),
+    Layout("orientations", "BNO085, i, j, k, real", "github.com/adafruit/Adafruit_BNO08x", lambda m: table("micros,quatI,quatJ,quatK,quatReal", m.ns // 1000, *m.q[:, [1, 2, 3, 0]].T), "quaternions", off=0.06),
+    Layout("orientations", "MT Manager, matrices", "base.xsens.com: MT Manager's text export", lambda m: table("// Update Rate: 200.0Hz\nPacketCounter\t" + "\t".join(
+        f"Mat[{r}][{c}]" for c in (1, 2, 3) for r in (1, 2, 3)), np.arange(len(m.s)), *(m.matrix[:, 3 * r + c] for c in range(3) for r in range(3)), between="\t"),
+        "rotation matrices", ".txt", counted=True, off=0.06),
+    Layout("orientations", "ros2 topic echo --csv of poses", "github.com/ros2/rosidl_runtime_py convert.py", lambda m: table("", m.ns // 10**9, m.ns % 10**9, ["map"] * len(m.s), *xyz(m.acc),
+           *m.q[:, [1, 2, 3, 0]].T), "quaternions", start=_ROS, off=0.06),
+    Layout("containers", "labels", "docs.arduino.cc: Serial Plotter", labels, "text with labels", ".txt"),
+    Layout("containers", "rostopic echo", "wiki.ros.org/rostopic: echo", echoed, "rostopic echo", ".txt", start=_ROS),
+    Layout("containers", "phyphox's zip", "phyphox.org/wiki: export as zip, with meta/", lambda m: zipped(**{"Raw Data.csv": phyphox(m), "meta/device.csv": "a,b\n", "meta/time.csv": "a,b\n"}), "rad/s (named)", ".zip"),
+    Layout("containers", "xz", "tukaani.org/xz", lambda m: lzma.compress(sensor_logger(m).encode()), "as Sensor Logger", ".csv.xz", start=EPOCH),
+    Layout("containers", "Edge Impulse", "docs.edgeimpulse.com: data acquisition format", edge_impulse, "at 200 Hz", ".json", counted=True),
+    Layout("containers", "JSON of times and rows", "arrays of numpy as JSON", lambda m: json.dumps({"gyro": {"t": (m.ns * 1e-9).tolist(), "values": m.w.tolist()}}), "JSON: gyro", ".json"),
     Layout("containers", "phyphox's Excel", "phyphox.org/wiki: export as Excel", xlsx, "Raw Data", ".xlsx"),
 ]  # fmt: skip

@@ -97,7 +97,7 @@ class Bag:
             self.notes.append("without its metadata.yaml")
         else:
             if path.is_file() and path.suffix not in (".bag", ".db3"):
-                raise Unreadable("a ROS 1 bag whose name does not end in .bag: rename it")
+                raise Unreadable("a bag of ROS 1 whose name does not end in .bag, or of ROS 2 not in .db3: rename it; or another database")
             self.form = "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag"
             self._messages = self._of_rosbags
 

@@ -17,15 +17,16 @@ Unit = tuple[str, str]
 
 
 def unit_of(text: str) -> Unit | None:
-    """Returns what a unit measures, and the unit."""
+    """Returns what a unit measures, and the unit, after a factor if it has one."""
     plain = re.sub(r"[\s^*·()\[\]{}_]", "", text.lower()).translate(str.maketrans("µμ²⁻¹−", "uu2-1-"))
-    return next(((what, unit) for what, unit, form in rules.UNITS if re.fullmatch(form, plain)), None)
+    factor, plain = re.fullmatch(r"(10-\d|\d+(?:\.\d+)?(?:e-?\d+)?|)(.*)", plain).groups()  # type: ignore[union-attr]
+    found = next(((what, unit) for what, unit, form in rules.UNITS if re.fullmatch(form, plain)), None)
+    return (found[0], f"{factor.replace('10-', '1e-')} {found[1]}") if found and factor else found
 
 
 def words_of(name: str) -> list[str]:
     """Splits a column's name into lower-case words: `gyroRotationX` is gyro, rotation, x and
-    `gyro_rad[0]` is gyro, rad, x."""
-    name = re.sub(r"\[([012])\]", lambda m: f" {'xyz'[int(m[1])]} ", name)
+    `gyro_rad[0]` is gyro, rad, 0."""
     return re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
@@ -43,7 +44,7 @@ def split_unit(name: str, unit: str = "") -> tuple[list[str], Unit | None]:
         # One letter is an axis or a sensor more often than a unit.
         if not found and of_end and of_end[0] in ("rate", "time", "angle") and end != ["d"]:
             return (words[:-count] if of_end[0] != "time" else words), of_end
-    of_begin = unit_of(words[0]) if len(words) > 1 and len(words[0]) > 4 else None
+    of_begin = unit_of(words[0]) if words and len(words[0]) > (4 if len(words) > 1 else 1) else None
     return words, found or (of_begin if of_begin and of_begin[0] == "time" else None)
 
 
@@ -69,18 +70,23 @@ def axis_of(name: str, words: list[str]) -> tuple[str, list[str]] | None:
     if of_rows := re.search(r"\brot\[([0-8])\]", name.lower()):
         # Column by column, as Qualisys writes them.
         return f"{int(of_rows[1]) % 3}{int(of_rows[1]) // 3}", ["matrix"]
+    if of_cells := re.search(r"\b(?:mat\w*|rot\w*|r)\[(\d)\]\[(\d)\]", name.lower()):
+        return of_cells[1] + of_cells[2], ["matrix"]
     for at in range(len(words) - 1, -1, -1):
         if found := rules.AXES.fullmatch(words[at]):
-            more = [word for word in (found[1], found[4]) if word]
-            return found[2] or found[3], [*words[:at], *more, *words[at + 1 :]]
+            more = [word for word in (found[1], found[3], found[5]) if word]
+            if not found[3] or kind_of([*words[:at], *more]) == "rate":
+                return found[2] or found[4], [*words[:at], *more, *words[at + 1 :]]
     for at, word in enumerate(words):
         others = words[:at], words[at + 1 :]
         if found := re.fullmatch(rf"({'|'.join(rules.SPOKEN)})(speed|rate)?", word):
             return rules.SPOKEN[found[1]], [*others[0], "rate" if found[2] else "spoken", *others[1]]
-        if found := re.fullmatch(r"(q|quat|quaternion)([0-3])", word):
-            return "wxyz"[int(found[2])], [*others[0], "quat", *others[1]]
+        if word in rules.QUATERNION and at and re.fullmatch(r"q|quat\w*", words[at - 1]):
+            return rules.QUATERNION[word], words[:at]
         if found := re.fullmatch(r"(?:r|rot|m|mat)([0-3])([0-3t])", word):
             return found[1] + found[2], [*others[0], "matrix", *others[1]]
+    if words and (found := re.fullmatch(r"(\D*)([0-4])", words[-1])) and (len(words) > 1 or found[1]):
+        return found[2], [*words[:-1], *filter(None, [found[1]])]
     return None
 
 
@@ -110,6 +116,7 @@ class Table:
         settings: What the file says above the table.
         dialect: How numbers of a text are written.
         flaw: A row of another width, in words.
+        misnamed: Names that are more or fewer than the columns, in words.
     """
 
     name: str
@@ -122,6 +129,7 @@ class Table:
     settings: dict[str, str] = field(default_factory=dict)
     dialect: Any = None
     flaw: str = ""
+    misnamed: str = ""
 
     def __post_init__(self) -> None:
         self.units = self.units or [""] * len(self.names)
@@ -212,9 +220,18 @@ def groups(table: Table) -> list[Group]:
         first = int("matrix" in stem and not any("0" in axis for axis in axes))
         forms = [[f"{r + first}{c + first}" for r in range(3) for c in range(3)], "wxyz", "xyz"]
         form = next((form for form in forms if all(axis in axes for axis in form)), None)
+        # Numbers instead of axes, of what a word names.
+        kind = "rate" if stem == "xyz" else kind_of([*words_of(table.name), *stem.split()])
+        numbered = {"rate": ("012", "123"), "orientation": ("0123",)}.get(kind or "", ())
+        form = form or next((form for form in numbered if sorted(axes) == list(form)), None)
         if form:
             out.append(_group(table, stem, [axes[axis] for axis in form]))
-    return out or ([] if table.named else _unnamed(table))
+    # Three columns of rates whose names have no axis, such as p, q, r.
+    units = [split_unit(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    rest = [k for k, (words, unit) in enumerate(units) if unit and unit[0] == "rate" and kind_of(words) != "other"]
+    if len(rest) == 3 and not any(set(group.columns) & set(rest) for group in out):
+        out.append(_group(table, "", rest))
+    return out or ([] if table.named or table.misnamed else _unnamed(table))
 
 
 def _group(table: Table, stem: str, columns: list[int]) -> Group:
@@ -243,10 +260,10 @@ def _group(table: Table, stem: str, columns: list[int]) -> Group:
 def _unnamed(table: Table) -> list[Group]:
     """Returns what the values of columns without names say: three that remain beside the times,
     or of more than three those that gravity's size does not give away."""
-    times = rising(table)[:1]
+    times = rising(table)
     rest = [k for k in range(len(table.names)) if k not in times and table.is_numeric(k)]
     if len(rest) == 3:
-        return [Group("", rest, None, None, False)]
+        return [Group("", rest, kind_of(words_of(table.name)), None, False)]
     if len(rest) not in (6, 9) or not times:
         return []
     triples = [Group(f"columns {rest[k] + 1}", rest[k : k + 3], None, None, False) for k in range(0, len(rest), 3)]
@@ -271,17 +288,25 @@ def rising(table: Table) -> list[int]:
     return [k for _, k in sorted(found)]
 
 
+def gravity(w: np.ndarray) -> str | None:
+    """Returns in words that three columns are as large as gravity, if they are."""
+    size = np.linalg.norm(w[np.isfinite(w).all(axis=1)], axis=1)
+    low, usual, high = np.quantile(size, (0.1, 0.5, 0.9)) if len(size) > 7 else (0.0, 0.0, 0.0)
+    for one, unit in ((9.81, "m/s²"), (1.0, "g"), (1000.0, "mg")):
+        if abs(usual / one - 1) < 0.1 and high - low < 0.8 * usual:
+            return f"their size is that of gravity, {usual:.3g} {unit}"
+    return None
+
+
 def not_rates(w: np.ndarray) -> str | None:
     """Returns why three columns that nothing names are not those of a moved gyroscope, if so."""
     w = w[np.isfinite(w).all(axis=1)]
     if len(w) < 8:
         return None
+    if reason := gravity(w):
+        return reason
     low, usual, high = np.quantile(np.linalg.norm(w, axis=1), (0.1, 0.5, 0.9))
-    spread = (high - low) / max(usual, 1e-12)
-    for one, unit in ((9.81, "m/s²"), (1.0, "g"), (1000.0, "mg")):
-        if abs(usual / one - 1) < 0.1 and spread < 0.8:
-            return f"their size is that of gravity, {usual:.3g} {unit}"
-    if usual and spread < 0.2:
+    if usual and high - low < 0.2 * usual:
         return f"their size hardly changes ({usual:.3g})"
     middle = np.median(w, axis=0)
     moving = float(np.sqrt(np.mean(np.sum((w - middle) ** 2, axis=1))))

@@ -15,8 +15,7 @@ from typing import Any
 
 from . import Unreadable, __version__, files, report
 from .network import sync
-from .rules import TIME_UNITS
-from .tables import is_unit
+from .tables import OF_TIME, UNITS, is_time_unit, is_unit
 
 GOOD, USAGE, REFUSED, UNREADABLE = 0, 2, 3, 5
 EXAMPLE = Path(__file__).parent / "example"
@@ -51,7 +50,7 @@ def parser() -> argparse.ArgumentParser:
     add_each("--columns", columns, metavar="T,X,Y,Z")
     add_each("--unit", "of the rates: rad/s, mrad/s, deg/s, mdps, rpm, with a factor as 0.061deg/s; deg:ZYX of angles")
     add_each("--rate", "samples a second, by the rows or a counter", metavar="HZ", type=float)
-    add_each("--time-unit", "of the times", choices=list(TIME_UNITS))
+    add_each("--time-unit", "of the times: s, ms, us, ns, with a factor as 30.5us")
     delays = "delays of the gyroscopes' low-pass filters, in the order of the files"
     add("--delay-us", metavar="US,US", help=delays)
     limit = "refuse an offset (of a window) with a larger 1-sigma"
@@ -82,8 +81,10 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     except ValueError:
         options.delays = [math.nan]
     bad = next((unit for unit in options.unit if unit and not is_unit(unit)), None)
+    bad_time = next((unit for unit in options.time_unit if unit and not is_time_unit(unit)), None)
     for is_wrong, said in (
-        (bad is not None, f"--unit {bad}: expected rad/s, mrad/s, deg/s, mdps, rpm, 0.061deg/s or deg:ZYX"),
+        (bad is not None, f"--unit {bad}: {UNITS}"),
+        (bad_time is not None, f"--time-unit {bad_time}: {OF_TIME}"),
         (any(rate is not None and not 0 < rate < 1e6 for rate in options.rate), "--rate: expected samples a second"),
         (
             options.delays and (len(options.delays) != count or not all(map(math.isfinite, options.delays))),

@@ -85,6 +85,8 @@ def mat(path: Path) -> Read:
     for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
         if not name.startswith("__"):
             walk(name, value)
+    if not found:
+        raise Unreadable("a MAT-file without arrays of numbers; tables and timetables: save them with writetimetable, as CSV")
     return "MAT-file", arrays(found)
 
 
@@ -205,7 +207,9 @@ def of_json(name: str, value: Any, units: str = "") -> Iterator[Table]:
             yield from of_records(name, [one for one in value if isinstance(one, dict)], units)
         elif all(isinstance(one, list) and len(one) > 2 for one in value[:9]):
             try:
-                yield from arrays({name: np.array(value, dtype=float)})
+                for table in arrays({name: np.array(value, dtype=float)}):
+                    table.name = name
+                    yield table
             except ValueError:
                 pass
     if isinstance(value, list) and len(value) <= 99:
@@ -215,14 +219,44 @@ def of_json(name: str, value: Any, units: str = "") -> Iterator[Table]:
     if isinstance(value, dict):
         units = value.get("units", "") if isinstance(value.get("units"), str) else ""
         title = value.get("name") if isinstance(value.get("name"), str) else ""
-        lists = {k: v for k, v in value.items() if isinstance(v, list) and len(v) > 1 and isinstance(v[0], (int, float))}
+        value = _named_rows(value)
+        stated = {k.lower().replace("_", " "): str(v) for k, v in value.items() if isinstance(v, (int, float))}
+        lists = {k: v for k, v in value.items() if isinstance(v, list) and len(v) > 1 and isinstance(v[0], (int, float, list))}
         for length in {len(v) for v in lists.values()}:
             same = {k: v for k, v in lists.items() if len(v) == length}
-            if len(same) > 2:
-                yield table_of(name, {k: np.array([np.nan if x is None else x for x in v]) for k, v in same.items()})
+            # Lists of rows need one of times beside them.
+            if len({isinstance(v[0], list) for v in same.values()}) > 1 or (len(same) > 2 and not isinstance([*same.values()][0][0], list)):
+                try:
+                    columns = {k: np.array([np.nan if x is None else x for x in v], dtype=float) for k, v in same.items()}
+                    yield table_of(name, columns, settings=stated)
+                except ValueError:
+                    continue
                 value = {k: v for k, v in value.items() if k not in same}
         for key, one in value.items():
             yield from of_json(f"{name} {title or key}".strip(), one, units)
+
+
+def _named_rows(value: dict[str, Any]) -> dict[str, Any]:
+    """Returns an object whose lists of rows are columns, if another list names these."""
+    for names in value.values():
+        if isinstance(names, list) and names and all(isinstance(one, str) or isinstance(one, dict) and "name" in one for one in names):
+            found = [one if isinstance(one, str) else f"{one['name']} [{one.get('units', '')}]" for one in names]
+            for key, rows in value.items():
+                if isinstance(rows, list) and len(rows) > 1 and all(isinstance(row, list) and len(row) == len(found) for row in rows):
+                    return {k: v for k, v in value.items() if k != key} | dict(zip(found, map(list, zip(*rows)), strict=True))
+    return value
+
+
+def yaml(path: Path) -> Read:
+    """Reads the documents that `rostopic echo` and `ros2 topic echo` print."""
+    records = []
+    for document in re.split(r"(?m)^---\s*$", path.read_text(encoding="utf-8", errors="replace")):
+        names: list[str] = []
+        records.append({})
+        for indent, name, value in re.findall(r"(?m)^( *)(\w+): *(.*?)\s*$", document):
+            names = [*names[: len(indent) // 2], name]
+            records[-1][".".join(names)] = value
+    return "text of rostopic echo", list(of_records("", records))
 
 
 def of_text(path: Path) -> Read:
@@ -301,5 +335,6 @@ READERS: dict[str, Callable[[Path], Read]] = {
     "ulg": ulg,
     "ardupilot": ardupilot,
     "json": of_text,
+    "yaml": yaml,
     "gpmf": gpmf,
 }

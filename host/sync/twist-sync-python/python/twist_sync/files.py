@@ -6,10 +6,12 @@ libraries that may hang, crash or take all memory.
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import gzip
 import io
 import json
+import lzma
 import math
 import os
 import re
@@ -55,23 +57,39 @@ _IN_FOLDERS = (
     ("*imu0/data.csv",),
     ("*gyro*.csv", "*Gyro*.csv"),
     ("*.mcap", "*.mkv", "*.bag", "*.db3"),
-    ("*.csv", "*.txt", "*.json", "*.npy", "*.npz"),
+    ("Raw Data.csv",),
+    ("*.csv", "*.txt", "*.json", "*.npy", "*.npz", "*.csv.gz"),
     ("*.mp4", "*.insv", "*.MP4"),
+)
+
+#: Files that are packed alone, and the function that opens each.
+PACKED = {"gzip": gzip.open, "bzip2": bz2.open, "xz": lzma.open}
+#: Files that are refused, by their first bytes: what they are, and what to give.
+_REFUSED = (
+    (rb"\x89HDF\r\n", "a file of HDF5, which is not read: save its arrays as .npz, .mat (-v7) or CSV"),
+    (rb"PAR1|ARROW1", "a table of Parquet or Arrow, which is not read: save it as CSV"),
+    (rb"\xd0\xcf\x11\xe0", "an old spreadsheet (.xls), which is not read: save it as CSV or .xlsx"),
+    (rb"TDSm|XDF:|VisionRe", "a recording of LabVIEW (TDMS), LSL (XDF) or Aria (VRS), which is not read: export it as CSV"),
+    (rb"[\x02-\x06]\x50", "a file of C3D, which is not read: export its bodies as CSV"),
+    (rb"7z\xbc\xaf|\x28\xb5\x2f\xfd|Rar!|.{257}ustar", "an archive that is not unpacked: unpack it, or use zip or gzip"),
+    (rb"\s*<", "XML or HTML, which is not read: export it as CSV"),
+    (rb"%PDF|\xff\xd8\xff|\x89PNG|\x80\x04\x95", "a document, a picture or a pickle: give a recording"),
+    (rb"version https://git-lfs", "a pointer of Git LFS in place of the file: fetch it with git lfs pull"),
 )
 
 #: Kinds of files by their first bytes, else by the end of their names; others are text.
 _BY_BYTES = (
     ("mcap", rb"\x89MCAP0\r\n"),
     ("bag", rb"#ROSBAG V|SQLite format 3\0"),
+    ("yaml", rb"(---\s+)?header: *\r?\n"),
     ("matroska", rb"\x1a\x45\xdf\xa3"),
     ("video", rb"....(ftyp|wide|mdat|moov|RED1|RED2)|\x06\x0e\x2b\x34|H Product:Blackb"),
     ("npy", rb"\x93NUMPY"),
-    ("gzip", rb"\x1f\x8b"),
+    *zip(PACKED, (rb"\x1f\x8b", rb"BZh[1-9]", rb"\xfd7zXZ\0"), strict=True),
     ("ulg", rb"ULog\x01\x12\x35"),
     ("ardupilot", rb"\xa3\x95\x80|FMT, "),
     ("gpmf", rb"DEVC\0"),
     ("mat", rb"MATLAB [57]\.\d MAT-file"),
-    ("hdf5", rb"\x89HDF\r\n"),
     ("json", rb"(\xef\xbb\xbf)?\s*(\{|\[\s*[\[{])"),
 )
 
@@ -103,12 +121,16 @@ def kind(path: Path) -> str:
     if path.exists() and not path.is_file():
         raise Unreadable("not a regular file: write it into one first")
     with path.open("rb") as file:
-        first = file.read(64)
+        first = file.read(512)
+    if said := next((said for form, said in _REFUSED if re.match(form, first, re.DOTALL)), None):
+        raise Unreadable(said)
     if first.startswith(b"PK\x03\x04"):
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
         if "xl/workbook.xml" in names:
             return "xlsx"
+        if "content.xml" in names:
+            raise Unreadable("a spreadsheet of OpenDocument, which is not read: save it as CSV or .xlsx")
         return "npz" if all(name.endswith(".npy") for name in names) else "zip"
     return next((k for k, form in _BY_BYTES if re.match(form, first, re.DOTALL)), "text")
 
@@ -118,8 +140,8 @@ def unpacked(file: Path, how: str, topic: str | None, folder: Path) -> tuple[Pat
     its name in the archive."""
     folder.mkdir(exist_ok=True)
     source: Any = None
-    if how == "gzip":
-        name, source = file.name.removesuffix(".gz"), gzip.open(file)
+    if how in PACKED:
+        name, source = re.sub(r"\.(gz|bz2|xz)$", "", file.name), PACKED[how](file)
     else:
         archive = zipfile.ZipFile(file)
         names = [n for n in archive.namelist() if not n.endswith("/") and "__MACOSX" not in n]
@@ -156,7 +178,7 @@ def read(
         unit: Unit of the rates: rad/s, mrad/s, deg/s, mdps or rpm, after a factor if need be, as
             0.061deg/s; of angles deg or rad with the order of their axes, as deg:ZYX; or
             world-to-body for quaternions of that direction.
-        time_unit: Unit of the times: s, ms, us or ns.
+        time_unit: Unit of the times: s, ms, us or ns, after a factor if need be, as 30.5us.
         rate: Samples a second, Hz, of a file whose times are a counter or none.
 
     Returns:
@@ -179,7 +201,7 @@ def read(
         with tempfile.TemporaryDirectory() as folder:
             own, how = file, kind(file)
             member = ""
-            while how in ("gzip", "zip"):
+            while how in (*PACKED, "zip"):
                 own, name = unpacked(own, how, topic, Path(folder))
                 member = name if not member else "?"
                 if topic and topic.lower() in (name.lower(), Path(name).stem.lower(), Path(name).name.lower()):
@@ -193,7 +215,7 @@ def read(
         if own != file:
             found.notes.insert(0, f"unpacked: {own.name}")
         found.path, found.member = file, member
-    except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
         raise Unreadable(f"{file}: {getattr(error, 'strerror', None) or error}") from None
     except Unreadable as error:
         raise Unreadable(f"{file}: {error}") from None
@@ -322,7 +344,5 @@ def _read_here(path: Path, how: str, asked: Asked) -> Recording:
     else:
         from . import containers
 
-        if how not in containers.READERS:
-            raise Unreadable("a file of HDF5, which is not read: save its arrays as .npz, .mat (-v7) or CSV")
         form, found = containers.READERS[how](path)
     return read_tables(found, path, form, asked, notes)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from . import Clock, Course, Estimate, Floats, Refused, Report, _Relation, course, estimate, files
 from ._recording import Recording, Unreadable
-from .tables import BY_SIZE, typical_rate
+from .tables import BY_SIZE, NAMELESS, typical_rate
 
 #: Largest error over sigma, rms, of a loop that counts as closed. Three devices alone have one
 #: loop, and a Gaussian is beyond three sigmas once in 370.
@@ -329,6 +329,8 @@ def _doubts(a: Recording, b: Recording, refused: Refused) -> list[str]:
                 f"{r.name} hardly turns, by {rate:.2g} rad/s in the unit that was given, so that unit is doubted; "
                 "give it with --unit"
             )
+    if {"unique_peak", "residual"} & set(failed):
+        out += [f"{NAMELESS} of {r.name}: {r.form.partition(', ')[2]}" for r in (a, b) if NAMELESS in r.form]
     for r in (a, b) if "sigma" in failed else ():
         if max(step := _step(r.t), r.open_s * 1e9) > 150_000:
             why, remedy = f"the times of {r.name} have steps of {step * 1e-6:.3g} ms", "with more digits"

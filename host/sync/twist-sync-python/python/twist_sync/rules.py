@@ -29,13 +29,15 @@ TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 MORE_TIME = {**TIME_UNITS, "0.1 ms": 10**5, "min": 60 * 10**9, "h": 3600 * 10**9, "days": 86400 * 10**9}
 
 #: Quantity and name of a unit, and its spelling without spaces, signs of powers and
-#: products.
+#: products; a factor may precede it.
 UNITS = (
     ("rate", "rad/s", r"rad(ian)?s?(/s|s-1|ps|persec)(ec|econds?)?"),
     ("rate", "mrad/s", r"mrad(/s|s-1)(ec)?"),
     ("rate", "deg/s", r"(deg|degrees?|°|º|d)(/s|s-1|ps|s|persec)(ec|econds?)?"),
     ("rate", "mdps", r"m(illi)?d(eg)?(/s|ps)"),
     ("rate", "rpm", r"rpm|rev/min"),
+    ("rate", "0.01 deg/s", r"c(enti)?d(eg)?(/s|ps)"),
+    ("counts", "", r"lsb|counts?|digits?|raw"),
     ("time", "s", r"s|secs?|seconds?"),
     ("time", "ms", r"ms|msecs?|millis(ec(ond)?s?)?|milliseconds?"),
     ("time", "us", r"us|usecs?|micros(ec(ond)?s?)?|microseconds?"),
@@ -54,29 +56,32 @@ KINDS = (
     (
         "other",
         r"bias|cov(ariance)?|variance|std|setpoint|desired|target|integral|delta|error|residual|noise|temp"
-        r"|unfilt|offset|velocity increment|angular (accel\w*|position|displacement)|b w|dq|dv|mean|max|min",
+        r"|unfilt|offset|velocity increment|angular (accel\w*|position|displacement)|b w|dq|dv|mean|max|min|deriv\w*|dot|jerk",
     ),
+    ("angles", r"gyr\w* (ang|angles?|heading|attitude|euler)"),
     (
         "rate",
         r"\w*gyr\w*|giros?c\w*|angular ?(vel\w*|rates?)|angularvel\w*|ang ?vel\w*|vel ang|omega|rotation ?rates?|rot ?rate"
-        r"|rates?|w|av|alpha|rollspeed|pitchspeed|yawspeed|as|(body )?rates?|turn ?rates?|g",
+        r"|rates?|w|av|alpha|rollspeed|pitchspeed|yawspeed|as|(body )?rates?|turn ?rates?|gy?",
     ),
     ("orientation", r"\w*quat\w*|q|orient\w*|rotation|rot|pose|attitude|rotmat|matrix|r|game rotation vector"),
-    ("acceleration", r"\w*acc\w*|beschl\w*|gravity|linear|user|specific force|gf|g ?f|a|lin|baro|lowg|highg"),
+    ("acceleration", r"\w*acc\w*|beschl\w*|gravity|linear|user|specific force|gf|g ?f|ac?|lin|baro|lowg|highg"),
     ("magnetic", r"\w*mag\w*|compass|m|b|\w*field"),
     ("angles", r"euler|roll|pitch|yaw|angles?|heading"),
     ("position", r"pos\w*|translation|p|t|location|velocity|vel|v|speed|gps|lat|lon|marker"),
 )  # fmt: skip
 #: Rank of a column of times by words of its name: the clock that stamped the sample first.
 TIMES = (
-    (9, r"phone|host|arriv\w*|received?|rx|pc|app|logging|log time|publish|saved|system|computer|date|week"),
+    (9, r"phone|host|arriv\w*|received?|rx|pc|app|logging|log time|publish|saved|sys|system|computer|date|week"),
     (0, r"header ?stamp|sensor|hw|hardware|device|sample|cts|since ?reboot|boot"),
-    (1, r"time ?stamps?|stamp|time|timens|timeus|timems|gpst|tow|zeit|temps|tiempo|tempo|ticks?|clock|t"),
-    (2, r"ts|elapsed|epoch|unix|utc|uptime|nanos\w*|micros|millis|ns|us|ms|nsec|usec|msec"),
+    (5, r"ticks?|cycles?"),
+    (2, r"epoch|unix|utc"),
+    (1, r"time ?stamps?|stamp|time|timens|timeus|timems|gpst|tow|zeit|temps|tiempo|tempo|clock|t"),
+    (2, r"ts|elapsed|uptime|nanos\w*|micros\w*|millis\w*|ns|us|ms|nsec|usec|msec"),
     (3, r"secs?|seconds?|s|since"),
 )  # fmt: skip
 #: Durations, which are times of no clock.
-DURATION = re.compile(r"\b(dt|duration|exposure|latency|interval|period|offset|delay|gps accuracy)\b")
+DURATION = re.compile(r"\b(dt|duration|exposure|latency|interval|period|offset(?! time)|delay|gps accuracy)\b")
 COUNTER = re.compile(r"\b(packet ?counter|counter|count|sample ?(no|number|count\w*)?|index|frame|seq|f|row|n)\b")
 #: A column that tells sensors or bodies apart.
 SENSOR = re.compile(r"(sensor|device|dev|node|imu|unit|instance|type|name|topic|id|i|addr\w*|mac|body|source|location)"
@@ -92,6 +97,9 @@ UNNAMED = {
     + [f"angular_velocity_covariance {k}" for k in range(9)]
     + [f"linear_acceleration.{k}" for k in "xyz"]
     + [f"linear_acceleration_covariance {k}" for k in range(9)],
+    # The same of geometry_msgs/PoseStamped and Vector3Stamped.
+    10: "sec nanosec frame position.x position.y position.z orientation.x orientation.y orientation.z orientation.w".split(),
+    6: "sec nanosec frame vector.x vector.y vector.z".split(),
     # TUM's trajectories: <https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats>.
     8: "timestamp tx ty tz qx qy qz qw".split(),
     # ARKit Data Logger: <https://github.com/PyojinKim/ARKit-Data-Logger>.
@@ -115,19 +123,28 @@ MAKERS = (
     ("ROS", {"angular_velocity.x", "header.stamp.sec"}, set(), "rad/s"),
 )
 
+#: Names of the months in dates.
+MONTHS = "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split()
 
 #: The axis at the end of a name, after or before what it is an axis of, and axes of words.
 AXES = re.compile(
-    r"(w|g|gf|gyro|gyr|omega|om|rot|rate|angvel|av|as|a|f|m|acc|accel|mag|ang|angle|q|quat|r|p|t|v|b|d|e|)([xyzw])"
+    r"(w|g|gf|gyro|gyr|gy|omega|om|rot|rate|angvel|av|as|a|f|m|acc|ac|accel|mag|ang|angle|q|quat|r|p|t|v|b|d|e|)([xyzw])(\d*)"
     r"|([xyz])(gyro|gyr|acc|accel|mag|angvel|rate)"
 )
 SPOKEN = {"roll": "x", "pitch": "y", "yaw": "z", "beta": "x", "gamma": "y", "alpha": "z"}
+#: Elements of quaternions by other names, after a word that says that it is one.
+QUATERNION = {"i": "x", "j": "y", "k": "z", "real": "w", "scalar": "w"}
 
 #: Fields that are no value.
-MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-", "--", "nil", "#n/a", "(null)"))
+MISSING = frozenset(
+    ("", *"nan null none na n/a - -- nil ? (null) #n/a #value! #div/0! #ref! #num! #null!".split())
+    + tuple(f"{sign}{word}" for sign in ("", "-") for word in ("1.#ind", "1.#qnan", "1.#inf", "nan(ind)"))
+)
 #: Dates and times of day; with one colon, minutes and seconds.
 MOMENT = re.compile(
-    r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)|(?P<a>\d\d?)[-/.](?P<b>\d\d?)[-/.](?P<y2>\d{4}))?[T ,_]*"
+    r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)"
+    r"|(?P<a>\d\d?)(?:[-/.](?P<b>\d\d?)|[-/. ](?P<month>[A-Z][a-z]{2}))[-/. ](?P<y2>\d{4}|(?<=[./])\d\d)"
+    r"|(?P<days>\d+) days?)?[T ,_]*"
     r"(?P<clock>\d{1,3}(?::\d\d){1,2})(?:[.,:](?P<f>\d{1,12}))?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[+-]\d\d(:?\d\d)?)?"
 )

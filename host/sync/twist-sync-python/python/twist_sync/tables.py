@@ -11,10 +11,15 @@ import numpy as np
 
 from . import orientation, rules
 from ._recording import Recording, Unreadable
-from .columns import Group, Table, groups, not_rates, sensor_of, split_unit
+from .columns import Group, Table, gravity, groups, not_rates, sensor_of, split_unit, unit_of
 from .rules import RATE_UNITS, UNNAMED
 from .times import Clock, Times
 
+#: What options of units take.
+UNITS = "expected rad/s, mrad/s, deg/s, mdps, rpm, 0.061deg/s or deg:ZYX"
+OF_TIME = "expected s, ms, us, ns or one with a factor, as 30.5us"
+#: Said of columns that are taken for rates by their values alone.
+NAMELESS = "nothing says that they are rates"
 #: The unit of rates that nothing names.
 BY_SIZE = "by their size"
 #: Nine of ten samples of a moved body turn slower than this, rad/s (20 rad/s are 3 turns a second).
@@ -36,8 +41,13 @@ class Asked:
 
 def is_unit(text: str) -> bool:
     """Returns True for what ``--unit`` takes."""
-    number = r"(\d+(\.\d*)?(e-?\d+)?)?"
-    return re.fullmatch(rf"{number} *({'|'.join(RATE_UNITS)})|(deg|rad):[XYZxyz]{{3}}|world-to-body", text) is not None
+    of_rates = (unit_of(text) or ("",))[0] == "rate"
+    return of_rates or re.fullmatch(r"(deg|rad):[XYZxyz]{3}|world-to-body", text) is not None
+
+
+def is_time_unit(text: str) -> bool:
+    """Returns True for what ``--time-unit`` takes."""
+    return (unit_of(text) or ("",))[0] == "time"
 
 
 def typical_rate(rates: np.ndarray) -> float:
@@ -122,6 +132,11 @@ def _rank(table: Table, group: Group, kind: str | None, oriented: bool, why: lis
         return {4: 3, 9: 4}[len(group.columns)] if kind == "orientation" else None
     if kind == "rate":
         label = f"{table.name} {group.stem}".lower()
+        # Letters such as g and w have other meanings too.
+        is_sure = (group.unit and group.unit[0] == "rate") or re.search("gyr|giro|ang|omega|rot|rate|speed", label)
+        if not is_sure and (reason := gravity(table.array(group))):
+            why.append(f"{names} are not rates: {reason}")
+            return 6
         return 0 if "gyr" in label and not re.search(r"uncal|raw", label) else 1
     if kind is None:
         reason = None if oriented else not_rates(table.array(group))
@@ -179,9 +194,8 @@ def choose(tables: list[Table], path: Path, topic: str | None) -> tuple[Table, G
             raise Unreadable(f"several gyroscopes: {of_each}: name one after the file, as {path.name}@NAME, or {hint}")
     table = max(tables, key=lambda one: len(one.names))
     if not table.named:
-        raise Unreadable(
-            f"{len(table.names)} columns without names: say with --columns TIME,X,Y,Z (numbers from 1) which is which"
-        )
+        said = "; ".join([table.misnamed or f"{len(table.names)} columns without names", *why][:3])
+        raise Unreadable(f"{said}: say with --columns TIME,X,Y,Z (numbers from 1) which is which")
     names = ", ".join(table.names)[:200]
     raise Unreadable("; ".join([f"no columns of a gyroscope among {names}", *dict.fromkeys(why)][:5]) + f"; {hint}")
 
@@ -218,11 +232,11 @@ def _unit_of_rates(
     table: Table, group: Group, values: np.ndarray, t: np.ndarray, unit: str | None, rows: np.ndarray
 ) -> tuple[str, float, str]:
     """Returns the unit of rates, a factor, and who says so."""
-    if unit:
-        number, _, unit = re.sub(rf"({'|'.join(RATE_UNITS)})$", r" \1", unit).rpartition(" ")
-        return unit, float(number or 1), "given"
-    if group.unit and group.unit[0] == "rate":
-        return group.unit[1], 1.0, "named"
+    said = table.settings.get("turning in", "")
+    for named, by in ((unit_of(unit or ""), "given"), (group.unit, "named"), (unit_of(said), "said above")):
+        if named and named[0] == "rate":
+            number, _, unit = named[1].rpartition(" ")
+            return unit, float(number or 1), by
     if "gscale" in table.settings:
         # <https://docs.gyroflow.xyz/app/technical-details/gcsv-format>: rad/s in one count.
         return "rad/s", float(table.settings["gscale"]), "scale in the header"
@@ -237,7 +251,7 @@ def _unit_of_rates(
     except Unreadable:
         pass
     unit = plausible_rate(values, t)
-    if unit == "mdps" and (values == np.round(values)).all():
+    if group.unit == ("counts", "") or (unit == "mdps" and (values == np.round(values)).all()):
         raise Unreadable(
             f"{', '.join(repr(table.names[k]) for k in group.columns)} are counts of up to {np.abs(values).max():.0f} "
             "without a unit: give what one is, as --unit 0.061deg/s"
@@ -254,6 +268,10 @@ def read(tables: list[Table], path: Path, form: str, asked: Asked, notes: list[s
         # With commas some loggers write w first.
         if not table.named and len(table.names) in UNNAMED and (len(table.names) != 8 or table.dialect.delimiter is None):
             _name(table)
+    if asked.unit and not is_unit(asked.unit):
+        raise Unreadable(f"unit {asked.unit!r}: {UNITS}")
+    if asked.time_unit and not is_time_unit(asked.time_unit):
+        raise Unreadable(f"unit of times {asked.time_unit!r}: {OF_TIME}")
     topic, part, given = asked.topic, 0, None
     if topic and (cut := re.fullmatch(r"(.*?)\s*part (\d+)", topic)):
         topic, part = cut[1] or None, int(cut[2])
@@ -279,9 +297,9 @@ def read(tables: list[Table], path: Path, form: str, asked: Asked, notes: list[s
     else:
         unit, scale, by = _unit_of_rates(table, group, w, t, asked.unit, clock.rows)
         w = w * scale * RATE_UNITS[unit]
-        kind = "" if group.named or group.kind else ", which nothing but their size says"
+        kind = "" if group.kind or by != BY_SIZE else f", {NAMELESS}"
         names = ", ".join(repr(table.names[k]) for k in group.columns)
-        of_rates = f"rates of {names} in {f'{scale:g} ' if scale != 1 else ''}{unit} ({by}{kind})"
+        of_rates = f"rates of {names} in {f'{scale:g} ' if scale != 1 else ''}{unit} ({by}){kind}"
     step = float(np.median(np.diff(t))) * 1e-9 if len(t) > 1 else 0.0
     first = int(t[0]) if len(t) else 0
     begin = f"{first * 1e-9:.3f} s" if first < 10**18 else str(np.datetime64(first, "ns")).rstrip("0")
@@ -289,7 +307,7 @@ def read(tables: list[Table], path: Path, form: str, asked: Asked, notes: list[s
     words = f"{form}: {of_table}{times.form}, {of_rates}, {1 / step if step > 0 else 0:.4g} Hz, from {begin}"
     topic = table.name or (table.names[times.columns[0]] if times.columns else None)
     out = Recording(path, words, t, w, notes=notes, topic=topic, unit_by=by)
-    if times.columns and table.lines:
+    if times.columns and table.lines and not (times.is_moment and times.columns[1:]):
         out.layout = {
             "columns": times.columns,
             "unit": times.unit,
@@ -304,10 +322,12 @@ def read(tables: list[Table], path: Path, form: str, asked: Asked, notes: list[s
 def _name(table: Table) -> None:
     """Names the columns of a file that has none, if the values are those of the layout."""
     known = UNNAMED[len(table.names)]
+    if "frame" in known and table.is_numeric(2):
+        return
     trial = Table(table.name, known, table.columns, lines=table.lines, dialect=table.dialect, flaw=table.flaw)
     try:
         for group in groups(trial):
-            if _is_orientation(trial, group) if len(group.columns) > 3 else group.kind == "rate" and trial.array(group).any():
+            if _is_orientation(trial, group) if len(group.columns) > 3 else group.kind in ("rate", None) and trial.array(group).any():
                 table.names, table.named = known, True
                 return
     except Unreadable:

@@ -6,6 +6,7 @@ table is its header. Which column is what, is decided in :mod:`twist_sync.tables
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import re
@@ -13,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -34,7 +35,8 @@ _THOUSANDS = {
     ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
 }
-_COMMENT = re.compile(r"\s*(#|%|//)+\s*")
+_COMMENT = re.compile(r"\s*(#|%|//|[;!](?=\s))+\s*")
+_LABEL = re.compile(r"([A-Za-z][\w .\[\]()/]*?)\s*[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)")
 Row = tuple[int, list[str]]
 
 
@@ -52,7 +54,9 @@ class Dialect:
 
     def split(self, line: str) -> list[str]:
         """Returns the fields of a line without their quotes."""
-        line = line.replace("−", "-").strip("\r\n")
+        # Stamps of Arduino's monitor; checksums of NMEA.
+        line = line.replace("−", "-").replace(" -> ", self.delimiter or " ").strip("\r\n")
+        line = re.sub(r"\*[0-9A-F]{2}$", "", line) if line.startswith("$") else line
         if self.delimiter is None:
             return line.split()
         fields = next(csv.reader([line], delimiter=self.delimiter), []) if '"' in line else line.split(self.delimiter)
@@ -71,6 +75,9 @@ class Dialect:
 
     def number(self, field: str) -> float:
         """Returns a number; NaN for one that is missing."""
+        if self.decimal == "." and "_" not in field:
+            with contextlib.suppress(ValueError):
+                return float(field)
         if field.lower() in MISSING:
             return np.nan
         plain = self.plain(field)
@@ -99,10 +106,16 @@ class Dialect:
         except ValueError:
             return False
 
+    def score(self, fields: list[str]) -> int | None:
+        """Returns by how much the numbers and times of a row are more than its words, each of which
+        counts twice; None if most are words."""
+        values = sum(map(self.is_value, fields))
+        words = sum(field.lower() not in MISSING for field in fields) - values
+        return values - 2 * words if values >= max(3, words) else None
+
     def is_row(self, fields: list[str]) -> bool:
         """Returns True if most of the fields are numbers or times."""
-        values = sum(map(self.is_value, fields))
-        return values >= 3 and values >= sum(field.lower() not in MISSING for field in fields) - values
+        return self.score(fields) is not None
 
     @property
     def name(self) -> str:
@@ -124,12 +137,13 @@ def sniff(lines: list[str]) -> Dialect:
         # Unquoted, commas cannot be both.
         if one == Dialect(",", ",") and not any('","' in line for line in lines):
             return 0
-        rows = filter(one.is_row, map(one.split, lines))
-        return sum(3 * sum(map(one.is_value, row)) - 2 * sum(f.lower() not in MISSING for f in row) for row in rows)
+        rows = (one.split(line) for line in lines if one.delimiter is None or one.delimiter in line)
+        return sum(one.score(row) or 0 for row in rows if len(row) > 2)
 
     scores = [score(one) for one in _DIALECTS]
     if max(scores) <= 0:
-        shown = next((line.strip() for line in lines if line.strip()), "")[:60]
+        # The one with the most digits is a row, if any is.
+        shown = max(lines, key=lambda line: sum(map(str.isdigit, line[:200])), default="").strip()[:60]
         raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
     return _DIALECTS[int(np.argmax(scores))]
 
@@ -162,7 +176,8 @@ def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str])
     above: list[tuple[int, list[str], str]] = []
     for number, line in lines:
         text = line.strip()
-        if not text:
+        # Lines that are empty, or rules of a table.
+        if not text.strip("-+=|: \t"):
             continue
         comment = _COMMENT.match(text)
         fields = dialect.split(text[comment.end() :] if comment else line)
@@ -173,7 +188,7 @@ def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str])
             above.append((number, fields, text))
             continue
         width = len(_stripped(fields))
-        if not out or any(_are_names(entry, width, dialect) for entry in above):
+        if not out or any(_are_names(entry, width, dialect, len(out[-1].rows) > 9) for entry in above):
             # Numbers in a header, such as the IDs of bodies.
             if out and len(out[-1].rows) < 3:
                 short = out.pop()
@@ -201,11 +216,13 @@ def blocks(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str])
     return out
 
 
-def _are_names(entry: tuple[int, list[str], str], width: int, dialect: Dialect) -> bool:
-    """Returns True for a line that names as many columns as a row has."""
+def _are_names(entry: tuple[int, list[str], str], width: int, dialect: Dialect, is_within: bool) -> bool:
+    """Returns True for a line that names as many columns as a row has; within rows, the names
+    differ and none is a value."""
     _, fields, text = entry
     is_wide = len(_stripped(fields)) in (width, width + 1) and not _COMMENT.match(text)
-    return is_wide and sum(map(dialect.is_value, fields)) * 3 < len(fields)
+    values = sum(map(dialect.is_value, fields))
+    return is_wide and values * 3 < len(fields) and not (is_within and (values or len(set(fields)) * 2 <= width))
 
 
 def _left_out(lines: list[tuple[int, list[str], str]]) -> str:
@@ -218,8 +235,8 @@ def _stripped(fields: list[str]) -> list[str]:
     return fields[: max((k for k, field in enumerate(fields, 1) if field), default=0)]
 
 
-def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list[str], bool]:
-    """Returns names and units of the columns, and True if they are those of the file.
+def _header(block: Block, width: int, dialect: Dialect) -> dict[str, Any]:
+    """Returns names and units of the columns, and if they are those of the file, as of a `Table`.
 
     Rows of names above each other are joined, a name that spans columns is repeated, and a row of
     units is recognised by its units."""
@@ -235,6 +252,9 @@ def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list
         numbers = sum(map(dialect.is_value, cells))
         # The IDs of bodies are numbers; so are values of settings.
         is_setting = numbers and numbers < len(filled) - 1
+        if filled and not cells[0] and len(filled) == 1:
+            # A title of cells that are empty.
+            continue
         if filled and (filled[-1] >= width or len(filled) < 2 or filled[-1] * 2 < width or is_setting) or not filled:
             found.clear()
         else:
@@ -245,18 +265,19 @@ def _header(block: Block, width: int, dialect: Dialect) -> tuple[list[str], list
         found.remove(units)
     units = units or [""] * width
     if not found:
-        above = [len(_stripped(fields)) for _, fields, _ in block.header if len(fields) > 2]
-        if above and dialect.delimiter == "," and above[-1] * 2 in (width, width + 1):
-            raise Unreadable(
-                f"line {block.rows[0][0]}: {width} columns, {above[-1]} names: numbers with decimal commas, between "
-                "commas? Export them with semicolons or points"
-            )
-        return [str(k + 1) for k in range(width)], units, False
+        above = [len(_stripped(f)) for _, f, text in block.header[-1:] if len(f) > 3 and not _COMMENT.match(text)]
+        wrong = ""
+        if above and above[-1] != width and not any(map(dialect.is_value, block.header[-1][1])):
+            wrong = f"line {block.rows[0][0]}: {width} columns, {above[-1]} names"
+            if dialect.delimiter == "," and above[-1] * 2 in (width, width + 1):
+                wrong += ": numbers with decimal commas, between commas? Export them with semicolons or points"
+        return {"names": [str(k + 1) for k in range(width)], "units": units, "named": False, "misnamed": wrong}
     for row in found[:-1]:
         for k in range(1, width):
             if not row[k] and found[-1][k]:
                 row[k] = row[k - 1]
-    return [" ".join(dict.fromkeys(filter(None, column))) for column in zip(*found, strict=True)], units, True
+    names = [" ".join(dict.fromkeys(filter(None, column))) for column in zip(*found, strict=True)]
+    return {"names": names, "units": units, "named": True}
 
 
 def settings(block: Block) -> dict[str, str]:
@@ -264,6 +285,9 @@ def settings(block: Block) -> dict[str, str]:
     pairs of one line."""
     out: dict[str, str] = {}
     before: list[str] = []
+    above = {unit_of(inside) for _, _, text in block.header for inside in re.findall(r"[\[(]([^\[\]()]+)[\])]", text)}
+    if len(turning := [unit for unit in above if unit and unit[0] == "rate"]) == 1:
+        out["turning in"] = turning[0][1]
     for _, fields, text in block.header:
         fields = _stripped(fields)
         pairs = re.findall(r"([A-Za-z][\w ()/]*?)\s*[:=]\s*([+-]?[\d.][^\s,;]*)", text)
@@ -285,7 +309,7 @@ def _apart(block: Block, names: list[str], named: bool) -> dict[str, list[Row]]:
         if len(words) <= MOST_SENSORS:
             words = {fields[k] for _, fields in block.rows if k < len(fields)}
         is_word = all(re.match(r"[A-Za-z_/]", word) and word.lower() not in MISSING for word in words)
-        is_tag = len(words) > 1 and named and is_sensor(name) and (is_word or all(map(str.isdecimal, words)))
+        is_tag = len(words) > 1 and (is_sensor(name) and (is_word or all(map(str.isdecimal, words))) if named else k < 2 and is_word)
         if 0 < len(words) <= MOST_SENSORS and (is_tag or (is_word and any(map(sensor_of, words)))):
             out: dict[str, list[Row]] = {}
             for row in block.rows:
@@ -305,7 +329,7 @@ def _of_comment(block: Block, word: str, width: int, dialect: Dialect) -> list[s
     return None
 
 
-def table(name: str, names: list[str], rows: list[Row], **more: object) -> Table:
+def table(name: str, names: list[str], rows: list[Row], **more: Any) -> Table:
     """Returns a table of rows; one of another width is its flaw."""
     width, flaw = len(names), ""
     for k, (number, fields) in enumerate(rows):
@@ -314,30 +338,29 @@ def table(name: str, names: list[str], rows: list[Row], **more: object) -> Table
                 flaw = flaw or f"line {number}: expected {width} columns, found {len(fields)}: {' '.join(fields)[:60]}"
             rows[k] = number, [*fields, *[""] * width][:width]
     columns = [list(column) for column in zip(*(fields for _, fields in rows), strict=True)]
-    return Table(name, names, columns, lines=[number for number, _ in rows], flaw=flaw, **more)  # type: ignore[arg-type]
+    return Table(name, names, columns, lines=[number for number, _ in rows], flaw=flaw, **more)
 
 
 def tables(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Table]:
     """Returns the tables of a text."""
-    parts: dict[tuple[str, tuple[str, ...]], tuple[list[Row], dict[str, object]]] = {}
+    parts: dict[tuple[str, ...], tuple[str, list[Row], dict[str, Any]]] = {}
     for block in blocks(lines, dialect, notes):
         usual = Counter(len(f) for _, f in block.rows).most_common(1)[0][0]
         header = _header(block, usual, dialect)
-        for word, rows in _apart(block, header[0], header[2]).items():
+        for word, rows in _apart(block, header["names"], header["named"]).items():
             width = Counter(len(f) for _, f in rows).most_common(1)[0][0]
-            names, units, named = header if width == usual else _header(block, width, dialect)
-            if own := _of_comment(block, word, width, dialect):
-                names, units, named = own, [""] * width, True
-            key = (word, tuple(names) if named else (*names, str(len(parts))))
+            own = header if width == usual else _header(block, width, dialect)
+            if names := _of_comment(block, word, width, dialect):
+                own = {"names": names, "named": True}
+            key = (word, *own["names"], "" if own["named"] else str(len(parts)))
             if key in parts:
-                parts[key][1]["restarts"].append(len(parts[key][0]))  # type: ignore[attr-defined]
-                parts[key][0].extend(rows)
+                parts[key][2]["restarts"].append(len(parts[key][1]))
+                parts[key][1].extend(rows)
             else:
-                more = {"units": units, "named": named, "settings": settings(block), "restarts": []}
-                parts[key] = rows, more
+                parts[key] = word, rows, {**own, "settings": settings(block), "restarts": []}
     return [
-        table(word, list(names)[: len(more["units"])], rows, dialect=dialect, **more)  # type: ignore[arg-type]
-        for (word, names), (rows, more) in parts.items()
+        table(word or (f"line {rows[0][0]}" if len(parts) > 1 else ""), rows=rows, dialect=dialect, **more)
+        for word, rows, more in parts.values()
     ]
 
 
@@ -358,6 +381,17 @@ def lines_of(file: IO[str]) -> Iterator[tuple[int, str]]:
         yield number, line
 
 
+def _labelled(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Yields lines such as `t:5 gx:0.1 gy:0.2 gz:0.3` as rows, under their labels."""
+    names: list[str] = []
+    for number, line in lines:
+        pairs = [("time", before[0])] if (before := re.match(r"[\d.]+(?=[\s,;|])", line.strip())) else []
+        pairs += _LABEL.findall(line)
+        if len(pairs) > 2 and names != (names := [name.strip() for name, _ in pairs]):
+            yield number, ",".join(names)
+        yield number, ",".join(value for _, value in pairs)
+
+
 def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
     """Returns the form of a text file, and its tables."""
     with open_text(path) as file:
@@ -369,13 +403,21 @@ def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
         whole = head.splitlines()[:-1] if len(head) == HEAD else head.splitlines()
         if any(len(line) > LONGEST_LINE for line in whole) or not whole:
             raise Unreadable("a line without end; expected lines of text")
-        dialect = sniff(whole[:400])
-        first = tables(enumerate(whole, 1), dialect, more := [])
-        file.seek(0)
-        if len(head) < HEAD or more or len(first) > 1 or not _at_once(file, first[0]):
+        if sum(len(_LABEL.findall(line)) > 2 for line in whole[:50]) > min(len(whole), 50) / 2:
             file.seek(0)
-            first = tables(lines_of(file), dialect, notes)
-        return dialect.name, first
+            found = tables(_labelled(lines_of(file)), Dialect(), notes)
+            for table in found:
+                # Its rows cannot be written again.
+                table.lines = ()
+            return "text with labels", found
+        dialect = sniff(whole[:400])
+        file.seek(0)
+        if len(head) == HEAD:
+            first = tables(enumerate(whole, 1), dialect, more := [])
+            if not more and len(first) == 1 and _at_once(file, first[0]):
+                return dialect.name, first
+            file.seek(0)
+        return dialect.name, tables(lines_of(file), dialect, notes)
 
 
 def _at_once(file: IO[str], one: Table) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from . import rules
 from ._recording import Unreadable
-from .columns import Group, Table, axis_of, rising, split_unit, words_of
+from .columns import Group, Table, axis_of, kind_of, rising, split_unit, unit_of, words_of
 from .rules import MORE_TIME, TIME_UNITS
 
 _TIMES = [(rank, re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])")) for rank, words in rules.TIMES]
@@ -27,9 +27,9 @@ MOST_REPEATED = 0.2
 #: Samples in a row that may be missing where a counter wraps.
 MOST_SKIPPED = 20
 #: Where counters of 16, 24, 32 bits wrap, also of µs given in ms or s and of ticks in s; and times of
-#: an hour, a day or a week, s.
+#: a minute, an hour, a day or a week, s.
 MODULI = [2.0**bits / part for bits in (16, 24, 32) for part in (1, 1e3, 1e6, 32768)]
-PERIODS_S = (3600, 86400, 604800)
+PERIODS_S = (60, 3600, 86400, 604800)
 
 
 class Empty(Exception):
@@ -60,23 +60,31 @@ def moment(text: str) -> int:
     dated = one["y"] or one["y2"]
     if len(parts) == 2:
         parts = [*parts, 0] if dated else [0, *parts]
+    if one["month"] and one["month"] not in rules.MONTHS:
+        raise ValueError(f"could not read the month of {text[:40]!r}: expected {rules.MONTHS[0]} to {rules.MONTHS[-1]}")
     if one["half"]:
         parts[0] = parts[0] % 12 + 12 * (one["half"][0] in "pP")
     whole = parts[0] * 3600 + parts[1] * 60 + parts[2]
     if dated:
         month, day = (one["m"], one["d"]) if one["y"] else (one["b"], one["a"])
-        if int(month) > 12:
+        if one["month"]:
+            month = rules.MONTHS.index(one["month"]) + 1
+        elif int(month) > 12 or (one["half"] and one["b"] and int(day) <= 12):
+            # The month is first where hours are counted to twelve.
             month, day = day, month
-        whole += (datetime.date(int(dated), int(month), int(day)) - datetime.date(1970, 1, 1)).days * 86400
+        year = int(dated) + (2000 if len(dated) == 2 else 0)
+        whole += (datetime.date(year, int(month), int(day)) - datetime.date(1970, 1, 1)).days * 86400
+    whole += int(one["days"] or 0) * 86400
     if one["zone"] and one["zone"][0] in "+-":
-        away = int(one["zone"][1:3]) * 3600 + int(one["zone"][-2:]) * 60
+        away = int(one["zone"][1:3]) * 3600 + int(one["zone"][3:].strip(":") or 0) * 60
         whole -= away if one["zone"][0] == "+" else -away
     return whole * 10**9 + int((one["f"] or "0")[:9].ljust(9, "0"))
 
 
 def scale_of(unit: str) -> Decimal:
     """Returns the nanoseconds in one of a unit, also of one such as `1e-6 s`."""
-    return Decimal(MORE_TIME[unit]) if unit in MORE_TIME else Decimal(unit.split()[0]) * 10**9
+    number, _, one = unit.rpartition(" ") if unit not in MORE_TIME else ("1", "", unit)
+    return Decimal(number) * MORE_TIME[one]
 
 
 def exact(text: str, dialect: Any, scale: Decimal) -> int:
@@ -95,7 +103,10 @@ def nanos(table: Table, column: int, unit: str, rows: np.ndarray) -> np.ndarray:
         try:
             return np.array([exact(values[row], table.dialect, scale) for row in rows.tolist()], dtype=np.int64)
         except OverflowError:
-            raise Unreadable(f"times of {table.names[column]!r} of more than 19 digits of ns: give --time-unit") from None
+            raise Unreadable(
+                f"times of {table.names[column]!r} of more than 19 digits of ns: give --time-unit; ticks of 100 ns since "
+                "1601 or the year 1 (FILETIME, .NET) must be converted to ns since 1970"
+            ) from None
     values = values[rows]
     largest = float(np.abs(values.astype(float)).max(initial=0))
     if not np.isfinite(largest) or largest * float(scale) > 9.2e18:
@@ -125,18 +136,27 @@ def rate_of(settings: dict[str, str]) -> float | None:
         if found and re.search(r"\b(rate|frequency|freq|fs|odr|sampling|sps)\b", name.replace("_", " ")):
             if 1 <= (value := float(found[1].replace(",", "."))) <= 20000:
                 return value
+        unit = split_unit(name)[1]
+        if found and unit and unit[0] == "time" and re.search(r"\b(interval|period)\b", name):
+            return float(10**9 / (Decimal(found[1].replace(",", ".")) * scale_of(unit[1])))
     return None
+
+
+def _is_moment(table: Table, column: int) -> bool:
+    return table.is_text(column) and rules.MOMENT.fullmatch(table.columns[column][0]) is not None
 
 
 def time_columns(table: Table) -> list[tuple[int, int]]:
     """Returns rank and number of each column of times."""
     if not table.named:
-        return [(0, k) for k in rising(table)[:1]]
+        # A counter of the sensor precedes a date, which a logger adds, and a count of the rows.
+        steps = {k: set(np.diff(table.numbers(k))) if table.is_numeric(k) else set() for k in rising(table)}
+        return [(2 if own == {1.0} else 0 if own else 1, k) for k, own in steps.items()]
     out = []
     for column, name in enumerate(table.names):
         words, unit = split_unit(name, table.units[column])
         text = " ".join(words_of(name))
-        is_unit = unit is not None and unit[0] == "time"
+        is_unit = _is_moment(table, column) or (unit is not None and unit[0] == "time")
         if rules.DURATION.search(text) or (not is_unit and (unit or axis_of(name, words))):
             continue
         rank = next((r for r, form in _TIMES if form.search(text)), 4 if is_unit else None)
@@ -151,7 +171,7 @@ class Clock:
 
     def __init__(self, table: Table, group: Group, rows: np.ndarray, rate: float | None, unit: str | None, part: int):
         self.table, self.group, self.rows = table, group, rows
-        self.rate, self.unit, self.part = rate, unit, part
+        self.rate, self.unit, self.part = rate, (unit_of(unit or "") or ("", None))[1], part
         self.notes: list[str] = []
 
     def find(self, given: list[int] | None) -> Times:
@@ -181,7 +201,8 @@ class Clock:
         own = set(self.group.stem.split()) - {"x", "axis", "1", "time"}
 
         def order(rank: int, k: int) -> tuple[Any, ...]:
-            shares = bool(own & set(words_of(names[k])))
+            kind = kind_of(words_of(names[k]))
+            shares = bool(own & set(words_of(names[k]))) or kind == (self.group.kind or "rate")
             try:
                 steps = np.diff(self._raw(k)[0])
             except (Empty, Unreadable):
@@ -191,7 +212,7 @@ class Clock:
             if usual > 0:
                 uneven = float(np.mean(np.minimum(np.abs(steps - usual) / usual, 1)))
                 coarse = float(np.diff(np.unique(np.round(steps / usual, 4))).min(initial=1)) % 1
-            return (rank > 8 and not shares, np.mean(steps == 0) > MOST_REPEATED, not shares, rank, round(max(uneven, coarse), 2))
+            return (rank > 8 and not shares, np.mean(steps == 0) > MOST_REPEATED, kind == "acceleration", not shares, rank, round(max(uneven, coarse), 2))
 
         return [k for _, k in sorted(found, key=lambda one: order(*one) if len(found) > 1 else 0)]
 
@@ -214,32 +235,43 @@ class Clock:
             return values[self.rows].astype("M8[ns]").astype(np.int64), True
         raw = table.numbers(column)[self.rows]
         known = raw[np.isfinite(raw)]
-        if not len(known) or not np.ptp(known):
+        if not len(known):
             raise empty
+        if not np.ptp(known):
+            raise Empty(f"{table.names[column]!r} is {known[0]:.10g} in each of {len(known)} rows: rounded by a spreadsheet?")
         return raw, False
 
     def _seconds_with_more(self) -> dict[int, tuple[int, int]]:
-        """Returns columns of whole seconds with that of the nanoseconds or microseconds, by
-        either."""
-        words = {k: words_of(name) for k, name in enumerate(self.table.names) if words_of(name)}
-        more = re.compile(r"n(ano)?s(ec(ond)?s?)?|u(s|sec)|micro(s|sec|seconds)")
-        out: dict[int, tuple[int, int]] = {}
+        """Returns columns of whole seconds, or dates, with that of the parts of a second, by either."""
+        table, out = self.table, {}
+        words = {k: words_of(name) for k, name in enumerate(table.names) if words_of(name)}
+        more = re.compile(r"(n|nano|u|micro|m|milli)s(ec(ond)?s?)?")
+        parts = {m: other for m, other in words.items() if more.fullmatch(other[-1]) and table.is_numeric(m)}
         for k, one in words.items():
-            for m, other in words.items():
-                if one[-1] in ("sec", "secs", "seconds", "s") and more.fullmatch(other[-1]) and one[:-1] == other[:-1]:
-                    out[k] = out[m] = (k, m)
+            is_moment = _is_moment(table, k)
+            if one[-1] not in ("sec", "secs", "seconds", "s") and not is_moment:
+                continue
+            for m, other in parts.items():
+                if is_moment or one[:-1] == other[:-1]:
+                    values, whole = table.numbers(m)[self.rows], self._raw(k)[0]
+                    unit = (split_unit(table.names[m])[1] or ("", "ns"))[1]
+                    fits = 0 <= values.min(initial=0) and values.max(initial=0) * TIME_UNITS.get(unit, 1) < 10**9
+                    if fits and not (whole % (10**9 if is_moment else 1)).any():
+                        out[k] = out[m] = (k, m)
         return out
 
     def _pair(self, seconds: int, more: int) -> Times:
         table, name = self.table, self.table.names[more]
         part = table.numbers(more)[self.rows]
         unit = (split_unit(name)[1] or ("", ""))[1]
-        if unit not in ("us", "ns"):
+        if unit not in ("ms", "us", "ns"):
             unit = "ns" if part.max(initial=0) >= 1e6 else "us"
         if part.min(initial=0) < 0 or part.max(initial=0) * TIME_UNITS[unit] >= 10**9:
             raise Unreadable(f"{name!r} is no part of a second in {unit}: up to {part.max():g}")
-        ns = nanos(table, seconds, "s", self.rows) + nanos(table, more, unit, self.rows)
-        return self._checked(Times(ns, f"{table.names[seconds]!r} in s and {name!r} in {unit}", [seconds, more], unit), ns * 1.0, 1.0)
+        raw, is_moment = self._raw(seconds)
+        ns = (raw if is_moment else nanos(table, seconds, "s", self.rows)) + nanos(table, more, unit, self.rows)
+        of_both = f"{table.names[seconds]!r}{'' if is_moment else ' in s'} and {name!r} in {unit}"
+        return self._checked(Times(ns, of_both, [seconds, more], unit, is_moment), ns * 1.0, 1.0)
 
     def _of(self, column: int) -> Times:
         table, name = self.table, self.table.names[column]
@@ -257,7 +289,7 @@ class Clock:
             unit, by = self.unit, "given"
         elif "tscale" in table.settings:
             unit, by = f"{Decimal(table.settings['tscale'])} s", "scale in the header"
-        elif named and named[1] in MORE_TIME:
+        elif named and named[0] == "time":
             unit, by = named[1], "named"
         elif step == 1 and np.mean(steps == 1) > 0.9:
             if stated:
@@ -265,6 +297,8 @@ class Clock:
             raise Unreadable(
                 f"{name!r} rises by 1 a row, as counters do: give --rate HZ, or --time-unit if it is a time"
             )
+        elif not stated and re.search(r"\b(ticks?|cycles?)\b", " ".join(words_of(name))):
+            raise Unreadable(f"{name!r} counts ticks, of which nothing says how long one is: give --time-unit, as 30.5us")
         else:
             unit, by = plausible_unit(step, stated), "by their distance"
         scale = float(scale_of(unit))
@@ -299,7 +333,7 @@ class Clock:
         """Returns what makes values, in units of `scale` ns, go on where a counter wraps, and the
         values of the part that is asked for."""
         added, steps, cuts = np.zeros(len(raw)), np.diff(raw), [0]
-        moduli = MODULI + [period * 1e9 / scale for period in PERIODS_S if scale]
+        moduli = MODULI + ([period * 1e9 / scale for period in PERIODS_S] if scale else [256.0])
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         for k in np.flatnonzero(steps < -20 * step).tolist():
             # One bad stamp among good ones.
@@ -310,6 +344,11 @@ class Clock:
                 added[k + 1 :] += fits[0]
                 where = self.table.line(int(self.rows[k + 1]))
                 self.notes.append(f"{where}: {name} wraps at {fits[0]:.10g}; it goes on there")
+            elif any(_wraps(raw[k], raw[k + 1], m, step) for m in (1e3, 1e6, 1e9)):
+                raise Unreadable(
+                    f"{self.table.line(int(self.rows[k + 1]))}: {name} falls from {raw[k]:.10g} to {raw[k + 1]:.10g}, as parts of "
+                    "a second do: give the seconds too, as --columns SECONDS+PARTS,X,Y,Z"
+                )
             else:
                 cuts.append(k + 1)
         if len(cuts) == 1:

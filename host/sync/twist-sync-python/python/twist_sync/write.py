@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import json
 import re
 import shutil
@@ -61,7 +60,7 @@ def again(recording: Recording, clock: Any, out: Path) -> str:
     """Writes a recording again, and returns a line about it."""
     with tempfile.TemporaryDirectory() as folder:
         source, how, inner = recording.path, files.kind(recording.path), out
-        if how in ("gzip", "zip") and recording.member:
+        if how in (*files.PACKED, "zip") and recording.member:
             source, _ = files.unpacked(recording.path, how, recording.member, Path(folder) / "from")
             inner, packed, how = Path(folder) / source.name, how, files.kind(source)
             said = _copy(recording, clock, source, how, inner)
@@ -100,8 +99,8 @@ def _copy(recording: Recording, clock: Any, source: Path, how: str, out: Path) -
 
 def _packed(recording: Recording, inner: Path, out: Path, how: str) -> None:
     """Packs a file as it was, in an archive with all others that it held."""
-    if how == "gzip":
-        with inner.open("rb") as source, gzip.open(out, "xb") as file:
+    if how in files.PACKED:
+        with inner.open("rb") as source, files.PACKED[how](out, "xb") as file:
             shutil.copyfileobj(source, file)
         return
     with zipfile.ZipFile(recording.path) as source, zipfile.ZipFile(out, "x", zipfile.ZIP_DEFLATED) as file:
