@@ -3,8 +3,9 @@
 //! for each, with its source; a test compares them.
 //!
 //! A seed draws a rig from the ranges ([`ModelValues::drawn`]); of a drawn rig that is worst a
-//! study takes them back one at a time ([`ModelValues::each_without_one`]). What a rig's owner measures once (filter
-//! delays, readout, the delay of the flash) is not drawn: it is in the owner's profile.
+//! study takes them back one at a time ([`ModelValues::each_without_one`]). What a rig's owner
+//! measures once (filter delay, readout, the delay of the flash) is drawn apart from these
+//! ([`draw_constants`]), for rigs whose owner has yet to do so.
 
 use crate::clocks::oscillator::{OscillatorConfig, Warming};
 use crate::depth_camera::micros;
@@ -64,6 +65,29 @@ pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
 
 /// Wander of a clock, ppm per √s.
 pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
+
+/// From the trigger's edge to the first flash, s. Its jitter is up to 0.1 ms, and no flash
+/// precedes its edge.
+const FLASH_S: (f64, f64) = (0.35e-3, 10e-3);
+
+/// Delay of the phone's gyroscope filter, s.
+const GYROSCOPE_S: (f64, f64) = (1e-3, 8e-3);
+
+/// Readout of the phone's picture, ns, and the largest part of the frame period that it takes.
+const READOUT_NS: (f64, f64) = (5e6, 33e6);
+const READOUT_PART: f64 = 0.98;
+
+/// Draws the constants that lie between the two exposures from their whole ranges, by a seed.
+pub fn draw_constants(seed: Seed, rig: &mut RigConfig, phone: &mut PhoneConfig) {
+    let mut random = seed.stream(Stream::Constants);
+    let mut draw = |(least, most): (f64, f64)| random.uniform(least, most);
+    let flash_s = draw(FLASH_S);
+    camera(rig, |camera| camera.flash_delay = micros(flash_s * 1e6));
+    phone.gyroscope.low_pass.delay_s = draw(GYROSCOPE_S);
+    let camera = &mut phone.camera;
+    let longest_ns = READOUT_NS.1.min(READOUT_PART * camera.frame_period_ns);
+    camera.row_time_ns = draw((READOUT_NS.0, longest_ns)) / (camera.rows as f64 - 1.0);
+}
 
 /// All ranges.
 pub const MODEL_RANGES: [ModelRange; 41] = [

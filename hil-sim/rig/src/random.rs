@@ -56,6 +56,8 @@ pub enum Stream {
     ComputerClock = 26,
     /// Properties that nobody has published of a depth camera's family.
     DepthFamily = 27,
+    /// Constants that nobody knows until they are measured.
+    Constants = 28,
 }
 
 impl From<Stream> for u64 {

@@ -1,22 +1,21 @@
 //! The demonstration: whole sessions on the simulated rig, judged by the ground truth.
 //!
 //! The sessions are the program's own, on virtual time ([`crate::virtual_session`]), so that a
-//! seed gives the same figures on any machine. First comes a session with nothing learnt, as on
-//! a new rig, from which the profile learns the rates of the phone's clock and frames; then the
-//! one that is shown. The phone hangs on a cable, so the trigger follows its clock, unless the
-//! demonstration is to do without. The rig is twisted all the time: a session may ask for it at
-//! any moment.
+//! seed gives the same figures on any machine. Nothing about the rig is given: its constants are
+//! drawn, and its owner begins with the profile of a first set-up. A calibration with LED and
+//! photodiode teaches the profile; then comes the session that is shown. The phone hangs on a
+//! cable, so the trigger follows its clock, unless the demonstration is to do without. The rig is
+//! twisted all the time: a session may ask for it at any moment.
 
 pub mod data_set;
 pub mod report;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use recording::folder;
-use recording::profile::Profile;
 use rig::clocks::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -25,16 +24,13 @@ use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use rig::wiring::jumpers::Jumpers;
-use session::options::{Options, Track, seconds};
+use session::options::Track;
 
+use crate::calibration::{self, LED_SECONDS};
 use crate::judge::{Truth, Verdict};
-use crate::programs::{Programs, ask};
+use crate::programs::Programs;
 use crate::virtual_session::SessionBench;
 use report::{Figures, SessionFigures};
-
-/// Length of the session that teaches, seconds: two twists that are a minute
-/// apart, the least that `smartdepthsync profile learn` takes a skew from.
-const TEACHING_SECONDS: u32 = 60;
 
 /// Settings of a demo.
 #[derive(Clone, Debug, clap::Args)]
@@ -79,12 +75,13 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     let begun = Instant::now();
     let out = &options.out;
     let seed = Seed(options.seed);
-    let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::WeakTwist));
+    let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::WeakTwist));
     let mut phone = PhoneConfig::draw(seed);
     // A phone knows nothing of the rigs before it, whose dates were the same.
     let storage = folder::create(out, "phone")?;
     phone.storage = Some(storage.clone());
     phone.camera.show_ball();
+    calibration::hide_constants(seed, &mut config, &mut phone);
     // The read-back is wired, as its owner would.
     let wires = Jumpers {
         strobe: None,
@@ -102,8 +99,9 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
     } else {
         Track::Always
     };
-    let taught = teach(&mut bench, track, programs)?;
-    let wishes = wishes(&bench, "recording", options.seconds, track);
+    calibration::set_up(&mut bench, programs)?;
+    let taught = calibration::calibrate(&mut bench, track, LED_SECONDS, programs)?;
+    let wishes = calibration::wishes(&bench, "recording", options.seconds, track);
     let recording = bench.run(&wishes).good()?.folder;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();
     let truth = Truth::from_run(bench.stop()?)?;
@@ -127,57 +125,4 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
         report,
         verdict,
     })
-}
-
-/// The options of a session of this length whose video is fetched, into a folder of this name or
-/// the next one that is free.
-pub(crate) fn wishes(bench: &SessionBench, name: &str, length: u32, track: Track) -> Options {
-    Options {
-        duration: Some(seconds(length.into())),
-        second_twist: true,
-        fetch_video: true,
-        track,
-        ..bench.options(&free_name(&bench.out, name))
-    }
-}
-
-/// Records with nothing learnt, and lets the profile learn from it. Returns the recording.
-pub(crate) fn teach(
-    bench: &mut SessionBench,
-    track: Track,
-    programs: &Programs,
-) -> Result<PathBuf> {
-    let wishes = wishes(bench, "teaching", TEACHING_SECONDS, track);
-    let recording = bench.run(&wishes).good()?.folder;
-    let profile = bench.write_profile()?;
-    let video = bench.with(|rig| rig.phones.first()?.app.videos().pop());
-    let timestamps = video.context("the phone has recorded no video")?.timestamps;
-    ask(
-        programs,
-        &["profile", "learn", "--profile", &profile.to_string_lossy()],
-        &[Path::new("--timestamps"), &timestamps, &recording],
-    )?;
-    bench.profile = Profile::load(&profile)?;
-    Ok(recording)
-}
-
-/// A name in `folder` that is not taken.
-fn free_name(folder: &Path, name: &str) -> String {
-    let numbered = (2_u32..).map(|number| format!("{name}_{number}"));
-    let mut names = std::iter::once(name.to_owned()).chain(numbered);
-    let free = names.find(|name| !folder.join(name).exists());
-    free.unwrap_or_else(|| name.to_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nothing_is_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
-        assert_eq!(free_name(folder.path(), "recording"), "recording");
-        std::fs::create_dir(folder.path().join("recording")).unwrap();
-        assert_eq!(free_name(folder.path(), "recording"), "recording_2");
-    }
 }

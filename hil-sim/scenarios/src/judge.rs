@@ -70,6 +70,10 @@ pub struct Verdict {
     pub offset_end: OffsetError,
     /// Phase of the frames over the recorded span.
     pub phase: PhaseSummary,
+    /// Its stated 1-sigma at the start, µs, with that of the constant between the exposures.
+    pub phase_sigma_us: f64,
+    /// True if the session states that the cameras expose together.
+    pub is_sure: bool,
     /// The same, frame by frame.
     pub phases: Vec<PhaseError>,
     /// Pulses in the recording's whole span.
@@ -264,6 +268,8 @@ impl Truth {
             offset_start: self.error_of(&self.phone, &alignment.plan.clock, span.from),
             offset_end: self.error_of(&self.phone, &clock, span.to),
             phase,
+            phase_sigma_us: alignment.phase_sigma_us,
+            is_sure: alignment.is_sure(),
             phases,
             pulses: pulses.len() as u64,
             imu_samples,

@@ -2,6 +2,7 @@
 //! campaign and the whole chain. Test code, not a part of the simulator.
 
 pub(crate) mod board_truth;
+pub mod calibration;
 pub mod campaign;
 pub mod demo;
 pub(crate) mod frame_phase;

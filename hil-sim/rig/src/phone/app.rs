@@ -569,10 +569,15 @@ impl App {
                 .wait(state)
                 .unwrap_or_else(PoisonError::into_inner);
         }
-        match &state.trouble {
-            Some(trouble) => Err(trouble.clone()),
-            None => Ok(()),
-        }
+        state.trouble.clone().map_or(Ok(()), Err)
+    }
+
+    /// Does the same without waiting; `None` while some are being saved, which takes virtual time.
+    #[must_use]
+    pub fn saved(&self) -> Option<Result<(), String>> {
+        let state = self.state();
+        let trouble = state.trouble.clone();
+        (state.saving == 0).then(|| trouble.map_or(Ok(()), Err))
     }
 
     /// True if it records a video.

@@ -25,20 +25,24 @@ pub struct Figures {
     pub wall_s: f64,
     /// The seed.
     pub seed: u64,
-    /// The session before it, from which the rig profile has learnt.
+    /// The session before it, which calibrated the rig.
     pub before_learning: SessionFigures,
 }
 
 /// The figures of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SessionFigures {
+    /// Middle of exposure of the depth camera minus that of the phone at the
+    /// start, µs.
+    pub phase_error_us: f64,
+    /// Its stated 1-sigma, µs, with that of the constant between the exposures.
+    pub phase_sigma_us: f64,
+    /// True if the session states that the cameras expose together.
+    pub is_sure: bool,
     /// Error of the clock offset at the start, µs.
     pub offset_error_us: f64,
     /// Its stated 1-sigma, µs.
     pub offset_sigma_us: f64,
-    /// Middle of exposure of the depth camera minus that of the phone at the
-    /// start, µs.
-    pub phase_error_us: f64,
     /// Change of that, µs a minute.
     pub drift_us_per_min: f64,
     /// The phase of 95 % of the frames is within this of zero, µs.
@@ -58,7 +62,7 @@ pub struct SessionFigures {
 }
 
 /// Title of the figures of the session before.
-const BEFORE: &str = "The session before it, on an uncalibrated rig:";
+const BEFORE: &str = "The session before it, which calibrated the rig:";
 
 fn with_sigma(error: f64, sigma: f64) -> String {
     format!("{error:+.2} µs (stated 1-sigma {sigma:.2} µs)")
@@ -69,21 +73,25 @@ impl SessionFigures {
     fn lines(&self) -> Facts {
         vec![
             (
+                "phase between the middles of exposure at the start",
+                with_sigma(self.phase_error_us, self.phase_sigma_us),
+            ),
+            ("its drift", format!("{:+.2} µs/min", self.drift_us_per_min)),
+            (
+                "phase held, 95 % of the frames",
+                format!("± {:.2} µs", self.phase_held_us),
+            ),
+            (
+                "stated to expose together",
+                if self.is_sure { "yes" } else { "no" }.to_owned(),
+            ),
+            (
                 "clock offset at the start, error",
                 with_sigma(self.offset_error_us, self.offset_sigma_us),
             ),
             (
                 "clock offset at the end, error",
                 with_sigma(self.offset_error_end_us, self.offset_sigma_end_us),
-            ),
-            (
-                "phase between the middles of exposure at the start",
-                format!("{:+.2} µs", self.phase_error_us),
-            ),
-            ("its drift", format!("{:+.2} µs/min", self.drift_us_per_min)),
-            (
-                "phase held, 95 % of the frames",
-                format!("± {:.2} µs", self.phase_held_us),
             ),
             ("lost", self.lost.to_string()),
             (
@@ -102,6 +110,8 @@ impl SessionFigures {
             offset_error_us: verdict.offset_start.error_us,
             offset_sigma_us: verdict.offset_start.sigma_us,
             phase_error_us: verdict.phase.start_us,
+            phase_sigma_us: verdict.phase_sigma_us,
+            is_sure: verdict.is_sure,
             drift_us_per_min: verdict.phase.drift_us_per_min,
             phase_held_us: quantile(&sizes, 0.95).unwrap_or(f64::NAN),
             offset_error_end_us: verdict.offset_end.error_us,
@@ -170,13 +180,14 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
     page.text(
         "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
          clocks are models. Every figure is simulated and judged against the models' ground truth. \
-         The profile was given the models' delays. A photodiode shows that of the depth camera; the \
-         error of the phone's, which nothing measured, is in no figure.",
+         The delays of the two exposures were drawn and not given: LED and photodiode measured them \
+         in the session before.",
     );
     page.section(BEFORE.trim_end_matches(':'));
     page.text(
-        "From it the rig profile learnt the period of the phone's frames and the rate of its \
-         clock, to which one twist and the 59 frames that the app averages are too short.",
+        "It began with the profile of a first set-up, in which the constant between the exposures is \
+         assumed. From it the profile learnt that constant, the period of the phone's frames and the \
+         rate of its clock.",
     );
     page.facts(&figures.before_learning.lines());
     page.section("The data set");
@@ -259,6 +270,8 @@ mod tests {
             offset_start: offset,
             offset_end: offset,
             phase: summarise(&phases).unwrap(),
+            phase_sigma_us: 8.0,
+            is_sure: true,
             phases,
             pulses: 9000,
             imu_samples: 150_000,
@@ -286,6 +299,7 @@ mod tests {
             "offset_error_us",
             "offset_sigma_us",
             "phase_error_us",
+            "phase_sigma_us",
             "drift_us_per_min",
             "phase_held_us",
             "pulses",
@@ -315,6 +329,7 @@ mod tests {
                 phone_start: Errors::default(),
                 phone_middle: Errors::default(),
                 phone_sigma_us: 3.0,
+                phone_limit_us: 25.0,
                 depth: Errors::default(),
                 pairs: 1_800,
                 dropped: 0,
@@ -324,7 +339,7 @@ mod tests {
         };
         let page = page(&figures, &verdict, &data);
         assert!(page.contains("recording-euroc") && page.contains("id=\"strip\""));
-        assert!(page.contains("on an uncalibrated rig"));
+        assert!(page.contains("which calibrated the rig"));
         assert_eq!(page.matches("<svg").count(), 2);
         // 4 to 13 µs, evenly.
         assert!(page.contains("within 12.55 µs"), "{page}");

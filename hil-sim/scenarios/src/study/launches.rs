@@ -22,7 +22,7 @@ use rig::wiring;
 use serde::Serialize;
 use session::options::Track;
 
-use crate::demo::{teach, wishes};
+use crate::calibration::{teach, wishes};
 use crate::judge::Truth;
 use crate::programs::{Programs, ask};
 use crate::virtual_session::SessionBench;
@@ -116,6 +116,7 @@ fn measured(
     phone.storage = Some(out.join("phone"));
     let board = wiring::board_of(config.board, programs.elf.as_deref());
     let mut bench = SessionBench::new(config, board, vec![phone], &[], out)?;
+    bench.copies_files = true;
     teach(&mut bench, Track::Never, programs)?;
     let (count, seconds) = match kind {
         Kind::Phase => (options.launches, options.seconds),

@@ -2,15 +2,15 @@
 //! model ranges: the phase of the frames when the trigger has arrived, over five minutes and over
 //! the whole recording.
 //!
-//! A first session of a minute teaches the profile frame period and skew, as on a new rig. Two
-//! longer ones follow: with the phone on a cable, so that the trigger follows its clock, and
-//! without. Nothing is rendered and no video is read: the phase is that of the ground truth. The
-//! constant between the cameras is not part of it, since the owner's profile holds the rig's true
-//! delays.
+//! Nothing is given: the constants between the exposures are drawn, and the owner begins with the
+//! profile of a first set-up. A calibration with LED and photodiode teaches the profile, as on a
+//! new rig; its own phase is that of a rig that is not calibrated. A longer session follows, with
+//! the phone on a cable, so that the trigger follows its clock. The phase is that of the ground
+//! truth.
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use evaluate::stats::{mean, quantile};
 use rig::clocks::link_delay::LinkRanges;
 use rig::motion::MotionSpec;
@@ -23,7 +23,7 @@ use session::options::Track;
 
 use super::launches::rms;
 use super::{Figure, Specimen};
-use crate::demo::{teach, wishes};
+use crate::calibration::{self, LED_SECONDS};
 use crate::frame_phase::{PhaseError, summarise};
 use crate::judge::{Truth, Verdict};
 use crate::programs::Programs;
@@ -50,30 +50,64 @@ pub fn figures(
     let seed = Seed(rig.seed);
     let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
     let mut phone = PhoneConfig::draw(seed);
+    // Rows as of a real phone, on which the LED's sigma depends; few columns.
+    phone.camera.columns = 16;
+    calibration::hide_constants(seed, &mut config, &mut phone);
     rig.values.apply(&mut config, &mut phone);
     let folder = new_folder(&out.join(format!("{} {}", rig.seed, rig.kind)))?;
     phone.storage = Some(folder.join("phone"));
+    let true_center_us = config.center_offset_us().context("no depth camera")?;
+    let true_delay_us = phone.gyroscope.low_pass.delay_s * 1e6;
+    let true_readout_us = phone.camera.readout_ns() * 1e-3;
     let board = wiring::board_of(config.board, programs.elf.as_deref());
     let mut bench = SessionBench::new(config, board, vec![phone], &[], &folder)?;
     bench.phone_link = Some(LinkRanges::PHONE_USB);
-    teach(&mut bench, Track::Never, programs)?;
-    let kinds = [
-        ("with a cable", Track::Always),
-        ("without a cable", Track::Never),
+    bench.copies_files = true;
+    calibration::set_up(&mut bench, programs)?;
+    let first = calibration::calibrate(&mut bench, Track::Never, LED_SECONDS, programs)?;
+    let (known, depth) = (&bench.profile.phone, &bench.profile.depth);
+    let learnt = [
+        (
+            "phone's half (µs)",
+            known.gyro_delay_us - true_delay_us,
+            known.gyro_delay_sigma_us,
+        ),
+        (
+            "readout (µs)",
+            known.readout_us - true_readout_us,
+            known.readout_sigma_us,
+        ),
+        (
+            "depth's half (µs)",
+            depth.center_offset_us - true_center_us,
+            depth.center_offset_sigma_us,
+        ),
     ];
-    let recordings = kinds.map(|(name, track)| {
-        let mut wishes = wishes(&bench, name, seconds, track);
-        (wishes.second_twist, wishes.fetch_video) = (false, false);
-        let folder = bench.run(&wishes).good()?.folder;
-        anyhow::Ok((name, folder))
+    let learnt = learnt.map(|(name, error, sigma)| Figure {
+        name: name.to_owned(),
+        error,
+        sigma: Some(sigma),
     });
+    let mut wishes = calibration::wishes(&bench, "recording", seconds, Track::Always);
+    (wishes.second_twist, wishes.fetch_video) = (false, false);
+    let next = bench.run(&wishes).good()?.folder;
     let truth = Truth::from_run(bench.stop()?)?;
-    let mut figures = Vec::new();
-    for recording in recordings {
-        let (name, folder) = recording?;
-        figures.extend(judged(name, &truth.judge(&folder)?));
-    }
+    let mut figures = vec![at_start("not calibrated", &truth.judge(&first)?)];
+    figures.extend(learnt);
+    figures.extend(judged("calibrated", &truth.judge(&next)?));
     Ok(figures)
+}
+
+/// The phase of a recording at its start, and its stated 1-sigma with that of the line through the
+/// true points.
+fn at_start(name: &str, verdict: &Verdict) -> Figure {
+    let phase = &verdict.phase;
+    let of_line = 2.0 * phase.residual_us / (phase.pairs.max(1) as f64).sqrt();
+    Figure {
+        name: format!("{name}: phase at the start (µs)"),
+        error: phase.start_us,
+        sigma: Some(verdict.phase_sigma_us.hypot(of_line)),
+    }
 }
 
 /// The figures of a recording.
@@ -98,7 +132,7 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
         sigma: None,
     };
     let mut figures = vec![
-        figure("phase at the start (µs)", verdict.phase.start_us),
+        at_start(name, verdict),
         figure(
             "95 % of the frames of five minutes (µs)",
             within(&errors(early)),

@@ -348,7 +348,7 @@ impl Phone for VirtualPhone {
         let (rig, place) = (self.rig.clone(), self.place);
         let copy = move || {
             let video = rig.with(|rig| rig.phones[place].app.videos().pop())?;
-            let saved = rig.with(|rig| rig.phones[place].app.wait_saved());
+            let saved = rig.with(|rig| rig.phones[place].app.saved())?;
             let io = |source| PhoneError::File {
                 action: "copy to",
                 path: folder.clone(),

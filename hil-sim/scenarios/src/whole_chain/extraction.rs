@@ -13,8 +13,11 @@ use rig::clocks::oscillator::Oscillator;
 use rig::depth_camera::{FrameRecord, Source};
 use rig::phone::VideoTruth;
 
-/// Largest error of a phone frame's time, µs: four stated sigmas of what a hand's twist gives.
+/// Largest error of a phone frame's time, µs, where the profile was given the delays of the phone:
+/// four stated sigmas of what a hand's twist gives.
 const PHONE_LIMIT_US: f64 = 25.0;
+/// The same where the LED has measured them: four of what one session's LED and twist give.
+const MEASURED_LIMIT_US: f64 = 100.0;
 /// Largest error of a depth frame's time, µs; its clock ticks at 11.1 µs.
 pub const DEPTH_LIMIT_US: f64 = 6.0;
 /// Two frames further apart than this are not pair, ns: half a frame.
@@ -66,6 +69,8 @@ pub struct ExtractionFigures {
     pub phone_middle: Errors,
     /// Largest 1-sigma that the report states for the phone's times, µs.
     pub phone_sigma_us: f64,
+    /// Largest error of a phone's time that is good, µs.
+    pub phone_limit_us: f64,
     /// Centres of exposure of the depth frames.
     pub depth: Errors,
     /// Pairs, all of which were the true ones.
@@ -80,8 +85,8 @@ impl ExtractionFigures {
     /// Returns true if all errors are within the limits.
     #[must_use]
     pub fn good(&self) -> bool {
-        self.phone_start.largest_us <= PHONE_LIMIT_US
-            && self.phone_middle.largest_us <= PHONE_LIMIT_US
+        self.phone_start.largest_us <= self.phone_limit_us
+            && self.phone_middle.largest_us <= self.phone_limit_us
             && self.depth.largest_us <= DEPTH_LIMIT_US
     }
 
@@ -100,12 +105,12 @@ impl ExtractionFigures {
             row(
                 "phone, start of exposure",
                 &self.phone_start,
-                PHONE_LIMIT_US
+                self.phone_limit_us
             ),
             row(
                 "phone, middle of exposure",
                 &self.phone_middle,
-                PHONE_LIMIT_US
+                self.phone_limit_us
             ),
             row("depth, centre of exposure", &self.depth, DEPTH_LIMIT_US),
             "stated for the phone",
@@ -188,6 +193,10 @@ pub(crate) fn judge(
             .map_or(0.0, |span| (span.to - span.from).as_secs_f64()),
         phone_start: Errors::from_pairs(starts.into_iter()),
         phone_middle: Errors::from_pairs(middles.into_iter()),
+        phone_limit_us: match recorded.session.profile.phone.measured {
+            Some(_) => MEASURED_LIMIT_US,
+            None => PHONE_LIMIT_US,
+        },
         phone_sigma_us: report["clock"]["sigma_us"][1]
             .as_f64()
             .context("the report states no uncertainty of the phone's times")?,

@@ -9,10 +9,9 @@ use stm32f4_sim::time::SimDuration;
 use crate::bench::Twisted;
 
 /// The depth camera's delay to its first flash, the delay of the phone's gyroscope, and its
-/// readout, ms: about the ends of the ranges in `hil-sim/rig/ranges.md`; the
-/// readout about what the paper gives. An error beyond half a frame period would be another
-/// frame's.
-const RIGS: [(f64, f64, f64); 2] = [(0.3, 8.0, 9.0), (9.5, 2.0, 12.0)];
+/// readout, ms: about the ends of the ranges in `hil-sim/rig/ranges.md`. An error beyond half a
+/// frame period would be another frame's.
+const RIGS: [(f64, f64, f64); 2] = [(0.3, 8.0, 6.0), (9.5, 2.0, 20.0)];
 
 #[test]
 fn constants_that_were_not_measured_widen_the_stated_error() {
@@ -42,12 +41,12 @@ fn constants_that_were_not_measured_widen_the_stated_error() {
         println!("{number}: phase {error_us:+.0} µs, stated ± {sigma_us:.0} µs");
         assert!(error_us.abs() < 2.5 * sigma_us, "{error_us} {sigma_us}");
         // And no more than a person can expect, independent of the stated error.
-        assert!((3_000.0..7_000.0).contains(&sigma_us), "{sigma_us}");
+        assert!((3_000.0..8_000.0).contains(&sigma_us), "{sigma_us}");
         assert!(error_us.abs() < 14_000.0, "{error_us}");
         // It is what is read first.
         let first = summary.text.split('.').next().unwrap();
         assert!(
-            !alignment.bias_is_measured && first.starts_with("Cameras expose together to ± 5"),
+            !alignment.bias_is_measured && first.starts_with("Cameras expose together to ± 6"),
             "{first}"
         );
     }

@@ -565,7 +565,9 @@ fn shift_of_encoders() {
                 println!("{seed:4} refused {quality:?}");
                 continue;
             };
-            shifts.push(scene.error(&found).lines - raw);
+            let shift = scene.error(&found).lines - raw;
+            println!("bands of {:.1} grey levels: {shift:.2} lines", found.height);
+            shifts.push(shift);
         }
     }
     for (quality, shifts) in ENCODERS.into_iter().zip(of_each) {
