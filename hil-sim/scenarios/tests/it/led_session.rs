@@ -29,7 +29,10 @@ fn nothing_is_given_and_the_exposures_meet() {
     });
     rig.bench.copies_files = true;
     calibration::set_up(&mut rig.bench, &programs()).unwrap();
-    (rig.bench.profile.phone.twist_s, rig.bench.profile.align.slew_us) = (9, 1_000.0);
+    (
+        rig.bench.profile.phone.twist_s,
+        rig.bench.profile.align.slew_us,
+    ) = (9, 1_000.0);
     calibration::calibrate(&mut rig.bench, Track::Never, LED_SECONDS, &programs()).unwrap();
 
     let profile = rig.bench.profile.clone();

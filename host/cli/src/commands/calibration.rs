@@ -10,7 +10,6 @@ use recording::profile::measured::{MeasuredDepth, with_depth, with_phone};
 use recording::profile::{MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 use recording::strobes::SeenExposures;
-use system::ReadMonitor;
 
 /// Writes the middle of the depth exposure, if a photodiode has seen it and the profile has the
 /// same camera, mode and rate still.
@@ -51,7 +50,8 @@ pub(crate) fn write_rows(
         return Ok(None);
     }
     context.say("looking for the LED on the video");
-    let Some(found) = calibrate(folder, session, &ReadMonitor::default())? else {
+    let found = context.over_files(|monitor| calibrate(folder, session, monitor))?;
+    let Some(found) = found else {
         return Ok(None);
     };
     let text = with_phone(&read(profile)?, profile, &found.constants, &found.measured)?;

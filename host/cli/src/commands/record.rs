@@ -23,7 +23,7 @@ use phone::task::PhoneTask;
 use recording::RecordingError;
 use recording::folder::check_name;
 use recording::profile::Profile;
-use recording::session_file::{CHECK_LEARNT, SessionFile, SessionOutcome};
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, SessionFile, SessionOutcome};
 use recording::strobes::SeenExposures;
 use recording::verify::{Verification, verify};
 use report::session::{is_lossy, summary};
@@ -163,6 +163,9 @@ struct PrintedSession<'a> {
     verdict: Summary,
     /// Commands to type next.
     next: Vec<String>,
+    /// True of a calibration in which no photodiode saw the depth camera.
+    #[serde(skip)]
+    is_dark: bool,
     /// With `--calibrate`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     learnt: Vec<Lesson>,
@@ -219,26 +222,11 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
             return Err(Failure::from(error).commands(vec![next]));
         }
     };
-    let (mut depth, mut learnt, mut not_learnt) = (None, Vec::new(), None);
-    let (mut rows, mut no_rows) = (None, None);
-    if let Some(profile) = to_teach.filter(|_| file.has_recorded()) {
-        let monitor = ReadMonitor::default();
-        let taught = calibration::write_depth(profile, &file).and_then(|seen| {
-            depth = seen;
-            learn(profile, &folder, &file, None, None, &monitor)
-        });
-        match taught {
-            Ok(lessons) => {
-                learnt_now(&mut file, &folder)?;
-                learnt = lessons;
-            }
-            Err(failure) => not_learnt = Some(failure),
-        }
-        match calibration::write_rows(profile, &folder, &file, context) {
-            Ok(found) => rows = found,
-            Err(failure) => no_rows = Some(failure),
-        }
-    }
+    let to_teach = to_teach.filter(|_| file.has_recorded());
+    let taught = match to_teach {
+        Some(profile) => teach(profile, &folder, &mut file, context)?,
+        None => Taught::default(),
+    };
     // The recording is complete without its report.
     let (verification, html) = match write_report(&folder, &file) {
         Ok((verification, path)) => (Some(verification), Some(path)),
@@ -257,14 +245,15 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
             args,
             &folder,
             &file,
-            (to_teach, not_learnt.is_some()),
+            (to_teach, taught.not_learnt.is_some()),
             &place,
         ),
         folder,
         report: html,
-        learnt,
-        depth,
-        rows,
+        is_dark: to_teach.is_some() && file.exposures.is_none(),
+        learnt: taught.learnt,
+        depth: taught.depth,
+        rows: taught.rows,
         session: &file,
     };
     if args.more.events {
@@ -272,15 +261,68 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
     } else {
         context.print_checks(&report, || text(&report))?;
     }
+    let not_learnt = taught
+        .not_learnt
+        .map(|failure| failure.about("the recording is there, but no clock was learnt from it"));
+    let no_rows = taught.no_rows.map(|failure| {
+        failure.about("the recording is there, but the phone's rows were not measured")
+    });
     match (not_learnt, no_rows) {
-        (Some(failure), _) => {
-            Err(failure.about("the recording is there, but nothing was learnt from it"))
+        (Some(failure), other) => {
+            if let Some(other) = other {
+                context.say(other.to_string());
+            }
+            Err(failure)
         }
-        (None, Some(failure)) => {
-            Err(failure.about("the recording is there, but the phone's rows were not measured"))
-        }
+        (None, Some(failure)) => Err(failure),
         (None, None) => Ok(outcome),
     }
+}
+
+/// Lessons of a calibration, and the reasons for those that are missing.
+#[derive(Debug, Default)]
+struct Taught {
+    depth: Option<SeenExposures>,
+    learnt: Vec<Lesson>,
+    rows: Option<Calibration>,
+    not_learnt: Option<Failure>,
+    no_rows: Option<Failure>,
+}
+
+/// Writes what a recording teaches into the profile, and its checks into the session.
+fn teach(
+    profile: &Path,
+    folder: &Path,
+    file: &mut SessionFile,
+    context: &Context,
+) -> Result<Taught, Failure> {
+    let mut taught = Taught::default();
+    let clocks = calibration::write_depth(profile, file).and_then(|seen| {
+        taught.depth = seen;
+        context.over_files(|monitor| learn(profile, folder, file, None, None, monitor))
+    });
+    match clocks {
+        Ok(lessons) => taught.learnt = lessons,
+        Err(failure) => taught.not_learnt = Some(failure),
+    }
+    match calibration::write_rows(profile, folder, file, context) {
+        Ok(found) => taught.rows = found,
+        Err(failure) => taught.no_rows = Some(failure),
+    }
+    let mut known = Vec::new();
+    if taught.not_learnt.is_none() {
+        known.push(CHECK_LEARNT);
+    }
+    if taught.depth.is_some() && taught.rows.is_some() {
+        known.push(CHECK_BIAS);
+    }
+    for check in &mut file.preflight {
+        if let Some(kind) = known.iter().find(|&&kind| check.kind == kind) {
+            *check = Finding::good(*kind, "from this recording");
+        }
+    }
+    file.save(folder)?;
+    Ok(taught)
 }
 
 /// Checks a recording, and writes its report.
@@ -359,15 +401,6 @@ fn calibrates<'a>(args: &RecordArgs, place: &'a Place) -> Result<&'a Path, Failu
     }
 }
 
-/// Updates the check of the learnt clocks in the session of a calibration.
-fn learnt_now(file: &mut SessionFile, folder: &Path) -> Result<(), Failure> {
-    let mut checks = file.preflight.iter_mut();
-    if let Some(check) = checks.find(|check| check.kind == CHECK_LEARNT) {
-        *check = Finding::good(CHECK_LEARNT, "from this recording");
-    }
-    Ok(file.save(folder)?)
-}
-
 /// Returns the next commands, ready to be pasted. `to_teach` is the profile of a calibration, and
 /// true if nothing was learnt for it.
 fn next_commands(
@@ -417,6 +450,10 @@ fn text(printed: &PrintedSession<'_>) -> String {
     text.extend(printed.learnt.iter().map(Lesson::text));
     if let Some(depth) = &printed.depth {
         text += &format!("{}; written to the profile\n", depth.text());
+    }
+    if printed.is_dark {
+        text += "no light on the strobe input: a photodiode there, in front of the depth camera's \
+                 illuminator, would have measured the middle of its exposure\n";
     }
     if let Some(rows) = &printed.rows {
         text += &format!("{}; written to the profile\n", rows.text());

@@ -124,7 +124,11 @@ pub(super) fn fit(film: View<'_>, code: &Code, mut place: Place) -> Fitted {
     for round in 0..ROUNDS.iter().sum() {
         let is_wide = round < ROUNDS[0];
         sums = data.sums(&place, &mut sigmas, MODEL_ERROR[usize::from(!is_wide)]);
-        let mut all = sums.blocks.iter().copied().fold(Normal::default(), Normal::plus);
+        let mut all = sums
+            .blocks
+            .iter()
+            .copied()
+            .fold(Normal::default(), Normal::plus);
         if is_wide {
             all = all.without_exposure();
         }
@@ -242,14 +246,7 @@ impl<'a> Data<'a> {
     }
 
     /// The same of one group of lines.
-    fn of_group(
-        &self,
-        group: usize,
-        row: f64,
-        place: &Place,
-        sigma: &mut f64,
-        model: f64,
-    ) -> Sums {
+    fn of_group(&self, group: usize, row: f64, place: &Place, sigma: &mut f64, model: f64) -> Sums {
         // The bands as the film has them: less the mean of the neighbouring frames.
         let times = self.film.times_us();
         let mut columns: [Vec<f64>; 4] = std::array::from_fn(|_| Vec::with_capacity(times.len()));
