@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 
 use crate::{image, process, tools};
 
@@ -16,8 +16,6 @@ const AGENT_TARGETS: [(&str, &str); 2] = [
     ("aarch64-unknown-none", "arm64-v8a"),
     ("armv7a-none-eabi", "armeabi-v7a"),
 ];
-/// The agent is smaller than this, bytes.
-const AGENT_MOST: u64 = 20_000;
 const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
 const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-hal"];
 
@@ -30,18 +28,37 @@ pub(crate) fn build_rig() -> Result<PathBuf> {
     Ok(elf)
 }
 
+/// Builds the firmware of both boards and the agent. Returns the ELF of the STM32F4DISCOVERY,
+/// then that of the Black Pill.
+pub(crate) fn build_all() -> Result<[PathBuf; 2]> {
+    let black_pill = build_black_pill()?;
+    let elf = build()?;
+    build_agent()?;
+    Ok([elf, black_pill])
+}
+
+/// Builds all of [`build_all`] and the program of others that the tests of `stm32f4-sim` run
+/// beside the firmware. Returns the ELF of the STM32F4DISCOVERY.
+pub(crate) fn build_for_tests() -> Result<PathBuf> {
+    let [elf, _] = build_all()?;
+    // Not in one call of cargo with the firmware: the features of what both depend on would
+    // add up.
+    let args = [&["build", "--release"], FOREIGN_PACKAGES].concat();
+    cargo_for_target(FOREIGN, TARGET, &args)?;
+    Ok(elf)
+}
+
 /// Builds the firmware of the STM32F4DISCOVERY in the release profile and returns its ELF.
 pub(crate) fn build() -> Result<PathBuf> {
-    built(&["build", "--release"])
+    built(&[])
 }
 
 /// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its
 /// ELF, which is returned, ends in `-black-pill`. To be called before [`build`].
 pub(crate) fn build_black_pill() -> Result<PathBuf> {
-    let elf = built(&[&["build", "--release"], &BLACK_PILL[..]].concat())?;
+    let elf = built(&BLACK_PILL)?;
     let kept = elf.with_file_name("smartdepthsync-firmware-black-pill");
-    std::fs::copy(&elf, &kept)
-        .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
+    copy(&elf, &kept)?;
     Ok(kept)
 }
 
@@ -56,30 +73,15 @@ pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the program of others that the tests of `stm32f4-sim` run beside the firmware. Not
-/// in one call of cargo with it: the features of what both depend on would add up.
-pub(crate) fn build_foreign() -> Result<()> {
-    let args = [&["build", "--release"], FOREIGN_PACKAGES].concat();
-    cargo_for_target(FOREIGN, TARGET, &args)
-}
-
 /// Builds the agent for phones of each processor, and puts it beside the host tool, where
 /// that looks for it.
 pub(crate) fn build_agent() -> Result<()> {
     for ((target, _), to) in AGENT_TARGETS.into_iter().zip(agents()) {
         cargo_for_target(AGENT, target, &["build", "--release", "--target", target])?;
-        let from = process::target_dir().join(format!("{target}/release/{AGENT_PROGRAM}"));
-        let folder = to.parent().unwrap_or(&to);
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
-        let size = std::fs::copy(&from, &to)
-            .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
-        if size >= AGENT_MOST {
-            bail!(
-                "{} has {size} bytes; expected less than {AGENT_MOST}",
-                to.display()
-            );
-        }
+        copy(
+            &bare_metal().join(format!("{target}/release/{AGENT_PROGRAM}")),
+            &to,
+        )?;
     }
     Ok(())
 }
@@ -90,18 +92,20 @@ pub(crate) fn agents() -> impl Iterator<Item = PathBuf> {
     agents.map(|(_, processor)| process::program(format!("{AGENT_PROGRAM}-{processor}")))
 }
 
-/// Runs cargo and returns the ELF that it leaves.
-fn built(args: &[&str]) -> Result<PathBuf> {
-    cargo_for_target(FIRMWARE, TARGET, args)?;
-    let elf = format!("{TARGET}/release/smartdepthsync-firmware");
-    let elf = process::target_dir().join(elf);
-    if !elf.is_file() {
-        bail!(
-            "cargo built the firmware, but there is no {}",
-            elf.display()
-        );
-    }
-    Ok(elf)
+/// Builds the firmware with these options and returns its ELF.
+fn built(options: &[&str]) -> Result<PathBuf> {
+    cargo_for_target(
+        FIRMWARE,
+        TARGET,
+        &[&["build", "--release"], options].concat(),
+    )?;
+    Ok(bare_metal().join(format!("{TARGET}/release/smartdepthsync-firmware")))
+}
+
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    let copied = std::fs::copy(from, to);
+    copied.with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
+    Ok(())
 }
 
 /// Lints the programs for the chip's target, where the register code is compiled.
@@ -119,6 +123,12 @@ pub(crate) fn clippy() -> Result<()> {
     Ok(())
 }
 
+/// Cargo's target folder of the programs that run without an operating system. It is not the
+/// host's, since cargo locks the folder in which it builds, and both are built side by side.
+fn bare_metal() -> PathBuf {
+    process::target_dir().join("bare-metal")
+}
+
 /// Runs cargo in a folder whose programs are for a target without a system.
 fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     tools::ensure_target(target)?;
@@ -126,18 +136,13 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     // The folder's own .cargo/config.toml sets target and profile, as for `cargo run` there.
     cargo
         .current_dir(process::root().join(folder))
-        .env("CARGO_TARGET_DIR", process::target_dir());
-    let (before, after) = match args.iter().position(|&arg| arg == "--") {
-        Some(at) => args.split_at(at),
-        None => (args, &[][..]),
-    };
-    cargo.args(before);
+        .env("CARGO_TARGET_DIR", bare_metal());
     if target == TARGET {
         // Its debug information names the sources, there by their folders.
         let options = process::remapped();
         cargo.arg(format!("--config=target.{TARGET}.rustflags={options:?}"));
     }
-    process::run(cargo.args(after))
+    process::run(cargo.args(args))
 }
 
 #[cfg(test)]

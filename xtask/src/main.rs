@@ -104,10 +104,11 @@ fn run(command: Command) -> Result<()> {
 }
 
 fn build() -> Result<()> {
-    let black_pill = firmware::build_black_pill()?;
-    let elf = firmware::build()?;
-    firmware::build_agent()?;
-    process::cargo(["build", "--release", "--workspace"])?;
+    let (elves, workspace) = beside(firmware::build_all, || {
+        process::cargo(["build", "--release", "--workspace"])
+    });
+    workspace?;
+    let [elf, black_pill] = elves?;
     firmware::make_images(&[&elf, &black_pill])?;
     println!("firmware: {}", elf.display());
     Ok(())
@@ -115,18 +116,16 @@ fn build() -> Result<()> {
 
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
-    // The packages come while something is built.
-    let (python, elf) = beside(tools::ensure_python, || {
-        firmware::build_black_pill()?;
-        let elf = firmware::build()?;
-        firmware::build_foreign()?;
-        firmware::build_agent()?;
-        if cargo_args.is_empty() {
-            process::cargo("test --release --workspace --no-run".split(' '))?;
-        }
-        anyhow::Ok(elf)
+    // A single build often waits for one crate: the workspace is built beside the firmware, and
+    // Python's packages come meanwhile.
+    let (elf, others) = beside(firmware::build_for_tests, || {
+        let (python, workspace) = beside(tools::ensure_python, || match cargo_args {
+            [] => process::cargo("test --release --workspace --no-run".split(' ')),
+            _ => Ok(()),
+        });
+        workspace.and(python)
     });
-    let elf = elf.and_then(|elf| python.map(|_| elf))?;
+    let elf = elf.and_then(|elf| others.map(|_| elf))?;
     let mut args = vec!["test".to_owned(), "--release".to_owned()];
     if cargo_args.is_empty() {
         args.extend(["--workspace", "--no-fail-fast"].map(str::to_owned));
@@ -176,10 +175,15 @@ fn linux_usb() -> Result<()> {
 
 fn check(no_book: bool) -> Result<()> {
     process::cargo(["fmt", "--all", "--check"])?;
-    process::cargo("clippy --release --workspace --all-targets -- -D warnings".split(' '))?;
-    firmware::clippy()?;
-    // As a lean crate of its own, from what would be published.
-    process::cargo("package -p twist-sync --allow-dirty --quiet".split(' '))?;
+    let (others, workspace) = beside(
+        || {
+            firmware::clippy()?;
+            // As a lean crate of its own, from what would be published.
+            process::cargo("package -p twist-sync --allow-dirty --quiet".split(' '))
+        },
+        || process::cargo("clippy --release --workspace --all-targets -- -D warnings".split(' ')),
+    );
+    workspace.and(others)?;
     dependencies::check()?;
     tidy::check()?;
     if no_book {

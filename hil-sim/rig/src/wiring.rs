@@ -110,7 +110,7 @@ pub fn default_elf() -> PathBuf {
     if let Some(path) = std::env::var_os(ELF_VARIABLE) {
         return PathBuf::from(path);
     }
-    let built = "thumbv7em-none-eabihf/release/smartdepthsync-firmware";
+    let built = "bare-metal/thumbv7em-none-eabihf/release/smartdepthsync-firmware";
     let released = "share/smartdepthsync/firmware/smartdepthsync-firmware-discovery.elf";
     let own = std::env::current_exe().unwrap_or_default();
     (own.ancestors())

@@ -11,7 +11,9 @@ fn foreign_elf(name: &str) -> PathBuf {
     // target/<profile>/deps/<test>
     let test = std::env::current_exe().unwrap();
     let target = test.ancestors().nth(3).unwrap();
-    let elf = target.join("thumbv7em-none-eabihf/release").join(name);
+    let elf = target
+        .join("bare-metal/thumbv7em-none-eabihf/release")
+        .join(name);
     assert!(
         elf.is_file(),
         "{} is missing: run this test through `cargo xtask test`, which builds it",
