@@ -251,8 +251,9 @@ impl BoardTruth {
 
     /// The first edge since its last change that is not where the course has it.
     fn fails_at(&self, course: &Course) -> Option<u64> {
-        let edges = (self.first..).zip(&self.edges);
-        let mut since = edges.skip_while(|(number, _)| (*number as i64) < course.train.number);
+        let begin = u64::try_from(course.train.number).map_or(self.first, |it| it.max(self.first));
+        let edges = self.edges.get((begin - self.first) as usize..);
+        let mut since = (begin..).zip(edges.unwrap_or_default());
         let off = since.find(|&(number, &ticks)| course.train.edge(number).ticks.0 != ticks);
         off.map(|(number, _)| number)
     }
