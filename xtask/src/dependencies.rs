@@ -2,7 +2,6 @@
 //! network. `deny.toml` says what is allowed; `cargo deny` can read it too.
 
 use std::collections::BTreeSet;
-use std::fs;
 
 use anyhow::{Context, Result, bail};
 
@@ -39,7 +38,7 @@ pub(crate) fn check() -> Result<()> {
 
 /// The licences that `deny.toml` allows, in quotes and with commas between.
 pub(crate) fn allowed() -> Result<String> {
-    let deny = fs::read_to_string(process::root().join("deny.toml"))?;
+    let deny = process::read(&process::root().join("deny.toml"))?;
     let allowed = deny
         .split_once("allow = [")
         .and_then(|(_, list)| list.split_once(']'));

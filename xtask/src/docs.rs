@@ -32,12 +32,14 @@ const SOURCES: [&str; 6] = [
 
 /// Fails on any broken local link of the book, and if it is too long.
 pub(crate) fn check() -> Result<()> {
-    check_links(&pages(None)?, &process::root())?;
+    // A folder of its own: a test does this too, and may run at the same time.
+    let source = pages(None, &format!("book-check-{}", std::process::id()))?;
+    let links = check_links(&source, &process::root());
+    fs::remove_dir_all(source)?;
+    links?;
     let mut count = 0;
-    for path in process::files_below(&process::root().join("docs"))? {
-        if path.extension().is_some_and(|extension| extension == "md") {
-            count += words(&fs::read_to_string(path)?);
-        }
+    for path in process::files_below(&process::root().join("docs"), ".md")? {
+        count += words(&process::read(&path)?);
     }
     if count > MOST_WORDS {
         bail!("the book has {count} words, expected at most {MOST_WORDS}: shorten it");
@@ -58,7 +60,7 @@ fn words(text: &str) -> usize {
 pub(crate) fn build_and_check() -> Result<()> {
     process::cargo("build --release --quiet -p smartdepthsync".split(' '))?;
     check()?;
-    let source = pages(Some(&process::program("smartdepthsync")))?;
+    let source = pages(Some(&process::program("smartdepthsync")), "book-source")?;
     let features = ["--no-default-features", "--features", "search"];
     let mdbook = tools::ensure_cargo_tool("mdbook", MDBOOK_VERSION, &features)?;
     let book = process::target_dir().join("book");
@@ -68,13 +70,13 @@ pub(crate) fn build_and_check() -> Result<()> {
     Ok(())
 }
 
-/// Copies the pages to where they are built. A line `{{file PATH}}` becomes that file from the
+/// Copies the pages to a folder of this name in cargo's target folder. A line `{{file PATH}}` becomes that file from the
 /// root, and `{{help}}` the help of every command if the program is built.
-pub(crate) fn pages(program: Option<&Path>) -> Result<PathBuf> {
+pub(crate) fn pages(program: Option<&Path>, name: &str) -> Result<PathBuf> {
     let root = process::root();
-    let source = process::fresh_folder("book-source")?;
+    let source = process::fresh_folder(name)?;
     let docs = root.join("docs");
-    for path in process::files_below(&docs)? {
+    for path in process::files_below(&docs, "")? {
         let target = source.join(path.strip_prefix(&docs)?);
         fs::create_dir_all(target.parent().unwrap_or(&source))?;
         if path.extension().is_none_or(|extension| extension != "md") {
@@ -82,11 +84,11 @@ pub(crate) fn pages(program: Option<&Path>) -> Result<PathBuf> {
             continue;
         }
         let mut page = String::new();
-        for line in fs::read_to_string(&path)?.lines() {
+        for line in process::read(&path)?.lines() {
             let file = line.strip_prefix("{{file ");
             if let Some(file) = file.and_then(|rest| rest.strip_suffix("}}")) {
-                let text = fs::read_to_string(root.join(file));
-                page += &text.with_context(|| format!("{}: {file}", path.display()))?;
+                page += &process::read(&root.join(file))
+                    .with_context(|| format!("{} shows a file", path.display()))?;
             } else if line == "{{help}}" {
                 if let Some(program) = program {
                     page += &help(program, &[])?;
@@ -133,16 +135,13 @@ fn check_links(source: &Path, root: &Path) -> Result<()> {
     let root = &root.canonicalize()?;
     let docs = root.join("docs");
     let mut pages = BTreeMap::new();
-    let read = |path: &Path| {
-        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
-    };
-    for path in process::files_below(source)? {
-        if path.extension().is_some_and(|extension| extension == "md") {
-            pages.insert(docs.join(path.strip_prefix(source)?), parse(&read(&path)?));
-        }
+    for path in process::files_below(source, ".md")? {
+        let page = parse(&process::read(&path)?);
+        pages.insert(docs.join(path.strip_prefix(source)?), page);
     }
-    for name in ["README.md", "CONTRIBUTING.md"] {
-        pages.insert(root.join(name), parse(&read(&root.join(name))?));
+    for path in ["README.md", "CONTRIBUTING.md"].map(|name| root.join(name)) {
+        let page = parse(&process::read(&path)?);
+        pages.insert(path, page);
     }
     let summary = docs.join("SUMMARY.md");
     let listed = pages.get(&summary).context("SUMMARY.md is missing")?;

@@ -17,9 +17,10 @@ mod tools;
 mod wheel;
 
 use std::panic::resume_unwind;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 
 /// Build, test, demo and bench SmartDepthSync.
@@ -40,6 +41,8 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         cargo_args: Vec<String>,
     },
+    /// Do what CI does: `test`, and `check --no-book` while tests run.
+    Ci,
     /// Run a whole session on the simulated rig and compare it with the ground truth.
     Demo {
         /// Passed on to `hil-sim demo`, for example `--rig multi`. Paths are from the root.
@@ -89,7 +92,10 @@ enum Command {
 fn run(command: Command) -> Result<()> {
     match command {
         Command::Build => build(),
-        Command::Test { cargo_args } => test(&cargo_args),
+        Command::Test { cargo_args } => {
+            test(&cargo_args.iter().map(String::as_str).collect::<Vec<_>>())
+        }
+        Command::Ci => test_all(|| both(wheel::build_and_test(), idle_check())),
         Command::Demo { args } => hil_sim(&[&["demo".to_owned()], &args[..]].concat()),
         Command::HilSim { args } => hil_sim(&args),
         Command::Check { no_book } => check(no_book),
@@ -114,30 +120,45 @@ fn build() -> Result<()> {
     Ok(())
 }
 
-fn test(cargo_args: &[String]) -> Result<()> {
-    tools::ensure_for_tests()?;
-    // A single build often waits for one crate: the workspace is built beside the firmware, and
-    // Python's packages come meanwhile.
-    let (elf, others) = beside(firmware::build_for_tests, || {
-        let (python, workspace) = beside(tools::ensure_python, || match cargo_args {
-            [] => process::cargo("test --release --workspace --no-run".split(' ')),
-            _ => Ok(()),
-        });
-        workspace.and(python)
-    });
-    let elf = elf.and_then(|elf| others.map(|_| elf))?;
-    let mut args = vec!["test".to_owned(), "--release".to_owned()];
+fn test(cargo_args: &[&str]) -> Result<()> {
     if cargo_args.is_empty() {
-        args.extend(["--workspace", "--no-fail-fast"].map(str::to_owned));
+        return test_all(wheel::build_and_test);
     }
-    args.extend_from_slice(cargo_args);
-    let cargo = || process::cargo_with_elf(&args, &elf);
-    if !cargo_args.is_empty() {
-        return cargo();
-    }
-    // Python's tests take one core.
-    let (python, rust) = beside(wheel::build_and_test, cargo);
-    rust.and(python)
+    let elf = ready_for_tests()?;
+    process::cargo_with_elf(&[&["test", "--release"], cargo_args].concat(), &elf)
+}
+
+/// Makes all that tests need but the workspace, and returns the firmware's ELF.
+fn ready_for_tests() -> Result<PathBuf> {
+    tools::ensure_for_tests()?;
+    tools::ensure_python()?;
+    firmware::build_for_tests()
+}
+
+/// Runs every test of the workspace, and `others` beside them.
+fn test_all(others: impl FnOnce() -> Result<()> + Send) -> Result<()> {
+    // One build alone often waits for one crate or for a download.
+    let (elf, workspace) = beside(ready_for_tests, || {
+        process::cargo("test --release --workspace --no-run".split(' '))
+    });
+    let elf = elf.and_then(|elf| workspace.map(|()| elf))?;
+    let (others, tests) = beside(others, || {
+        process::cargo_with_elf(
+            &["test", "--release", "--workspace", "--no-fail-fast"],
+            &elf,
+        )
+    });
+    both(tests, others)
+}
+
+/// Runs `check` in the time that the tests, some of which wait, leave of the processor.
+fn idle_check() -> Result<()> {
+    let own = std::env::current_exe()?;
+    process::run(
+        process::command("nice")
+            .arg(own)
+            .args(["check", "--no-book"]),
+    )
 }
 
 /// Does the first on a thread of its own while the second is done.
@@ -150,11 +171,19 @@ fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() ->
     })
 }
 
+/// Returns the errors of two jobs that were done beside each other.
+fn both(one: Result<()>, other: Result<()>) -> Result<()> {
+    match (one, other) {
+        (Err(one), Err(other)) => bail!("{one:#}\nerror: {other:#}"),
+        (one, other) => one.and(other),
+    }
+}
+
 /// Runs the tests whose readers are too large for every run.
 fn readers() -> Result<()> {
     tools::ensure_readers()?;
-    let args = "-p hil-sim --test it -- --ignored --nocapture readers::";
-    test(&args.split(' ').map(str::to_owned).collect::<Vec<_>>())
+    let test = "-p hil-sim --test it -- --ignored --nocapture readers::";
+    self::test(&test.split(' ').collect::<Vec<_>>())
 }
 
 /// Runs the simulated board at the USB of a real kernel.
@@ -169,8 +198,8 @@ fn linux_usb() -> Result<()> {
             .arg(target.join("tmp/linux-usb"))
             .arg(target.join("release/smartdepthsync")),
     )?;
-    let args = "-p smartdepthsync-rig --test it -- --ignored --nocapture linux_kernel";
-    test(&args.split(' ').map(str::to_owned).collect::<Vec<_>>())
+    let test = "-p smartdepthsync-rig --test it -- --ignored --nocapture linux_kernel";
+    self::test(&test.split(' ').collect::<Vec<_>>())
 }
 
 fn check(no_book: bool) -> Result<()> {
@@ -183,7 +212,7 @@ fn check(no_book: bool) -> Result<()> {
         },
         || process::cargo("clippy --release --workspace --all-targets -- -D warnings".split(' ')),
     );
-    workspace.and(others)?;
+    both(workspace, others)?;
     dependencies::check()?;
     tidy::check()?;
     if no_book {

@@ -49,16 +49,23 @@ pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
     Ok(place)
 }
 
-/// All files below a folder, but for what cargo makes.
-pub(crate) fn files_below(folder: &Path) -> Result<Vec<PathBuf>> {
+/// The text of a file.
+pub(crate) fn read(path: &Path) -> Result<String> {
+    fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// The files below a folder whose names end in this, but for what cargo makes.
+pub(crate) fn files_below(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let entries = fs::read_dir(folder);
     for entry in entries.with_context(|| format!("cannot read {}", folder.display()))? {
         let path = entry?.path();
-        if !path.is_dir() {
+        if path.is_dir() {
+            if !path.ends_with("target") {
+                files.append(&mut files_below(&path, ending)?);
+            }
+        } else if path.to_string_lossy().ends_with(ending) {
             files.push(path);
-        } else if path.file_name().is_some_and(|name| name != "target") {
-            files.append(&mut files_below(&path)?);
         }
     }
     Ok(files)

@@ -53,8 +53,10 @@ pub(crate) fn make() -> Result<()> {
     // First the programs for this computer: they write the files that go with all.
     let own = release.programs(std::env::consts::ARCH)?;
     write_completions_and_manual(&own.join(NAME), &usr.join("share"))?;
-    install(&docs::pages(Some(&own.join(NAME)))?, &documents)?;
-    fs::rename(documents.join("book-source"), documents.join("book"))?;
+    install(
+        &docs::pages(Some(&own.join(NAME)), "release-book/book")?,
+        &documents,
+    )?;
     for (rust, debian) in PROCESSORS {
         let folder = release.programs(rust)?;
         for program in [NAME, "hil-sim"] {
@@ -140,14 +142,12 @@ impl Release {
             ("host/sync/twist-sync-python", "twist-sync"),
             ("firmware", "smartdepthsync-firmware"),
         ] {
-            let bom = fs::read_to_string(root.join(folder).join("release-bom.json"))?;
+            let bom = process::read(&root.join(folder).join("release-bom.json"))?;
             let bom = bom.replace(&*root.to_string_lossy(), "");
             fs::write(self.dist.join(format!("{part}.cdx.json")), bom)?;
         }
-        for file in process::files_below(&root)? {
-            if file.ends_with("release-bom.json") {
-                fs::remove_file(&file)?;
-            }
+        for file in process::files_below(&root, "release-bom.json")? {
+            fs::remove_file(&file)?;
         }
         let config = process::target_dir().join("about.toml");
         // The licences are at the top of each crate; what is below takes minutes to read.
@@ -203,7 +203,7 @@ impl Release {
                 .arg(tree)
                 .arg("usr"),
         )?;
-        let control = fs::read_to_string(process::root().join("xtask/debian-control"))?
+        let control = process::read(&process::root().join("xtask/debian-control"))?
             .replace("VERSION", VERSION)
             .replace("ARCHITECTURE", architecture);
         fs::create_dir_all(tree.join("DEBIAN"))?;

@@ -5,10 +5,9 @@
 //! differ from the manifests.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::process;
 
@@ -24,8 +23,7 @@ const LARGEST_MARGIN: f64 = 0.05;
 /// Fails on an import, a size or a comment that breaks a rule, and lists all of them.
 pub(crate) fn check() -> Result<()> {
     let root = process::root();
-    let page =
-        fs::read_to_string(root.join(PAGE)).with_context(|| format!("cannot read {PAGE}"))?;
+    let page = process::read(&root.join(PAGE))?;
     let imports = imports(&root)?;
     let sources = sources(&root)?;
     let mut wrong = wrong_imports(&page, &imports);
@@ -41,30 +39,25 @@ pub(crate) fn check() -> Result<()> {
 /// The crates of the workspace by folder, each with the folders of the crates that it imports.
 /// Imports of tests alone do not count.
 fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
-    let read = |path: &str| {
-        fs::read_to_string(root.join(path)).with_context(|| format!("cannot read {path}"))
-    };
-    let workspace = read("Cargo.toml")?;
-    let named: BTreeMap<&str, &str> = (workspace.lines())
-        .filter_map(|line| line.split_once(" = { path = \""))
-        .filter_map(|(name, rest)| Some((name, rest.split_once('"')?.0)))
-        .collect();
-    let members = workspace.split_once("members = [");
-    let members = members.and_then(|(_, rest)| rest.split_once(']'));
-    let (members, _) = members.context("Cargo.toml lists no members")?;
-    let mut imports = BTreeMap::new();
-    for folder in members.split('"').skip(1).step_by(2) {
-        let mut imported = BTreeSet::new();
-        let mut is_counted = false;
-        for line in read(&format!("{folder}/Cargo.toml"))?.lines() {
-            if line.starts_with('[') {
-                is_counted = line.contains("dependencies") && !line.contains("dev-dependencies");
-            } else if is_counted {
-                let name = line.split(['.', ' ', '=']).next().unwrap_or_default();
-                imported.extend(named.get(name).map(|&path| path.to_owned()));
-            }
+    let args = "tree --workspace --all-features --target all --edges normal,build --depth 1 \
+                --prefix depth --no-dedupe --format {p}";
+    let mut cargo = process::command(process::cargo_program());
+    let tree = process::text(cargo.args(args.split_whitespace()))?;
+    let below_root = format!("({}/", root.display());
+    let mut imports = BTreeMap::<_, BTreeSet<_>>::new();
+    let mut own = "";
+    // Those of the registry have no folder.
+    for line in tree.lines() {
+        let Some((_, folder)) = line.split_once(&below_root) else {
+            continue;
+        };
+        let folder = folder.split(')').next().unwrap_or_default();
+        if line.starts_with('0') {
+            own = folder;
+            imports.entry(own.to_owned()).or_default();
+        } else if let Some(imported) = imports.get_mut(own) {
+            imported.insert(folder.to_owned());
         }
-        imports.insert(folder.to_owned(), imported);
     }
     Ok(imports)
 }
@@ -73,11 +66,9 @@ fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
 fn sources(root: &Path) -> Result<BTreeMap<String, String>> {
     let mut sources = BTreeMap::new();
     for room in ["firmware", "hil-sim", "host", "protocol", "xtask"] {
-        for file in process::files_below(&root.join(room))? {
-            if file.extension().is_some_and(|extension| extension == "rs") {
-                let name = file.strip_prefix(root)?.display().to_string();
-                sources.insert(name, fs::read_to_string(&file)?);
-            }
+        for file in process::files_below(&root.join(room), ".rs")? {
+            let name = file.strip_prefix(root)?.display().to_string();
+            sources.insert(name, process::read(&file)?);
         }
     }
     Ok(sources)

@@ -9,24 +9,26 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// Programs that tests run: name, Debian package, purpose. Without those of the second list, tests
-/// leave out what needs them.
-const TEST_PROGRAMS: [&[(&str, &str, &str)]; 2] = [
-    &[
-        ("ffmpeg", "ffmpeg", "reads videos"),
-        ("mkvmerge", "mkvtoolnix", "writes depth recordings again"),
-        ("adb", "adb", "talks to a simulated phone"),
-    ],
-    &[
-        ("qemu-aarch64", "qemu-user", "runs the phone's agent"),
-        (
-            "qemu-system-arm",
-            "qemu-system-arm",
-            "is compared with the simulated core",
-        ),
-        ("chromium", "chromium", "shows the reports"),
-        ("tmux", "tmux", "shows the live view"),
-    ],
+/// Programs that tests run: name, Debian package, purpose, and true if they cannot do without:
+/// without the others, tests leave out what needs them.
+const TEST_PROGRAMS: [(&str, &str, &str, bool); 7] = [
+    ("ffmpeg", "ffmpeg", "reads videos", true),
+    (
+        "mkvmerge",
+        "mkvtoolnix",
+        "writes depth recordings again",
+        true,
+    ),
+    ("adb", "adb", "talks to a simulated phone", true),
+    ("qemu-aarch64", "qemu-user", "runs the phone's agent", false),
+    (
+        "qemu-system-arm",
+        "qemu-system-arm",
+        "checks the simulated core",
+        false,
+    ),
+    ("chromium", "chromium", "shows the reports", false),
+    ("tmux", "tmux", "shows the live view", false),
 ];
 
 /// Makes sure that the programs are there that the tests need beyond Rust and [`ensure_python`].
@@ -34,28 +36,22 @@ const TEST_PROGRAMS: [&[(&str, &str, &str)]; 2] = [
 pub(crate) fn ensure_for_tests() -> Result<()> {
     let is_ci = std::env::var_os("CI").is_some();
     let [mut needed, mut left_out] = [Vec::new(), Vec::new()];
-    for (programs, can_be_left_out) in TEST_PROGRAMS.into_iter().zip([false, !is_ci]) {
-        for (name, package, purpose) in programs.iter().filter(|program| !is_there(program.0)) {
+    for (name, package, purpose, is_needed) in TEST_PROGRAMS {
+        if !is_there(name) {
             println!("missing: {name}, which {purpose}");
-            let packages = if can_be_left_out {
-                &mut left_out
-            } else {
+            let packages = if is_needed || is_ci {
                 &mut needed
+            } else {
+                &mut left_out
             };
-            packages.push(*package);
+            packages.push(package);
         }
     }
     if !left_out.is_empty() {
-        println!(
-            "tests leave out what needs {}: `sudo apt-get install` adds it",
-            left_out.join(" ")
-        );
+        let packages = left_out.join(" ");
+        println!("tests leave out what needs {packages}: `sudo apt-get install` adds it");
     }
-    if needed.is_empty() {
-        return Ok(());
-    }
-    let advice = || format!("on Debian run `sudo apt-get install {}`", needed.join(" "));
-    apt_install(&needed).with_context(advice)
+    apt_install(&needed)
 }
 
 /// Returns true if a program runs: one that is installed may not work.
@@ -73,31 +69,28 @@ pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
     if is_there(program) {
         return Ok(());
     }
-    apt_install(&[package]).with_context(|| {
-        format!("{program} is missing; on Debian run `sudo apt-get install {package}`")
-    })
+    apt_install(&[package])
 }
 
 /// Installs Debian packages, if we are root and there is apt.
 pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
-    let root = process::text(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
-    if !root || !process::answers("apt-get", &["--version"]) {
-        bail!("not root on a Debian system, so nothing was installed");
+    if packages.is_empty() {
+        return Ok(());
     }
-    println!("installing Debian packages: {}", packages.join(" "));
+    let names = packages.join(" ");
+    let is_root = process::text(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
+    if !is_root || !process::answers("apt-get", &["--version"]) {
+        bail!("a program is missing; on Debian run `sudo apt-get install {names}`");
+    }
+    println!("installing Debian packages: {names}");
     let apt = |args: &[&str]| {
-        let mut command = Command::new("apt-get");
-        command
-            .args(["-q", "-y"])
-            .args(args)
-            .env("DEBIAN_FRONTEND", "noninteractive")
+        let mut apt = Command::new("apt-get");
+        apt.env("DEBIAN_FRONTEND", "noninteractive")
             .stdout(Stdio::null());
-        process::run(&mut command)
+        process::run(apt.args(["-q", "-y"]).args(args))
     };
     apt(&["update"])?;
-    let mut install = vec!["install", "--no-install-recommends"];
-    install.extend_from_slice(packages);
-    apt(&install)
+    apt(&[&["install", "--no-install-recommends"], packages].concat())
 }
 
 /// The Python environment in `target/venv` with the packages of
@@ -123,7 +116,6 @@ pub(crate) fn ensure_readers() -> Result<()> {
         return Ok(());
     }
     apt_install(&["python3-rosbag"])
-        .context("ROS 1's rosbag is missing; on Debian run `sudo apt-get install python3-rosbag`")
 }
 
 /// A Python environment in the target folder, with the packages that a file in `xtask/` names;
@@ -132,17 +124,14 @@ fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
     let venv = process::target_dir().join(name);
     let python = venv.join("bin/python3");
     let requirements = process::root().join("xtask").join(requirements);
-    let wanted = fs::read_to_string(&requirements)
-        .with_context(|| format!("cannot read {}", requirements.display()))?;
+    let wanted = process::read(&requirements)?;
     let stamp = venv.join("requirements.txt");
-    if fs::read_to_string(&stamp).is_ok_and(|have| have == wanted) && python.is_file() {
+    if process::read(&stamp).is_ok_and(|have| have == wanted) && python.is_file() {
         return Ok(python);
     }
     println!("making the Python environment {}", venv.display());
     if !make_venv(&venv) {
-        apt_install(&["python3", "python3-venv"]).context(
-            "Python with venv is missing; on Debian run `sudo apt-get install python3 python3-venv`",
-        )?;
+        apt_install(&["python3", "python3-venv"])?;
         if !make_venv(&venv) {
             bail!("python3 -m venv {} fails", venv.display());
         }
