@@ -14,11 +14,13 @@ from ._recording import Unreadable
 
 _KINDS = [(kind, re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])")) for kind, words in rules.KINDS]
 Unit = tuple[str, str]
+#: Letters of units, also those of Windows' code page 1252.
+_LETTERS = str.maketrans("µμ²⁻¹−\udcb0\udcb5\udcb2", "uu2-1-°u2")
 
 
 def unit_of(text: str) -> Unit | None:
     """Returns what a unit measures, and the unit, after a factor if it has one."""
-    plain = re.sub(r"[\s^*·()\[\]{}_]", "", text.lower()).translate(str.maketrans("µμ²⁻¹−", "uu2-1-"))
+    plain = re.sub(r"[\s^*·()\[\]{}_]", "", text.lower()).translate(_LETTERS)
     factor, plain = re.fullmatch(r"(10-\d|\d+(?:\.\d+)?(?:e-?\d+)?|)(.*)", plain).groups()  # type: ignore[union-attr]
     found = next(((what, unit) for what, unit, form in rules.UNITS if re.fullmatch(form, plain)), None)
     return (found[0], f"{factor.replace('10-', '1e-')} {found[1]}") if found and factor else found
@@ -83,7 +85,7 @@ def axis_of(name: str, words: list[str]) -> tuple[str, list[str]] | None:
             return rules.SPOKEN[found[1]], [*others[0], "rate" if found[2] else "spoken", *others[1]]
         if word in rules.QUATERNION and at and re.fullmatch(r"q|quat\w*", words[at - 1]):
             return rules.QUATERNION[word], words[:at]
-        if found := re.fullmatch(r"(?:r|rot|m|mat)([0-3])([0-3t])", word):
+        if found := re.fullmatch(r"(?:r|rot|m|mat|t|pose)([0-3])([0-3t])", "".join(words[max(at - 1, 0) : at + 1]) if word.isdecimal() else word):
             return found[1] + found[2], [*others[0], "matrix", *others[1]]
     if words and (found := re.fullmatch(r"(\D*)([0-4])", words[-1])) and (len(words) > 1 or found[1]):
         return found[2], [*words[:-1], *filter(None, [found[1]])]
@@ -260,7 +262,7 @@ def _group(table: Table, stem: str, columns: list[int]) -> Group:
 def _unnamed(table: Table) -> list[Group]:
     """Returns what the values of columns without names say: three that remain beside the times,
     or of more than three those that gravity's size does not give away."""
-    times = rising(table)
+    times = unnamed_times(table)
     rest = [k for k in range(len(table.names)) if k not in times and table.is_numeric(k)]
     if len(rest) == 3:
         return [Group("", rest, kind_of(words_of(table.name)), None, False)]
@@ -296,6 +298,15 @@ def gravity(w: np.ndarray) -> str | None:
         if abs(usual / one - 1) < 0.1 and high - low < 0.8 * usual:
             return f"their size is that of gravity, {usual:.3g} {unit}"
     return None
+
+
+def unnamed_times(table: Table) -> list[int]:
+    """Returns columns of times without names, the best first: a clock of the sensor, a date, which
+    a logger adds, a count of the rows."""
+    found = rising(table)
+    dates = [k for k in found if not table.is_numeric(k)]
+    counts = [k for k in found if k not in dates and set(np.diff(table.numbers(k))) == {1.0}]
+    return [*[k for k in found if k not in (*dates, *counts)][:1], *dates, *counts]
 
 
 def not_rates(w: np.ndarray) -> str | None:

@@ -6,6 +6,7 @@ gyroscope. Libraries are extras of the package.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import struct
@@ -104,8 +105,8 @@ def xlsx(path: Path) -> Read:
         lines = [
             "\t".join("" if c is None else str(c) for c in row) for row in sheet.iter_rows(values_only=True)
         ]
-        dialect = text.Dialect("\t")
-        if any(dialect.is_row(dialect.split(line)) for line in lines):
+        with contextlib.suppress(Unreadable):
+            dialect = text.sniff(lines[:400], [text.Dialect("\t"), text.Dialect("\t", ",")])
             for table in text.tables(enumerate(lines, 1), dialect, []):
                 table.name = table.name or sheet.title
                 out.append(table)

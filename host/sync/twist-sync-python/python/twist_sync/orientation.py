@@ -30,8 +30,8 @@ def multiplied(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def is_quaternion(q: np.ndarray) -> bool:
-    """Returns True for quaternions of length one that are not all the same."""
-    q = q[np.isfinite(q).all(axis=1)]
+    """Returns True for quaternions of length one that are not all the same; zeros are none."""
+    q = q[np.isfinite(q).all(axis=1) & q.any(axis=1)]
     fits = np.abs(np.linalg.norm(q, axis=1) - 1) < SIZE
     return len(q) > 1 and bool(fits.mean() > MOST and np.ptp(q, axis=0).any())
 

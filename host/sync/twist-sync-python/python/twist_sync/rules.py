@@ -72,7 +72,7 @@ KINDS = (
 )  # fmt: skip
 #: Rank of a column of times by words of its name: the clock that stamped the sample first.
 TIMES = (
-    (9, r"phone|host|arriv\w*|received?|rx|pc|app|logging|log time|publish|saved|sys|system|computer|date|week"),
+    (9, r"phone|host|arriv\w*|rece?i?v\w*|rx|pc|app|logging|log time|publish|saved|sys|system|computer|date|week"),
     (0, r"header ?stamp|sensor|hw|hardware|device|sample|cts|since ?reboot|boot"),
     (5, r"ticks?|cycles?"),
     (2, r"epoch|unix|utc"),
@@ -82,6 +82,8 @@ TIMES = (
 )  # fmt: skip
 #: Durations, which are times of no clock.
 DURATION = re.compile(r"\b(dt|duration|exposure|latency|interval|period|offset(?! time)|delay|gps accuracy)\b")
+#: Rates that are not those of samples, or of another sensor's.
+OTHER_RATE = re.compile(r"\b(baud|bit|heart|pulse|refresh|gps|mag\w*|acc\w*|video|audio)\b")
 COUNTER = re.compile(r"\b(packet ?counter|counter|count|sample ?(no|number|count\w*)?|index|frame|seq|f|row|n)\b")
 #: A column that tells sensors or bodies apart.
 SENSOR = re.compile(r"(sensor|device|dev|node|imu|unit|instance|type|name|topic|id|i|addr\w*|mac|body|source|location)"
@@ -104,6 +106,7 @@ UNNAMED = {
     8: "timestamp tx ty tz qx qy qz qw".split(),
     # ARKit Data Logger: <https://github.com/PyojinKim/ARKit-Data-Logger>.
     13: ["timestamp", *(f"r{r}{c}" for r in range(3) for c in "012t")],
+    17: ["timestamp", *(f"r{r}{c}" for r in range(4) for c in range(4))],
     # Poses of KITTI's odometry: rows of a matrix (3, 4).
     12: [f"r{r}{c}" for r in range(3) for c in "012t"],
 }

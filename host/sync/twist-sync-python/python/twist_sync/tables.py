@@ -124,8 +124,8 @@ def _is_orientation(table: Table, group: Group) -> bool:
     return orientation.is_matrix(values) if len(group.columns) == 9 else orientation.is_quaternion(values)
 
 
-def _rank(table: Table, group: Group, kind: str | None, oriented: bool, why: list[str]) -> int | None:
-    """Returns the order in which a group is taken: 0 and 1 for rates, 2 for what may be rates,
+def _rank(table: Table, group: Group, kind: str | None, oriented: bool, why: list[str]) -> float | None:
+    """Returns the order in which a group is taken: 0 to 1.5 for rates, 2 for what may be rates,
     3 to 5 for orientations, 6 for others, which are taken by their name alone."""
     names = table.named_as(group.columns)
     if len(group.columns) > 3:
@@ -137,7 +137,7 @@ def _rank(table: Table, group: Group, kind: str | None, oriented: bool, why: lis
         if not is_sure and (reason := gravity(table.array(group))):
             why.append(f"{names} are not rates: {reason}")
             return 6
-        return 0 if "gyr" in label and not re.search(r"uncal|raw", label) else 1
+        return ("gyr" not in label) + bool(re.search(r"uncal|raw", label)) / 2
     if kind is None:
         reason = None if oriented else not_rates(table.array(group))
         if reason:
@@ -161,7 +161,7 @@ def choose(tables: list[Table], path: Path, topic: str | None) -> tuple[Table, G
     """
     hint = "name the columns with --columns TIME,X,Y,Z"
     of_file = sensor_of(path.name.removesuffix(path.suffix)) if len(tables) == 1 else None
-    found: list[tuple[int, Table, Group]] = []
+    found: list[tuple[float, Table, Group]] = []
     why: list[str] = []
     for table in tables:
         own = groups(table)
@@ -185,6 +185,8 @@ def choose(tables: list[Table], path: Path, topic: str | None) -> tuple[Table, G
     # Orientations only where there are no rates; and not those of a robot that has none.
     for rank in sorted({f[0] for f in found}):
         best = [f for f in found if f[0] == rank and (rank not in (3, 4, 5) or _is_orientation(f[1], f[2]))]
+        if rank in (3, 4) and not best:
+            why.append(f"{' and '.join(f[1].named_as(f[2].columns) for f in found if f[0] == rank)} are no rotations: not of size 1, or constant")
         if len(best) > 1:
             best = [f for f in best if np.nan_to_num(f[1].array(f[2])).any()] or best
         if len(best) == 1:
@@ -250,6 +252,8 @@ def _unit_of_rates(
             return found, 1.0, "by the gravity beside them"
     except Unreadable:
         pass
+    if odd := re.search(r"[\[(]([^\[\]()]+/s\w*)[\])]", table.names[group.columns[0]] + f"[{table.units[group.columns[0]]}]"):
+        raise Unreadable(f"the unit {odd[1]!r} of {table.names[group.columns[0]]!r} is not known: give --unit")
     unit = plausible_rate(values, t)
     if group.unit == ("counts", "") or (unit == "mdps" and (values == np.round(values)).all()):
         raise Unreadable(

@@ -11,7 +11,7 @@ import csv
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -36,6 +36,7 @@ _THOUSANDS = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
 }
 _COMMENT = re.compile(r"\s*(#|%|//|[;!](?=\s))+\s*")
+_TITLE = re.compile(r"[\[#=\s]*[A-Za-z][A-Za-z ]*[\]:=\s]*")
 _LABEL = re.compile(r"([A-Za-z][\w .\[\]()/]*?)\s*[:=]\s*([-+]?\d[\d.]*(?:[eE][-+]?\d+)?)")
 Row = tuple[int, list[str]]
 
@@ -57,6 +58,8 @@ class Dialect:
         # Stamps of Arduino's monitor; checksums of NMEA.
         line = line.replace("−", "-").replace(" -> ", self.delimiter or " ").strip("\r\n")
         line = re.sub(r"\*[0-9A-F]{2}$", "", line) if line.startswith("$") else line
+        # Lists and tuples of Python.
+        line = line.strip(" [](),") if line.startswith(("[", "(")) and line.endswith(("]", ")", ",")) else line
         if self.delimiter is None:
             return line.split()
         fields = next(csv.reader([line], delimiter=self.delimiter), []) if '"' in line else line.split(self.delimiter)
@@ -126,7 +129,7 @@ class Dialect:
 _DIALECTS = [Dialect(*d) for d in (";.", ";,", "\t.", "\t,", ",.", ",,", "|.")] + [Dialect(None, "."), Dialect(None, ",")]
 
 
-def sniff(lines: list[str]) -> Dialect:
+def sniff(lines: list[str], among: Sequence[Dialect] = _DIALECTS) -> Dialect:
     """Returns the dialect in which the most fields of the lines are numbers and the fewest words.
 
     Raises:
@@ -140,12 +143,12 @@ def sniff(lines: list[str]) -> Dialect:
         rows = (one.split(line) for line in lines if one.delimiter is None or one.delimiter in line)
         return sum(one.score(row) or 0 for row in rows if len(row) > 2)
 
-    scores = [score(one) for one in _DIALECTS]
+    scores = [score(one) for one in among]
     if max(scores) <= 0:
         # The one with the most digits is a row, if any is.
         shown = max(lines, key=lambda line: sum(map(str.isdigit, line[:200])), default="").strip()[:60]
         raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
-    return _DIALECTS[int(np.argmax(scores))]
+    return among[int(np.argmax(scores))]
 
 
 @dataclass
@@ -344,14 +347,17 @@ def table(name: str, names: list[str], rows: list[Row], **more: Any) -> Table:
 def tables(lines: Iterable[tuple[int, str]], dialect: Dialect, notes: list[str]) -> list[Table]:
     """Returns the tables of a text."""
     parts: dict[tuple[str, ...], tuple[str, list[Row], dict[str, Any]]] = {}
-    for block in blocks(lines, dialect, notes):
+    for block in (found := blocks(lines, dialect, notes)):
         usual = Counter(len(f) for _, f in block.rows).most_common(1)[0][0]
+        # Of several tables, the line above that names the sensor.
+        titles = [text.strip("[]#:= ") for _, _, text in block.header if _TITLE.fullmatch(text) and sensor_of(text) and found[1:]]
         header = _header(block, usual, dialect)
         for word, rows in _apart(block, header["names"], header["named"]).items():
             width = Counter(len(f) for _, f in rows).most_common(1)[0][0]
             own = header if width == usual else _header(block, width, dialect)
             if names := _of_comment(block, word, width, dialect):
                 own = {"names": names, "named": True}
+            word = word or (titles[-1] if titles and own["named"] else "")
             key = (word, *own["names"], "" if own["named"] else str(len(parts)))
             if key in parts:
                 parts[key][2]["restarts"].append(len(parts[key][1]))
@@ -376,6 +382,8 @@ def open_text(path: Path) -> IO[str]:
 def lines_of(file: IO[str]) -> Iterator[tuple[int, str]]:
     """Yields number and text of each line."""
     for number, line in enumerate(file, 1):
+        # Cards are filled with zeros.
+        line = line.strip("\0")
         if len(line) > LONGEST_LINE:
             raise Unreadable(f"line {number} without end; expected lines of text")
         yield number, line
@@ -395,12 +403,12 @@ def _labelled(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
 def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
     """Returns the form of a text file, and its tables."""
     with open_text(path) as file:
-        head = file.read(HEAD)
+        head = (whole_head := file.read(HEAD)).rstrip("\0")
         if not head.strip():
             raise Unreadable("it is empty")
         if "\0" in head:
             raise Unreadable("no text, and no recording that is known")
-        whole = head.splitlines()[:-1] if len(head) == HEAD else head.splitlines()
+        whole = head.splitlines()[:-1] if len(whole_head) == HEAD else head.splitlines()
         if any(len(line) > LONGEST_LINE for line in whole) or not whole:
             raise Unreadable("a line without end; expected lines of text")
         if sum(len(_LABEL.findall(line)) > 2 for line in whole[:50]) > min(len(whole), 50) / 2:
@@ -412,7 +420,7 @@ def read_tables(path: Path, notes: list[str]) -> tuple[str, list[Table]]:
             return "text with labels", found
         dialect = sniff(whole[:400])
         file.seek(0)
-        if len(head) == HEAD:
+        if len(whole_head) == HEAD:
             first = tables(enumerate(whole, 1), dialect, more := [])
             if not more and len(first) == 1 and _at_once(file, first[0]):
                 return dialect.name, first

@@ -16,7 +16,7 @@ import numpy as np
 
 from . import rules
 from ._recording import Unreadable
-from .columns import Group, Table, axis_of, kind_of, rising, split_unit, unit_of, words_of
+from .columns import Group, Table, axis_of, kind_of, split_unit, unit_of, unnamed_times, words_of
 from .rules import MORE_TIME, TIME_UNITS
 
 _TIMES = [(rank, re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])")) for rank, words in rules.TIMES]
@@ -26,9 +26,9 @@ LONGEST_STEP_S, SHORTEST_STEP_S = 0.2, 1e-4
 MOST_REPEATED = 0.2
 #: Samples in a row that may be missing where a counter wraps.
 MOST_SKIPPED = 20
-#: Where counters of 16, 24, 32 bits wrap, also of µs given in ms or s and of ticks in s; and times of
+#: Where counters of 16, 24, 31, 32 bits wrap, also of µs given in ms or s and of ticks in s; and times of
 #: a minute, an hour, a day or a week, s.
-MODULI = [2.0**bits / part for bits in (16, 24, 32) for part in (1, 1e3, 1e6, 32768)]
+MODULI = [2.0**bits / part for bits in (16, 24, 31, 32) for part in (1, 1e3, 1e6, 32768)]
 PERIODS_S = (60, 3600, 86400, 604800)
 
 
@@ -131,7 +131,9 @@ def plausible_unit(step: float, rate: float | None) -> str:
 
 def rate_of(settings: dict[str, str]) -> float | None:
     """Returns the rate that a file states above its rows, Hz."""
-    for name in sorted(settings, key=lambda name: "capture" in name):
+    for name in sorted(settings, key=lambda name: ("gyr" not in name, "capture" in name)):
+        if rules.OTHER_RATE.search(name):
+            continue
         found = re.match(r"(\d+(?:[.,]\d+)?)", settings[name])
         if found and re.search(r"\b(rate|frequency|freq|fs|odr|sampling|sps)\b", name.replace("_", " ")):
             if 1 <= (value := float(found[1].replace(",", "."))) <= 20000:
@@ -149,9 +151,7 @@ def _is_moment(table: Table, column: int) -> bool:
 def time_columns(table: Table) -> list[tuple[int, int]]:
     """Returns rank and number of each column of times."""
     if not table.named:
-        # A counter of the sensor precedes a date, which a logger adds, and a count of the rows.
-        steps = {k: set(np.diff(table.numbers(k))) if table.is_numeric(k) else set() for k in rising(table)}
-        return [(2 if own == {1.0} else 0 if own else 1, k) for k, own in steps.items()]
+        return list(enumerate(unnamed_times(table)))
     out = []
     for column, name in enumerate(table.names):
         words, unit = split_unit(name, table.units[column])
@@ -335,16 +335,17 @@ class Clock:
         added, steps, cuts = np.zeros(len(raw)), np.diff(raw), [0]
         moduli = MODULI + ([period * 1e9 / scale for period in PERIODS_S] if scale else [256.0])
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        for k in np.flatnonzero(steps < -20 * step).tolist():
+        far = min(20 * step, float(np.ptp(raw)) / 2 if len(raw) else 0.0)
+        for k in np.flatnonzero(steps < -far).tolist():
             # One bad stamp among good ones.
-            if (k + 2 < len(raw) and raw[k + 2] > raw[k] - 20 * step) or (k and raw[k + 1] > raw[k - 1] - 20 * step):
+            if (k + 2 < len(raw) and raw[k + 2] > raw[k] - far) or (k and raw[k + 1] > raw[k - 1] - far):
                 continue
             fits = [m for m in moduli if _wraps(raw[k], raw[k + 1], m, step)]
             if fits:
                 added[k + 1 :] += fits[0]
                 where = self.table.line(int(self.rows[k + 1]))
                 self.notes.append(f"{where}: {name} wraps at {fits[0]:.10g}; it goes on there")
-            elif any(_wraps(raw[k], raw[k + 1], m, step) for m in (1e3, 1e6, 1e9)):
+            elif scale and _wraps(raw[k], raw[k + 1], 1e9 / scale, step):
                 raise Unreadable(
                     f"{self.table.line(int(self.rows[k + 1]))}: {name} falls from {raw[k]:.10g} to {raw[k + 1]:.10g}, as parts of "
                     "a second do: give the seconds too, as --columns SECONDS+PARTS,X,Y,Z"
@@ -377,7 +378,9 @@ class Clock:
                 once = np.r_[True, ~same]
                 self.rows, raw, times.ns, steps = self.rows[once], raw[once], times.ns[once], steps[~same]
                 self.notes.append(f"{same.sum()} rows repeat both time and values of the one before: left out")
-        share = float(np.mean(steps == 0)) if len(steps) else 0.0
+        if not steps.any():
+            raise Unreadable(f"times of {name!r} are the same in all rows; give --rate HZ of the rows")
+        share = float(np.mean(steps == 0))
         if share > MOST_REPEATED:
             step = np.median(steps[steps > 0]) * scale * 1e-9 if (steps > 0).any() else 0
             hint = "; a spreadsheet that saves minutes and seconds does this: export it again without" if times.is_moment else ""
