@@ -50,10 +50,8 @@ pub(crate) fn check() -> Result<()> {
 
 /// Counts what has a letter or a digit, so that the bars of tables are no words.
 fn words(text: &str) -> usize {
-    let words = text.split_whitespace();
-    words
-        .filter(|word| word.contains(char::is_alphanumeric))
-        .count()
+    let is_word = |word: &&str| word.contains(char::is_alphanumeric);
+    text.split_whitespace().filter(is_word).count()
 }
 
 /// Builds the book into `target/book` and checks it.
@@ -109,9 +107,7 @@ fn help(program: &Path, words: &[&str]) -> Result<String> {
     let text = process::text(process::command(program).args(words).arg("--help"))?;
     let title = [&["smartdepthsync"], words].concat().join(" ");
     let mut out = format!("\n## {title}\n\n```text\n{}\n```\n", text.trim());
-    let below = text
-        .split_once("\nCommands:\n")
-        .map_or("", |(_, list)| list);
+    let (_, below) = text.split_once("\nCommands:\n").unwrap_or_default();
     for line in below.lines().take_while(|line| !line.is_empty()) {
         let name = line.split_whitespace().next().unwrap_or_default();
         if line.starts_with("  ") && !line.starts_with("   ") && name != "help" {
@@ -167,7 +163,7 @@ fn check_links(source: &Path, root: &Path) -> Result<()> {
     Ok(())
 }
 
-fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Option<String> {
+fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Option<&'static str> {
     if link.contains("://") || link.starts_with("mailto:") {
         return None;
     }
@@ -177,15 +173,10 @@ fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Opti
         _ => page.parent()?.join(file),
     };
     let Ok(target) = target.canonicalize() else {
-        return Some("no such file".to_owned());
+        return Some("no such file");
     };
-    if fragment.is_empty() {
-        return None;
-    }
-    match pages.get(&target) {
-        Some(target) if !target.anchors.contains(fragment) => Some("no such heading".to_owned()),
-        _ => None,
-    }
+    let page = pages.get(&target).filter(|_| !fragment.is_empty())?;
+    (!page.anchors.contains(fragment)).then_some("no such heading")
 }
 
 fn parse(text: &str) -> Page {
@@ -198,20 +189,14 @@ fn parse(text: &str) -> Page {
             }
             Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
             Event::End(TagEnd::Heading(_)) => {
-                if let Some(title) = heading.take() {
-                    let slug = slug(&title);
-                    let mut anchor = slug.clone();
-                    let mut count = 0;
-                    while !page.anchors.insert(anchor.clone()) {
-                        count += 1;
-                        anchor = format!("{slug}-{count}");
-                    }
-                }
+                let slug = slug(&heading.take().unwrap_or_default());
+                let more = (1..).map(|count| format!("{slug}-{count}"));
+                let mut anchors = std::iter::once(slug.clone()).chain(more);
+                let anchor = anchors.find(|anchor| !page.anchors.contains(anchor));
+                page.anchors.extend(anchor);
             }
             Event::Text(text) | Event::Code(text) if heading.is_some() => {
-                if let Some(title) = &mut heading {
-                    title.push_str(&text);
-                }
+                heading.get_or_insert_default().push_str(&text);
             }
             Event::Code(text) if is_source(&text) => page.sources.push(text.into_string()),
             _ => {}
@@ -226,18 +211,9 @@ fn is_source(code: &str) -> bool {
 
 /// The id that mdBook gives a heading.
 fn slug(title: &str) -> String {
-    title
-        .trim()
-        .chars()
-        .filter(|c| c.is_alphanumeric() || c.is_whitespace() || "-_".contains(*c))
-        .map(|c| {
-            if c.is_whitespace() {
-                '-'
-            } else {
-                c.to_ascii_lowercase()
-            }
-        })
-        .collect()
+    let is_kept = |c: &char| c.is_alphanumeric() || c.is_whitespace() || "-_".contains(*c);
+    let kept: String = title.trim().chars().filter(is_kept).collect();
+    kept.to_ascii_lowercase().replace(char::is_whitespace, "-")
 }
 
 #[cfg(test)]

@@ -157,34 +157,27 @@ fn typed(command: &Command) -> String {
     let quoted = |text: &OsStr| {
         let text = text.to_string_lossy();
         let is_plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
-        if !text.is_empty() && text.chars().all(is_plain) {
-            text.into_owned()
-        } else {
-            format!("'{}'", text.replace('\'', r"'\''"))
+        match !text.is_empty() && text.chars().all(is_plain) {
+            true => text.into_owned(),
+            false => format!("'{}'", text.replace('\'', r"'\''")),
         }
     };
     let mut words = Vec::new();
-    let folder = command
-        .get_current_dir()
-        .filter(|folder| **folder != root());
-    if let Some(folder) = folder {
+    let folder = command.get_current_dir().unwrap_or(Path::new("."));
+    if folder != root() {
         let from_root = folder.strip_prefix(root()).unwrap_or(folder);
-        words.extend([
-            "cd".to_owned(),
-            quoted(from_root.as_os_str()),
-            "&&".to_owned(),
-        ]);
+        words.push(format!("cd {} &&", quoted(from_root.as_os_str())));
     }
     for (name, value) in command.get_envs() {
         words.extend(value.map(|value| format!("{}={}", name.to_string_lossy(), quoted(value))));
     }
     let program = Path::new(command.get_program());
     let is_cargo = program.file_stem().is_some_and(|stem| stem == "cargo");
-    words.push(quoted(if is_cargo {
-        OsStr::new("cargo")
+    words.push(if is_cargo {
+        "cargo".to_owned()
     } else {
-        program.as_os_str()
-    }));
+        quoted(program.as_os_str())
+    });
     words.extend(command.get_args().map(quoted));
     words.join(" ")
 }
@@ -202,13 +195,8 @@ pub(crate) fn text(command: &mut Command) -> Result<String> {
 
 /// Returns true if a program runs and ends with success.
 pub(crate) fn answers(program: impl AsRef<OsStr>, args: &[&str]) -> bool {
-    Command::new(program)
-        .args(args)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success())
+    let output = Command::new(program).args(args).output();
+    output.is_ok_and(|output| output.status.success())
 }
 
 /// Runs cargo at the root.

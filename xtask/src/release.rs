@@ -69,14 +69,12 @@ pub(crate) fn make() -> Result<()> {
     process::run(release.reproducibly(&mut data).arg("--no-build-isolation"))?;
     let compiler = process::text(process::command("rustc").arg("-vV"))?;
     fs::write(release.dist.join("TOOLCHAIN"), compiler + "\n")?;
-    let mut names = Vec::new();
-    for file in fs::read_dir(&release.dist)? {
-        names.push(file?.file_name());
-    }
-    names.sort();
-    let mut sums = Command::new("sha256sum");
-    let sums = process::text(sums.args(names).current_dir(&release.dist))?;
-    fs::write(release.dist.join("SHA256SUMS"), sums + "\n")?;
+    let sums = "export LC_ALL=C; sha256sum -- * >SHA256SUMS";
+    process::run(
+        process::command("sh")
+            .args(["-c", sums])
+            .current_dir(&release.dist),
+    )?;
     release.try_it()?;
     println!("the release: {}", release.dist.display());
     Ok(())
@@ -271,10 +269,11 @@ fn write_completions_and_manual(program: &Path, share: &Path) -> Result<()> {
     }
     let man = share.join("man/man1");
     process::run(process::command(program).arg("man").arg(&man))?;
-    for page in fs::read_dir(&man)? {
-        process::run(process::command("gzip").arg("-9n").arg(page?.path()))?;
-    }
-    Ok(())
+    process::run(
+        process::command("gzip")
+            .args(["-9n", "--recursive"])
+            .arg(&man),
+    )
 }
 
 /// Copies a file or folder into a folder.

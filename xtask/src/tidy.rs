@@ -105,10 +105,7 @@ fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
         let rest = path.strip_prefix(folder);
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
     };
-    let inside = rooms
-        .iter()
-        .map(|room| room.folder)
-        .filter(|folder| holds(folder));
+    let inside = rooms.iter().map(|room| room.folder).filter(|it| holds(it));
     inside.max_by_key(|folder| folder.len()).unwrap_or_default()
 }
 
@@ -116,27 +113,19 @@ fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
 fn wrong_imports(page: &str, crates: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut wrong = Vec::new();
     let rooms = rooms(page);
-    for Room {
-        folder, imports, ..
-    } in &rooms
-    {
-        let inside = crates
-            .iter()
-            .filter(|(path, _)| room_of(path, &rooms) == *folder);
-        let found: BTreeSet<&str> = (inside.flat_map(|(_, imported)| imported))
-            .map(|path| room_of(path, &rooms))
-            .filter(|room| room != folder)
-            .collect();
-        for room in found.difference(imports) {
-            wrong.push(format!(
-                "{folder} imports {room}, which {PAGE} does not allow"
-            ));
-        }
-        for room in imports.difference(&found) {
-            wrong.push(format!(
-                "{folder} imports nothing of {room}, although {PAGE} says so"
-            ));
-        }
+    for room in &rooms {
+        let (own, stated) = (room.folder, &room.imports);
+        let inside = crates.iter().filter(|it| room_of(it.0, &rooms) == own);
+        let imported = inside.flat_map(|it| it.1).map(|path| room_of(path, &rooms));
+        let found: BTreeSet<&str> = imported.filter(|other| *other != own).collect();
+        let more = found.difference(stated);
+        wrong.extend(
+            more.map(|other| format!("{own} imports {other}, which {PAGE} does not allow")),
+        );
+        let less = stated.difference(&found);
+        wrong.extend(
+            less.map(|other| format!("{own} does not import {other}, although {PAGE} says so")),
+        );
     }
     let homeless = crates
         .keys()

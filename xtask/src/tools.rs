@@ -130,11 +130,16 @@ fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
         return Ok(python);
     }
     println!("making the Python environment {}", venv.display());
-    if !make_venv(&venv) {
+    let make = || {
+        process::run(
+            process::command("python3")
+                .args(["-m", "venv", "--clear"])
+                .arg(&venv),
+        )
+    };
+    if make().is_err() {
         apt_install(&["python3", "python3-venv"])?;
-        if !make_venv(&venv) {
-            bail!("python3 -m venv {} fails", venv.display());
-        }
+        make()?;
     }
     pip_install(&python, &["-r"], &requirements)?;
     fs::write(&stamp, wanted).with_context(|| format!("cannot write {}", stamp.display()))?;
@@ -150,15 +155,6 @@ pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Resul
             .args(options)
             .arg(file),
     )
-}
-
-fn make_venv(venv: &Path) -> bool {
-    Command::new("python3")
-        .args(["-m", "venv", "--clear"])
-        .arg(venv)
-        .stdout(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success())
 }
 
 /// Makes sure that the compiler has the library of a target.
