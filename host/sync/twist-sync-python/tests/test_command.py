@@ -258,6 +258,13 @@ def write_bag(path, kind, samples, topics=("/imu/data",)):
 
 
 class Bags(Folder):
+    """With readers in this process; that of others is tested in `Others`."""
+
+    def setUp(self):
+        super().setUp()
+        self.addCleanup(setattr, files, "_in_process", files._in_process)
+        files._in_process = files._read_here
+
     def test_bags_of_every_storage_are_read_and_written_again(self):
         expected = self.offset(A, B)
         for kind, name in [("ros1", "b.bag"), ("sqlite3", "b"), ("mcap", "b")]:

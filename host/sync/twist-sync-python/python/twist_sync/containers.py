@@ -52,14 +52,12 @@ def arrays(found: dict[str, Any]) -> list[Table]:
     return out
 
 
-def npy(path: Path) -> Read:
-    """Reads an array of numpy: of records, or a matrix of columns without names."""
-    return "npy", arrays({"array": np.load(path, allow_pickle=False)})
-
-
-def npz(path: Path) -> Read:
-    """Reads arrays of numpy."""
-    with np.load(path, allow_pickle=False) as file:
+def of_numpy(path: Path) -> Read:
+    """Reads arrays of numpy: one of records, a matrix of columns without names, or several."""
+    found = np.load(path, allow_pickle=False)
+    if isinstance(found, np.ndarray):
+        return "npy", arrays({"array": found})
+    with found as file:
         return "npz", arrays({name: file[name] for name in file.files})
 
 
@@ -329,8 +327,8 @@ def gpmf(path: Path) -> Read:
 
 #: Readers by kind of file.
 READERS: dict[str, Callable[[Path], Read]] = {
-    "npy": npy,
-    "npz": npz,
+    "npy": of_numpy,
+    "npz": of_numpy,
     "mat": mat,
     "xlsx": xlsx,
     "ulg": ulg,

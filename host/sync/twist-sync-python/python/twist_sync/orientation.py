@@ -17,16 +17,8 @@ LARGEST_TURN = 0.8
 
 def multiplied(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Returns the products of quaternions w, x, y, z, shape (n, 4)."""
-    w, x, y, z = p.T
-    a, b, c, d = q.T
-    return np.column_stack(
-        [
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ]
-    )
+    a, u, b, v = p[:, :1], p[:, 1:], q[:, :1], q[:, 1:]
+    return np.hstack([a * b - (u * v).sum(axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
 
 
 def is_quaternion(q: np.ndarray) -> bool:
@@ -46,24 +38,15 @@ def is_matrix(m: np.ndarray) -> bool:
 
 
 def of_matrix(m: np.ndarray) -> np.ndarray:
-    """Returns the quaternions of rotation matrices, shape (n, 9): by the largest of the four
-    components, <https://doi.org/10.2514/3.55767b>."""
+    """Returns the quaternions of rotation matrices, shape (n, 9): of the matrix of their products,
+    4 q qᵀ, the row of the largest component, <https://doi.org/10.2514/3.55767b>."""
     m = m.reshape(-1, 3, 3)
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    squares = np.column_stack([xx + yy + zz, xx, yy, zz])
-    largest = np.argmax(squares, axis=1)
-    a, b, c = m[:, 2, 1], m[:, 0, 2], m[:, 1, 0]
-    d, e, f = m[:, 1, 2], m[:, 2, 0], m[:, 0, 1]
-    forms = np.stack(
-        [
-            np.column_stack([1 + xx + yy + zz, a - d, b - e, c - f]),
-            np.column_stack([a - d, 1 + xx - yy - zz, c + f, b + e]),
-            np.column_stack([b - e, c + f, 1 - xx + yy - zz, a + d]),
-            np.column_stack([c - f, b + e, a + d, 1 - xx - yy + zz]),
-        ],
-        axis=1,
-    )
-    q = forms[np.arange(len(m)), largest]
+    trace = np.trace(m, axis1=1, axis2=2)[:, None, None]
+    turn = m - m.transpose(0, 2, 1)
+    first = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)[:, None]
+    rest = m + m.transpose(0, 2, 1) + (1 - trace) * np.eye(3)
+    forms = np.block([[1 + trace, first], [first.transpose(0, 2, 1), rest]])
+    q = forms[np.arange(len(m)), np.argmax(np.diagonal(forms, axis1=1, axis2=2), axis=1)]
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
