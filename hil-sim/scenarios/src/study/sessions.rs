@@ -6,7 +6,8 @@
 //! profile of a first set-up. A calibration with LED and photodiode teaches the profile, as on a
 //! new rig; its own phase is that of a rig that is not calibrated. A longer session follows, with
 //! the phone on a cable, so that the trigger follows its clock. The phase is that of the ground
-//! truth.
+//! truth; `evaluate precision` measures it on the video too, by a way that shares nothing with
+//! LED, photodiode and gyroscopes.
 
 use std::path::Path;
 
@@ -26,9 +27,9 @@ use super::{Figure, Specimen};
 use crate::calibration::{self, LED_SECONDS};
 use crate::frame_phase::{PhaseError, summarise};
 use crate::judge::{Truth, Verdict};
-use crate::programs::Programs;
+use crate::programs::{Programs, ask};
 use crate::virtual_session::SessionBench;
-use crate::whole_chain::new_folder;
+use crate::whole_chain::{new_folder, number};
 
 /// Time over which a recording's phase is given besides the whole of it, seconds.
 const FIVE_MINUTES_S: f64 = 300.0;
@@ -89,12 +90,25 @@ pub fn figures(
         sigma: Some(sigma),
     });
     let mut wishes = calibration::wishes(&bench, "recording", seconds, Track::Always);
-    (wishes.second_twist, wishes.fetch_video) = (false, false);
+    wishes.second_twist = false;
     let next = bench.run(&wishes).good()?.folder;
     let truth = Truth::from_run(bench.stop()?)?;
     let mut figures = vec![at_start("not calibrated", &truth.judge(&first)?)];
     figures.extend(learnt);
-    figures.extend(judged("calibrated", &truth.judge(&next)?));
+    let verdict = truth.judge(&next)?;
+    figures.extend(judged("calibrated", &verdict));
+    // A video on which no flashes are found says so.
+    match ask(programs, &["evaluate", "precision"], &[&next]) {
+        Ok(answer) => {
+            let found = &answer["recordings"][0];
+            figures.push(Figure {
+                name: "calibrated: phase by the strobes on the video (µs)".to_owned(),
+                error: number(found, "bias_us")?,
+                sigma: Some(number(found, "sigma_us")?.hypot(verdict.phase_sigma_us)),
+            });
+        }
+        Err(error) => eprintln!("seed {}: {error:#}", rig.seed),
+    }
     Ok(figures)
 }
 
