@@ -565,9 +565,7 @@ fn shift_of_encoders() {
                 println!("{seed:4} refused {quality:?}");
                 continue;
             };
-            let shift = scene.error(&found).lines - raw;
-            println!("bands of {:.1} grey levels: {shift:.2} lines", found.height);
-            shifts.push(shift);
+            shifts.push(scene.error(&found).lines - raw);
         }
     }
     for (quality, shifts) in ENCODERS.into_iter().zip(of_each) {

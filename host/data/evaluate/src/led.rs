@@ -112,8 +112,6 @@ pub struct MeasuredRows {
     pub direction: Direction,
     /// Exposure of a row, µs, from the length of the bands.
     pub exposure_us: f64,
-    /// Mean height of the bands, grey levels.
-    pub height: f64,
     /// Frames that were used.
     pub frames: usize,
     /// Flashes that were used.
@@ -280,7 +278,6 @@ pub fn measure(
         rows: view.rows(),
         direction,
         exposure_us: place.exposure_us,
-        height: fitted.height,
         frames,
         flashes: code.flashes.len(),
         score,

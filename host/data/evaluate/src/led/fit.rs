@@ -41,32 +41,6 @@ pub(super) struct Fitted {
     pub(super) sigmas: [f64; 2],
     /// Difference of the middle at the longer and at the shorter period, and its 1-sigma, µs.
     pub(super) disagreement_us: [f64; 2],
-    /// Mean height of the bands where they show the middle, grey levels.
-    pub(super) height: f64,
-}
-
-/// Sums over groups of lines.
-#[derive(Default)]
-struct Sums {
-    /// Normal equations of each part of the recording, the two kinds in turn.
-    blocks: Vec<Normal>,
-    /// Information about the middle, and the same times the height of the bands.
-    information: f64,
-    heights: f64,
-}
-
-impl Sums {
-    fn plus(mut self, other: Self) -> Self {
-        if self.blocks.is_empty() {
-            return other;
-        }
-        for (sum, block) in self.blocks.iter_mut().zip(other.blocks) {
-            *sum = sum.plus(block);
-        }
-        self.information += other.information;
-        self.heights += other.heights;
-        self
-    }
 }
 
 /// Normal equations of a part of the recording.
@@ -119,16 +93,12 @@ struct Data<'a> {
 pub(super) fn fit(film: View<'_>, code: &Code, mut place: Place) -> Fitted {
     let data = Data::new(film, code);
     let mut sigmas = film.sigmas().to_vec();
-    let mut sums = Sums::default();
+    let mut blocks = Vec::new();
     place.exposure_us = place.exposure_us.max(WIDE_US);
     for round in 0..ROUNDS.iter().sum() {
         let is_wide = round < ROUNDS[0];
-        sums = data.sums(&place, &mut sigmas, MODEL_ERROR[usize::from(!is_wide)]);
-        let mut all = sums
-            .blocks
-            .iter()
-            .copied()
-            .fold(Normal::default(), Normal::plus);
+        blocks = data.normals(&place, &mut sigmas, MODEL_ERROR[usize::from(!is_wide)]);
+        let mut all = blocks.iter().copied().fold(Normal::default(), Normal::plus);
         if is_wide {
             all = all.without_exposure();
         }
@@ -140,7 +110,6 @@ pub(super) fn fit(film: View<'_>, code: &Code, mut place: Place) -> Fitted {
             break;
         }
     }
-    let blocks = sums.blocks;
     let all = blocks.iter().copied().fold(Normal::default(), Normal::plus);
     let rest = |place: usize| blocks.get(place).map(|&block| all.minus(block));
     let steps: Vec<Vector3<f64>> = (0..blocks.len())
@@ -183,7 +152,6 @@ pub(super) fn fit(film: View<'_>, code: &Code, mut place: Place) -> Fitted {
         place,
         sigmas: [sigma(0), sigma(1)],
         disagreement_us,
-        height: sums.heights / sums.information,
     }
 }
 
@@ -236,17 +204,33 @@ impl<'a> Data<'a> {
         }
     }
 
-    /// Sums over all groups; renews their 1-sigmas.
-    fn sums(&self, place: &Place, sigmas: &mut [f64], model: f64) -> Sums {
+    /// Normal equations of each part of the recording, the two kinds in turn; renews the
+    /// 1-sigmas of the groups.
+    fn normals(&self, place: &Place, sigmas: &mut [f64], model: f64) -> Vec<Normal> {
         let rows = self.film.places().par_iter();
         let groups = rows.zip(sigmas.par_iter_mut()).enumerate();
         let each =
             groups.map(|(group, (&row, sigma))| self.of_group(group, row, place, sigma, model));
-        each.reduce(Sums::default, Sums::plus)
+        each.reduce(
+            || vec![Normal::default(); 2 * BLOCKS],
+            |mut sum, blocks| {
+                for (sum, block) in sum.iter_mut().zip(blocks) {
+                    *sum = sum.plus(block);
+                }
+                sum
+            },
+        )
     }
 
     /// The same of one group of lines.
-    fn of_group(&self, group: usize, row: f64, place: &Place, sigma: &mut f64, model: f64) -> Sums {
+    fn of_group(
+        &self,
+        group: usize,
+        row: f64,
+        place: &Place,
+        sigma: &mut f64,
+        model: f64,
+    ) -> Vec<Normal> {
         // The bands as the film has them: less the mean of the neighbouring frames.
         let times = self.film.times_us();
         let mut columns: [Vec<f64>; 4] = std::array::from_fn(|_| Vec::with_capacity(times.len()));
@@ -275,10 +259,7 @@ impl<'a> Data<'a> {
             .collect();
         let mut blocks = vec![Normal::default(); 2 * BLOCKS];
         if line.height <= 0.0 {
-            return Sums {
-                blocks,
-                ..Sums::default()
-            };
+            return blocks;
         }
         let weights: Vec<f64> = (0..shape.len())
             .map(|frame| weight(line.rest(&shape, &light, frame), scale))
@@ -307,12 +288,7 @@ impl<'a> Data<'a> {
             }
         }
         *sigma = (squares / total).sqrt().max(1e-6);
-        let information = blocks.iter().map(|block| block.matrix[(0, 0)]).sum();
-        Sums {
-            blocks,
-            information,
-            heights: information * line.height,
-        }
+        blocks
     }
 }
 
