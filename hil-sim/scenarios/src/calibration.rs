@@ -10,7 +10,7 @@ use rig::model_ranges;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
-use rig::wiring::OUTPUTS;
+use rig::wiring::{BoardKind, OUTPUTS, TRIGGER};
 use session::options::{Options, Track, seconds};
 
 use crate::programs::{Programs, ask};
@@ -31,7 +31,10 @@ const CALIBRATION_SECONDS: u32 = 5;
 /// not know, drawn by a seed.
 pub fn hide_constants(seed: Seed, rig: &mut RigConfig, phone: &mut PhoneConfig) {
     model_ranges::draw_constants(seed, rig, phone);
-    let pin = OUTPUTS[OUTPUTS.len() - 1];
+    let pin = match rig.board {
+        BoardKind::Discovery => OUTPUTS[OUTPUTS.len() - 1],
+        BoardKind::BlackPill => TRIGGER,
+    };
     rig.led.get_or_insert(LedConfig::nominal(pin));
 }
 
