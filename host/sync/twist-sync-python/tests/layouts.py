@@ -716,6 +716,8 @@ LAYOUTS = [
            "at 200 Hz", counted=True),
     Layout("time", "two stamps", "ROS tools that add the time of receipt", lambda m: table("recv.sec,recv.nanosec,header.sec,header.nanosec,gx,gy,gz", (m.ns + 10**7) // 10**9, (m.ns + 10**7) % 10**9,
            m.ns // 10**9, m.ns % 10**9, *xyz(m.w)), "'header.sec'", start=_ROS),
+    Layout("rates", "ranges beside names", "loggers that state the range, not the unit", lambda m: "# gyro (2000 dps), acc (16 g)\n" + table(
+        "t,gyro x (2000dps),gyro y (2000dps),gyro z (2000dps)", m.ns * 1e-9, *xyz(m.deg)), "in deg/s (by their size)"),
     Layout("rates", "raw beside scaled", "loggers that keep counts and deg/s", lambda m: table("t,gx_raw,gy_raw,gz_raw,gx,gy,gz", m.ns * 1e-9, *xyz(np.round(m.deg * 131)), *xyz(m.deg)), "'gx'"),
     Layout("orientations", "transforms with times", "rows of a matrix (4, 4) after a time, as of hand-eye tools", lambda m: table("", m.ns * 1e-9, *[
         c for r in range(3) for c in (*m.matrix[:, 3 * r : 3 * r + 3].T, m.acc[:, r])], *(m.s * 0 + k for k in (0, 0, 0, 1)), between=" "), "rotation matrices", ".txt", off=0.06),

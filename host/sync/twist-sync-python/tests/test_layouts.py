@@ -152,6 +152,13 @@ class Pairs(Folder):
                 self.assertLess(abs(pair["skew_ppm"] - 30), 5 * pair["skew_sigma_ppm"] + 3)
 
 
+    def test_columns_that_nothing_names_are_doubted_where_the_motions_differ(self):
+        made = Made(MOTION)
+        positions = self.file("a.csv", layouts.table("time,x,y,z", made.ns * 1e-9, *xyz(np.cumsum(made.w, axis=0) * 0.005)))
+        solved = twist_sync.sync([positions, self.file("b.csv", layouts.sensor_logger(made))])
+        self.assertRegex(report.object_of(solved)["pairs"][0]["reasons"][0], "^nothing says that 'x', 'y', 'z' of a.csv are rates; .*--columns")
+
+
 #: Name, content (of a motion), and words of the one line that is said.
 REFUSED = {
     "a clock that started again": ("a.csv", layouts.reboot, r"line \d+: 't_ms' falls from .* under a repeated header.*FILE@part 1 to FILE@part 2"),

@@ -275,9 +275,8 @@ def _in_process(path: Path, how: str, asked: Asked) -> Recording:
         raise Unreadable(found["error"])
     arrays = io.BytesIO(body)
     t, w, *frames = (np.load(arrays, allow_pickle=False) for _ in range(2 + len(found["frames"])))
-    of_frames = dict(zip(found["frames"], frames, strict=True))
-    more = {name: found[name] for name in ("notes", "topic", "unit_by", "layout")}
-    return Recording(path, found["form"], t, w, of_frames, **more)
+    of_frames = dict(zip(found.pop("frames"), frames, strict=True))
+    return Recording(path, t=t, w=w, frames=of_frames, **found)
 
 
 def _child() -> None:
@@ -301,14 +300,8 @@ def _child() -> None:
         found = _read_here(Path(path), how, Asked(**asked))
         if len(found.t) > samples:
             raise Unreadable(f"{len(found.t)} samples; a file of its size holds up to {samples}: unpack it")
-        head = {
-            "form": found.form,
-            "notes": found.notes,
-            "topic": found.topic,
-            "frames": list(found.frames),
-            "unit_by": found.unit_by,
-            "layout": found.layout,
-        }
+        head = {name: getattr(found, name) for name in ("form", "notes", "topic", "unit_by", "layout")}
+        head["frames"] = list(found.frames)
         arrays = [found.t, found.w, *found.frames.values()]
     # A panic of Rust is no Exception.
     except BaseException as error:

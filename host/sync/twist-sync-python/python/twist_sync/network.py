@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -329,8 +330,10 @@ def _doubts(a: Recording, b: Recording, refused: Refused) -> list[str]:
                 f"{r.name} hardly turns, by {rate:.2g} rad/s in the unit that was given, so that unit is doubted; "
                 "give it with --unit"
             )
-    if {"unique_peak", "residual"} & set(failed):
-        out += [f"{NAMELESS} of {r.name}: {r.form.partition(', ')[2]}" for r in (a, b) if NAMELESS in r.form]
+    if {"explained", "unique_peak", "residual"} & set(failed):
+        for r in (a, b):
+            if NAMELESS in r.form and (named := re.search(r"rates of ('.*?') in ", r.form)):
+                out.append(f"nothing says that {named[1]} of {r.name} are rates; give the gyroscope's columns with --columns TIME,X,Y,Z")
     for r in (a, b) if "sigma" in failed else ():
         if max(step := _step(r.t), r.open_s * 1e9) > 150_000:
             why, remedy = f"the times of {r.name} have steps of {step * 1e-6:.3g} ms", "with more digits"

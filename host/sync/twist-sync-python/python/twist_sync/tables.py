@@ -236,9 +236,10 @@ def _unit_of_rates(
     """Returns the unit of rates, a factor, and who says so."""
     said = table.settings.get("turning in", "")
     for named, by in ((unit_of(unit or ""), "given"), (group.unit, "named"), (unit_of(said), "said above")):
-        if named and named[0] == "rate":
-            number, _, unit = named[1].rpartition(" ")
-            return unit, float(number or 1), by
+        number, _, one = named[1].rpartition(" ") if named and named[0] == "rate" else ("", "", "")
+        # A larger one in a name is the range.
+        if one and (by == "given" or float(number or 1) <= 1):
+            return one, float(number or 1), by
     if "gscale" in table.settings:
         # <https://docs.gyroflow.xyz/app/technical-details/gcsv-format>: rad/s in one count.
         return "rad/s", float(table.settings["gscale"]), "scale in the header"

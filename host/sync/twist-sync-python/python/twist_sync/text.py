@@ -20,7 +20,7 @@ import numpy as np
 
 from ._recording import Unreadable
 from .columns import Table, is_sensor, sensor_of, unit_of
-from .rules import MISSING, MOMENT
+from .rules import MISSING, MOMENT, RATE_UNITS
 
 #: Characters in which the first rows of samples must lie.
 HEAD = 1 << 18
@@ -289,8 +289,9 @@ def settings(block: Block) -> dict[str, str]:
     out: dict[str, str] = {}
     before: list[str] = []
     above = {unit_of(inside) for _, _, text in block.header for inside in re.findall(r"[\[(]([^\[\]()]+)[\])]", text)}
-    if len(turning := [unit for unit in above if unit and unit[0] == "rate"]) == 1:
-        out["turning in"] = turning[0][1]
+    # A number before it is the range.
+    if len(turning := [unit[1] for unit in above if unit and unit[1] in RATE_UNITS]) == 1:
+        out["turning in"] = turning[0]
     for _, fields, text in block.header:
         fields = _stripped(fields)
         pairs = re.findall(r"([A-Za-z][\w ()/]*?)\s*[:=]\s*([+-]?[\d.][^\s,;]*)", text)
