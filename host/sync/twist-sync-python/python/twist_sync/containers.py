@@ -6,7 +6,6 @@ gyroscope. Libraries are extras of the package.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import struct
@@ -103,11 +102,13 @@ def xlsx(path: Path) -> Read:
         lines = [
             "\t".join("" if c is None else str(c) for c in row) for row in sheet.iter_rows(values_only=True)
         ]
-        with contextlib.suppress(Unreadable):
+        try:
             dialect = text.sniff(lines[:400], [text.Dialect("\t"), text.Dialect("\t", ",")])
-            for table in text.tables(enumerate(lines, 1), dialect, []):
-                table.name = table.name or sheet.title
-                out.append(table)
+        except Unreadable:
+            continue
+        for table in text.tables(enumerate(lines, 1), dialect, []):
+            table.name = table.name or sheet.title
+            out.append(table)
     book.close()
     return "XLSX", out
 
