@@ -1,5 +1,5 @@
-//! Licences and sources of all dependencies, from cargo's own tree: that needs no tool and no
-//! network. `deny.toml` says what is allowed; `cargo deny` can read it too.
+//! Licences and sources of all dependencies, checked against `deny.toml` with `cargo tree`, which
+//! needs neither another tool nor the network. `cargo deny` reads the same file.
 
 use std::collections::BTreeSet;
 
@@ -7,8 +7,8 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// Fails on a dependency with a licence that `deny.toml` does not list, or from another place
-/// than the registry.
+/// Fails if a dependency has a licence that `deny.toml` does not list, or does not come from the
+/// registry.
 pub(crate) fn check() -> Result<()> {
     let allowed = allowed()?;
     let licences: BTreeSet<&str> = allowed.split('"').skip(1).step_by(2).collect();
@@ -32,11 +32,11 @@ pub(crate) fn check() -> Result<()> {
     if !wrong.is_empty() {
         bail!("dependencies:\n  {}", wrong.join("\n  "));
     }
-    println!("licences and sources of the dependencies are right");
+    println!("the licences and sources of all dependencies are allowed");
     Ok(())
 }
 
-/// The licences that `deny.toml` allows, in quotes and with commas between.
+/// Returns the licences that `deny.toml` allows, quoted and separated by commas.
 pub(crate) fn allowed() -> Result<String> {
     let deny = process::read(&process::root().join("deny.toml"))?;
     let allowed = deny
@@ -46,9 +46,9 @@ pub(crate) fn allowed() -> Result<String> {
     Ok(allowed.to_owned())
 }
 
-/// Returns true if an SPDX expression can be met with these licences.
+/// Returns true if these licences satisfy an SPDX expression.
 fn is_allowed(expression: &str, licences: &BTreeSet<&str>) -> bool {
-    // Old manifests write a slash for OR.
+    // Old manifests separate alternatives by a slash.
     let expression = expression.replace(" / ", " OR ").replace('/', " OR ");
     expression.split(" AND ").all(|part| {
         part.trim_matches(['(', ')', ' '])

@@ -1,10 +1,9 @@
-//! The book in `docs/`: built by mdBook, and every local link checked.
+//! Builds the book in `docs/` with mdBook, and checks every local link.
 //!
-//! mdBook itself does not fail on a broken link, so the links are walked here:
-//! a relative target must exist, a fragment must be the slug of a heading of
-//! its page, every page must be listed in `SUMMARY.md`, and the book stays short. A file of the source tree
-//! that a page names in code, from the root, must exist too. So must what README and
-//! CONTRIBUTING link to.
+//! mdBook itself does not fail on a broken link. Here a relative target must exist, a fragment
+//! must be the slug of a heading of its page, every page must be listed in `SUMMARY.md`, and the
+//! book must stay short. A file of the source tree that a page names in code, by its path from
+//! the root, must exist too. The same holds for README and CONTRIBUTING.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -17,10 +16,10 @@ use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
 
-/// The most words of all pages, without the help of the commands and the files that they show.
+/// Largest number of words of all pages, not counting the commands' help and included files.
 const MOST_WORDS: usize = 18_000;
 
-/// The folders whose files the book names by their path from the root.
+/// Folders whose files the book names by their path from the root.
 const SOURCES: [&str; 6] = [
     "firmware/",
     "protocol/",
@@ -30,9 +29,9 @@ const SOURCES: [&str; 6] = [
     "docs/",
 ];
 
-/// Fails on any broken local link of the book, and if it is too long.
+/// Fails if a local link of the book is broken, or if the book is too long.
 pub(crate) fn check() -> Result<()> {
-    // A folder of its own: a test does this too, and may run at the same time.
+    // In a folder of its own, since a test does the same and may run at the same time.
     let source = pages(None, &format!("book-check-{}", std::process::id()))?;
     let links = check_links(&source, &process::root());
     fs::remove_dir_all(source)?;
@@ -42,13 +41,13 @@ pub(crate) fn check() -> Result<()> {
         count += words(&process::read(&path)?);
     }
     if count > MOST_WORDS {
-        bail!("the book has {count} words, expected at most {MOST_WORDS}: shorten it");
+        bail!("the book has {count} words, expected at most {MOST_WORDS}; shorten it");
     }
-    println!("the book's links hold; it has {count} words of at most {MOST_WORDS}");
+    println!("no link of the book is broken; it has {count} of at most {MOST_WORDS} words");
     Ok(())
 }
 
-/// Counts what has a letter or a digit, so that the bars of tables are no words.
+/// Counts the words that contain a letter or a digit, so not the bars of tables.
 fn words(text: &str) -> usize {
     let is_word = |word: &&str| word.contains(char::is_alphanumeric);
     text.split_whitespace().filter(is_word).count()
@@ -68,8 +67,9 @@ pub(crate) fn build_and_check() -> Result<()> {
     Ok(())
 }
 
-/// Copies the pages to a folder of this name in cargo's target folder. A line `{{file PATH}}` becomes that file from the
-/// root, and `{{help}}` the help of every command if the program is built.
+/// Copies the pages to a folder of this name in cargo's target folder and returns it. A line
+/// `{{file PATH}}` is replaced by that file, by its path from the root, and `{{help}}` by the help
+/// of every command if the program is given.
 pub(crate) fn pages(program: Option<&Path>, name: &str) -> Result<PathBuf> {
     let root = process::root();
     let source = process::fresh_folder(name)?;
@@ -86,13 +86,16 @@ pub(crate) fn pages(program: Option<&Path>, name: &str) -> Result<PathBuf> {
             let file = line.strip_prefix("{{file ");
             if let Some(file) = file.and_then(|rest| rest.strip_suffix("}}")) {
                 page += &process::read(&root.join(file))
-                    .with_context(|| format!("{} shows a file", path.display()))?;
+                    .with_context(|| format!("{} includes a file", path.display()))?;
             } else if line == "{{help}}" {
                 if let Some(program) = program {
                     page += &help(program, &[])?;
                 }
             } else if line.starts_with("{{") {
-                bail!("{}: no page can ask for {line}", path.display());
+                bail!(
+                    "{}: {line}: expected `{{{{file PATH}}}}` or `{{{{help}}}}`",
+                    path.display()
+                );
             } else {
                 page.extend([line, "\n"]);
             }
@@ -117,7 +120,7 @@ fn help(program: &Path, words: &[&str]) -> Result<String> {
     Ok(out)
 }
 
-/// A page's links and the anchors that it offers.
+/// Links and anchors of a page.
 #[derive(Default)]
 struct Page {
     links: Vec<String>,
@@ -209,7 +212,7 @@ fn is_source(code: &str) -> bool {
     SOURCES.iter().any(|folder| code.starts_with(folder)) && !code.contains([' ', '*', '<'])
 }
 
-/// The id that mdBook gives a heading.
+/// Returns the id that mdBook gives a heading.
 fn slug(title: &str) -> String {
     let is_kept = |c: &char| c.is_alphanumeric() || c.is_whitespace() || "-_".contains(*c);
     let kept: String = title.trim().chars().filter(is_kept).collect();
@@ -220,7 +223,7 @@ fn slug(title: &str) -> String {
 mod tests {
     use super::*;
 
-    /// The sources hold all that the pages ask for, and no link is broken.
+    /// Every file that the pages include exists, and no link is broken.
     #[test]
     fn the_pages_of_this_tree_are_whole() {
         check().unwrap();

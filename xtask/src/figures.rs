@@ -1,4 +1,4 @@
-//! Figures of the book and of the README that are made from simulated runs.
+//! Figures of the book and the README, drawn from simulated runs.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use anyhow::Result;
 
 use crate::{firmware, process, tools};
 
-/// Makes the figures again, into `docs/figures`.
+/// Draws the figures into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
     tools::ensure_program("tmux", "tmux")?;
@@ -22,8 +22,8 @@ pub(crate) fn make() -> Result<()> {
         anyhow::Ok(())
     };
 
-    // How the trigger moves onto the phone's frames in the demo's second session, and the
-    // beginning of its data set's report.
+    // The trigger as it moves onto the phone's frames in the demo's second session, and the top
+    // of its data set's report.
     let demo = process::fresh_folder("figures-demo")?;
     process::hil_sim(&["demo".as_ref(), "--out".as_ref(), demo.as_os_str()], &elf)?;
     let dataset = demo.join("recording-euroc");
@@ -39,7 +39,7 @@ pub(crate) fn make() -> Result<()> {
     process::run(&mut browser)?;
     draw("shrink.py", &shot, "report.png")?;
 
-    // A recording's live view, as its test leaves it.
+    // The live view of a recording, as its test leaves it.
     let test = "test --release --workspace --test it -- live_view::a_recording_is_led";
     process::cargo_with_elf(&test.split(' ').collect::<Vec<_>>(), &elf)?;
     let screen = process::target_dir().join("tmp/live_view/record_80x24.ansi");

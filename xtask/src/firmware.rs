@@ -1,4 +1,4 @@
-//! The firmware's ELF and the phone's agent.
+//! Builds of the firmware and of the phone's agent.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ const FIRMWARE: &str = "firmware";
 const BLACK_PILL: [&str; 3] = ["--no-default-features", "--features", "black-pill"];
 const AGENT: &str = "host/live/phone-agent";
 const AGENT_PROGRAM: &str = "smartdepthsync-phone-agent";
-/// Targets of the agent, and what its files are called: by Android's names of processors.
+/// Targets of the agent, with Android's names of their processors, by which its files are named.
 const AGENT_TARGETS: [(&str, &str); 2] = [
     ("aarch64-unknown-none", "arm64-v8a"),
     ("armv7a-none-eabi", "armeabi-v7a"),
@@ -19,8 +19,8 @@ const AGENT_TARGETS: [(&str, &str); 2] = [
 const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
 const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-hal"];
 
-/// Builds all of the simulated rig: the firmware, the host tool and the simulator.
-/// Gives the path of the ELF.
+/// Builds all that the simulated rig needs: the firmware, whose ELF is returned, the agent, the
+/// host tool and the simulator.
 pub(crate) fn build_rig() -> Result<PathBuf> {
     let elf = build()?;
     build_agent()?;
@@ -28,8 +28,8 @@ pub(crate) fn build_rig() -> Result<PathBuf> {
     Ok(elf)
 }
 
-/// Builds the firmware of both boards and the agent. Returns the ELF of the STM32F4DISCOVERY,
-/// then that of the Black Pill.
+/// Builds the firmware of both boards and the agent. Returns the ELF of the STM32F4DISCOVERY and
+/// that of the Black Pill.
 pub(crate) fn build_all() -> Result<[PathBuf; 2]> {
     let black_pill = build_black_pill()?;
     let elf = build()?;
@@ -37,12 +37,12 @@ pub(crate) fn build_all() -> Result<[PathBuf; 2]> {
     Ok([elf, black_pill])
 }
 
-/// Builds all of [`build_all`] and the program of others that the tests of `stm32f4-sim` run
-/// beside the firmware. Returns the ELF of the STM32F4DISCOVERY.
+/// Builds the same and the foreign program that the tests of `stm32f4-sim` run. Returns the ELF
+/// of the STM32F4DISCOVERY.
 pub(crate) fn build_for_tests() -> Result<PathBuf> {
     let [elf, _] = build_all()?;
-    // Not in one call of cargo with the firmware: the features of what both depend on would
-    // add up.
+    // In one call of cargo with the firmware, features of their common dependencies would be
+    // unified.
     let args = [&["build", "--release"], FOREIGN_PACKAGES].concat();
     cargo_for_target(FOREIGN, TARGET, &args)?;
     Ok(elf)
@@ -53,8 +53,8 @@ pub(crate) fn build() -> Result<PathBuf> {
     built(&[])
 }
 
-/// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its
-/// ELF, which is returned, ends in `-black-pill`. To be called before [`build`].
+/// Builds the firmware of the Black Pill and returns its ELF, a copy whose name ends in
+/// `-black-pill`. Must be called before [`build`], which replaces the original.
 pub(crate) fn build_black_pill() -> Result<PathBuf> {
     let elf = built(&BLACK_PILL)?;
     let kept = elf.with_file_name("smartdepthsync-firmware-black-pill");
@@ -62,10 +62,12 @@ pub(crate) fn build_black_pill() -> Result<PathBuf> {
     Ok(kept)
 }
 
-/// Puts the images of these ELFs beside the host tool, where `board flash` looks for them.
+/// Writes the DFU images of these ELFs beside the host tool, where `board flash` looks for them.
 pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
     for elf in elves {
-        let name = elf.file_name().context("an ELF without a name")?;
+        let name = elf
+            .file_name()
+            .context("the path of an ELF has no file name")?;
         let to = process::program(name).with_extension("dfu");
         std::fs::write(&to, image::dfu_image(elf)?)
             .with_context(|| format!("cannot write {}", to.display()))?;
@@ -73,8 +75,8 @@ pub(crate) fn make_images(elves: &[&Path]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the agent for phones of each processor, and puts it beside the host tool, where
-/// that looks for it.
+/// Builds the agent for each processor and copies it beside the host tool, which looks for it
+/// there.
 pub(crate) fn build_agent() -> Result<()> {
     for ((target, _), to) in AGENT_TARGETS.into_iter().zip(agents()) {
         cargo_for_target(AGENT, target, &["build", "--release", "--target", target])?;
@@ -86,7 +88,7 @@ pub(crate) fn build_agent() -> Result<()> {
     Ok(())
 }
 
-/// Where the agents are once they are built.
+/// Returns where [`build_agent`] puts the agents.
 pub(crate) fn agents() -> impl Iterator<Item = PathBuf> {
     let agents = AGENT_TARGETS.into_iter();
     agents.map(|(_, processor)| process::program(format!("{AGENT_PROGRAM}-{processor}")))
@@ -108,7 +110,7 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Lints the programs for the chip's target, where the register code is compiled.
+/// Lints these programs for their own targets: only there is the register code compiled.
 pub(crate) fn clippy() -> Result<()> {
     let clippy = |folder, target, options: &[&str]| {
         let args = [&["clippy", "--release"], options, &["--", "-D", "warnings"]].concat();
@@ -123,13 +125,13 @@ pub(crate) fn clippy() -> Result<()> {
     Ok(())
 }
 
-/// Cargo's target folder of the programs that run without an operating system. It is not the
-/// host's, since cargo locks the folder in which it builds, and both are built side by side.
+/// Returns cargo's target folder of the programs that run without an operating system. It is not
+/// the host's: cargo locks the folder in which it builds, and both are built at the same time.
 fn bare_metal() -> PathBuf {
     process::target_dir().join("bare-metal")
 }
 
-/// Runs cargo in a folder whose programs are for a target without a system.
+/// Runs cargo in a folder whose programs run without an operating system.
 fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     tools::ensure_target(target)?;
     let mut cargo = process::command(process::cargo_program());
@@ -138,7 +140,7 @@ fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
         .current_dir(process::root().join(folder))
         .env("CARGO_TARGET_DIR", bare_metal());
     if target == TARGET {
-        // Its debug information names the sources, there by their folders.
+        // The debug information names the source files by these folders.
         let options = process::remapped();
         cargo.arg(format!("--config=target.{TARGET}.rustflags={options:?}"));
     }
@@ -152,9 +154,9 @@ mod tests {
 
     use super::*;
 
-    /// Runs the runners of cargo's configuration with a program for the chip that is built at
-    /// once and a `probe-rs` that prints its arguments. Without these flags `probe-rs
-    /// run` halts the core at each reset and fault (its `cmd/run.rs`: `VectorCatchConfig`).
+    /// Starts the runners of cargo's configuration with a tiny program for the chip and a `probe-rs`
+    /// that prints its arguments. Without these flags `probe-rs run` halts the core at each reset
+    /// and fault (its `cmd/run.rs`: `VectorCatchConfig`).
     #[test]
     fn the_runners_of_both_boards_catch_neither_reset_nor_fault() -> Result<()> {
         let folder = tempfile::tempdir()?;

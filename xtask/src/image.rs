@@ -1,4 +1,4 @@
-//! Images of the firmware, made of its ELF.
+//! Images of the firmware, made from its ELF.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use crc::{CRC_32_JAMCRC, Crc};
 use object::read::elf::{FileHeader as _, ProgramHeader as _};
 
-/// Where the firmware's flash begins.
+/// First address of the firmware's flash.
 pub(crate) const FLASH: u64 = 0x0800_0000;
 
 /// The fields of the DFU suffix before its CRC (USB DFU 1.1, appendix B): no version, the loader
@@ -16,13 +16,13 @@ const SUFFIX: [u8; 12] = [
     0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x00, 0x01, b'U', b'F', b'D', 16,
 ];
 
-/// Returns the content of the flash from its first address on: the loaded segments at their
-/// physical addresses, 0xFF between them.
+/// Returns the contents of the flash from its first address: the loaded segments at their
+/// physical addresses, and 0xFF between them.
 pub(crate) fn raw_image(elf: &Path) -> Result<Vec<u8>> {
     let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let elf = elf.as_slice();
     let header = object::elf::FileHeader32::<object::Endianness>::parse(elf)
-        .context("the firmware is no 32-bit ELF")?;
+        .context("the firmware is not a 32-bit ELF")?;
     let endian = header.endian()?;
     let mut image = Vec::new();
     for segment in header.program_headers(endian, elf)? {
@@ -32,11 +32,11 @@ pub(crate) fn raw_image(elf: &Path) -> Result<Vec<u8>> {
         }
         let at = u64::from(segment.p_paddr(endian))
             .checked_sub(FLASH)
-            .context("the firmware has a part outside of the flash")?;
+            .context("a segment of the firmware lies outside the flash")?;
         let data = segment
             .data(endian, elf)
             .ok()
-            .context("the firmware's ELF is cut off")?;
+            .context("the firmware's ELF is truncated")?;
         let at = usize::try_from(at)?;
         if at + data.len() > 1 << 20 {
             bail!("the firmware is larger than the flash");
@@ -49,12 +49,12 @@ pub(crate) fn raw_image(elf: &Path) -> Result<Vec<u8>> {
         }
     }
     if image.is_empty() {
-        bail!("the firmware's ELF has nothing to load");
+        bail!("the firmware's ELF has no segment to load");
     }
     Ok(image)
 }
 
-/// The raw image with a DFU suffix after it.
+/// Returns the raw image followed by a DFU suffix.
 pub(crate) fn dfu_image(elf: &Path) -> Result<Vec<u8>> {
     Ok(with_suffix(raw_image(elf)?))
 }

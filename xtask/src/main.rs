@@ -1,4 +1,4 @@
-//! `cargo xtask`: the one entry point, the same locally and in CI.
+//! `cargo xtask`: the single entry point, the same locally and in CI.
 //!
 //! Every command sets up what it needs (the firmware's target, the Python
 //! environment, ffmpeg), or stops and prints the one command to run. It calls
@@ -41,7 +41,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         cargo_args: Vec<String>,
     },
-    /// Do what CI does: `test`, and `check --no-book` while tests run.
+    /// Do what CI does: `test`, with `check --no-book` while the tests run.
     Ci,
     /// Run a whole session on the simulated rig and compare it with the ground truth.
     Demo {
@@ -64,28 +64,28 @@ enum Command {
         #[arg(long)]
         no_book: bool,
     },
-    /// Run the readers that are too large for every run of the tests (Open3D, Rerun,
-    /// LeRobot; 5.6 GB are downloaded the first time) and ROS 1's own on data sets of the
-    /// simulated rig, and the fleet on two nodes.
+    /// Run the readers that are too large for every test run (Open3D, Rerun, LeRobot; the first
+    /// time downloads 5.6 GB) and ROS 1's own reader on data sets of the simulated rig, and the
+    /// fleet on two nodes.
     Readers,
-    /// Measure a part of the host by its script, `xtask/PART_bench.py`: the clock estimate
-    /// beside the published Python package, or the extraction beside a plain Python reader.
-    /// Compare figures within one run only.
+    /// Measure a part of the host with its script, `xtask/PART_bench.py`: the clock estimate
+    /// against the published Python package, or the extraction against a plain Python reader.
+    /// Figures are comparable within one run only.
     Bench {
         #[arg(value_parser = ["sync", "extract"])]
         part: String,
         /// Twists per scenario (300), or minutes of depth at full size (10; 1.3 GB each).
         size: Option<u32>,
     },
-    /// Make all that a release holds, for amd64 and arm64, in `target/dist`, and try it where
-    /// there is no Rust.
+    /// Make all files of a release, for amd64 and arm64, in `target/dist`, and try them on a system
+    /// without Rust.
     Release,
     /// Build the Python packages twist-sync and smartdepthsync-data, install the first into
     /// target/venv, and test it there.
     Wheel,
     /// Build the book into target/book and check its links.
     Docs,
-    /// Draw the book's figures again from simulated runs.
+    /// Redraw the book's figures from simulated runs.
     DocsFigures,
 }
 
@@ -128,16 +128,16 @@ fn test(cargo_args: &[&str]) -> Result<()> {
     process::cargo_with_elf(&[&["test", "--release"], cargo_args].concat(), &elf)
 }
 
-/// Makes all that tests need but the workspace, and returns the firmware's ELF.
+/// Prepares all that tests need except the workspace, and returns the firmware's ELF.
 fn ready_for_tests() -> Result<PathBuf> {
     tools::ensure_for_tests()?;
     tools::ensure_python()?;
     firmware::build_for_tests()
 }
 
-/// Runs every test of the workspace, and `others` beside them.
+/// Runs every test of the workspace, and at the same time `others`.
 fn test_all(others: impl FnOnce() -> Result<()> + Send) -> Result<()> {
-    // One build alone often waits for one crate or for a download.
+    // A single build often waits for one crate or for a download.
     let (elf, workspace) = beside(ready_for_tests, || {
         process::cargo("test --release --workspace --no-run".split(' '))
     });
@@ -151,7 +151,7 @@ fn test_all(others: impl FnOnce() -> Result<()> + Send) -> Result<()> {
     both(tests, others)
 }
 
-/// Runs `check` in the time that the tests, some of which wait, leave of the processor.
+/// Runs `check` with a lower priority: it takes the processor only while the tests wait.
 fn idle_check() -> Result<()> {
     let own = std::env::current_exe()?;
     process::run(
@@ -161,7 +161,7 @@ fn idle_check() -> Result<()> {
     )
 }
 
-/// Does the first on a thread of its own while the second is done.
+/// Does the first on a thread of its own, and at the same time the second.
 fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() -> B) -> (A, B) {
     std::thread::scope(|scope| {
         let first = scope.spawn(first);
@@ -171,7 +171,7 @@ fn beside<A: Send, B>(first: impl FnOnce() -> A + Send, second: impl FnOnce() ->
     })
 }
 
-/// Returns the errors of two jobs that were done beside each other.
+/// Joins the results of two jobs, so that no error is lost.
 fn both(one: Result<()>, other: Result<()>) -> Result<()> {
     match (one, other) {
         (Err(one), Err(other)) => bail!("{one:#}\nerror: {other:#}"),
@@ -179,14 +179,14 @@ fn both(one: Result<()>, other: Result<()>) -> Result<()> {
     }
 }
 
-/// Runs the tests whose readers are too large for every run.
+/// Runs the tests whose readers are too large for every test run.
 fn readers() -> Result<()> {
     tools::ensure_readers()?;
     let test = "-p hil-sim --test it -- --ignored --nocapture readers::";
     self::test(&test.split(' ').collect::<Vec<_>>())
 }
 
-/// Runs the simulated board at the USB of a real kernel.
+/// Connects the simulated board to the USB of a real kernel.
 fn linux_usb() -> Result<()> {
     tools::ensure_program("qemu-system-x86_64", "qemu-system-x86")?;
     tools::ensure_program("cpio", "cpio")?;
@@ -207,7 +207,7 @@ fn check(no_book: bool) -> Result<()> {
     let (others, workspace) = beside(
         || {
             firmware::clippy()?;
-            // As a lean crate of its own, from what would be published.
+            // Builds the crate by itself from what would be published.
             process::cargo("package -p twist-sync --allow-dirty --quiet".split(' '))
         },
         || process::cargo("clippy --release --workspace --all-targets -- -D warnings".split(' ')),

@@ -1,4 +1,4 @@
-//! Child processes: cargo and the programs that it built.
+//! Child processes: cargo and the programs that it builds.
 
 use std::env;
 use std::ffi::OsStr;
@@ -10,21 +10,21 @@ use std::thread;
 
 use anyhow::{Context, Result, bail};
 
-/// Variable of cargo's test harness: the number of tests of a program that run at once.
+/// Variable of the test harness: number of tests of a program that run at once.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
-/// An address at which `adb` finds no server and starts none, since it starts one only on
-/// `localhost` by that name. Tests and simulated rigs so neither use the phone of the
-/// developer's own server nor leave a server running.
+/// Address at which `adb` finds no server and starts none, since it starts one only on `localhost`
+/// by that name. Tests and simulated rigs thus neither use a phone of the developer's own server
+/// nor leave a server running.
 const NO_ADB: [(&str, &str); 2] = [
     ("ANDROID_ADB_SERVER_ADDRESS", "127.0.0.1"),
     ("ANDROID_ADB_SERVER_PORT", "9"),
 ];
 
-/// Lines of a child's output that stand in the error of its failure.
+/// Number of lines of a child's output that the error of its failure shows.
 const LAST_LINES: usize = 20;
 
-/// Variable that names the firmware's ELF for tests and tools.
+/// Variable that names the firmware's ELF to tests and tools.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
 /// The root of the workspace.
@@ -33,13 +33,13 @@ pub(crate) fn root() -> PathBuf {
     manifest.parent().unwrap_or(manifest).to_path_buf()
 }
 
-/// Cargo's target folder, with `CARGO_TARGET_DIR` respected.
+/// Cargo's target folder; respects `CARGO_TARGET_DIR`.
 pub(crate) fn target_dir() -> PathBuf {
-    // From the root, unless it is absolute.
+    // Relative to the root, unless it is absolute.
     root().join(env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()))
 }
 
-/// An empty folder of this name in cargo's target folder.
+/// Makes an empty folder of this name in cargo's target folder.
 pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
     let place = target_dir().join(name);
     if place.exists() {
@@ -49,12 +49,12 @@ pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
     Ok(place)
 }
 
-/// The text of a file.
+/// Returns the text of a file.
 pub(crate) fn read(path: &Path) -> Result<String> {
     fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// The files below a folder whose names end in this, but for what cargo makes.
+/// Returns the files below a folder whose names end in `ending`, without those that cargo makes.
 pub(crate) fn files_below(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let entries = fs::read_dir(folder);
@@ -71,8 +71,8 @@ pub(crate) fn files_below(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// A command at the root of the workspace, without the variables that the
-/// cargo that started us has set for us alone.
+/// Returns a command at the root of the workspace, without the variables that cargo set for this
+/// program alone.
 pub(crate) fn command(program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root());
@@ -85,7 +85,7 @@ pub(crate) fn command(program: impl AsRef<OsStr>) -> Command {
     command
 }
 
-/// Options of the compiler that leave this computer's folders out of what it makes.
+/// Options of the compiler that keep this computer's folders out of its output.
 pub(crate) fn remapped() -> [String; 2] {
     let cargo = env::var_os("CARGO_HOME").map_or_else(
         || PathBuf::from(env::var_os("HOME").unwrap_or_default()).join(".cargo"),
@@ -95,13 +95,13 @@ pub(crate) fn remapped() -> [String; 2] {
         .map(|(from, to)| format!("--remap-path-prefix={}={to}", from.display()))
 }
 
-/// The cargo that started us, or the one on the path.
+/// The cargo that started this program, or the one on the path.
 pub(crate) fn cargo_program() -> PathBuf {
     env::var_os("CARGO").map_or_else(|| PathBuf::from("cargo"), PathBuf::from)
 }
 
-/// Runs to the end. What the child prints is shown at once and written to a log; if the child
-/// fails, so does this, with the command as one types it, its last lines and the log.
+/// Runs a command to its end. Its output is shown at once and written to a log. The error of its
+/// failure names the command as typed, the last lines of the output and the log.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     let line = typed(command);
     let name: String = (line.chars().take(60))
@@ -142,7 +142,7 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Copies a child's output as it comes. A reader that is gone is no reason to end the child.
+/// Copies a child's output as it comes. If nobody reads ours any more, the child goes on.
 fn copy(mut from: impl Read, mut to: impl Write, mut log: &File) {
     let mut buffer = [0; 8192];
     while let Ok(count @ 1..) = from.read(&mut buffer) {
@@ -151,8 +151,8 @@ fn copy(mut from: impl Read, mut to: impl Write, mut log: &File) {
     }
 }
 
-/// The command as one types it at the root: its folder if that is another one, the variables
-/// that were set for it, the program by name, and arguments in quotes where the shell needs them.
+/// Returns the command as typed at the root: its folder if it is another one, the variables that
+/// were set for it, cargo by name, and arguments quoted where the shell needs it.
 fn typed(command: &Command) -> String {
     let quoted = |text: &OsStr| {
         let text = text.to_string_lossy();
@@ -182,7 +182,7 @@ fn typed(command: &Command) -> String {
     words.join(" ")
 }
 
-/// Returns the output of a program, without the end of its last line.
+/// Returns the output of a program, without white space at its end.
 pub(crate) fn text(command: &mut Command) -> Result<String> {
     let line = typed(command);
     let output = (command.output()).with_context(|| format!("cannot start `{line}`"))?;
@@ -193,7 +193,7 @@ pub(crate) fn text(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8(output.stdout)?.trim_end().to_owned())
 }
 
-/// Returns true if a program runs and ends with success.
+/// Returns true if a program runs and succeeds.
 pub(crate) fn answers(program: impl AsRef<OsStr>, args: &[&str]) -> bool {
     let output = Command::new(program).args(args).output();
     output.is_ok_and(|output| output.status.success())
@@ -204,8 +204,8 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
     run(command(cargo_program()).args(args))
 }
 
-/// Runs cargo with the firmware's ELF named in the environment. Of tests, two run on a
-/// core unless the environment says otherwise: most sessions wait for the clock.
+/// Runs cargo with the firmware's ELF named in the environment. Two tests run per core unless the
+/// environment says otherwise, since some wait for a process.
 pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
     let mut cargo = command(cargo_program());
     if env::var_os(TEST_THREADS).is_none() {
@@ -215,18 +215,18 @@ pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<
     run(cargo.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB))
 }
 
-/// A program that cargo has built in the release profile.
+/// Path of a program that cargo has built in the release profile.
 pub(crate) fn program(name: impl AsRef<Path>) -> PathBuf {
     target_dir().join("release").join(name)
 }
 
-/// Builds the host tool and the simulator, with the features of the whole workspace: so have
-/// the tests, and no crate of the host is compiled twice.
+/// Builds the host tool and the simulator with the features of the whole workspace, as the tests
+/// do, so that no crate of the host is compiled twice.
 pub(crate) fn build_programs() -> Result<()> {
     cargo("build --release --workspace --bin smartdepthsync --bin hil-sim".split(' '))
 }
 
-/// Runs the simulator that cargo has built in the release profile, on this terminal.
+/// Runs the simulator that cargo has built in the release profile on this terminal.
 pub(crate) fn hil_sim<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
     let mut hil_sim = command(program("hil-sim"));
     hil_sim.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB);

@@ -1,5 +1,5 @@
-//! The files of a release, in `target/dist`: made of the commit that is checked out, with the same
-//! bytes in any folder, and tried in a Debian without Rust.
+//! The files of a release, in `target/dist`: made from the commit that is checked out, with the
+//! same bytes in any folder, and tried on a Debian without Rust.
 //!
 //! The programs are linked statically (musl), so that one build for each processor serves the Debian
 //! package and the archive on any Linux.
@@ -16,10 +16,10 @@ use crate::{dependencies, docs, firmware, process, tools, wheel};
 const NAME: &str = "smartdepthsync";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Processors by Rust's name, and by Debian's.
+/// Rust's and Debian's names of the processors.
 const PROCESSORS: [(&str, &str); 2] = [("x86_64", "amd64"), ("aarch64", "arm64")];
 
-/// Where the archive's programs run a session: a Debian with nothing but this.
+/// Debian on which the release is tried, and its only packages.
 const SUITE: &str = "bookworm";
 const DEBIAN: &str = "ffmpeg,python3-numpy,python3-pil,python3-pip";
 
@@ -27,7 +27,9 @@ const DEBIAN: &str = "ffmpeg,python3-numpy,python3-pil,python3-pip";
 pub(crate) fn make() -> Result<()> {
     let git = |args: &[&str]| process::text(process::command("git").args(args));
     if !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty() {
-        bail!("there are changes that are not committed, and a release is made of a commit");
+        bail!(
+            "there are uncommitted changes, and a release is made from a commit; commit them first"
+        );
     }
     let revision = git(&["rev-parse", "--short=12", "HEAD"])?;
     let release = Release {
@@ -50,7 +52,7 @@ pub(crate) fn make() -> Result<()> {
     }
     install(&release.inventory()?, &documents)?;
 
-    // First the programs for this computer: they write the files that go with all.
+    // First the programs for this computer, which write the files for all processors.
     let own = release.programs(std::env::consts::ARCH)?;
     write_completions_and_manual(&own.join(NAME), &usr.join("share"))?;
     install(
@@ -81,16 +83,16 @@ pub(crate) fn make() -> Result<()> {
 }
 
 struct Release {
-    /// Where its files go.
+    /// Folder of its files.
     dist: PathBuf,
-    /// Time of the commit, seconds since 1970: all files have it.
+    /// Time of the commit, which all files have, seconds since 1970.
     epoch: String,
-    /// The Python that has the tools from PyPI beside it.
+    /// Python of the environment with the tools from PyPI.
     python: PathBuf,
 }
 
 impl Release {
-    /// Sets what makes a build independent of its folder and time.
+    /// Makes a build independent of its folder and time.
     fn reproducibly<'a>(&self, command: &'a mut Command) -> &'a mut Command {
         let folder = self.python.parent().unwrap_or(&self.python);
         let path = std::env::var("PATH").unwrap_or_default();
@@ -101,7 +103,7 @@ impl Release {
             .env("CARGO_ENCODED_RUSTFLAGS", process::remapped().join("\x1f"))
     }
 
-    /// ELF, raw image and image for DFU of each board, here and in `folder`.
+    /// Adds the ELF, raw image and DFU image of each board, also to `folder`.
     fn firmware(&self, revision: &str, folder: &Path) -> Result<()> {
         let black_pill = firmware::build_black_pill()?;
         for (elf, key) in [
@@ -111,7 +113,7 @@ impl Release {
             let image = raw_image(&elf)?;
             let mark = format!("{key};{VERSION};{revision};");
             if !image.windows(mark.len()).any(|at| at == mark.as_bytes()) {
-                bail!("the firmware does not have {mark:?} inside");
+                bail!("the firmware of {key} does not contain {mark:?}");
             }
             let to = self.dist.join(format!("{NAME}-firmware-{key}.elf"));
             fs::copy(&elf, &to)?;
@@ -124,12 +126,12 @@ impl Release {
         Ok(())
     }
 
-    /// The bills of materials, and the licences of all that is linked into the programs, the
-    /// firmware and the wheel, whose file is returned.
+    /// Adds the bills of materials and the licences of all that is linked into the programs, the
+    /// firmware and the wheel. Returns the file of the licences.
     fn inventory(&self) -> Result<PathBuf> {
         let cyclonedx = tools::ensure_cargo_tool("cargo-cyclonedx", "0.5.9", &[])?;
         let about = tools::ensure_cargo_tool("cargo-about", "0.9.3", &["--features", "cli"])?;
-        // It leaves a file beside each manifest, with the folder in the names of our crates.
+        // Leaves a file beside each manifest, in which the names of our crates contain the folder.
         let args = "cyclonedx --quiet --format json --target all --override-filename release-bom";
         let mut command = process::command(cyclonedx);
         process::run(self.reproducibly(&mut command).args(args.split(' ')))?;
@@ -148,7 +150,7 @@ impl Release {
             fs::remove_file(&file)?;
         }
         let config = process::target_dir().join("about.toml");
-        // The licences are at the top of each crate; what is below takes minutes to read.
+        // Each crate has its licences in its top folder; searching below it takes minutes.
         let settings = format!(
             "accepted = [{}]\nmax-depth = 1\nignore-dev-dependencies = true\ntargets = [\
              \"x86_64-unknown-linux-musl\", \"aarch64-unknown-linux-musl\", \"thumbv7em-none-eabihf\"]\n",
@@ -163,7 +165,7 @@ impl Release {
         Ok(licences)
     }
 
-    /// Builds the programs and gives their folder.
+    /// Builds the programs and returns their folder.
     fn programs(&self, processor: &str) -> Result<PathBuf> {
         let target = format!("{processor}-unknown-linux-musl");
         tools::ensure_target(&target)?;
@@ -174,7 +176,7 @@ impl Release {
         Ok(process::target_dir().join(target).join("release"))
     }
 
-    /// The wheel of `twist-sync` for a processor.
+    /// Adds the wheel of `twist-sync` for a processor.
     fn wheel(&self, processor: &str) -> Result<()> {
         let target = format!("{processor}-unknown-linux-gnu");
         tools::ensure_target(&target)?;
@@ -212,7 +214,7 @@ impl Release {
         process::run(
             process::command("dpkg-deb")
                 .env("SOURCE_DATE_EPOCH", &self.epoch)
-                // More cut the data elsewhere.
+                // More threads would split the data at other places.
                 .env("DPKG_DEB_THREADS_MAX", "1")
                 .args(["--root-owner-group", "--build"])
                 .arg(tree)
@@ -220,8 +222,8 @@ impl Release {
         )
     }
 
-    /// Tries the release of this computer's processor in a Debian that has nothing else, and
-    /// starts the other one's programs.
+    /// Tries the release for this computer's processor on a bare Debian, and starts the programs
+    /// for the other processor.
     fn try_it(&self) -> Result<()> {
         for (rust, debian) in PROCESSORS {
             if rust == std::env::consts::ARCH {
@@ -255,7 +257,7 @@ impl Release {
     }
 }
 
-/// Writes the completions of shells and the manual pages that the program prints.
+/// Writes the shell completions and manual pages that the program prints.
 fn write_completions_and_manual(program: &Path, share: &Path) -> Result<()> {
     for (shell, place) in [
         ("bash", "bash-completion/completions/smartdepthsync"),

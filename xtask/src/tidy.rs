@@ -1,8 +1,8 @@
-//! Rules of the source tree that no compiler knows: which room may import which, how large a
-//! room may become, and how doc comments begin.
+//! Rules of the source tree that no compiler knows: the imports between rooms, the size of a room,
+//! and the first words of doc comments.
 //!
-//! The first two are read from the table of rooms in `docs/architecture.md`, so that the page cannot
-//! differ from the manifests.
+//! The first two are read from the table of rooms in `docs/architecture.md`, so that the page
+//! agrees with the manifests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,14 +13,13 @@ use crate::process;
 
 const PAGE: &str = "docs/architecture.md";
 
-/// Words with which no doc comment begins: what follows them is a clause, not the operation.
+/// Words with which no doc comment begins: a clause follows them instead of the operation.
 const CLAUSES: [&str; 3] = ["What", "How", "Whether"];
 
-/// Largest excess of a stated size over the measured one, as a share: the page states how large a room
-/// is.
+/// Largest excess of a stated size over the measured one, as a share of the former.
 const LARGEST_MARGIN: f64 = 0.05;
 
-/// Fails on an import, a size or a comment that breaks a rule, and lists all of them.
+/// Fails if an import, a size or a comment breaks a rule, and lists all that do.
 pub(crate) fn check() -> Result<()> {
     let root = process::root();
     let page = process::read(&root.join(PAGE))?;
@@ -30,14 +29,14 @@ pub(crate) fn check() -> Result<()> {
     wrong.extend(wrong_sizes(&page, &sources));
     wrong.extend(wrong_comments(&sources));
     if !wrong.is_empty() {
-        bail!("rules of the source tree:\n  {}", wrong.join("\n  "));
+        bail!("broken rules of the source tree:\n  {}", wrong.join("\n  "));
     }
-    println!("imports, sizes and doc comments keep the rules of the tree");
+    println!("imports, sizes and doc comments follow the rules of the tree");
     Ok(())
 }
 
-/// The crates of the workspace by folder, each with the folders of the crates that it imports.
-/// Imports of tests alone do not count.
+/// Returns the folder of each crate of the workspace with the folders of the crates that it
+/// imports. Imports of tests alone do not count.
 fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
     let args = "tree --workspace --all-features --target all --edges normal,build --depth 1 \
                 --prefix depth --no-dedupe --format {p}";
@@ -46,7 +45,7 @@ fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
     let below_root = format!("({}/", root.display());
     let mut imports = BTreeMap::<_, BTreeSet<_>>::new();
     let mut own = "";
-    // Those of the registry have no folder.
+    // Crates of the registry have no folder.
     for line in tree.lines() {
         let Some((_, folder)) = line.split_once(&below_root) else {
             continue;
@@ -62,7 +61,7 @@ fn imports(root: &Path) -> Result<BTreeMap<String, BTreeSet<String>>> {
     Ok(imports)
 }
 
-/// The Rust files below the workspace's folders of code, by their paths from the root.
+/// Returns the Rust files of the workspace by their paths from the root.
 fn sources(root: &Path) -> Result<BTreeMap<String, String>> {
     let mut sources = BTreeMap::new();
     for room in ["firmware", "hil-sim", "host", "protocol", "xtask"] {
@@ -74,16 +73,16 @@ fn sources(root: &Path) -> Result<BTreeMap<String, String>> {
     Ok(sources)
 }
 
-/// A row of the table of rooms.
+/// Row of the table of rooms.
 struct Room<'a> {
     folder: &'a str,
-    /// The rooms that its crates import, this one left out.
+    /// Other rooms that its crates import.
     imports: BTreeSet<&'a str>,
     /// Largest number of lines of code.
     size: &'a str,
 }
 
-/// The rows that begin with a folder and have four cells.
+/// Returns the rows that begin with a folder and have four cells.
 fn rooms(page: &str) -> Vec<Room<'_>> {
     let row = |line| {
         let cells: Vec<&str> = str::split(line, '|').map(str::trim).collect();
@@ -99,7 +98,7 @@ fn rooms(page: &str) -> Vec<Room<'_>> {
     page.lines().filter_map(row).collect()
 }
 
-/// The room of a path: of those that hold it the innermost.
+/// Returns the innermost room that contains a path.
 fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
     let holds = |folder: &str| {
         let rest = path.strip_prefix(folder);
@@ -109,7 +108,7 @@ fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
     inside.max_by_key(|folder| folder.len()).unwrap_or_default()
 }
 
-/// Compares the arrows between the rooms with the manifests.
+/// Compares the imports in the table with those in the manifests.
 fn wrong_imports(page: &str, crates: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut wrong = Vec::new();
     let rooms = rooms(page);
@@ -134,7 +133,7 @@ fn wrong_imports(page: &str, crates: &BTreeMap<String, BTreeSet<String>>) -> Vec
     wrong
 }
 
-/// Counts the lines that are neither blank nor comments nor of tests or examples.
+/// Counts the lines of code, without blank lines, comments, tests and examples.
 fn lines_of_code(path: &str, text: &str) -> usize {
     if path.contains("/tests/") || path.ends_with("tests.rs") || path.contains("/examples/") {
         return 0;

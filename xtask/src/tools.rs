@@ -9,8 +9,8 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// Programs that tests run: name, Debian package, purpose, and true if they cannot do without:
-/// without the others, tests leave out what needs them.
+/// Programs that tests run: name, Debian package, purpose, and true if the tests fail without it;
+/// without one of the others, tests leave out what needs it.
 const TEST_PROGRAMS: [(&str, &str, &str, bool); 7] = [
     ("ffmpeg", "ffmpeg", "reads videos", true),
     (
@@ -31,8 +31,8 @@ const TEST_PROGRAMS: [(&str, &str, &str, bool); 7] = [
     ("tmux", "tmux", "shows the live view", false),
 ];
 
-/// Makes sure that the programs are there that the tests need beyond Rust and [`ensure_python`].
-/// Those that tests can do without are installed on CI alone.
+/// Makes sure that the programs of [`TEST_PROGRAMS`] are there. Those that tests can do without
+/// are installed in CI only.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     let is_ci = std::env::var_os("CI").is_some();
     let [mut needed, mut left_out] = [Vec::new(), Vec::new()];
@@ -54,7 +54,7 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     apt_install(&needed)
 }
 
-/// Returns true if a program runs: one that is installed may not work.
+/// Returns true if a program runs, since one that is installed may not work.
 fn is_there(program: &str) -> bool {
     let version = match program {
         "ffmpeg" => "-version",
@@ -72,7 +72,7 @@ pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
     apt_install(&[package])
 }
 
-/// Installs Debian packages, if we are root and there is apt.
+/// Installs Debian packages as root where there is apt.
 pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
     if packages.is_empty() {
         return Ok(());
@@ -93,21 +93,21 @@ pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
     apt(&[&["install", "--no-install-recommends"], packages].concat())
 }
 
-/// The Python environment in `target/venv` with the packages of
-/// `xtask/python-requirements.txt`: public readers of the formats that we write.
+/// Makes sure of the Python environment in `target/venv` with the packages of
+/// `xtask/python-requirements.txt`: public readers of the formats that the host writes.
 pub(crate) fn ensure_python() -> Result<PathBuf> {
     ensure_environment("venv", "python-requirements.txt")
 }
 
-/// The Python environment with what a release is built by: a compiler of C and linker for other
-/// processors and systems (Zig), and what calls it.
+/// Makes sure of the Python environment with the tools that build a release: a C compiler and
+/// linker for other processors and systems (Zig), and its callers.
 pub(crate) fn ensure_release() -> Result<PathBuf> {
     ensure_environment("release-tools", "release-requirements.txt")
 }
 
-/// Readers that are too large for every run of the tests, each in an environment of its own in
-/// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
-/// for the Python of Debian.
+/// Makes sure of the readers that are too large for every test run, each in an environment of its
+/// own in `target/readers`, since two of them want different versions of one package, and of
+/// ROS 1's `rosbag` for Debian's Python.
 pub(crate) fn ensure_readers() -> Result<()> {
     for reader in ["open3d", "rerun", "lerobot", "fleet"].map(|name| format!("readers/{name}")) {
         ensure_environment(&reader, &format!("{reader}.txt"))?;
@@ -118,8 +118,8 @@ pub(crate) fn ensure_readers() -> Result<()> {
     apt_install(&["python3-rosbag"])
 }
 
-/// A Python environment in the target folder, with the packages that a file in `xtask/` names;
-/// made again when that file changes.
+/// Makes sure of a Python environment in the target folder with the packages that a file in
+/// `xtask/` names. It is remade when that file changes.
 fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
     let venv = process::target_dir().join(name);
     let python = venv.join("bin/python3");
@@ -146,7 +146,7 @@ fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
     Ok(python)
 }
 
-/// Installs into a Python environment what a file has or names.
+/// Installs a file, or the packages that it names, into a Python environment.
 pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Result<()> {
     process::run(
         process::command(python)
@@ -160,7 +160,7 @@ pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Resul
 /// Makes sure that the compiler has the library of a target.
 pub(crate) fn ensure_target(target: &str) -> Result<()> {
     let sysroot = process::text(process::command("rustc").args(["--print", "sysroot"]))
-        .context("rustc does not tell its sysroot; install Rust through rustup")?;
+        .context("rustc does not print its sysroot; install Rust through rustup")?;
     if Path::new(&format!("{sysroot}/lib/rustlib/{target}/lib")).is_dir() {
         return Ok(());
     }
@@ -168,7 +168,7 @@ pub(crate) fn ensure_target(target: &str) -> Result<()> {
         .with_context(|| format!("there is no Rust library for {target}"))
 }
 
-/// A cargo tool of exactly this version in `target/tools`, built if need be.
+/// Returns a cargo tool of exactly this version in `target/tools`, which is built if need be.
 pub(crate) fn ensure_cargo_tool(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
     let folder = process::target_dir().join(format!("tools/{name}-{version}"));
     let program = folder.join("bin").join(name);

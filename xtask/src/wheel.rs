@@ -1,6 +1,6 @@
-//! The Python packages `twist-sync` and `smartdepthsync-data`: both are built, the first is
-//! installed into the Python environment and tested. The second one's tests need recordings:
-//! they are among `hil-sim`'s.
+//! The Python packages `twist-sync` and `smartdepthsync-data`: both are built; the first is also
+//! installed into the Python environment and tested. The tests of the second need recordings and
+//! are among those of `hil-sim`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,7 +9,7 @@ use anyhow::{Result, bail};
 
 use crate::{process, tools};
 
-/// Twists of each scenario whose results must be those of the crate.
+/// Number of twists per scenario on which the package must agree with the crate.
 const TRIALS: &str = "2";
 
 /// Builds the wheel of `twist-sync` into a folder.
@@ -55,7 +55,7 @@ fn data(python: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the wheel and installs it into the Python environment, which has all that it needs.
+/// Builds the wheel and installs it into the Python environment, whose program is returned.
 pub(crate) fn installed() -> Result<PathBuf> {
     let python = tools::ensure_python()?;
     let folder = process::fresh_folder("wheels")?;
