@@ -718,6 +718,9 @@ LAYOUTS = [
            m.ns // 10**9, m.ns % 10**9, *xyz(m.w)), "'header.sec'", start=_ROS),
     Layout("rates", "ranges beside names", "loggers that state the range, not the unit", lambda m: "# gyro (2000 dps), acc (16 g)\n" + table(
         "t,gyro x (2000dps),gyro y (2000dps),gyro z (2000dps)", m.ns * 1e-9, *xyz(m.deg)), "in deg/s (by their size)"),
+    Layout("rows", "words of a state", "loggers with True, False and a state in each row", lambda m: table("time,moving,state,gx,gy,gz", m.ns * 1e-9, ["True"] * len(m.s), ["RUN"] * len(m.s), *xyz(m.w)), "'gx'"),
+    Layout("orientations", "rates of zero beside quaternions", "drivers without a gyroscope fill its fields with 0", lambda m: table("t,gyro_x,gyro_y,gyro_z,qw,qx,qy,qz", m.ns * 1e-9, *xyz(m.w * 0), *m.q.T),
+           "quaternions", off=0.06),
     Layout("rates", "raw beside scaled", "loggers that keep counts and deg/s", lambda m: table("t,gx_raw,gy_raw,gz_raw,gx,gy,gz", m.ns * 1e-9, *xyz(np.round(m.deg * 131)), *xyz(m.deg)), "'gx'"),
     Layout("orientations", "transforms with times", "rows of a matrix (4, 4) after a time, as of hand-eye tools", lambda m: table("", m.ns * 1e-9, *[
         c for r in range(3) for c in (*m.matrix[:, 3 * r : 3 * r + 3].T, m.acc[:, r])], *(m.s * 0 + k for k in (0, 0, 0, 1)), between=" "), "rotation matrices", ".txt", off=0.06),

@@ -187,8 +187,10 @@ def choose(tables: list[Table], path: Path, topic: str | None) -> tuple[Table, G
         best = [f for f in found if f[0] == rank and (rank not in (3, 4, 5) or _is_orientation(f[1], f[2]))]
         if rank in (3, 4) and not best:
             why.append(f"{' and '.join(f[1].named_as(f[2].columns) for f in found if f[0] == rank)} are no rotations: not of size 1, or constant")
-        if len(best) > 1:
-            best = [f for f in best if np.nan_to_num(f[1].array(f[2])).any()] or best
+        if len(best) > 1 or (best and any(f[0] in (3, 4) for f in found)):
+            moving = [f for f in best if np.nan_to_num(f[1].array(f[2])).any()]
+            # Rates that are all zero are none beside orientations.
+            best = moving or ([] if rank < 3 and any(f[0] in (3, 4) and _is_orientation(f[1], f[2]) for f in found) else best)
         if len(best) == 1:
             return best[0][1], best[0][2]
         if best:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -136,15 +137,16 @@ def sniff(lines: list[str], among: Sequence[Dialect] = _DIALECTS) -> Dialect:
         Unreadable: No line has three numbers in any.
     """
 
-    def score(one: Dialect) -> int:
+    def score(one: Dialect) -> float:
         # Unquoted, commas cannot be both.
         if one == Dialect(",", ",") and not any('","' in line for line in lines):
-            return 0
+            return -math.inf
         rows = (one.split(line) for line in lines if one.delimiter is None or one.delimiter in line)
-        return sum(one.score(row) or 0 for row in rows if len(row) > 2)
+        found = [one.score(row) for row in rows if len(row) > 2]
+        return sum(own or 0 for own in found) if any(own is not None for own in found) else -math.inf
 
     scores = [score(one) for one in among]
-    if max(scores) <= 0:
+    if max(scores) == -math.inf:
         # The one with the most digits is a row, if any is.
         shown = max(lines, key=lambda line: sum(map(str.isdigit, line[:200])), default="").strip()[:60]
         raise Unreadable(f"no rows of samples: expected time and x, y, z, found {shown!r}")
