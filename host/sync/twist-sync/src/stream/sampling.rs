@@ -15,7 +15,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use crate::mixture::{Supposed, mixed};
 use crate::robust;
-use crate::slow::{self, Point, Process};
+use crate::slow::{self, Point};
 
 /// Deviation of stamps, rms, below which they are as regular as their rounding, seconds.
 const REGULAR_S: f64 = 0.2e-6;
@@ -30,9 +30,10 @@ const IRREGULAR: f64 = 4.0;
 const PHASE_GAIN: f64 = 0.05;
 /// Blocks over which the deviation is averaged for the line.
 const BLOCKS: usize = 128;
-/// Grid of the slow part's size, in parts of the deviation's rms, and of its memory in seconds.
-const SIZES: [f64; 6] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0];
-const MEMORIES_S: [f64; 5] = [0.05, 0.15, 0.5, 1.5, 5.0];
+/// Memories of the slow part, seconds, and the range of its size in parts of the rms of what it is
+/// to explain.
+const MEMORIES_S: [f64; 6] = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2];
+const SIZES: (f64, f64) = (0.01, 10.0);
 
 /// Deviation of the stamps from regular sampling.
 pub(crate) struct Sampling {
@@ -75,14 +76,14 @@ pub(crate) fn find(
     let (slow, shift, covariance) = if let Some((shift, covariance)) = cut {
         (vec![0.0; times.len()], shift, covariance)
     } else if shared {
-        let (shift, covariance) = line(&times, &deviation, size_s, middle)?;
+        let (shift, covariance) = line(&times, &deviation, middle)?;
         (vec![0.0; times.len()], shift, covariance)
     } else {
         let slow = smoothed(&number, &deviation, (AVERAGED_S / step_s).max(4.0));
         if rms(&slow) > IRREGULAR * step_s {
             return None;
         }
-        let (shift, covariance) = line(&times, &deviation, size_s, middle)?;
+        let (shift, covariance) = line(&times, &deviation, middle)?;
         (slow, shift, covariance)
     };
     let is_whole = slow.iter().all(|s| *s == 0.0);
@@ -250,7 +251,6 @@ fn smoothed(number: &[f64], values: &[f64], length: f64) -> Vec<f64> {
 fn line(
     times: &[f64],
     deviation: &[f64],
-    size_s: f64,
     middle: f64,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
@@ -268,8 +268,12 @@ fn line(
         times = times[within.clone()].to_vec();
         deviation = deviation[within].to_vec();
     }
-    let steps = deviation.windows(2).map(|p| (p[1] - p[0]).powi(2));
-    let noise = 0.5 * steps.sum::<f64>() / deviation.len().max(1) as f64;
+    // White noise makes the differences of neighbours alternate, a process does not.
+    let steps: Vec<f64> = deviation.windows(2).map(|p| p[1] - p[0]).collect();
+    let n = deviation.len().max(1) as f64;
+    let most = 0.5 * steps.iter().map(|d| d * d).sum::<f64>() / n;
+    let alternating = -steps.windows(2).map(|d| d[0] * d[1]).sum::<f64>() / n;
+    let noise = alternating.clamp(most * 2.0 / n.sqrt(), most);
     let each = times.len().div_ceil(BLOCKS).max(1);
     let point = |(t, d): (&[f64], &[f64])| Point {
         u: mean(t) - middle,
@@ -286,16 +290,15 @@ fn line(
         .into_iter()
         .filter(|memory| *memory < 0.5 * span_s);
     let kinds = memories.flat_map(|memory_s| [(memory_s, false), (memory_s, true)]);
-    let processes = kinds.flat_map(|(memory_s, is_smooth)| {
-        SIZES.map(|size| Process {
-            size_s: size * size_s,
-            memory_s,
-            is_smooth,
-        })
-    });
-    let all: Vec<Supposed<2>> = processes
-        .filter_map(|process| slow::line(&points, process, 1.0))
-        .collect();
+    let straight: Vec<(f64, f64)> = points.iter().map(|p| (p.u, p.y)).collect();
+    let straight = robust::Line::through(&straight);
+    let squares = points.iter().map(|p| (p.y - straight.at(p.u)).powi(2));
+    let size_s = (squares.sum::<f64>() / points.len() as f64).sqrt().max(REGULAR_S);
+    let of_kind = |(memory_s, is_smooth)| {
+        let range_s = (SIZES.0 * size_s, SIZES.1 * size_s);
+        slow::of_sizes(&points, memory_s, is_smooth, range_s)
+    };
+    let all: Vec<Supposed<2>> = kinds.filter_map(of_kind).flatten().collect();
     if all.is_empty() {
         return None;
     }
