@@ -133,7 +133,7 @@ impl<'a> CheckedStream<'a> {
 
     /// Removes the fast deviation of the stamps from regular sampling if the samples follow
     /// better from their neighbours without it.
-    fn judge_fast(&mut self, sampling: Sampling, is_removed: bool) {
+    fn judge_fast(&mut self, mut sampling: Sampling, is_removed: bool) {
         let mut prior = if is_removed { STAMPS_ERR } else { 0.5 };
         if !is_removed {
             let regular: Vec<f64> = self
@@ -152,6 +152,10 @@ impl<'a> CheckedStream<'a> {
                 self.t = regular;
             } else if better < -DECISIVE {
                 prior = 1.0 - STAMPS_ERR;
+            } else {
+                // The other stream decides about all of it.
+                let both = sampling.slow_s.iter_mut().zip(&sampling.fast_s);
+                both.for_each(|(slow, fast)| *slow += fast);
             }
         }
         if sampling.is_whole {

@@ -24,6 +24,9 @@ const REGULAR_S: f64 = 0.2e-6;
 const AVERAGED_S: f64 = 0.5;
 /// Part of the deviation that is left if lost samples explain it.
 const LOST: f64 = 0.3;
+/// Largest deviation that a stamp has in common with its neighbours, in robust 1-sigmas: of
+/// exponential latencies one in 5,000 is larger.
+const FAR: f64 = 12.0;
 /// Slow deviation, rms in steps of the sampling, above which the sampling is not regular.
 const IRREGULAR: f64 = 4.0;
 /// Part of each deviation by which the loop that numbers the samples follows.
@@ -79,6 +82,10 @@ pub(crate) fn find(
         let (shift, covariance) = line(&times, &deviation, middle)?;
         (vec![0.0; times.len()], shift, covariance)
     } else {
+        // Of single stamps far off, all is fast.
+        let scatter = robust::mad_sigma(deviation.clone()).unwrap_or(0.0);
+        let most = (FAR * scatter).max(REGULAR_S);
+        let deviation: Vec<f64> = deviation.iter().map(|d| d.clamp(-most, most)).collect();
         let slow = smoothed(&number, &deviation, (AVERAGED_S / step_s).max(4.0));
         if rms(&slow) > IRREGULAR * step_s {
             return None;
@@ -248,11 +255,7 @@ fn smoothed(number: &[f64], values: &[f64], length: f64) -> Vec<f64> {
 }
 
 /// Line through the deviations, as shift at the middle and rate, and its covariance.
-fn line(
-    times: &[f64],
-    deviation: &[f64],
-    middle: f64,
-) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+fn line(times: &[f64], deviation: &[f64], middle: f64) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     // The samples of a batch have one error.
     let mut from = 0;
@@ -293,7 +296,9 @@ fn line(
     let straight: Vec<(f64, f64)> = points.iter().map(|p| (p.u, p.y)).collect();
     let straight = robust::Line::through(&straight);
     let squares = points.iter().map(|p| (p.y - straight.at(p.u)).powi(2));
-    let size_s = (squares.sum::<f64>() / points.len() as f64).sqrt().max(REGULAR_S);
+    let size_s = (squares.sum::<f64>() / points.len() as f64)
+        .sqrt()
+        .max(REGULAR_S);
     let of_kind = |(memory_s, is_smooth)| {
         let range_s = (SIZES.0 * size_s, SIZES.1 * size_s);
         slow::of_sizes(&points, memory_s, is_smooth, range_s)
