@@ -32,7 +32,7 @@ use self::rigid::Stretch;
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::faults::{Stream, Why};
 use crate::signal::Signal;
-use crate::stream::{CheckedStream, Made};
+use crate::stream::{CheckedStream, Made, filter};
 use crate::track::GyroTrack;
 
 /// Bytes that an estimate allocates and frees at its start, untouched, so that glibc keeps that
@@ -80,7 +80,42 @@ pub fn estimate_offset(
 }
 
 /// Estimates the relation in one band. Returns true as well if slow motion contradicts it.
+///
+/// If a filter is long, the shape that leaves least of the motion unexplained counts, or that the
+/// delay is a delay alone.
 fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate, Refusal>, bool) {
+    let delays = [options.a_delay_s, options.b_delay_s];
+    let alone = with_shape(a, b, options, None);
+    if delays.iter().all(|delay_s| *delay_s < filter::LONG_S) {
+        return alone;
+    }
+    let unexplained = |(found, _): &(Result<Estimate, Refusal>, bool)| match found {
+        Ok(Estimate { report, .. }) | Err(Refusal { report }) => {
+            let share = report.residual_rms.zip(report.motion_rms);
+            share.map_or(f64::INFINITY, |(left, motion)| left / motion)
+        }
+    };
+    let of_shape = |shape: f64| with_shape(a, b, options, Some(shape));
+    let shapes = filter::SHAPES.map(of_shape);
+    let squares = shapes.each_ref().map(|found| unexplained(found).powi(2));
+    let likeliest = filter::likeliest(squares).map(of_shape);
+    let best = |x, y| {
+        if unexplained(&y) < unexplained(&x) {
+            y
+        } else {
+            x
+        }
+    };
+    shapes.into_iter().chain(likeliest).fold(alone, best)
+}
+
+/// Estimates the relation in one band with long filters of this shape.
+fn with_shape(
+    a: &GyroTrack,
+    b: &GyroTrack,
+    options: &Options,
+    shape: Option<f64>,
+) -> (Result<Estimate, Refusal>, bool) {
     let mut differ = false;
     let mut report = Report::default();
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);
@@ -92,10 +127,25 @@ fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate,
         return (Err(Refusal { report }), false);
     };
     let sampled = report.judge(Gate::rate(a.step_s.max(b.step_s)));
+    let (mut a, mut b) = (a, b);
+    if let Some(shape) = shape {
+        for (stream, delay_s) in [(&mut a, options.b_delay_s), (&mut b, options.a_delay_s)] {
+            if delay_s >= filter::LONG_S {
+                stream.pass_through(delay_s, shape);
+            }
+        }
+    }
     let mut pair = Pair::new(a, b);
+    let mut dispersions = [options.a_delay_s, options.b_delay_s]
+        .map(|delay_s| axes::dispersion(delay_s, shape.filter(|_| delay_s >= filter::LONG_S)));
+    if pair.a_is_model {
+        dispersions.reverse();
+    }
+    let [data, model] = dispersions;
+    let dispersion = data.less(model);
     let found = enough
         .and(sampled)
-        .and_then(|()| related(&mut pair, options, &mut report, &mut differ));
+        .and_then(|()| related(&mut pair, options, dispersion, &mut report, &mut differ));
     report.faults = pair.faults();
     report.left_out = pair.left_out;
     let result = match found {
@@ -149,6 +199,7 @@ fn causes(streams: [&CheckedStream<'_>; 2]) -> [Gate; 2] {
 fn related(
     pair: &mut Pair<'_>,
     options: &Options,
+    dispersion: Dispersion,
     report: &mut Report,
     differ: &mut bool,
 ) -> Option<(ClockRelation, Calibration)> {
@@ -173,11 +224,6 @@ fn related(
     let (mut kept_share, mut open) = (1.0, Matrix2::zeros());
     let mut late_axis = None;
     let first = fit.link;
-    let dispersion = if pair.a_is_model {
-        Dispersion::of_delays(options.a_delay_s, options.b_delay_s)
-    } else {
-        Dispersion::of_delays(options.b_delay_s, options.a_delay_s)
-    };
     let mut late = axes::found(&fit, &settings.fit, dispersion);
     if options.handle_faults {
         // A surely late axis would look like faults of its samples.

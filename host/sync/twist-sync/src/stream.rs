@@ -1,6 +1,7 @@
 //! One stream, after the checks that do not need the other.
 
 mod classes;
+pub(crate) mod filter;
 mod samples;
 mod sampling;
 mod timestamps;
@@ -227,6 +228,17 @@ impl<'a> CheckedStream<'a> {
                 w[k][axis] = recorded.value(at)[axis];
             }
         }
+    }
+
+    /// Filters the usable samples as the other gyroscope's low-pass of this delay and shape does.
+    pub(crate) fn pass_through(&mut self, delay_s: f64, shape: f64) {
+        let kept = neighbours::kept(&self.usable);
+        let times: Vec<f64> = kept.iter().map(|&k| self.t[k]).collect();
+        let rates: Vec<Vec3> = kept.iter().map(|&k| self.w[k]).collect();
+        let filtered = filter::filtered(&times, &rates, delay_s, shape);
+        let w = self.w.to_mut();
+        kept.iter().zip(filtered).for_each(|(&k, rate)| w[k] = rate);
+        self.epoch_s -= delay_s;
     }
 
     pub(crate) fn smooth(&mut self, low_pass_hz: f64) -> Smooth {

@@ -73,14 +73,24 @@ pub(crate) struct Dispersion {
     variance: f64,
 }
 
+/// Dispersion of a low-pass with this delay in seconds. If the other stream has been through a
+/// filter of a `shape`, only the difference from that is left.
+pub(crate) fn dispersion(delay_s: f64, shape: Option<f64>) -> Dispersion {
+    let (mean, sigma) = DISPERSION;
+    let same = shape.map_or(0.0, |shape| shape - 1.0 / 3.0);
+    let cube = delay_s.abs().powi(3);
+    Dispersion {
+        mean: (mean - same) * cube,
+        variance: (sigma * cube).powi(2),
+    }
+}
+
 impl Dispersion {
-    /// Creates that of two low-passes with these delays in seconds.
-    pub(crate) fn of_delays(model_s: f64, data_s: f64) -> Self {
-        let (mean, sigma) = DISPERSION;
-        let cubes = [model_s, data_s].map(|delay_s| delay_s.abs().powi(3));
+    /// Returns the dispersion of the data against the model.
+    pub(crate) fn less(self, model: Self) -> Self {
         Self {
-            mean: mean * (cubes[1] - cubes[0]),
-            variance: (sigma * sigma * (cubes[0] * cubes[0] + cubes[1] * cubes[1])).max(NONE_S3),
+            mean: self.mean - model.mean,
+            variance: (self.variance + model.variance).max(NONE_S3),
         }
     }
 
