@@ -48,6 +48,8 @@ const BEYOND_DOUBT: f64 = 0.9;
 const MUCH_LATER_S: f64 = 0.3e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: f64 = 8.0;
+/// Refinements of a long filter's shape.
+const REFINED: usize = 2;
 /// Power of the motion about the second axis over that about the first, below which the motion
 /// counts as being about one axis.
 const SECOND_AXIS: f64 = 0.01;
@@ -95,10 +97,20 @@ fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate,
             share.map_or(f64::INFINITY, |(left, motion)| left / motion)
         }
     };
-    let of_shape = |shape: f64| with_shape(a, b, options, Some(shape));
-    let shapes = filter::SHAPES.map(of_shape);
-    let squares = shapes.each_ref().map(|found| unexplained(found).powi(2));
-    let likeliest = filter::likeliest(squares).map(of_shape);
+    let of_shape = |shape: f64| (shape, with_shape(a, b, options, Some(shape)));
+    let mut shapes = filter::SHAPES.map(of_shape).to_vec();
+    let square = |of: &(f64, (Result<Estimate, Refusal>, bool))| (of.0, unexplained(&of.1).powi(2));
+    for _ in 0..REFINED {
+        let squares: Vec<(f64, f64)> = shapes.iter().map(square).collect();
+        let three = squares
+            .array_windows()
+            .min_by(|x, y| x[1].1.total_cmp(&y[1].1));
+        let Some(shape) = three.and_then(|three| filter::likeliest(*three)) else {
+            break;
+        };
+        shapes.push(of_shape(shape));
+        shapes.sort_by(|x, y| x.0.total_cmp(&y.0));
+    }
     let best = |x, y| {
         if unexplained(&y) < unexplained(&x) {
             y
@@ -106,7 +118,7 @@ fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate,
             x
         }
     };
-    shapes.into_iter().chain(likeliest).fold(alone, best)
+    shapes.into_iter().map(|of| of.1).fold(alone, best)
 }
 
 /// Estimates the relation in one band with long filters of this shape.

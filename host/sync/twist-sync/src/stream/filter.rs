@@ -15,13 +15,14 @@ pub(crate) const SHAPES: [f64; 3] = [0.25, 0.375, 0.5];
 /// Largest shape: poles with a damping ratio of 0.63.
 const MOST: f64 = 0.63;
 
-/// Returns the shape at the vertex of the parabola through the squared residuals for [`SHAPES`];
-/// `None` if no filter of two poles has it.
-pub(crate) fn likeliest([low, middle, high]: [f64; 3]) -> Option<f64> {
-    let [first, centre, last] = SHAPES;
-    let bent = low - 2.0 * middle + high;
-    let vertex = centre + 0.25 * (last - first) * (low - high) / bent;
-    (bent > 0.0 && (first..=MOST).contains(&vertex)).then_some(vertex)
+/// Returns the shape of least residual, as the parabola through those of three shapes has it, each
+/// with its squared residual, in order; `None` if no filter of two poles has it.
+pub(crate) fn likeliest([low, middle, high]: [(f64, f64); 3]) -> Option<f64> {
+    let slope = |x: (f64, f64), y: (f64, f64)| (y.1 - x.1) / (y.0 - x.0);
+    let (first, second) = (slope(low, middle), slope(middle, high));
+    let bent = (second - first) / (high.0 - low.0);
+    let vertex = 0.5 * (low.0 + middle.0 - first / bent);
+    (bent > 0.0 && (SHAPES[0]..=MOST).contains(&vertex)).then_some(vertex)
 }
 
 /// Filters rates at increasing times, exactly if they change linearly from one to the next: what
