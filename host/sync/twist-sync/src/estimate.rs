@@ -69,16 +69,35 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
-    let (full, differ) = in_band(a, b, options);
+    // What is uncertain because fast motion shows another relation may be certain from slow motion.
+    let limit_s = options.sigma_limit_s;
+    let unlimited = Options {
+        sigma_limit_s: f64::INFINITY,
+        ..*options
+    };
+    let (full, differ) = in_band(a, b, &unlimited);
+    let full = full.map_err(|mut refusal| {
+        refusal.report.limit_sigma(limit_s);
+        refusal
+    });
     let is_left_out = |estimate: &Estimate| !estimate.report.left_out.is_empty();
     let is_doubtful = match &full {
         Ok(estimate) => differ || is_left_out(estimate),
         Err(refusal) => bands::is_explainable(refusal),
     };
-    if !is_doubtful {
-        return full;
+    let mut found = if is_doubtful {
+        let lower = |options: &Options| in_band(a, b, options).0;
+        bands::joined(full, differ, &unlimited, lower)?
+    } else {
+        full?
+    };
+    found.report.limit_sigma(limit_s);
+    if found.report.is_passed() {
+        Ok(found)
+    } else {
+        let report = found.report;
+        Err(Refusal { report })
     }
-    bands::joined(full, differ, options, |options| in_band(a, b, options).0)
 }
 
 /// Estimates the relation in one band. Returns true as well if slow motion contradicts it.

@@ -96,7 +96,6 @@ pub(crate) fn joined(
     for low_pass_hz in below(options.low_pass_hz) {
         let options = Options {
             low_pass_hz,
-            sigma_limit_s: f64::INFINITY,
             ..*options
         };
         match estimated(&options) {
@@ -139,8 +138,8 @@ pub(crate) fn joined(
     }
     let sigma = Gate::sigma(estimate.offset_sigma_s(), options.sigma_limit_s);
     let gates = &mut estimate.report.gates;
-    gates.retain(|gate| gate.kind != GateKind::Sigma);
-    gates.push(sigma);
+    let known = gates.iter_mut().filter(|gate| gate.kind == GateKind::Sigma);
+    known.for_each(|gate| *gate = sigma);
     if is_refused && best == 0 {
         gates.push(Gate::bands());
     }

@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use super::gates::Gate;
+use super::gates::{Gate, GateKind};
 use crate::clock::{ClockRelation, WithSigma};
 use crate::faults::{Fault, FaultKind, LeftOut, Stream};
 use crate::signal::interpolant::Vec3;
@@ -106,6 +106,13 @@ impl Report {
         let passed = gate.passed;
         self.gates.push(gate);
         passed.then_some(())
+    }
+
+    /// Judges the offset's sigma by another limit, seconds.
+    pub(super) fn limit_sigma(&mut self, limit_s: f64) {
+        let known = self.gates.iter_mut();
+        let known = known.filter(|gate| gate.kind == GateKind::Sigma);
+        known.for_each(|gate| *gate = Gate::sigma(gate.value * 1e-6, limit_s));
     }
 
     pub(super) fn is_passed(&self) -> bool {
