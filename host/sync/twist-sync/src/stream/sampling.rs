@@ -309,3 +309,44 @@ fn line(times: &[f64], deviation: &[f64], middle: f64) -> Option<(Vector2<f64>, 
     }
     Some(mixed(&all))
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use super::*;
+
+    /// Over wanders of any memory, the mean of the stamps is as uncertain as is said, and one wild
+    /// stamp changes nothing.
+    #[test]
+    fn the_line_is_as_uncertain_as_the_stamps_wander() {
+        let mut random = Pcg64::seed_from_u64(5);
+        let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let step_s = 5e-3;
+        let mut squares = Vec::new();
+        for trial in 0..240 {
+            let memory_s: f64 = [0.15, 0.4, 1.0][trial % 3];
+            let kept = (-step_s / memory_s).exp();
+            let mut wander = 100e-6 * normal();
+            let stamp = |k: u32| {
+                wander = kept * wander + 100e-6 * (1.0 - kept * kept).sqrt() * normal();
+                step_s * f64::from(k) + wander
+            };
+            let mut t: Vec<f64> = (0..2000).map(stamp).collect();
+            t[1998] += 4e-3;
+            let all: Vec<usize> = (0..2000).collect();
+            let found = find(&t, &all, step_s, 0.0, false).unwrap();
+            // The instant of a sample in the middle without its error.
+            let regular = t[999] - found.fast_s[999] - found.slow_s[999];
+            let error = regular - step_s * 999.0;
+            squares.push(error * error / found.covariance[(0, 0)]);
+        }
+        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        let largest = squares.iter().copied().fold(0.0, f64::max).sqrt();
+        assert!(
+            (0.75..1.25).contains(&rms) && largest < 4.5,
+            "{rms} {largest}"
+        );
+    }
+}
