@@ -402,4 +402,8 @@ fn faults_of_a_whole_recording_are_reported_first() {
     assert_eq!(first(|w| *w = [w[0], 0.0, 0.0]), Some(GateKind::Axes));
     assert_eq!(first(|w| *w = w.map(f64::to_degrees)), Some(GateKind::Unit));
     assert_eq!(first(|_| {}), Some(GateKind::Explained));
+    let mut cut = twist_scenarios::twist(&TwistSpec::default(), 71_000);
+    cut.b.w.truncate(2000);
+    let refusal = estimate_offset(&cut.a, &cut.b, &Options::default()).unwrap_err();
+    assert_eq!(refusal.report.gates[0].kind, GateKind::Lengths);
 }

@@ -31,6 +31,7 @@ const NOTABLE: f64 = 6.0;
 
 /// A step of one clock against the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct ClockStep {
     /// Earliest time of the step, in seconds of clock a.
     pub from_s: f64,
@@ -43,6 +44,7 @@ pub struct ClockStep {
 /// A stretch whose data contradict the relation, or in which there is motion but no accepted
 /// estimate.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Unsupported {
     /// Begin, in seconds of clock a.
     pub from_s: f64,

@@ -35,11 +35,6 @@ use crate::signal::Signal;
 use crate::stream::{CheckedStream, Made, filter};
 use crate::track::GyroTrack;
 
-/// Bytes that an estimate allocates and frees at its start, untouched, so that glibc keeps that
-/// much at the end of its heap. Otherwise it returns each vector's pages to the system, and
-/// getting them back costs a fifth of the time (clean twists 23 %, faulty ones 18 %: 8 runs with
-/// and without it, in alternation).
-const MEMORY: usize = 4 << 20;
 /// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 /// Probability of a late axis above which its samples are moved.
@@ -68,7 +63,6 @@ pub fn estimate_offset(
     b: &GyroTrack,
     options: &Options,
 ) -> Result<Estimate, Refusal> {
-    drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
     // What is uncertain because fast motion shows another relation may be certain from slow motion.
     let limit_s = options.sigma_limit_s;
     let unlimited = Options {
@@ -149,6 +143,11 @@ fn with_shape(
 ) -> (Result<Estimate, Refusal>, bool) {
     let mut differ = false;
     let mut report = Report::default();
+    let unequal = a.unequal().max(b.unequal());
+    if unequal > 0 {
+        report.judge(Gate::lengths(unequal));
+        return (Err(Refusal { report }), false);
+    }
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, 0.0, options);
     let jump_s = options.b_jump_s;
     let b = CheckedStream::new(Stream::B, b, options.b_delay_s, jump_s, options);

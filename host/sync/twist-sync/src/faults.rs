@@ -71,6 +71,7 @@ pub enum Why {
 /// A stretch of both recordings that was left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[non_exhaustive]
 pub struct LeftOut {
     /// Begin, in seconds from the first sample of recording a.
     pub from_s: f64,

@@ -12,6 +12,8 @@
 //! | `clock` | the relation of two clocks, its covariance, prediction and inverse |
 //! | `faults` | faults and their report |
 //! | `robust`, `mixture`, `correlate` | statistics that several modules use |
+//!
+//! `robust`, `mixture` and `interpolant` are public for programs that treat clocks in the same way.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 // Axes and rows of 3-vectors and small matrices are indices by nature.
@@ -24,9 +26,7 @@ mod correlate;
 mod course;
 mod estimate;
 mod faults;
-#[doc(hidden)] // for the workspace only: not part of the interface
 pub mod mixture;
-#[doc(hidden)] // for the workspace only: not part of the interface
 pub mod robust;
 mod signal;
 mod slow;
@@ -40,6 +40,5 @@ pub use course::{
 };
 pub use estimate::{Estimate, Gate, GateKind, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
-#[doc(hidden)] // for the workspace only: not part of the interface
 pub use signal::interpolant;
 pub use track::{GyroOpener, GyroSample, GyroStream, GyroTrack};

@@ -70,8 +70,7 @@ impl<'a> CheckedStream<'a> {
         options: &Options,
     ) -> Option<Self> {
         let handle_faults = options.handle_faults;
-        let n = track.t.len().min(track.w.len());
-        let (t, w) = (&track.t[..n], &track.w[..n]);
+        let (t, w) = (&track.t[..], &track.w[..]);
         let finite: Vec<bool> = w
             .iter()
             .map(|v| v.iter().all(|x| x.is_finite() && x.abs() < LARGEST_RATE))

@@ -133,6 +133,11 @@ impl GyroTrack {
         out
     }
 
+    /// Number of times without a rate, or of rates without a time.
+    pub(crate) fn unequal(&self) -> usize {
+        self.t.len().abs_diff(self.w.len())
+    }
+
     /// Returns the number of samples.
     #[must_use]
     pub fn len(&self) -> usize {

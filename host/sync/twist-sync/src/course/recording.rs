@@ -62,6 +62,7 @@ pub enum Prior {
 
 /// Result of [`estimate_course`]: the relation over a recording, and the windows it is from.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct RecordingClock {
     /// Offset and skew over time.
     pub course: ClockCourse,
@@ -77,6 +78,7 @@ pub struct RecordingClock {
 
 /// Windows of a recording that one gate refused.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct RefusedWindows {
     /// The gate, with the figures of the first refused window.
     pub gate: Gate,
@@ -146,13 +148,17 @@ pub fn estimate_course<E: Error + Send + 'static>(
 ///
 /// # Errors
 ///
-/// Fails if no window can be related.
+/// Fails if no window can be related, or a track has not as many rates as times.
 pub fn course_of_tracks(
     a: &GyroTrack,
     b: &GyroTrack,
     prior: Option<Prior>,
     options: &Options,
 ) -> Result<RecordingClock, CourseError<Infallible>> {
+    let unequal = a.unequal().max(b.unequal());
+    if unequal > 0 {
+        return Err(CourseError::NoRelation(Gate::lengths(unequal).to_string()));
+    }
     // Relative to the epochs, so that no digits are lost; to whole seconds of them, because stamps
     // in whole multiples of a decimal step are judged by all their digits.
     let (a_epoch_s, b_epoch_s) = (a.whole_epoch_s(), b.whole_epoch_s());

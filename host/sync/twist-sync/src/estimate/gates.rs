@@ -35,6 +35,8 @@ const LARGEST_SKEW: f64 = 500e-6;
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
 #[non_exhaustive]
 pub enum GateKind {
+    /// As many rates as times in each recording.
+    Lengths,
     /// Usable samples of the stream that has fewer.
     Samples,
     /// Rate of the samples of the stream where it is lower.
@@ -110,6 +112,12 @@ impl GateKind {
     /// Name, unit, reason and advice.
     fn texts(self) -> [&'static str; 4] {
         match self {
+            Self::Lengths => [
+                "lengths",
+                "samples without the other",
+                "a recording does not have as many rates as times",
+                "give a rate about three axes for each time",
+            ],
             Self::Samples => [
                 "samples",
                 "samples",
@@ -274,6 +282,11 @@ impl Gate {
     /// Like [`Self::at_least`], with value and limit as fractions that are shown in percent.
     fn part_at_least(kind: GateKind, value: f64, limit: f64) -> Self {
         Self::at_least(kind, 100.0 * value, 100.0 * limit)
+    }
+
+    /// `unequal` times or rates have no counterpart, of the recording where they are more.
+    pub(crate) fn lengths(unequal: usize) -> Self {
+        Self::at_most(GateKind::Lengths, unequal as f64, 0.0)
     }
 
     pub(crate) fn samples(fewest: usize) -> Self {

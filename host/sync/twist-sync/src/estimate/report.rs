@@ -10,6 +10,7 @@ use crate::signal::interpolant::Vec3;
 
 /// An accepted estimate.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Estimate {
     /// The relation of the clocks with its covariance. Its reference is the centroid of the
     /// information about the offset.
@@ -57,6 +58,7 @@ impl Refusal {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(default))]
+#[non_exhaustive]
 pub struct Report {
     /// Rms of the in-band residual over the overlap and the axes, in rad/s.
     pub residual_rms: Option<f64>,

@@ -16,9 +16,9 @@
 //!   jumps of one size and sign with a slow drift in between. Jumps and drift
 //!   together average out. With two jumps or more the drift is the jumps' size over their
 //!   distance; of a single one only the least distance is known ([`LONE_DRIFT`]), and that is
-//!   an uncertainty of the skew. With fewer than [`FEW_RESETS`] jumps the phase of the
-//!   sawtooth is not known, and its height over √12 remains as an uncertainty
-//!   ([`Timestamps::unresolved_s`]). Only the other stream shows whether the stamps
+//!   an uncertainty of the skew. A single jump may be another step of the clock, and its height
+//!   over √12 remains as an uncertainty ([`Timestamps::unresolved_s`]); of several, the mean of a
+//!   sawtooth is at the middle of its jumps as far as they are alike. Only the other stream shows whether the stamps
 //!   jump or the samples do ([`Pattern`]).
 //!   A sawtooth that is known from elsewhere and does not jump here cannot be seen: its drift
 //!   looks like that of another clock. The mean and spread of all sawtooths that do not jump
@@ -32,7 +32,7 @@ use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::robust;
 use crate::signal::neighbours::{self, leave_out};
 
-/// Below this number of jumps a sawtooth's mean is uncertain.
+/// Below this number of jumps they may be steps of the clock.
 const FEW_RESETS: usize = 3;
 
 /// Least jump that counts as a sawtooth's reset.
@@ -531,16 +531,20 @@ fn look_for_jumps(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let sawtooth = is_sawtooth.then(|| {
         let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
         let count = jumps.len();
-        // Of few jumps the mean is unknown, too.
-        let lone_s = if count < FEW_RESETS {
+        let lone_s = if count == 1 {
             size.abs() / 12.0_f64.sqrt()
         } else {
             0.0
         };
+        // If the time before a jump, and so its height, differs from that after it, its middle is
+        // off the mean by a quarter of the difference.
+        let unlike = jumps.windows(2).map(|pair| (pair[1].1 - pair[0].1).powi(2));
+        let unlike_s = 0.25 * (unlike.sum::<f64>() / (count - 1).max(1) as f64).sqrt();
+        let mean_s = uneven_s.hypot(unlike_s) / (count as f64).sqrt();
         let samples = jumps.into_iter().map(|(k, _)| k).collect();
         let kind = FaultKind::TimestampSawtooth;
         Sawtooth {
-            open_s: lone_s + (uneven_s / (count as f64).sqrt()).hypot(UNEVEN_MEAN * size),
+            open_s: lone_s + mean_s.hypot(UNEVEN_MEAN * size),
             open_skew: drift_sigma.abs(),
             prior: if size.abs() < OWN_JUMP * step {
                 0.9
