@@ -270,15 +270,21 @@ fn has_steps(steps: &[f64], step: f64, resolution_s: f64) -> bool {
     let sums: Vec<f64> = std::iter::once(0.0).chain(sums).collect();
     let stays = |k: usize| {
         let before = &sums[k.saturating_sub(LATE_TOGETHER)..=k];
-        let mut after = sums[k + 1..].iter().take(1 + LATE_TOGETHER);
-        after.all(|after| {
-            before
-                .iter()
-                .all(|before| whole(after - before).abs() > least)
-        })
+        let after = &sums[k + 1..sums.len().min(k + 2 + LATE_TOGETHER)];
+        let each = after
+            .iter()
+            .flat_map(|after| before.iter().map(move |x| after - x));
+        each.map(|by| whole(by).abs()).fold(f64::INFINITY, f64::min)
     };
-    let count = (0..odd.len()).filter(|&k| stays(k)).count();
-    (1..FEW_RESETS).contains(&count)
+    // Late batches have long tails: each is little more than the next.
+    let mut all: Vec<f64> = (0..odd.len()).map(stays).collect();
+    all.sort_by(|x, y| y.total_cmp(x));
+    let count = all.partition_point(|by| *by > least);
+    let stands_out = |count: usize| {
+        all.get(count)
+            .is_none_or(|next| all[count - 1] > 2.0 * next)
+    };
+    (1..FEW_RESETS).contains(&count) && stands_out(count)
 }
 
 /// Samples outside of the largest part of the recording.
