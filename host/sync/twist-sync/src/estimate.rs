@@ -115,10 +115,9 @@ fn in_band(a: &GyroTrack, b: &GyroTrack, options: &Options) -> (Result<Estimate,
     let square = |of: &(f64, (Result<Estimate, Refusal>, bool))| (of.0, unexplained(&of.1).powi(2));
     for _ in 0..REFINED {
         let squares: Vec<(f64, f64)> = shapes.iter().map(square).collect();
-        let three = squares
-            .array_windows()
-            .min_by(|x, y| x[1].1.total_cmp(&y[1].1));
-        let Some(shape) = three.and_then(|three| filter::likeliest(*three)) else {
+        let threes = squares.windows(3).map(|own| [own[0], own[1], own[2]]);
+        let three = threes.min_by(|x, y| x[1].1.total_cmp(&y[1].1));
+        let Some(shape) = three.and_then(filter::likeliest) else {
             break;
         };
         shapes.push(of_shape(shape));

@@ -269,15 +269,17 @@ fn has_steps(steps: &[f64], step: f64, resolution_s: f64) -> bool {
     });
     let sums: Vec<f64> = std::iter::once(0.0).chain(sums).collect();
     let stays = |k: usize| {
-        let before = &sums[k.saturating_sub(LATE_TOGETHER)..=k];
-        let after = &sums[k + 1..sums.len().min(k + 2 + LATE_TOGETHER)];
+        let before = &sums[k - LATE_TOGETHER..=k];
+        let after = &sums[k + 1..=k + 1 + LATE_TOGETHER];
         let each = after
             .iter()
             .flat_map(|after| before.iter().map(move |x| after - x));
         each.map(|by| whole(by).abs()).fold(f64::INFINITY, f64::min)
     };
     // Late batches have long tails: each is little more than the next.
-    let mut all: Vec<f64> = (0..odd.len()).map(stays).collect();
+    // At the ends, a step and a late batch look alike.
+    let inner = LATE_TOGETHER..odd.len().saturating_sub(LATE_TOGETHER);
+    let mut all: Vec<f64> = inner.map(stays).collect();
     all.sort_by(|x, y| y.total_cmp(x));
     let count = all.partition_point(|by| *by > least);
     let stands_out = |count: usize| {
