@@ -660,13 +660,16 @@ mod tests {
             stream: Stream::B,
             rate_hz: 50.0,
         };
-        let mut report = Report::default();
-        report.faults = vec![
-            sawtooth(Stream::B, 2e-3),
-            sawtooth(Stream::B, 4e-3),
-            sawtooth(Stream::A, 1e-3),
-        ];
-        (report.gates, report.warnings) = (vec![gate], vec![held]);
+        let report = Report {
+            faults: vec![
+                sawtooth(Stream::B, 2e-3),
+                sawtooth(Stream::B, 4e-3),
+                sawtooth(Stream::A, 1e-3),
+            ],
+            gates: vec![gate],
+            warnings: vec![held],
+            ..Report::default()
+        };
         let text = serde_json::to_string(&report).unwrap();
         let read: Report = serde_json::from_str(&text).unwrap();
         assert_eq!((&read, read.sawtooth_s(Stream::B)), (&report, Some(4e-3)));

@@ -58,7 +58,6 @@ impl Refusal {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(default))]
-#[non_exhaustive]
 pub struct Report {
     /// Rms of the in-band residual over the overlap and the axes, in rad/s.
     pub residual_rms: Option<f64>,
