@@ -69,8 +69,8 @@ fn with_sigma(error: f64, sigma: f64) -> String {
 }
 
 impl SessionFigures {
-    /// Name and value of each line of the table.
-    fn lines(&self) -> Facts {
+    /// Name and value of each line of the table about the exposures.
+    fn phase_lines(&self) -> Facts {
         vec![
             (
                 "phase between the middles of exposure at the start",
@@ -85,6 +85,13 @@ impl SessionFigures {
                 "stated to expose together",
                 if self.is_sure { "yes" } else { "no" }.to_owned(),
             ),
+        ]
+    }
+
+    /// Name and value of each line of the table.
+    fn lines(&self) -> Facts {
+        let mut lines = self.phase_lines();
+        lines.extend([
             (
                 "clock offset at the start, error",
                 with_sigma(self.offset_error_us, self.offset_sigma_us),
@@ -100,7 +107,8 @@ impl SessionFigures {
             ),
             ("trigger pulses recorded", self.pulses.to_string()),
             ("IMU samples recorded", self.imu_samples.to_string()),
-        ]
+        ]);
+        lines
     }
 
     /// Those of a judged session.
@@ -145,7 +153,7 @@ impl Figures {
         format!(
             "Against the ground truth of the simulated rig:\n{}{BEFORE}\n{}",
             facts_text(&self.lines()),
-            facts_text(&self.before_learning.lines())
+            facts_text(&self.before_learning.phase_lines())
         )
     }
 }
@@ -189,7 +197,7 @@ pub fn page(figures: &Figures, verdict: &Verdict, data: &DataSet) -> String {
          assumed. From it the profile learnt that constant, the period of the phone's frames and the \
          rate of its clock.",
     );
-    page.facts(&figures.before_learning.lines());
+    page.facts(&figures.before_learning.phase_lines());
     page.section("The data set");
     page.text(&format!(
         "The recording was extracted as EuRoC into {}; every time in it was compared with the \
