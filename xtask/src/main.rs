@@ -37,12 +37,13 @@ enum Command {
     Build,
     /// Run every test, on the host and in the simulator.
     Test {
+        /// Do what `check --no-book` does too, in the time that the tests leave of the processor.
+        #[arg(long, conflicts_with = "cargo_args")]
+        check: bool,
         /// Passed on to cargo test, for example `-p smartdepthsync verify_command`.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         cargo_args: Vec<String>,
     },
-    /// Do what CI does: `test`, with `check --no-book` while the tests run.
-    Ci,
     /// Run a whole session on the simulated rig and compare it with the ground truth.
     Demo {
         /// Passed on to `hil-sim demo`, for example `--rig multi`. Paths are from the root.
@@ -92,10 +93,12 @@ enum Command {
 fn run(command: Command) -> Result<()> {
     match command {
         Command::Build => build(),
-        Command::Test { cargo_args } => {
+        Command::Test { check: true, .. } => {
+            test_all(|| both(wheel::build_and_test(), idle_check()))
+        }
+        Command::Test { cargo_args, .. } => {
             test(&cargo_args.iter().map(String::as_str).collect::<Vec<_>>())
         }
-        Command::Ci => test_all(|| both(wheel::build_and_test(), idle_check())),
         Command::Demo { args } => hil_sim(&[&["demo".to_owned()], &args[..]].concat()),
         Command::HilSim { args } => hil_sim(&args),
         Command::Check { no_book } => check(no_book),

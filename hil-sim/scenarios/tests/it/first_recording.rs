@@ -176,11 +176,14 @@ fn walk(from_nothing: bool) -> Vec<String> {
     assert!(measured.bias_measured.is_some());
     // What the profile has wrong of the phone.
     let truth = std::fs::read_to_string(place.join("rig/truth.csv")).unwrap();
-    let delay = truth
-        .lines()
-        .find_map(|line| line.strip_prefix("# gyro_delay_us = "));
-    let delay_us: f64 = delay.unwrap().parse().unwrap();
-    let bias_us = session.profile.phone.gyro_delay_us - delay_us;
+    let true_us = |name: &str| -> f64 {
+        let start = format!("# {name} = ");
+        let value = truth.lines().find_map(|line| line.strip_prefix(&start));
+        value.unwrap().parse().unwrap()
+    };
+    let phone = &session.profile.phone;
+    let bias_us = phone.gyro_delay_us - true_us("gyro_delay_us")
+        + 0.5 * (phone.readout_us - true_us("readout_us"));
     let error_us = measured.bias_us - bias_us;
     println!(
         "bias {bias_us:.1} µs, error {error_us:+.1} ± {:.1} µs",

@@ -557,7 +557,7 @@ class Command(Folder):
         self.assertEqual((code, pair["a"], pair["b"]), (0, A.name, B.name))
         self.assertIsNone(found["network"])
         self.assertAlmostEqual(pair["offset_s"], 947848.638469, delta=2e-6)
-        self.assertAlmostEqual(pair["offset_sigma_s"], 23.7e-6, delta=1e-7)
+        self.assertAlmostEqual(pair["offset_sigma_s"], 23.6e-6, delta=1e-7)
         self.assertTrue(
             all(gate["passed"] and {"value", "limit"} <= gate.keys() for gate in pair["gates"])
         )

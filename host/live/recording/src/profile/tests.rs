@@ -8,7 +8,7 @@ fn the_default_profile_is_valid_and_is_the_published_rig() {
     assert_eq!(profile.pulse_width(), 576);
     assert_eq!(profile.slew(), 4_800);
     assert_eq!(profile.frame_ratio(), 1);
-    assert!((profile.phone.middle_row_us() - 5_503.0).abs() < 1e-9);
+    assert!((profile.phone.middle_row_us() - 9_500.0).abs() < 1e-9);
     assert_eq!(profile.imu_config().unwrap().divider, 1);
     assert_eq!(profile.phone.learnt, None);
 }

@@ -11,6 +11,7 @@ fn profile() -> Profile {
     let mut profile = Profile::published().unwrap();
     profile.depth.center_offset_sigma_us = 0.0;
     profile.phone.gyro_delay_sigma_us = 0.0;
+    profile.phone.readout_us = 11_006.0;
     profile.phone.readout_sigma_us = 0.0;
     profile.phone.exposure_locked = true;
     profile
