@@ -117,6 +117,7 @@ fn write_board(folder: &Path) -> SessionFile {
     let mut profile = Profile::published().unwrap();
     profile.phone.gyro_delay_us = 0.0;
     profile.phone.readout_us = 11_006.0;
+    profile.phone.readout_sigma_us = 3_000.0;
     let mut session = SessionFile::new("walk".into(), profile);
     session.phones[0].clock = Some(relation());
     session.recorded = edges.first().zip(edges.last()).map(|(first, last)| Span {
