@@ -6,6 +6,7 @@
 
 use crate::clocks::oscillator::{BoardTime, TrueTime};
 use crate::depth_camera::flash_log::{FlashLog, TrueFlash};
+use crate::wiring::{self, BoardKind};
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::time::SimDuration;
@@ -22,11 +23,15 @@ pub struct LedConfig {
 }
 
 impl LedConfig {
-    /// Returns the LED of the model ranges' nominal values on a pin.
+    /// Returns the LED of the model ranges' nominal values on the output of a board that a
+    /// calibration flashes: the last one, on a Black Pill the camera's.
     #[must_use]
-    pub const fn nominal(pin: Pin) -> Self {
+    pub const fn nominal(board: BoardKind) -> Self {
         Self {
-            pin,
+            pin: match board {
+                BoardKind::Discovery => wiring::OUTPUTS[wiring::OUTPUTS.len() - 1],
+                BoardKind::BlackPill => wiring::TRIGGER,
+            },
             rise: SimDuration::from_nanos(100),
             persistence: SimDuration::from_nanos(100),
         }

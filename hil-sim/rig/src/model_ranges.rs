@@ -408,12 +408,11 @@ mod tests {
     use super::*;
     use crate::led::LedConfig;
     use crate::motion::MotionSpec;
-    use stm32f4_sim::pin::Pin;
 
     fn nominal() -> (RigConfig, PhoneConfig) {
         let motion = MotionSpec::always(Gesture::Twist);
         let mut rig = RigConfig::published(Seed(3)).with_motion(motion);
-        rig.led = Some(LedConfig::nominal(Pin::PE14));
+        rig.led = Some(LedConfig::nominal(rig.board));
         (rig, PhoneConfig::draw(Seed(3)))
     }
 

@@ -124,7 +124,7 @@ pub fn run(args: &ServeArgs) -> Result<()> {
     config.board = args.board;
     // On the Black Pill it would take the camera's place.
     if args.board == wiring::BoardKind::Discovery {
-        config.led = Some(LedConfig::nominal(wiring::OUTPUTS[2]));
+        config.led = Some(LedConfig::nominal(args.board));
     }
     let mut board = wiring::board_of(args.board, args.elf.as_deref());
     let jumpers = Arc::new(Mutex::new(Jumpers::default()));

@@ -10,7 +10,6 @@ use rig::model_ranges;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
-use rig::wiring::{BoardKind, OUTPUTS, TRIGGER};
 use session::options::{Options, Track, seconds};
 
 use crate::programs::{Programs, ask};
@@ -20,10 +19,6 @@ use crate::virtual_session::SessionBench;
 /// least that `smartdepthsync profile learn` takes a skew from.
 const TEACHING_SECONDS: u32 = 60;
 
-/// Time for which the LED flashes in a calibration, as in `smartdepthsync record --calibrate
-/// --led`, seconds.
-pub const LED_SECONDS: u32 = 60;
-
 /// Length of the recording after that, seconds.
 const CALIBRATION_SECONDS: u32 = 5;
 
@@ -31,11 +26,7 @@ const CALIBRATION_SECONDS: u32 = 5;
 /// not know, drawn by a seed.
 pub fn hide_constants(seed: Seed, rig: &mut RigConfig, phone: &mut PhoneConfig) {
     model_ranges::draw_constants(seed, rig, phone);
-    let pin = match rig.board {
-        BoardKind::Discovery => OUTPUTS[OUTPUTS.len() - 1],
-        BoardKind::BlackPill => TRIGGER,
-    };
-    rig.led.get_or_insert(LedConfig::nominal(pin));
+    rig.led.get_or_insert(LedConfig::nominal(rig.board));
 }
 
 /// Replaces the profile of a rig's owner, who knows all, by that of a first set-up.
@@ -48,9 +39,9 @@ pub fn set_up(bench: &mut SessionBench, programs: &Programs) -> Result<()> {
     let new = ["profile", "init", "--camera", &bench.profile.depth.camera];
     ask(programs, &new, &[&path])?;
     let mut profile = Profile::load(&path)?;
-    let owners = &bench.profile;
-    profile.phone.address.clone_from(&owners.phone.address);
-    profile.phone.exposure_locked = owners.phone.exposure_locked;
+    let owners = &bench.profile.phone;
+    profile.phone.address.clone_from(&owners.address);
+    profile.phone.exposure_locked = owners.exposure_locked;
     bench.profile = profile;
     Ok(())
 }
@@ -82,7 +73,8 @@ pub(crate) fn teach(
     learn(bench, &wishes, programs)
 }
 
-/// Does the same while the LED flashes at the phone, so that the profile learns the constants too.
+/// Does the same after the LED has flashed at the phone for `led` ticks, so that the profile learns
+/// the constants too.
 ///
 /// # Errors
 ///
@@ -90,11 +82,11 @@ pub(crate) fn teach(
 pub fn calibrate(
     bench: &mut SessionBench,
     track: Track,
-    led_seconds: u32,
+    led: u64,
     programs: &Programs,
 ) -> Result<PathBuf> {
     let mut wishes = wishes(bench, "calibration", CALIBRATION_SECONDS, track);
-    wishes.led = seconds(led_seconds.into());
+    wishes.led = led;
     learn(bench, &wishes, programs)
 }
 

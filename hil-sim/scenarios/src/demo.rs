@@ -24,9 +24,9 @@ use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
 use rig::wiring::jumpers::Jumpers;
-use session::options::Track;
+use session::options::{LED_TICKS, Track};
 
-use crate::calibration::{self, LED_SECONDS};
+use crate::calibration;
 use crate::judge::{Truth, Verdict};
 use crate::programs::Programs;
 use crate::virtual_session::SessionBench;
@@ -100,7 +100,7 @@ pub fn run(options: &DemoOptions, programs: &Programs) -> Result<Demo> {
         Track::Always
     };
     calibration::set_up(&mut bench, programs)?;
-    let taught = calibration::calibrate(&mut bench, track, LED_SECONDS, programs)?;
+    let taught = calibration::calibrate(&mut bench, track, LED_TICKS, programs)?;
     let wishes = calibration::wishes(&bench, "recording", options.seconds, track);
     let recording = bench.run(&wishes).good()?.folder;
     let virtual_s = bench.with(|rig| rig.now()).as_secs_f64();

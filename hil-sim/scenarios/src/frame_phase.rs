@@ -40,6 +40,14 @@ pub struct PhaseSummary {
     pub worst_us: f64,
 }
 
+impl PhaseSummary {
+    /// 1-sigma of the mean error, by the spread of the pairs, µs. That of the error at the first
+    /// pair is twice as large, of a line's ends.
+    pub(crate) fn mean_sigma_us(&self) -> f64 {
+        self.residual_us / (self.pairs.max(1) as f64).sqrt()
+    }
+}
+
 /// Phase errors of frames `range` of a video of the phone.
 ///
 /// `depth` are the depth frames in order of time; bad ones and those that the

@@ -20,11 +20,11 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::whole_rig::config::RigConfig;
 use rig::wiring;
-use session::options::Track;
+use session::options::{LED_TICKS, Track};
 
 use super::launches::rms;
 use super::{Figure, Specimen};
-use crate::calibration::{self, LED_SECONDS};
+use crate::calibration;
 use crate::frame_phase::{PhaseError, summarise};
 use crate::judge::{Truth, Verdict};
 use crate::programs::{Programs, ask};
@@ -65,30 +65,25 @@ pub fn figures(
     bench.phone_link = Some(LinkRanges::PHONE_USB);
     bench.copies_files = true;
     calibration::set_up(&mut bench, programs)?;
-    let first = calibration::calibrate(&mut bench, Track::Never, LED_SECONDS, programs)?;
+    let first = calibration::calibrate(&mut bench, Track::Never, LED_TICKS, programs)?;
     let (known, depth) = (&bench.profile.phone, &bench.profile.depth);
     let learnt = [
-        (
+        stated(
             "phone's half (µs)",
             known.gyro_delay_us - true_delay_us,
             known.gyro_delay_sigma_us,
         ),
-        (
+        stated(
             "readout (µs)",
             known.readout_us - true_readout_us,
             known.readout_sigma_us,
         ),
-        (
+        stated(
             "depth's half (µs)",
             depth.center_offset_us - true_center_us,
             depth.center_offset_sigma_us,
         ),
     ];
-    let learnt = learnt.map(|(name, error, sigma)| Figure {
-        name: name.to_owned(),
-        error,
-        sigma: Some(sigma),
-    });
     let mut wishes = calibration::wishes(&bench, "recording", seconds, Track::Always);
     wishes.second_twist = false;
     let next = bench.run(&wishes).good()?.folder;
@@ -101,27 +96,30 @@ pub fn figures(
     match ask(programs, &["evaluate", "precision"], &[&next]) {
         Ok(answer) => {
             let found = &answer["recordings"][0];
-            figures.push(Figure {
-                name: "calibrated: phase by the strobes on the video (µs)".to_owned(),
-                error: number(found, "bias_us")?,
-                sigma: Some(number(found, "sigma_us")?.hypot(verdict.phase_sigma_us)),
-            });
+            let sigma_us = number(found, "sigma_us")?.hypot(verdict.phase_sigma_us);
+            let name = "calibrated: phase by the strobes on the video (µs)";
+            figures.push(stated(name, number(found, "bias_us")?, sigma_us));
         }
         Err(error) => eprintln!("seed {}: {error:#}", rig.seed),
     }
     Ok(figures)
 }
 
+/// A figure with its stated 1-sigma.
+fn stated(name: &str, error: f64, sigma: f64) -> Figure {
+    Figure {
+        name: name.to_owned(),
+        error,
+        sigma: Some(sigma),
+    }
+}
+
 /// The phase of a recording at its start, and its stated 1-sigma with that of the line through the
 /// true points.
 fn at_start(name: &str, verdict: &Verdict) -> Figure {
-    let phase = &verdict.phase;
-    let of_line = 2.0 * phase.residual_us / (phase.pairs.max(1) as f64).sqrt();
-    Figure {
-        name: format!("{name}: phase at the start (µs)"),
-        error: phase.start_us,
-        sigma: Some(verdict.phase_sigma_us.hypot(of_line)),
-    }
+    let sigma_us = (verdict.phase_sigma_us).hypot(2.0 * verdict.phase.mean_sigma_us());
+    let name = format!("{name}: phase at the start (µs)");
+    stated(&name, verdict.phase.start_us, sigma_us)
 }
 
 /// The figures of a recording.
@@ -151,10 +149,14 @@ fn judged(name: &str, verdict: &Verdict) -> Vec<Figure> {
             "95 % of the frames of five minutes (µs)",
             within(&errors(early)),
         ),
-        figure("95 % of their means over 300 frames (µs)", within(&means)),
-        figure("scatter of frames about these, rms (µs)", rms(scatter)),
         figure("drift over five minutes (µs/min)", drift),
     ];
+    if !means.is_empty() {
+        figures.extend([
+            figure("95 % of means over 300 frames (µs)", within(&means)),
+            figure("scatter of frames about these, rms (µs)", rms(scatter)),
+        ]);
+    }
     if early.len() < phases.len() {
         let all = within(&errors(phases));
         figures.push(figure("95 % of all frames (µs)", all));

@@ -40,7 +40,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
     let start = BoardSeconds(span.from.as_secs_f64());
     // Errors of the line through the true points: of its start, and of its slope.
     let phase = &verdict.phase;
-    let of_mean = phase.residual_us / (phase.pairs.max(1) as f64).sqrt();
+    let of_mean = phase.mean_sigma_us();
     let of_slope = 12.0_f64.sqrt() * of_mean * 60.0 / verdict.recorded_s;
     let jitter_us = phone.camera.timestamp_jitter_ns * 1e-3;
     let figure = |name: &str, error, sigma| Figure {

@@ -11,15 +11,15 @@ use rig::wiring::BoardKind;
 use scenarios::calibration;
 use scenarios::judge::Truth;
 use session::event::{Phase, SessionEvent};
-use session::options::Track;
+use session::options::{Track, seconds};
 use stm32f4_sim::time::SimDuration;
 use test_support::TestFolder;
 
 use crate::bench::Twisted;
 use crate::whole_chain::programs;
 
-/// Time for which the LED flashes, seconds.
-const LED_SECONDS: u32 = 22;
+/// Time for which the LED flashes, ticks.
+const LED_TICKS: u64 = seconds(22);
 
 /// The re-transmitted flashes of the depth camera light the picture as well as the LED.
 #[test]
@@ -64,7 +64,7 @@ fn exposures_meet(board: BoardKind) {
             move |_| plugged.lock().unwrap().wait_for_pulses(),
         );
     }
-    calibration::calibrate(&mut rig.bench, Track::Never, LED_SECONDS, &programs()).unwrap();
+    calibration::calibrate(&mut rig.bench, Track::Never, LED_TICKS, &programs()).unwrap();
 
     let profile = rig.bench.profile.clone();
     let config = rig.bench.with(|rig| rig.parts().config.clone());

@@ -31,7 +31,7 @@ use report::summary::{Summary, findings_text};
 use session::devices::hardware::{AdbClockStarter, SerialConnector};
 use session::devices::recorder_process::RecorderProcess;
 use session::devices::{Phone, SystemClock};
-use session::options::{Options, Track, seconds};
+use session::options::{LED_TICKS, Options, Track, seconds};
 use session::run::{Devices, Ended, run as run_session};
 use system::ReadMonitor;
 
@@ -39,9 +39,8 @@ use system::ReadMonitor;
 /// from.
 const CALIBRATION_TICKS: u64 = seconds(90);
 
-/// The same after an LED has flashed, for this long.
+/// The same after an LED has flashed.
 const AFTER_LED_TICKS: u64 = seconds(30);
-const LED_TICKS: u64 = seconds(60);
 
 /// The most problems that are listed at the end.
 const MAX_PROBLEMS: usize = 10;
@@ -163,9 +162,9 @@ struct PrintedSession<'a> {
     verdict: Summary,
     /// Commands to type next.
     next: Vec<String>,
-    /// True of a calibration in which no photodiode saw the depth camera.
+    /// True of a calibration that has not measured the middle of the depth exposure.
     #[serde(skip)]
-    is_dark: bool,
+    lacks_depth: bool,
     /// With `--calibrate`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     learnt: Vec<Lesson>,
@@ -250,7 +249,7 @@ pub(crate) fn run(args: &RecordArgs, context: &Context) -> Result<ExitStatus, Fa
         ),
         folder,
         report: html,
-        is_dark: to_teach.is_some() && file.exposures.is_none(),
+        lacks_depth: to_teach.is_some() && file.exposures.is_none(),
         learnt: taught.learnt,
         depth: taught.depth,
         rows: taught.rows,
@@ -451,9 +450,9 @@ fn text(printed: &PrintedSession<'_>) -> String {
     if let Some(depth) = &printed.depth {
         text += &format!("{}; written to the profile\n", depth.text());
     }
-    if printed.is_dark {
-        text += "no light on the strobe input: a photodiode there, in front of the depth camera's \
-                 illuminator, would have measured the middle of its exposure\n";
+    if printed.lacks_depth {
+        text += "the middle of the depth exposure was not measured: that takes a photodiode on the \
+                 strobe input, in front of the depth camera's illuminator\n";
     }
     if let Some(rows) = &printed.rows {
         text += &format!("{}; written to the profile\n", rows.text());

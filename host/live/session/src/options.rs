@@ -5,6 +5,9 @@ use std::time::Duration;
 
 use protocol::TICK_HZ;
 
+/// Time for which a calibration flashes the LED at the phone, ticks.
+pub const LED_TICKS: u64 = seconds(60);
+
 /// The settings of a session. Times are ticks of board time.
 #[derive(Clone, Debug)]
 pub struct Options {
