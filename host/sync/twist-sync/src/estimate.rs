@@ -70,10 +70,11 @@ pub fn estimate_offset(
         ..*options
     };
     let (full, differ) = in_band(a, b, &unlimited);
-    let full = full.map_err(|mut refusal| {
+    let limited = |mut refusal: Refusal| {
         refusal.report.limit_sigma(limit_s);
         refusal
-    });
+    };
+    let full = full.map_err(limited);
     let is_left_out = |estimate: &Estimate| !estimate.report.left_out.is_empty();
     let is_doubtful = match &full {
         Ok(estimate) => differ || is_left_out(estimate),
@@ -81,7 +82,7 @@ pub fn estimate_offset(
     };
     let mut found = if is_doubtful {
         let lower = |options: &Options| in_band(a, b, options).0;
-        bands::joined(full, differ, &unlimited, lower)?
+        bands::joined(full, differ, &unlimited, lower).map_err(limited)?
     } else {
         full?
     };

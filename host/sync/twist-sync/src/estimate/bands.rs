@@ -137,11 +137,9 @@ pub(crate) fn joined(
         estimate.report.warnings.push(warning);
     }
     let sigma = Gate::sigma(estimate.offset_sigma_s(), options.sigma_limit_s);
-    let gates = &mut estimate.report.gates;
-    let known = gates.iter_mut().filter(|gate| gate.kind == GateKind::Sigma);
-    known.for_each(|gate| *gate = sigma);
+    estimate.report.rejudge_sigma(|_| sigma);
     if is_refused && best == 0 {
-        gates.push(Gate::bands());
+        estimate.report.gates.push(Gate::bands());
     }
     if estimate.report.is_passed() {
         Ok(estimate)

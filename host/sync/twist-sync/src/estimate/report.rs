@@ -111,9 +111,14 @@ impl Report {
 
     /// Judges the offset's sigma by another limit, seconds.
     pub(super) fn limit_sigma(&mut self, limit_s: f64) {
+        self.rejudge_sigma(|gate| Gate::sigma(gate.value * 1e-6, limit_s));
+    }
+
+    /// Replaces the judgement of the offset's sigma, if there is one.
+    pub(super) fn rejudge_sigma(&mut self, judged: impl Fn(&Gate) -> Gate) {
         let known = self.gates.iter_mut();
         let known = known.filter(|gate| gate.kind == GateKind::Sigma);
-        known.for_each(|gate| *gate = Gate::sigma(gate.value * 1e-6, limit_s));
+        known.for_each(|gate| *gate = judged(gate));
     }
 
     pub(super) fn is_passed(&self) -> bool {
