@@ -157,9 +157,10 @@ fn typed(command: &Command) -> String {
     let quoted = |text: &OsStr| {
         let text = text.to_string_lossy();
         let is_plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
-        match !text.is_empty() && text.chars().all(is_plain) {
-            true => text.into_owned(),
-            false => format!("'{}'", text.replace('\'', r"'\''")),
+        if !text.is_empty() && text.chars().all(is_plain) {
+            text.into_owned()
+        } else {
+            format!("'{}'", text.replace('\'', r"'\''"))
         }
     };
     let mut words = Vec::new();

@@ -104,7 +104,8 @@ fn room_of<'a>(path: &str, rooms: &[Room<'a>]) -> &'a str {
         let rest = path.strip_prefix(folder);
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
     };
-    let inside = rooms.iter().map(|room| room.folder).filter(|it| holds(it));
+    let folders = rooms.iter().map(|room| room.folder);
+    let inside = folders.filter(|folder| holds(folder));
     inside.max_by_key(|folder| folder.len()).unwrap_or_default()
 }
 
@@ -114,8 +115,12 @@ fn wrong_imports(page: &str, crates: &BTreeMap<String, BTreeSet<String>>) -> Vec
     let rooms = rooms(page);
     for room in &rooms {
         let (own, stated) = (room.folder, &room.imports);
-        let inside = crates.iter().filter(|it| room_of(it.0, &rooms) == own);
-        let imported = inside.flat_map(|it| it.1).map(|path| room_of(path, &rooms));
+        let inside = crates
+            .iter()
+            .filter(|(path, _)| room_of(path, &rooms) == own);
+        let imported = inside
+            .flat_map(|(_, imported)| imported)
+            .map(|path| room_of(path, &rooms));
         let found: BTreeSet<&str> = imported.filter(|other| *other != own).collect();
         let more = found.difference(stated);
         wrong.extend(

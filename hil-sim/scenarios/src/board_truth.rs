@@ -251,7 +251,8 @@ impl BoardTruth {
 
     /// The first edge since its last change that is not where the course has it.
     fn fails_at(&self, course: &Course) -> Option<u64> {
-        let begin = u64::try_from(course.train.number).map_or(self.first, |it| it.max(self.first));
+        let begin =
+            u64::try_from(course.train.number).map_or(self.first, |number| number.max(self.first));
         let edges = self.edges.get((begin - self.first) as usize..);
         let mut since = (begin..).zip(edges.unwrap_or_default());
         let off = since.find(|&(number, &ticks)| course.train.edge(number).ticks.0 != ticks);
